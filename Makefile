@@ -1,0 +1,56 @@
+# make run | test | check; each installs first where needed, into .venv, from constraints.txt.
+
+# The first Python that really starts (a pyenv shim may exist and fail), is 3.11 or 3.12, and can make environments.
+SUPPORTED := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))
+PYTHON ?= $(shell for python in python3 python3.12 python3.11 python; do \
+	if $$python -c '$(SUPPORTED)' >/dev/null 2>&1; then echo $$python; break; fi; done)
+
+BIN := .venv/bin
+DISTRIBUTIONS := . plugins/power plugins/noise robots/go1
+EDITABLE := $(foreach distribution,$(DISTRIBUTIONS),-e $(distribution))
+PINS := constraints.txt pyproject.toml $(wildcard plugins/*/pyproject.toml robots/*/pyproject.toml)
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+WORKERS ?= 2
+
+.PHONY: install install-dev run test check format clean
+.DEFAULT_GOAL := install
+
+install: .venv/installed
+install-dev: .venv/installed-dev
+
+run: install
+	$(BIN)/hts run --objective power --robot go1
+
+test: install-dev
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+check: install-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+format: install-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf .venv
+
+$(BIN)/python:
+	@$(if $(strip $(PYTHON)),,echo "No Python 3.11 or 3.12 found. Install one, or name it: make PYTHON=/path/to/python3.12" >&2; exit 1)
+	@$(PYTHON) -c '$(SUPPORTED)' || { echo "$(PYTHON) is not Python 3.11 or 3.12 with venv. Name another: make PYTHON=/path/to/python3.12" >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+
+.venv/builder: $(BIN)/python constraints.txt
+	$(PIP) install --quiet --constraint constraints.txt hatchling
+	@touch $@
+
+.venv/installed: .venv/builder $(PINS)
+	$(PIP) install --quiet --constraint constraints.txt --no-build-isolation $(EDITABLE)
+	@touch $@
+
+.venv/installed-dev: .venv/installed
+	$(PIP) install --quiet --constraint constraints.txt --no-build-isolation -e '.[dev]'
+	@touch $@

@@ -1,0 +1,59 @@
+"""What the core itself offers, through the same hooks as everybody else's plugins.
+
+The factories import inside, so that loading the registry stays quick.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hts import hookimpl
+
+if TYPE_CHECKING:
+    from hts.contracts import LogReader, Selector, Settings, World, WorldContext
+
+HTS_API = 1
+
+
+@hookimpl
+def hts_worlds(register):
+    register("twin", make_twin)
+    register("field", make_field)
+
+
+@hookimpl
+def hts_selectors(register):
+    register("hierarchical", make_hierarchical)
+
+
+@hookimpl
+def hts_log_readers(register):
+    register("csv", make_csv)
+
+
+def make_twin(settings: Settings, context: WorldContext) -> World:
+    """A simulated reality, in a process of its own."""
+    from hts.worlds.twin.world import make_twin
+
+    return make_twin(settings, context)
+
+
+def make_field(settings: Settings, context: WorldContext) -> World:
+    """A person with a robot."""
+    from hts.worlds.field import make_field
+
+    return make_field(settings, context)
+
+
+def make_hierarchical(settings: Settings) -> Selector:
+    """The best in simulation are tested in reality, the best of those goes on."""
+    from hts.selection.hierarchical import make
+
+    return make(settings)
+
+
+def make_csv(settings: Settings) -> LogReader:
+    """Comma-separated files, told by a mapping which column is which channel."""
+    from hts.recordings.csv_reader import make
+
+    return make(settings)

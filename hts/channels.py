@@ -1,0 +1,66 @@
+"""Channels: named time series with a unit and a shape, the common tongue of simulation, robots and models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hts.errors import RecordingError, unknown_name
+
+UNITS: dict[str, str] = {
+    "1": "dimensionless",
+    "s": "seconds",
+    "m": "metres",
+    "m/s": "metres per second",
+    "m/s^2": "metres per second squared",
+    "rad": "radians",
+    "rad/s": "radians per second",
+    "N": "newtons",
+    "N*m": "newton metres",
+    "A": "amperes",
+    "V": "volts",
+    "W": "watts",
+    "J": "joules",
+    "degC": "degrees Celsius",
+    "Pa": "pascals",
+    "dB(A)": "A-weighted sound level re 20 uPa",
+    "%": "per cent",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One named time series: its unit, and the shape of a single sample (``()`` for a scalar).
+
+    ``may_be_constant`` is for quantities that may honestly stand still during a recording,
+    such as a temperature or a state of charge. Raises RecordingError for a unit nobody knows.
+    """
+
+    name: str
+    unit: str
+    shape: tuple[int, ...] = ()
+    description: str = ""
+    may_be_constant: bool = False
+
+    def __post_init__(self) -> None:
+        if self.unit not in UNITS:
+            raise RecordingError(f"Channel '{self.name}': " + unknown_name("unit", self.unit, UNITS))
+
+
+def standard_channels(num_joints: int, num_feet: int) -> dict[str, Channel]:
+    """The sim channels of a legged robot: what simulation and robot both give.
+
+    num_joints: J, in the robot's joint order; num_feet: F, in the robot's foot order.
+    """
+    joints, feet = (num_joints,), (num_feet,)
+    channels = (
+        Channel("joint_position", "rad", joints, "joint angle"),
+        Channel("joint_velocity", "rad/s", joints, "joint speed"),
+        Channel("joint_torque", "N*m", joints, "torque the motor current makes, seen at the joint"),
+        Channel("joint_target", "rad", joints, "position target sent to the joint controller"),
+        Channel("angular_velocity", "rad/s", (3,), "of the trunk, in the trunk frame"),
+        Channel("projected_gravity", "1", (3,), "unit vector of gravity in the trunk frame"),
+        Channel("base_velocity", "m/s", (3,), "of the trunk, in the trunk frame (x forward)"),
+        Channel("command", "1", (3,), "commanded vx m/s, vy m/s, yaw rate rad/s", may_be_constant=True),
+        Channel("foot_force", "N", feet, "normal force under each foot"),
+    )
+    return {channel.name: channel for channel in channels}

@@ -1,0 +1,55 @@
+"""`hts config show|schema`: the resolved configuration, or its JSON schema for editors."""
+
+from __future__ import annotations
+
+import json
+
+import typer
+
+from hts.cli import options
+
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    help="The resolved configuration, or its JSON schema.",
+)
+
+
+@app.command()
+def show(
+    objective: options.Objectives = None,
+    robot: options.RobotName = None,
+    preset: options.Preset = None,
+    world: options.WorldName = None,
+    config: options.ConfigFile = None,
+    set_: options.Overrides = None,
+    engine: options.Engine = None,
+    executor: options.Executor = None,
+    seed: options.Seed = None,
+) -> None:
+    """Print the configuration that `hts run` with the same options would use, as YAML."""
+    from hts.config_loading import check_names, dump_config, load_config
+    from hts.plugins import load
+
+    resolved = load_config(
+        preset=preset,
+        file=config,
+        objectives=objective or (),
+        robot=robot,
+        world=world,
+        engine=engine,
+        executor=executor,
+        seed=seed,
+        overrides=set_ or (),
+    )
+    check_names(resolved, load())
+    typer.echo(dump_config(resolved), nl=False)
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of a config file."""
+    from hts.config import RunConfig
+
+    typer.echo(json.dumps(RunConfig.model_json_schema(), indent=2))

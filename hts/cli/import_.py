@@ -1,0 +1,61 @@
+"""`hts import`: somebody's logs become recordings in a store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE…", help="Log files. Each is a recording, unless the mapping has `files`."),
+    ],
+    robot: Annotated[str, typer.Option(help="The robot that made the logs, by name.")],
+    mapping: Annotated[
+        Path, typer.Option(metavar="M.yaml", help="Which column is which channel (docs/recordings.md).")
+    ],
+    to: Annotated[Path, typer.Option(metavar="STORE", help="The store, such as data.zarr. Made if it is not there.")],
+    drop: Annotated[
+        list[str] | None, typer.Option(metavar="CHANNEL", help="Import without this channel. May be repeated.")
+    ] = None,
+) -> None:
+    """Import logs of a real robot into a recording store.
+
+    All files are read and checked first; if one is refused, none is stored.
+    """
+    from hts.errors import ConfigError, RecordingError, unknown_name
+    from hts.plugins import load
+    from hts.recordings.mapping import load_mapping
+    from hts.recordings.store import RecordingStore
+
+    registry = load()
+    machine = registry.make_robot(robot)
+    told = load_mapping(mapping)
+    channels = told.get("channels")
+    for name in drop or []:
+        if not isinstance(channels, dict) or name not in channels:
+            known = channels if isinstance(channels, dict) else ()
+            raise ConfigError(f"{mapping}: --drop: " + unknown_name("channel", name, known))
+        del channels[name]
+    reader = registry.make_log_reader(str(told.get("reader", "csv")))
+    groups = [files] if told.get("files") else [[file] for file in files]
+    try:
+        recordings = [reader.read(group, told, machine) for group in groups]
+    except ConfigError as error:
+        raise ConfigError(f"{mapping}: {error}") from error
+    except RecordingError as error:
+        raise RecordingError(f"{error} Nothing was stored.") from error
+    store = RecordingStore(to, create=True)
+    before = set(store.ids())
+    for group, recording in zip(groups, recordings, strict=True):
+        recording_id = store.write(recording, ", ".join(str(path) for path in group))
+        again = " (was there already)" if recording_id in before else ""
+        notes = "; ".join(f"{key} {text}" for key, text in recording.notes.items() if key != "source")
+        names = ", ".join(path.name for path in group)
+        typer.echo(
+            f"{recording_id}  {names}: {recording.seconds:.2f} s at {recording.rate_hz:g} Hz, "
+            f"{', '.join(recording.channels)}{again}" + (f" [{notes}]" if notes else "")
+        )

@@ -1,0 +1,86 @@
+"""From an exception to the one line that a user reads, and the exit status. Bugs keep their traceback."""
+
+from __future__ import annotations
+
+import errno
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+
+from hts.errors import HtsError, RunError, WaitingForRobot
+
+DISK_FAULTS: dict[int, str] = {
+    errno.EROFS: "the file system is read-only. Choose a place that can be written, with --out DIR",
+    errno.EACCES: "no permission. Change its owner or mode, or choose another place with --out DIR",
+    errno.EPERM: "not permitted. Change its owner or mode, or choose another place with --out DIR",
+    errno.ENOSPC: "the disk is full. Nothing finished is lost: free some space and give the command again",
+    errno.EDQUOT: "the disk quota is used up. Nothing finished is lost: free some space and give the command again",
+}
+"""errno -> what happened and what to do, the end of a sentence that began with the file."""
+
+
+def one_line(error: Exception) -> tuple[str, int] | None:
+    """The line for stderr and the exit status; None for an error that is ours, not the user's."""
+    if isinstance(error, WaitingForRobot):  # not a failure
+        return str(error), error.exit_code
+    if isinstance(error, HtsError):
+        return "error: " + " ".join(str(error).split()), error.exit_code
+    if isinstance(error, typer.TyperException):
+        if type(error).__name__ == "NoArgsIsHelpError":
+            return error.format_message(), error.exit_code
+        return _usage(error), error.exit_code
+    if isinstance(error, typer.Abort):
+        return "stopped", 1
+    fault = disk_fault(error)
+    return (f"error: {fault}", RunError.exit_code) if fault else None
+
+
+def disk_fault(error: BaseException | None, place: Path | None = None) -> str | None:
+    """What a full or read-only disk did, and what to do; None if no disk is at fault.
+
+    Libraries written in other languages give only the text of the system's error, so that is looked at too;
+    place: named where the error itself names no file.
+    """
+    while error is not None:
+        number = error.errno if isinstance(error, OSError) else _errno_in_text(str(error))
+        if number in DISK_FAULTS:
+            file = getattr(error, "filename", None) or place or "a file"
+            return f"{file}: {DISK_FAULTS[number]}."
+        error = error.__cause__ or error.__context__
+    return None
+
+
+@contextmanager
+def resumable(folder: Path) -> Iterator[None]:
+    """Ctrl-C and a full disk inside a run end in one line that says how to go on with `folder`."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if (folder / "config.yaml").exists():
+            print(f"\nstopped: `hts resume {folder}` goes on", file=sys.stderr)
+        else:
+            print("\nstopped before anything was written", file=sys.stderr)
+        raise typer.Exit(130) from None
+    except HtsError:
+        raise
+    except Exception as error:
+        fault = disk_fault(error, folder)
+        if fault is None:
+            raise
+        raise RunError(f"{fault} Then `hts resume {folder}` goes on.") from error
+
+
+def _errno_in_text(text: str) -> int:
+    for number, phrase in ((errno.ENOSPC, "No space left on device"), (errno.EROFS, "Read-only file system")):
+        if phrase in text:
+            return number
+    return 0
+
+
+def _usage(error: typer.TyperException) -> str:
+    context = getattr(error, "ctx", None)
+    hint = f" (`{context.command_path} --help`)" if context is not None else ""
+    return f"error: {' '.join(error.format_message().split())}{hint}"

@@ -1,0 +1,27 @@
+"""Options that several commands share, so that they mean and read the same everywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Objectives = Annotated[
+    list[str] | None, typer.Option("--objective", metavar="NAME", help="What to improve; repeat for several. `hts plugins` lists them."),
+
+]
+RobotName = Annotated[str | None, typer.Option("--robot", metavar="NAME", help="The machine. `hts plugins` lists them.")]
+Preset = Annotated[str | None, typer.Option(help="smoke, quick (default) or paper.")]
+WorldName = Annotated[str | None, typer.Option("--world", metavar="NAME", help='Where policies run "for real": twin or field.')]
+ConfigFile = Annotated[Path | None, typer.Option("--config", help="YAML file laid over the preset.")]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value, key dotted; repeat for several.")
+]
+Engine = Annotated[str | None, typer.Option(help="Training physics: mujoco (CPU) or warp (GPU).")]
+Executor = Annotated[str | None, typer.Option(help="Where candidates train: local.")]
+Seed = Annotated[int | None, typer.Option(help="Of everything random in the run.")]
+Out = Annotated[Path | None, typer.Option(help="Run folder; default runs/OBJECTIVE-ROBOT-PRESET-SEED.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the run will cost, and stop.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="A run folder.")]

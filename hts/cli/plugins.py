@@ -1,0 +1,56 @@
+"""`hts plugins`: what is installed, and what could not be loaded."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import typer
+
+from hts.cli import options
+from hts.plugins import KINDS, Registry, load
+
+
+def command(json_: options.AsJson = False) -> None:
+    """List everything that plugins offer, by kind, with its package; broken plugins with the reason."""
+    registry = load()
+    typer.echo(json.dumps(as_data(registry), indent=2) if json_ else as_text(registry))
+
+
+def as_data(registry: Registry) -> dict[str, Any]:
+    """{kind: [{"name", "package", "summary"}], "plugins": […], "broken": [{"entry_point", "package", "reason"}]}"""
+    data: dict[str, Any] = {
+        kind: [
+            {"name": entry.name, "package": entry.package, "summary": _summary(entry.factory)}
+            for _, entry in sorted(getattr(registry, kind).items())
+        ]
+        for kind in KINDS
+    }
+    data["plugins"] = [
+        {"entry_point": p.entry_point, "module": p.module, "package": p.package, "version": p.version}
+        for p in registry.plugins
+    ]
+    data["broken"] = [
+        {"entry_point": b.entry_point, "package": b.package, "reason": b.reason} for b in registry.broken
+    ]
+    return data
+
+
+def as_text(registry: Registry) -> str:
+    data = as_data(registry)
+    lines: list[str] = []
+    for kind in KINDS:
+        if data[kind]:
+            lines.append(kind.replace("_", " "))
+            width = max(len(row["name"]) for row in data[kind])
+            packages = max(len(row["package"]) for row in data[kind])
+            for row in data[kind]:
+                lines.append(f"  {row['name']:<{width}}  {row['package']:<{packages}}  {row['summary']}".rstrip())
+    if data["broken"]:
+        lines.append("broken")
+        lines += [f"  {row['package']} ({row['entry_point']}): {row['reason']}" for row in data["broken"]]
+    return "\n".join(lines)
+
+
+def _summary(factory: Any) -> str:
+    return (factory.__doc__ or "").strip().partition("\n")[0]

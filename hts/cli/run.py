@@ -1,0 +1,75 @@
+"""`hts run`: Algorithm 1."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hts.cli import options
+
+
+def command(
+    objective: options.Objectives = None,
+    robot: options.RobotName = None,
+    preset: options.Preset = None,
+    world: options.WorldName = None,
+    config: options.ConfigFile = None,
+    set_: options.Overrides = None,
+    engine: options.Engine = None,
+    executor: options.Executor = None,
+    seed: options.Seed = None,
+    out: options.Out = None,
+    dry_run: options.DryRun = False,
+) -> None:
+    """Improve a robot's policy on an objective: measure, model, fine-tune, test, repeat."""
+    from hts.config_loading import load_config
+
+    resolved = load_config(
+        preset=preset,
+        file=config,
+        objectives=objective or (),
+        robot=robot,
+        world=world,
+        engine=engine,
+        executor=executor,
+        seed=seed,
+        overrides=set_ or (),
+    )
+    start(resolved, out, dry_run)
+
+
+def start(config, out: Path | None, dry_run: bool) -> None:
+    """Check everything that can be checked for nothing, then run into a folder of its own."""
+    from hts.cli.one_line import resumable
+    from hts.config_loading import check_names
+    from hts.plugins import load
+
+    check_names(config, load())
+    folder = out or default_folder(config)
+    if not dry_run:
+        refuse_existing(folder)
+    from hts.run import start_run
+
+    with resumable(folder):
+        start_run(config, folder, dry_run=dry_run)
+
+
+def default_folder(config) -> Path:
+    """runs/OBJECTIVE-ROBOT-PRESET-SEED, with `proxy` for a baseline: one folder for one command line."""
+    parts = ["+".join(config.objectives), config.robot.name, config.preset, str(config.seed)]
+    if config.reward_source != "model":
+        parts.insert(2, config.reward_source)
+    return Path("runs") / "-".join(parts)
+
+
+def refuse_existing(folder: Path) -> None:
+    """Raises RunError if something is there already: nothing is ever overwritten."""
+    from hts.errors import RunError
+
+    if folder.is_dir() and not any(folder.iterdir()):
+        return
+    if (folder / "config.yaml").exists():
+        raise RunError(
+            f"{folder}: this folder holds a run already. Go on with it: `hts resume {folder}`; or start anew in another: --out DIR."
+        )
+    if folder.exists():
+        raise RunError(f"{folder}: exists already and is not an empty folder. Choose another one: --out DIR.")

@@ -1,0 +1,220 @@
+"""The configuration of a run: frozen pydantic models, every field with meaning, symbol and unit.
+
+Plugins keep their own settings models; here their settings are plain mappings beside a name, and the
+plugin's factory validates them. Nothing edits a config after it is built.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+
+class Config(BaseModel):
+    """Base of all configuration sections: frozen, unknown keys refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Named(BaseModel):
+    """A plugin by name, with settings that its own factory validates."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+    name: str
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return dict(self.model_extra or {})
+
+
+class Command(Config):
+    """A stretch of a schedule: the commanded velocity, held for so long."""
+
+    seconds: float = Field(gt=0, description="duration, s")
+    vx: float = Field(description="commanded forward velocity, m/s")
+    vy: float = Field(0.0, description="commanded sideways velocity, m/s")
+    yaw_rate: float = Field(0.0, description="commanded yaw rate, rad/s (0: the operator keeps the heading)")
+
+
+class ScheduleConfig(Config):
+    """Commanded speeds over time."""
+
+    commands: tuple[Command, ...] = Field(min_length=1, description="one after the other")
+
+    @property
+    def seconds(self) -> float:
+        return sum(command.seconds for command in self.commands)
+
+
+class RandomisationConfig(Config):
+    """What differs between training worlds; (low, high) of a uniform distribution."""
+
+    enabled: bool = Field(True, description="false: every world is the nominal one")
+    friction: tuple[float, float] = Field((0.4, 1.2), description="sliding friction of the floor, 1")
+    added_mass: tuple[float, float] = Field((-1.0, 1.5), description="added to the trunk, kg")
+    com_shift: tuple[float, float] = Field((-0.02, 0.02), description="of the trunk's centre of mass, each axis, m")
+    strength: tuple[float, float] = Field((0.9, 1.1), description="factor on kp and kd, 1")
+    joint_friction: tuple[float, float] = Field((0.7, 2.0), description="factor on dry joint friction, 1")
+    joint_offset: tuple[float, float] = Field((-0.02, 0.02), description="encoder zero error, rad")
+    push_speed: float = Field(0.5, ge=0, description="horizontal velocity kick, up to, m/s; 0: none")
+    push_interval: float = Field(8.0, gt=0, description="mean time between kicks, s")
+    delay_steps: tuple[int, int] = Field((0, 2), description="actuation delay in physics steps, inclusive range")
+    models: int = Field(32, ge=1, description="size of the pool of randomised models on the CPU engine")
+
+
+class CommandConfig(Config):
+    """What velocities are asked for in training; uniform ranges."""
+
+    vx: tuple[float, float] = Field((-1.0, 1.5), description="forward velocity, m/s")
+    vy: tuple[float, float] = Field((-0.5, 0.5), description="sideways velocity, m/s")
+    yaw_rate: tuple[float, float] = Field((-1.0, 1.0), description="limits of the yaw rate, rad/s")
+    heading: bool = Field(True, description="yaw rate = clip(gain · heading error), as Rudin et al. 2022")
+    heading_gain: float = Field(0.5, description="rad/s per rad")
+    resample_seconds: float = Field(10.0, gt=0, description="a new command every so often, s")
+    straight: float = Field(0.3, ge=0, le=1, description="share of worlds told vy = 0 and to keep their heading")
+    fixed: tuple[float, ...] = Field((), description="test speeds, m/s: world n walks straight at fixed[n mod len], for good")
+    stand: float = Field(0.05, ge=0, le=1, description="share of worlds told to stand still")
+
+
+class EnvConfig(Config):
+    """The training environment: commands, rewards, randomisation, time-out."""
+
+    episode_seconds: float = Field(20.0, gt=0, description="time-out, s")
+    commands: CommandConfig = Field(default_factory=CommandConfig)
+    randomisation: RandomisationConfig = Field(default_factory=RandomisationConfig)
+    observation_noise: float = Field(1.0, ge=0, description="factor on the sensor noise of training, 1")
+    reward_weights: dict[str, float] = Field(default_factory=dict, description="overrides of the task's reward weights, 1/s")
+    threads: int = Field(0, ge=0, description="threads of the CPU engine; 0: one per core")
+    seed: int = Field(0, ge=0, description="of everything random in the env")
+    contacts_per_world: int = Field(0, ge=0, description="contact buffer of the warp engine; 0: the robot's worst case")
+    constraints_per_world: int = Field(0, ge=0, description="constraint rows of the warp engine; 0: the worst case")
+    device: str = Field("auto", description="torch device of the env; auto: cpu for `mujoco`, cuda for `warp`")
+
+
+class PPOConfig(Config):
+    """Anchored PPO. Defaults: Rudin et al. 2022 as released, with the caution for fine-tuning (small rate)."""
+
+    horizon: int = Field(24, ge=1, description="control steps per world and batch, T")
+    epochs: int = Field(5, ge=1, description="passes over each batch")
+    minibatches: int = Field(4, ge=1, description="parts of a batch per pass")
+    clip: float = Field(0.2, gt=0, description="epsilon of the clipped surrogate")
+    gamma: float = Field(0.99, gt=0, lt=1, description="discount per control step")
+    gae_lambda: float = Field(0.95, ge=0, le=1, description="lambda of generalised advantage estimation")
+    entropy_coef: float = Field(0.0, ge=0, description="entropy bonus")
+    value_coef: float = Field(1.0, gt=0, description="weight of the value loss")
+    learning_rate: float = Field(3e-4, gt=0, description="Adam step size (start value if adaptive)")
+    adaptive_rate: bool = Field(False, description="rate follows KL(old‖new) per candidate, target `desired_kl`")
+    desired_kl: float = Field(0.01, gt=0, description="target of the adaptive rate, nats")
+    max_grad_norm: float = Field(1.0, gt=0, description="per candidate")
+    multiplier_rate: float = Field(0.05, gt=0, description="eta: step of the Lagrange multiplier per batch")
+    centring_rate: float = Field(0.05, gt=0, le=1, description="beta of reward centring, per batch")
+    warmup_batches: int = Field(0, ge=0, description="first batches that only fit the critic")
+
+
+class FinetuneConfig(Config):
+    """Fine-tuning of all candidates of an iteration, together."""
+
+    num_envs: int = Field(64, ge=1, description="worlds per candidate, N")
+    steps: int = Field(400_000, gt=0, description="control steps per candidate")
+    max_candidates: int = Field(32, ge=1, description="trained together at most; more go in several groups")
+    ppo: PPOConfig = Field(default_factory=PPOConfig)
+    env: EnvConfig = Field(default_factory=EnvConfig)
+
+
+class PretrainConfig(Config):
+    """The policy to start from, made in simulation with the task's own reward."""
+
+    engine: str = Field("warp", description="mujoco (CPU, hours) or warp (GPU, minutes)")
+    num_envs: int = Field(8192, ge=1, description="worlds")
+    steps: int = Field(150_000_000, gt=0, description="control steps in all")
+    hidden: tuple[int, ...] = Field((256, 128), min_length=1, description="hidden layers of actor and critic")
+    init_std: float = Field(1.0, gt=0, description="sigma of the first policy, action units")
+    seed: int = Field(0, ge=0, description="of networks, env and exploration")
+    ppo: PPOConfig = Field(
+        default_factory=lambda: PPOConfig(learning_rate=1e-3, adaptive_rate=True, entropy_coef=0.005),
+        description="PPO without an anchor",
+    )
+    env: EnvConfig = Field(default_factory=EnvConfig)
+
+
+class SweepConfig(Config):
+    """Anchors × weights λ × KL bounds c."""
+
+    weights: dict[str, tuple[float, ...]] = Field(default_factory=dict, description="λ per objective; missing: the objective's own")
+    kl_bounds: tuple[float, ...] = Field((0.2, 0.5, 1.0), min_length=1, description="c, nats; .inf: no bound")
+    anchors: tuple[str, ...] = Field(("best", "pretrained"), description="which policies to start from")
+
+    @model_validator(mode="after")
+    def _positive(self) -> SweepConfig:
+        for bound in self.kl_bounds:
+            if not bound > 0 or math.isnan(bound):
+                raise ValueError(f"kl_bounds: {bound} is not a positive number")
+        return self
+
+
+class SimulationTestConfig(Config):
+    """How candidates are judged in simulation: mean action, no exploration noise, no pushes."""
+
+    num_envs: int = Field(32, ge=1, description="worlds per candidate and speed")
+    seconds: float = Field(8.0, gt=0, description="length of each trial, s")
+    speeds: tuple[float, ...] = Field((0.8,), min_length=1, description="m/s")
+    speed_tolerance: float = Field(0.1, gt=0, description="largest relative error of the mean speed")
+
+
+class CollectionConfig(Config):
+    """Real data from the pretrained policy, before the first fit."""
+
+    schedule: ScheduleConfig
+    repeats: int = Field(2, ge=1, description="recordings of the schedule; held-out recordings are chosen among them")
+
+
+class MeasurementConfig(Config):
+    """Fitting of measurement models."""
+
+    epochs: int = Field(20, ge=1, description="passes over the data")
+    held_out: float = Field(0.2, gt=0, lt=1, description="share of recordings kept for checking")
+    seed: int = Field(0, ge=0, description="of initial weights and batch order")
+    max_seconds: float = Field(600.0, gt=0, description="stop after the epoch in which so much time has passed, s")
+
+
+class SelectionConfig(Config):
+    """Elites and the best."""
+
+    selector: Named = Field(default_factory=lambda: Named(name="hierarchical"))
+    elites: int = Field(6, ge=1, description="K: candidates tried in reality per iteration")
+    speed: float = Field(0.8, gt=0, description="speed of the head-to-head during iterations, m/s")
+
+
+class EvaluationConfig(Config):
+    """The final head-to-head, and how segments become numbers."""
+
+    speeds: tuple[float, ...] = Field((0.5, 0.8, 1.1), min_length=1, description="m/s")
+    speed_tolerance: float = Field(0.1, gt=0, description="a 1 s segment counts within this relative speed error")
+    min_valid: float = Field(0.5, ge=0, le=1, description="refuse to report below this share of valid segments")
+    min_segments: int = Field(10, ge=1, description="refuse to report with fewer valid segments of either policy")
+    bootstrap: int = Field(2000, ge=100, description="resamples of the interval")
+
+
+class RunConfig(Config):
+    """All of a run. `preset` says which defaults it started from."""
+
+    preset: str
+    objectives: dict[str, dict[str, Any]] = Field(min_length=1, description="name -> settings of its plugin")
+    robot: Named
+    world: Named
+    engine: str = Field("mujoco", description="mujoco (CPU) or warp (GPU)")
+    reward_source: Literal["model", "proxy"] = Field(
+        "model", description="r_real from the measurement model, or from the objective's analytic proxy (the baseline)"
+    )
+    executor: str = Field("local", description="local (ray is planned)")
+    seed: int = Field(0, ge=0, description="of the whole run")
+    iterations: int = Field(ge=1, description="rounds of Algorithm 1")
+    collection: CollectionConfig
+    measurement: MeasurementConfig = Field(default_factory=MeasurementConfig)
+    sweep: SweepConfig = Field(default_factory=SweepConfig)
+    finetune: FinetuneConfig = Field(default_factory=FinetuneConfig)
+    simulation_test: SimulationTestConfig = Field(default_factory=SimulationTestConfig)
+    selection: SelectionConfig = Field(default_factory=SelectionConfig)
+    evaluation: EvaluationConfig = Field(default_factory=EvaluationConfig)

@@ -1,0 +1,75 @@
+"""Commanded velocities of the training worlds: resampling, heading control, fixed test speeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+
+from hts.config import CommandConfig
+
+DRAWS = 7  # uniform numbers a world needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
+
+
+class Commands:
+    """The command [P, N, 3] (vx m/s, vy m/s, yaw rate rad/s) of each world and what it follows from."""
+
+    def __init__(self, config: CommandConfig, shape: tuple[int, int], dt: float, device: torch.device):
+        self.config, self.dt = config, dt
+        self.value = torch.zeros(*shape, 3, device=device)
+        self.heading = torch.zeros(shape, device=device)  # target, rad
+        self.keeps_heading = torch.ones(shape, dtype=torch.bool, device=device)
+        self.steps_left = torch.zeros(shape, device=device)
+        if config.fixed:
+            speeds = torch.tensor(config.fixed, device=device)
+            self.fixed = speeds[torch.arange(shape[1], device=device) % len(config.fixed)].expand(shape)
+        else:
+            self.fixed = None
+
+    def resample(self, mask: torch.Tensor, draws: torch.Tensor, yaw: torch.Tensor) -> None:
+        """New commands where mask [P, N]; draws [P, N, DRAWS] uniform in [0, 1); yaw [P, N] rad now."""
+        c = self.config
+        if self.fixed is not None:
+            new = torch.stack((self.fixed, torch.zeros_like(yaw), torch.zeros_like(yaw)), -1)
+            heading, keeps = yaw, torch.ones_like(mask)
+            self.steps_left = torch.where(mask, math.inf, self.steps_left)
+        else:
+            vx, vy, yaw_rate = (
+                low + (high - low) * draws[..., index]
+                for index, (low, high) in ((0, c.vx), (1, c.vy), (3, c.yaw_rate))
+            )
+            straight = draws[..., 4] < c.straight
+            vy = torch.where(straight, 0.0, vy)
+            stand = (draws[..., 5] < c.stand) | (vx.square() + vy.square() < 0.04)  # under 0.2 m/s: stand, as released
+            heading = torch.where(straight | stand, yaw, (2 * draws[..., 2] - 1) * math.pi)
+            keeps = torch.full_like(mask, c.heading) | straight
+            new = torch.stack((vx, vy, yaw_rate), -1) * (~stand).unsqueeze(-1)
+            steps = c.resample_seconds / self.dt * (0.5 + draws[..., 6])  # spread, so that worlds do not resample together
+            self.steps_left = torch.where(mask, steps, self.steps_left)
+        self.value = torch.where(mask.unsqueeze(-1), new, self.value)
+        self.heading = torch.where(mask, heading, self.heading)
+        self.keeps_heading = torch.where(mask, keeps, self.keeps_heading)
+
+    def advance(self, draws: torch.Tensor, yaw: torch.Tensor) -> None:
+        """One control step passes: resample where due, then steer towards the heading."""
+        self.steps_left = self.steps_left - 1
+        self.resample(self.steps_left <= 0, draws, yaw)
+        self.steer(yaw)
+
+    def steer(self, yaw: torch.Tensor) -> None:
+        """yaw rate = clip(gain x heading error), Rudin et al. 2022, where a world keeps a heading."""
+        error = torch.remainder(self.heading - yaw + math.pi, 2 * math.pi) - math.pi
+        low, high = self.config.yaw_rate
+        wanted = (self.config.heading_gain * error).clamp(low, high)
+        self.value[..., 2] = torch.where(self.keeps_heading, wanted, self.value[..., 2])
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        return {
+            "value": self.value.clone(), "heading": self.heading.clone(),
+            "keeps_heading": self.keeps_heading.clone(), "steps_left": self.steps_left.clone(),
+        }  # fmt: skip
+
+    def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
+        for name in ("value", "heading", "keeps_heading", "steps_left"):
+            setattr(self, name, state[name].to(self.value.device).clone())

@@ -1,0 +1,337 @@
+"""The velocity task as a TorchRL env of batch size [P, N]: P candidates, N worlds each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from hts.channels import Channel
+from hts.config import EnvConfig
+from hts.contracts import Robot, RobotSpec
+from hts.envs import rewards
+from hts.envs.commands import DRAWS, Commands
+from hts.envs.random import PopulationRandom
+from hts.sim.engine import Engine, make_engine
+from hts.sim.models import variants
+
+# What the policy sees, in this order, all of it measurable on a robot. joint_position_offset = q - default pose.
+OBSERVATION = ("angular_velocity", "projected_gravity", "command", "joint_position_offset", "joint_velocity", "last_action")
+# Uniform sensor noise of training, +-, per observation entry (Rudin et al. 2022): rad/s, 1, rad, rad/s.
+NOISE = {"angular_velocity": 0.2, "projected_gravity": 0.05, "joint_position_offset": 0.01, "joint_velocity": 1.5}
+# An episode ends below this share of the standing height or beyond this tilt (gravity's z in the trunk frame: -1 is upright).
+FALL_HEIGHT, FALL_GRAVITY_Z = 0.55, -0.5
+
+
+def observation_layout(num_joints: int) -> list[dict[str, int | str]]:
+    """Names and sizes of the observation's parts, in order."""
+    sizes = {"angular_velocity": 3, "projected_gravity": 3, "command": 3}
+    return [{"name": name, "size": sizes.get(name, num_joints)} for name in OBSERVATION]
+
+
+class VelocityEnv(EnvBase):
+    """Follow a commanded velocity; see `hts.envs.rewards` for r_sim.
+
+    Writes observation [P, N, 9 + 3 J], critic_observation [P, N, 9 + 3 J + 4 + F] (noise-free, with trunk velocity m/s,
+    height m and contacts), reward [P, N, 1], done, terminated (fell), truncated (time-out) and ("channels", name) for the channels asked for.
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self, engine: Engine, spec: RobotSpec, num_candidates: int, num_envs: int, config: EnvConfig,
+        channels: Mapping[str, Channel], seeds: Sequence[int],
+    ):  # fmt: skip
+        super().__init__(device=engine.device, batch_size=torch.Size([num_candidates, num_envs]))
+        self.engine, self.robot_spec, self.config = engine, spec, config
+        self.shape2 = (num_candidates, num_envs)
+        self.channel_specs = dict(channels)
+        self.dt = spec.physics_dt * spec.substeps
+        self.max_steps = round(config.episode_seconds / self.dt)
+        self.weights = rewards.resolve_weights(config.reward_weights)
+        self.random = PopulationRandom(seeds, engine.device)
+        joints, feet, device = spec.num_joints, len(spec.foot_sites), engine.device
+        self.default_pose = torch.tensor(spec.default_pose, device=device)
+        self.action_scale = torch.tensor(spec.action_scale, device=device)
+        self._torques = self._sensor_block([f"torque_{name}" for name in spec.joint_names])
+        legs = [site.removesuffix("_foot") for site in spec.foot_sites]
+        self._touch = self._sensor_block([f"touch_{leg}" for leg in legs])
+        self._foot_velocity = self._sensor_block([f"foot_velocity_{leg}" for leg in legs])
+        self._trunk_touch = engine.sensor("trunk_touch")
+        self._draw_worlds()
+        shape = self.shape2
+        self.commands = Commands(config.commands, shape, self.dt, device)
+        zeros = torch.zeros
+        self.action = zeros(*shape, joints, device=device)
+        self.last_joint_velocity = zeros(*shape, joints, device=device)
+        self.target = self.default_pose.expand(*shape, joints).clone()
+        self.air_time = zeros(*shape, feet, device=device)
+        self.was_contact = zeros(*shape, feet, dtype=torch.bool, device=device)
+        self.steps = zeros(shape, device=device)
+        self.falls = zeros(shape, device=device)  # since the env was made
+        self.breakdowns = zeros(shape, device=device)  # of the physics, since the env was made
+        self._substep = torch.arange(spec.substeps, device=device).view(-1, 1, 1, 1)
+        noise = [torch.full((int(part["size"]),), NOISE.get(str(part["name"]), 0.0)) for part in observation_layout(joints)]
+        self._noise = torch.cat(noise).to(device) * config.observation_noise
+        self._noisy = bool(self._noise.any())
+        self._fixed_draws = DRAWS + 3 + 2 + 6 + joints + 1
+        self._observation = zeros(*shape, 9 + 3 * joints, device=device)
+        self._critic_observation = zeros(*shape, 9 + 3 * joints + 4 + feet, device=device)
+        self._resuming = False
+        self._make_specs(joints, feet)
+
+    # ---------------------------------------------------------------------------------------- construction
+
+    def _sensor_block(self, names: list[str]) -> slice:
+        """One slice over sensors that lie side by side."""
+        slices = [self.engine.sensor(name) for name in names]
+        for left, right in zip(slices, slices[1:], strict=False):
+            assert left.stop == right.start, names  # a robot's author keeps them together; see docs
+        return slice(slices[0].start, slices[-1].stop)
+
+    def _draw_worlds(self) -> None:
+        """Constants of each world (delay, encoder zero); the same N for every candidate, whoever trains beside it."""
+        r = self.config.randomisation
+        rng = np.random.default_rng([self.config.seed, 5417])
+        count, joints = self.shape2[1], self.robot_spec.num_joints
+        delay = rng.integers(r.delay_steps[0], r.delay_steps[1], size=count, endpoint=True)
+        offset = rng.uniform(*r.joint_offset, size=(count, joints))
+        if not r.enabled:
+            delay, offset = np.zeros_like(delay), np.zeros_like(offset)
+        device = self.engine.device
+        self.delay = torch.from_numpy(delay).to(device).view(1, 1, count, 1)
+        self.joint_offset = torch.from_numpy(offset).float().to(device)
+
+    def _make_specs(self, joints: int, feet: int) -> None:
+        shape, device = self.shape2, self.engine.device
+
+        def unbounded(*size: int) -> Unbounded:
+            return Unbounded((*shape, *size), device=device)
+
+        channels = {name: unbounded(*channel.shape) for name, channel in self.channel_specs.items()}
+        self.observation_spec = Composite(
+            observation=unbounded(9 + 3 * joints), critic_observation=unbounded(9 + 3 * joints + 4 + feet),
+            **({"channels": Composite(channels, shape=shape, device=device)} if channels else {}),
+            shape=shape, device=device,
+        )  # fmt: skip
+        self.action_spec = unbounded(joints)
+        self.reward_spec = unbounded(1)
+        flag = Binary(1, (*shape, 1), device=device, dtype=torch.bool)
+        self.done_spec = Composite(
+            {name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape, device=device
+        )
+
+    # ---------------------------------------------------------------------------------------------- TorchRL
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            for index, generator in enumerate(self.random.generators):
+                generator.manual_seed(seed + index)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
+        if self._resuming:  # the first reset after `load_full_state` starts nothing: the episodes go on
+            self._resuming = False
+            mask = torch.zeros(self.shape2, dtype=torch.bool, device=self.device)
+        elif tensordict is not None and "_reset" in tensordict.keys():
+            mask = tensordict["_reset"].view(self.shape2)
+        else:
+            mask = torch.ones(self.shape2, dtype=torch.bool, device=self.device)
+        if bool(mask.any()) or self.device.type != "cpu":
+            self._start_episodes(mask)
+        done = torch.zeros(*self.shape2, 1, dtype=torch.bool, device=self.device)
+        return self._result({"done": done, "terminated": done.clone(), "truncated": done.clone()})
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = tensordict["action"]
+        draws = self.random.uniform(self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0))
+        self._draws = draws
+        target = self.default_pose + self.action_scale * action
+        # A world with delay d applies the previous target in its first d physics steps.
+        ctrl = torch.where(self._substep < self.delay, self.target, target) - self.joint_offset
+        self.engine.step(ctrl.view(self.robot_spec.substeps, -1, ctrl.shape[-1]))
+        self.target = target
+        self.steps = self.steps + 1
+        self._push(draws[..., DRAWS : DRAWS + 3])
+        motion = self._read(action)
+        reward = rewards.total(motion, self.weights)
+        # A world whose physics broke has fallen: its episode ends there, and none of its numbers is used.
+        broken = self.engine.diverged.view(self.shape2)
+        reward = torch.where(broken, self.weights["termination"] * self.dt, reward)
+        self.breakdowns = self.breakdowns + broken
+        self.action, self.last_joint_velocity = action, motion.joint_velocity
+        terminated = motion.fell
+        truncated = (self.steps >= self.max_steps) & ~terminated
+        self.falls = self.falls + terminated
+        self.commands.advance(draws[..., :DRAWS], self._yaw)
+        self._observe(draws[..., self._fixed_draws :])
+        self._observation = self._observation.masked_fill(broken.unsqueeze(-1), 0.0)
+        self._critic_observation = self._critic_observation.masked_fill(broken.unsqueeze(-1), 0.0)
+        out = {
+            "reward": reward.unsqueeze(-1), "terminated": terminated.unsqueeze(-1), "truncated": truncated.unsqueeze(-1),
+            "done": (terminated | truncated).unsqueeze(-1),
+        }  # fmt: skip
+        return self._result(out)
+
+    def _result(self, entries: dict[str, torch.Tensor]) -> TensorDict:
+        entries["observation"] = self._observation
+        entries["critic_observation"] = self._critic_observation
+        out = TensorDict(entries, batch_size=self.batch_size, device=self.device)
+        if self.channel_specs:
+            values = self._channel_values()
+            out["channels"] = TensorDict({name: values[name] for name in self.channel_specs}, batch_size=self.batch_size)
+        return out
+
+    # ---------------------------------------------------------------------------------------------- physics
+
+    def _push(self, draws: torch.Tensor) -> None:
+        """Now and then, a horizontal kick to the trunk's velocity."""
+        r = self.config.randomisation
+        if not r.enabled or r.push_speed == 0:
+            return
+        mask = draws[..., 0] < self.dt / r.push_interval
+        qvel = self.engine.qvel.clone()
+        qvel[:, :2] += (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed
+        self.engine.reset(mask.reshape(-1), self.engine.qpos, qvel)
+
+    def _start_episodes(self, mask: torch.Tensor) -> None:
+        """Stand the robots of mask [P, N] up: joints near the default pose, a random heading and a small velocity."""
+        if not hasattr(self, "_draws"):
+            self._draws = self.random.uniform(self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0))
+        joints = self.robot_spec.num_joints
+        draws = self._draws[..., DRAWS + 5 : self._fixed_draws]
+        velocity, scale, yaw = draws[..., :6] - 0.5, 0.9 + 0.2 * draws[..., 6 : 6 + joints], draws[..., -1]
+        qpos = torch.zeros(*self.shape2, 7 + joints, device=self.device)
+        qpos[..., 2] = self.robot_spec.base_height + 0.02
+        half = (2 * yaw - 1) * torch.pi / 2
+        qpos[..., 3], qpos[..., 6] = half.cos(), half.sin()
+        qpos[..., 7:] = self.default_pose * scale
+        qvel = torch.zeros(*self.shape2, 6 + joints, device=self.device)
+        qvel[..., :6] = velocity
+        flat = mask.reshape(-1)
+        self.engine.reset(flat, qpos.view(flat.numel(), -1), qvel.view(flat.numel(), -1))
+        keep = ~mask.unsqueeze(-1)
+        # `masked_fill` and not a product: a world whose physics broke may hold NaN, and NaN x 0 is NaN.
+        gone = ~keep
+        self.action = self.action.masked_fill(gone, 0.0)
+        self.last_joint_velocity = self.last_joint_velocity.masked_fill(gone, 0.0)
+        self.target = torch.where(keep, self.target, self.default_pose)
+        self.air_time = self.air_time * keep
+        self.was_contact = self.was_contact & keep
+        self.steps = self.steps * ~mask
+        self.engine.sensordata.masked_fill_(gone.reshape(-1, 1), 0.0)  # sensors are read from the first step on
+        old, old_critic = self._observation, self._critic_observation
+        self._read_pose()
+        self.commands.resample(mask, self._draws[..., :DRAWS], self._yaw)
+        self.commands.steer(self._yaw)
+        self._contact = self.engine.sensordata[:, self._touch].view(*self.shape2, -1) > 1.0
+        self._observe(self._draws[..., self._fixed_draws :])
+        self._observation = torch.where(keep, old, self._observation)
+        self._critic_observation = torch.where(keep, old_critic, self._critic_observation)
+
+    def _read_pose(self) -> None:
+        """Trunk pose and velocities in the trunk frame, from the engine's state."""
+        qpos, qvel = self.engine.qpos.view(*self.shape2, -1), self.engine.qvel.view(*self.shape2, -1)
+        w, x, y, z = qpos[..., 3:7].unbind(-1)
+        # Rows of the rotation matrix that turn world vectors into the trunk frame.
+        xx, yy, zz = x * x, y * y, z * z
+        xy, xz, yz, wx, wy, wz = x * y, x * z, y * z, w * x, w * y, w * z
+        rows = torch.stack(
+            (1 - 2 * (yy + zz), 2 * (xy + wz), 2 * (xz - wy), 2 * (xy - wz), 1 - 2 * (xx + zz), 2 * (yz + wx),
+             2 * (xz + wy), 2 * (yz - wx), 1 - 2 * (xx + yy)), -1,
+        ).unflatten(-1, (3, 3))  # fmt: skip
+        self._velocity = (rows * qvel[..., None, :3]).sum(-1)
+        self._gravity = -rows[..., 2]
+        self._yaw = torch.atan2(2 * (wz + xy), 1 - 2 * (yy + zz))
+        self._height = qpos[..., 2:3]
+        self._angular_velocity = qvel[..., 3:6]
+        self._joint_position = qpos[..., 7:] + self.joint_offset  # as the encoders say
+        self._joint_velocity = qvel[..., 6:].clone()
+
+    def _read(self, action: torch.Tensor) -> rewards.Motion:
+        """Look at the robots after a step."""
+        self._read_pose()
+        sensors = self.engine.sensordata.view(*self.shape2, -1)
+        force = sensors[..., self._touch]
+        now = force > 1.0
+        contact = now | self.was_contact  # or-ed with the last step, as released: one lost sample is not a flight
+        landed = contact & (self.air_time > 0)
+        air_time = self.air_time + self.dt
+        foot_velocity = sensors[..., self._foot_velocity].unflatten(-1, (-1, 3))
+        fell = (
+            (self._height[..., 0] < FALL_HEIGHT * self.robot_spec.base_height)
+            | (self._gravity[..., 2] > FALL_GRAVITY_Z)
+            | (sensors[..., self._trunk_touch.start] > 1.0)
+            | self.engine.diverged.view(self.shape2)
+        )
+        motion = rewards.Motion(
+            velocity=self._velocity, angular_velocity=self._angular_velocity, gravity=self._gravity,
+            command=self.commands.value, torque=sensors[..., self._torques], joint_velocity=self._joint_velocity,
+            last_joint_velocity=self.last_joint_velocity, pose_error=self._joint_position - self.default_pose,
+            action=action, last_action=self.action, air_time=air_time, landed=landed, contact=now,
+            foot_speed_squared=foot_velocity[..., :2].square().sum(-1), fell=fell, dt=self.dt,
+        )  # fmt: skip
+        self.air_time = air_time * ~contact
+        self.was_contact = now
+        self._contact = now
+        return motion
+
+    def _observe(self, draws: torch.Tensor) -> None:
+        clean = torch.cat(
+            (self._angular_velocity, self._gravity, self.commands.value, self._joint_position - self.default_pose,
+             self._joint_velocity, self.action), -1,
+        )  # fmt: skip
+        self._observation = torch.addcmul(clean, draws * 2 - 1, self._noise) if self._noisy else clean
+        self._critic_observation = torch.cat((clean, self._velocity, self._height, self._contact.to(clean.dtype)), -1)
+
+    def _channel_values(self) -> dict[str, torch.Tensor]:
+        sensors = self.engine.sensordata.view(*self.shape2, -1)
+        return {
+            "joint_position": self._joint_position, "joint_velocity": self._joint_velocity,
+            "joint_torque": sensors[..., self._torques].clone(), "joint_target": self.target,
+            "angular_velocity": self._angular_velocity.clone(), "projected_gravity": self._gravity,
+            "base_velocity": self._velocity, "command": self.commands.value.clone(), "foot_force": sensors[..., self._touch].clone(),
+        }  # fmt: skip
+
+    # ------------------------------------------------------------------------------------- saving the whole state
+
+    _STATE = ("action", "last_joint_velocity", "target", "air_time", "was_contact", "steps", "falls", "breakdowns", "_draws", "_observation", "_critic_observation")
+
+    def full_state(self) -> TensorDict:
+        """Physics, commands, buffers and random generators: everything to go on exactly from here."""
+        buffers = {name: getattr(self, name).clone() for name in self._STATE}
+        parts = {"buffers": buffers, "engine": self.engine.state_dict(), "commands": self.commands.state_dict(), "random": self.random.state_dict()}
+        return TensorDict(parts, batch_size=[])
+
+    def load_full_state(self, state: TensorDictBase) -> None:
+        """Go on from `full_state`."""
+        for name in self._STATE:
+            setattr(self, name, state["buffers", name].to(self.device).clone())
+        self.engine.load_state_dict(state["engine"])
+        self.commands.load_state_dict(state["commands"])
+        self.random.load_state_dict(state["random"])
+        self._read_pose()
+        self._resuming = True
+
+    def close(self, **kwargs) -> None:
+        self.engine.close()
+        super().close(**kwargs)
+
+
+def make_velocity_env(
+    robot: Robot, engine: str, num_candidates: int, num_envs: int, config: EnvConfig,
+    channels: Sequence[str] = (), seeds: Sequence[int] | None = None,
+) -> VelocityEnv:  # fmt: skip
+    """The velocity task for a robot. channels: which of the robot's sim channels to write; seeds: one per candidate."""
+    known = robot.channels()
+    pool = variants(robot, config.randomisation, config.seed)
+    assignment = [world % len(pool) for _ in range(num_candidates) for world in range(num_envs)]
+    made = make_engine(engine, pool, assignment, robot.spec.substeps, threads=config.threads, device=config.device,
+        contacts_per_world=config.contacts_per_world, constraints_per_world=config.constraints_per_world,
+    )  # fmt: skip
+    seeds = list(seeds) if seeds is not None else [config.seed + index for index in range(num_candidates)]
+    wanted = {name: known[name] for name in (channels or known)}
+    return VelocityEnv(made, robot.spec, num_candidates, num_envs, config, wanted, seeds)

@@ -1,0 +1,194 @@
+"""From recordings of head-to-heads to the entries of `summary.json`, and `hts evaluate`."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hts.config import EvaluationConfig, Named
+from hts.contracts import Objective, TestedCandidate, WorldContext
+from hts.errors import PolicyError, RunError, unknown_name
+from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
+
+if TYPE_CHECKING:
+    from hts.plugins import Registry
+    from hts.recordings.recording import Recording
+
+RESULT = "evaluation.json"
+
+Results = dict[float, HeadToHead]
+REAL_KEYS = ("improvement", "improvement_ci95", "segments", "valid", "falls", "mean_speed", "metrics")
+
+
+def speed_key(speed: float) -> str:
+    """A commanded speed as a key of `summary.json`: 0.8 -> "0.8", 1 -> "1.0"."""
+    return str(float(speed))
+
+
+def head_to_heads(
+    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+) -> Results:
+    """One `HeadToHead` per commanded speed, slowest first. Raises EvaluationError as `compare` does."""
+    return {speed: compare(objective, group, config, seed) for speed, group in by_speed(recordings).items()}
+
+
+def final_entry(
+    objective: Objective,
+    recordings_by_speed: Mapping[float, Sequence[Recording]],
+    config: EvaluationConfig,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """`final.objectives.<name>` of `summary.json`: {"unit", "speeds": {"0.8": {...}}}."""
+    results = {speed: compare(objective, group, config, seed) for speed, group in recordings_by_speed.items()}
+    return entry_of(objective, results)
+
+
+def entry_of(objective: Objective, results: Mapping[float, HeadToHead]) -> dict[str, Any]:
+    """The same from comparisons already made."""
+    return {
+        "unit": objective.unit,
+        "speeds": {speed_key(speed): result.entry() for speed, result in sorted(results.items())},
+    }
+
+
+def segment_scores(results: Mapping[float, HeadToHead]) -> dict[str, Any]:
+    """For `segments.json` (the distribution figure): speed -> role -> quantity -> one number a segment."""
+    return {
+        speed_key(speed): {
+            "policy": {name: values.tolist() for name, values in result.policy_scores.items()},
+            "reference": {name: values.tolist() for name, values in result.reference_scores.items()},
+        }
+        for speed, result in sorted(results.items())
+    }
+
+
+@dataclass(frozen=True)
+class CandidateResult:
+    """An elite after its head-to-head.
+
+    entry: `real` of its candidate in `summary.json`, None if nothing could be reported;
+    tested: for the selector, None likewise; refused: why, one line, or None.
+    """
+
+    entry: dict[str, Any] | None
+    tested: TestedCandidate | None
+    refused: str | None
+
+
+def candidate_result(
+    candidate: str,
+    objectives: Mapping[str, Objective],
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+) -> CandidateResult:
+    """Compare a candidate on every objective. A candidate that cannot walk is a result, not a failure of the run.
+
+    The selector gets the comparison at the first (slowest) speed; iterations have one speed. A reference that has
+    too few valid segments itself does stop the run: then nothing can be compared.
+    """
+    entry: dict[str, Any] = {}
+    comparisons = {}
+    fell = False
+    for name, objective in objectives.items():
+        try:
+            results = head_to_heads(objective, recordings, config, seed)
+        except TooFewSegments as error:
+            if error.role == "reference":
+                raise
+            return CandidateResult(None, None, f"{candidate}: {error}")
+        entry[name] = {
+            speed_key(speed): {key: result.entry()[key] for key in REAL_KEYS} for speed, result in results.items()
+        }
+        comparisons[name] = next(iter(results.values())).comparison
+        fell = fell or any(result.falls > 0 for result in results.values())
+    return CandidateResult(entry, TestedCandidate(candidate, comparisons, fell), None)
+
+
+def evaluate_run(
+    folder: Path,
+    speeds: Sequence[float] | None = None,
+    policy: str | Path | None = None,
+    world: str | None = None,
+    seed: int | None = None,
+    registry: Registry | None = None,
+) -> dict[str, Any]:
+    """Head-to-head of a policy against the run's pretrained one, written to `folder`/evaluation.json and returned.
+
+    speeds: m/s, by default those of the run's configuration; policy: "best" (default), "pretrained", a candidate's
+    id or an ONNX file; world: a name, by default the run's own world with its settings; seed: by default the run's.
+    Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
+    head-to-head is refused (EvaluationError).
+    """
+    from hts.config_loading import read_config
+    from hts.plugins import load
+    from hts.recordings.store import RecordingStore
+
+    folder = Path(folder)
+    config = read_config(folder / "config.yaml")
+    registry = registry or load()
+    speeds = tuple(speeds or config.evaluation.speeds)
+    seed = config.seed if seed is None else seed
+    tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
+    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
+    named = config.world if world in (None, config.world.name) else Named(name=str(world))
+    place = folder / "evaluation"
+    context = WorldContext(
+        robot=config.robot.name,
+        robot_settings=config.robot.settings,
+        objectives=config.objectives,
+        seed=seed,
+        folder=place,
+    )
+    place.mkdir(exist_ok=True)
+    where = registry.make_world(named.name, named.settings, context)
+    try:
+        recordings = where.head_to_head(tested, reference, speeds)
+    finally:
+        where.close()
+    store = RecordingStore(place / "data.zarr", create=True)
+    ids = [store.write(recording) for recording in recordings]
+    results = {
+        name: head_to_heads(objective, recordings, config.evaluation, seed) for name, objective in objectives.items()
+    }
+    result = {
+        "world": named.name,
+        "policy": str(policy or "best"),
+        "seed": seed,
+        "recordings": ids,
+        "objectives": {name: entry_of(objectives[name], found) for name, found in results.items()},
+        "segments": {name: segment_scores(found) for name, found in results.items()},
+    }
+    _write(folder / RESULT, result)
+    return result
+
+
+def policy_file(folder: Path, policy: str | Path) -> Path:
+    """The exported (ONNX) policy of that name in a run folder, or the file itself. Raises PolicyError."""
+    given = Path(policy)
+    if given.suffix == ".onnx" and given.is_file():
+        return given
+    found = sorted((folder / "policies").glob("*.onnx")) + sorted((folder / "iterations").glob("**/*.onnx"))
+    by_name = {file.stem: file for file in reversed(found)}  # policies/ wins over iterations/
+    if str(policy) in by_name:
+        return by_name[str(policy)]
+    if given.suffix:
+        raise PolicyError(f"{policy}: expected an exported policy, a file ending in .onnx. `hts export` writes one.")
+    raise PolicyError(f"{folder}: " + unknown_name("exported policy", str(policy), by_name))
+
+
+def _write(path: Path, result: dict[str, Any]) -> None:
+    """The whole file or none of it."""
+    partial = path.with_name(path.name + ".partial")
+    try:
+        partial.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise RunError(
+            f"{path}: cannot be written ({error.strerror}). Make room or permission, then repeat."
+        ) from error

@@ -1,0 +1,224 @@
+"""Head-to-head: a policy against its reference on one machine, as one number with an interval.
+
+Blocks alternate in the order A-B-B-A: both policies then have the same mean time, so that anything that drifts
+evenly (charge, heat) adds the same to both means and cancels. In A-B-A-B the second always comes later.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hts.config import EvaluationConfig
+from hts.contracts import Comparison, Objective
+from hts.errors import EvaluationError
+from hts.evaluation.intervals import interval
+from hts.evaluation.segments import Segments, cut
+
+if TYPE_CHECKING:
+    from hts.recordings.recording import Recording
+
+
+class TooFewSegments(EvaluationError):
+    """Too few valid segments of the policy or of the reference; `role` says whose."""
+
+    def __init__(self, message: str, role: str) -> None:
+        super().__init__(message)
+        self.role = role
+
+
+@dataclass(frozen=True)
+class HeadToHead:
+    """A policy against its reference at one commanded speed.
+
+    comparison: improvement, selection score and metrics by the objective; improvement_ci95: 95 % interval, None if
+    a single segment leaves nothing to tell it from;
+    policy_segments, reference_segments: the valid ones; policy_scores, reference_scores: the objective's quantities
+    per segment, each (S,).
+    """
+
+    speed: float
+    unit: str
+    comparison: Comparison
+    improvement_ci95: tuple[float, float] | None
+    policy_segments: Segments
+    reference_segments: Segments
+    policy_scores: Mapping[str, np.ndarray]
+    reference_scores: Mapping[str, np.ndarray]
+
+    @property
+    def improvement(self) -> float:
+        """The objective's primary score of the policy against the reference, larger is better, in `unit`."""
+        return self.comparison.improvement
+
+    @property
+    def falls(self) -> int:
+        """Falls of the policy; the reference's are in `reference_segments.falls`."""
+        return self.policy_segments.falls
+
+    @property
+    def mean_speed(self) -> float:
+        """Of the policy over its valid segments, m/s."""
+        return float(self.policy_segments.speed.mean())
+
+    @property
+    def valid(self) -> float:
+        """Share of the policy's segments that count."""
+        return self.policy_segments.valid
+
+    def entry(self) -> dict[str, Any]:
+        """This speed's part of `summary.json`."""
+        return {
+            "improvement": self.improvement,
+            "improvement_ci95": list(self.improvement_ci95) if self.improvement_ci95 else None,
+            "segments": len(self.policy_segments),
+            "valid": self.valid,
+            "falls": self.falls,
+            "mean_speed": self.mean_speed,
+            "metrics": {name: float(value) for name, value in self.comparison.metrics.items()},
+            "reference": {
+                "segments": len(self.reference_segments),
+                "valid": self.reference_segments.valid,
+                "falls": self.reference_segments.falls,
+                "mean_speed": float(self.reference_segments.speed.mean()),
+            },
+        }
+
+
+def compare(
+    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+) -> HeadToHead:
+    """One head-to-head, or several of the same two policies, at one commanded speed.
+
+    recordings: blocks with role "policy" or "reference", in any order. Deterministic for a given seed.
+    Raises EvaluationError, one line, when it would be dishonest to report: no blocks of one role, several commanded
+    speeds, fewer than `config.min_valid` of the segments valid, fewer than `config.min_segments` of either policy, or a
+    quantity that is not a finite number.
+    """
+    speed = _one_speed(recordings)
+    ordered = sorted(recordings, key=lambda recording: (recording.session, recording.block))
+    segments: dict[str, Segments] = {}
+    scores: dict[str, dict[str, np.ndarray]] = {}
+    for role in ("policy", "reference"):
+        segments[role] = cut([r for r in ordered if r.role == role], config.speed_tolerance)
+        _check_enough(segments[role], role, speed, config)
+        scores[role] = _scores(objective, segments[role], role)
+    names = list(scores["policy"])
+    if names != list(scores["reference"]):
+        raise EvaluationError(
+            f"Objective '{objective.name}' scores other quantities for the reference than for the policy."
+        )
+
+    def compared(policy: np.ndarray, reference: np.ndarray) -> Comparison:
+        try:
+            return objective.compare(_named(names, policy), _named(names, reference))
+        except ArithmeticError as error:
+            raise EvaluationError(
+                f"Objective '{objective.name}' cannot compare {_named(names, policy)} with "
+                f"{_named(names, reference)}: {error}. Check the idle level and the recordings."
+            ) from error
+
+    comparison = compared(*(_table(scores[role]).mean(axis=0) for role in ("policy", "reference")))
+    _check_finite(objective, comparison)
+    blocks = {role: _by_block(_table(scores[role]), segments[role].block) for role in ("policy", "reference")}
+    ci95 = interval(
+        lambda policy, reference: compared(policy, reference).improvement,
+        blocks["policy"],
+        blocks["reference"],
+        config.bootstrap,
+        seed,
+    )
+    return HeadToHead(
+        speed=speed,
+        unit=objective.unit,
+        comparison=comparison,
+        improvement_ci95=ci95,
+        policy_segments=segments["policy"],
+        reference_segments=segments["reference"],
+        policy_scores=scores["policy"],
+        reference_scores=scores["reference"],
+    )
+
+
+def by_speed(recordings: Sequence[Recording]) -> dict[float, list[Recording]]:
+    """Recordings of head-to-heads, grouped by the one speed each commands, slowest first."""
+    groups: dict[float, list[Recording]] = {}
+    for recording in recordings:
+        groups.setdefault(_one_speed([recording]), []).append(recording)
+    return dict(sorted(groups.items()))
+
+
+def _one_speed(recordings: Sequence[Recording]) -> float:
+    speeds = sorted({command.vx for recording in recordings for command in recording.schedule.commands})
+    if len(speeds) != 1:
+        found = ", ".join(f"{speed:g}" for speed in speeds) or "none"
+        raise EvaluationError(
+            f"A head-to-head compares two policies at one commanded speed; these {len(recordings)} recordings command "
+            f"{found} m/s."
+        )
+    return speeds[0]
+
+
+def _check_enough(segments: Segments, role: str, speed: float, config: EvaluationConfig) -> None:
+    name = {"policy": "the policy", "reference": "the reference policy"}[role]
+    if not segments.recordings:
+        raise EvaluationError(f"Head-to-head at {speed:g} m/s: no recording has the role '{role}'. Record {name} too.")
+    if segments.valid >= config.min_valid and len(segments) >= config.min_segments:
+        return
+    fell = f", with {segments.falls} falls" if segments.falls else ""
+    raise TooFewSegments(
+        f"Head-to-head at {speed:g} m/s: {len(segments)} of {segments.total} segments of {name} are valid "
+        f"(within ±{config.speed_tolerance:.0%} of the commanded speed{fell}); at least {config.min_segments} and "
+        f"{config.min_valid:.0%} are needed. Nothing is reported: check that it walks and that base_velocity is right.",
+        role,
+    )
+
+
+def _scores(objective: Objective, segments: Segments, role: str) -> dict[str, np.ndarray]:
+    scores = {name: np.asarray(values, dtype=float) for name, values in objective.score(segments).items()}
+    if not scores:
+        raise EvaluationError(f"Objective '{objective.name}' scored no quantity of the segments.")
+    for name, values in scores.items():
+        if values.shape != (len(segments),):
+            raise EvaluationError(
+                f"Objective '{objective.name}': '{name}' has shape {values.shape} for {len(segments)} segments; "
+                "expected one number per segment."
+            )
+        bad = int((~np.isfinite(values)).sum())
+        if bad:
+            raise EvaluationError(
+                f"Objective '{objective.name}': '{name}' is not a finite number in {bad} of {len(values)} segments of "
+                f"the {role}. Look at channel '{objective.target.name}' in its recordings."
+            )
+    return scores
+
+
+def _check_finite(objective: Objective, comparison: Comparison) -> None:
+    numbers = {
+        "improvement": comparison.improvement,
+        "selection_score": comparison.selection_score,
+        **comparison.metrics,
+    }
+    for name, value in numbers.items():
+        if not math.isfinite(value):
+            raise EvaluationError(
+                f"Objective '{objective.name}': '{name}' of the comparison is {value}. The reference's mean is "
+                "probably zero: check the idle level and the recordings."
+            )
+
+
+def _table(scores: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Columns of the quantities, shape (S, Q)."""
+    return np.stack(list(scores.values()), axis=1)
+
+
+def _named(names: Sequence[str], values: np.ndarray) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def _by_block(table: np.ndarray, block: np.ndarray) -> list[np.ndarray]:
+    return [table[block == number] for number in np.unique(block)]

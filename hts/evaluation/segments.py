@@ -1,0 +1,189 @@
+"""Segments: the 1 s pieces of recordings that every real-world number is made of.
+
+A piece counts if its mean forward speed lies within ±10 % of the commanded one (the paper's protocol).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hts.errors import RecordingError, unknown_name
+
+if TYPE_CHECKING:
+    from hts.recordings.recording import Recording
+
+FALLEN_GRAVITY_Z = -0.5  # projected gravity z of an upright trunk is -1; -0.5 is a tilt of 60 degrees
+BEFORE_FALL_SECONDS = 1.0  # a stumble starts before the trunk has tilted
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Valid 1 s pieces of several recordings, S of them, in the order of the recordings and of time.
+
+    samples: n, control steps per piece; recording (S,): index into `recordings`; start (S,): first sample;
+    speed, commanded (S,): mean forward speed and commanded one, m/s; block (S,): numbers each block of each
+    session, so that pieces with one number were recorded without interruption;
+    total: pieces cut before the validity test; falls: times the trunk tipped over, at least one per recording that
+    says it fell.
+    """
+
+    recordings: tuple[Recording, ...]
+    samples: int
+    recording: np.ndarray
+    start: np.ndarray
+    speed: np.ndarray
+    commanded: np.ndarray
+    block: np.ndarray
+    total: int
+    falls: int
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def valid(self) -> float:
+        """Share of the pieces that count, 0 to 1; 0 if there are none."""
+        return len(self) / self.total if self.total else 0.0
+
+    @property
+    def time(self) -> np.ndarray:
+        """Start of each piece on its recording's clock, s, shape (S,)."""
+        starts = [self.recordings[i].time[s] for i, s in zip(self.recording, self.start, strict=True)]
+        return np.array(starts, dtype=float)
+
+    def values(self, channel: str) -> np.ndarray:
+        """The channel in each piece, shape (S, n, *shape). Raises RecordingError if a recording lacks it."""
+        series = [self._series(recording, channel) for recording in self.recordings]
+        pieces = [series[i][s : s + self.samples] for i, s in zip(self.recording, self.start, strict=True)]
+        if not pieces:
+            shape = series[0].shape[1:] if series else ()
+            return np.empty((0, self.samples, *shape))
+        return np.stack(pieces)
+
+    def idle(self, channel: str) -> np.ndarray:
+        """Idle level of the channel in each piece's recording, shape (S,)."""
+        for recording in self.recordings:
+            if channel not in recording.idle:
+                raise RecordingError(
+                    f"A recording of policy {recording.policy_hash[:8]} on world '{recording.world}' has no idle level "
+                    f"of '{channel}'. Measure it with electronics on and motors idle and give it with the recording."
+                )
+        return np.array([self.recordings[i].idle[channel] for i in self.recording], dtype=float)
+
+    @property
+    def mass_kg(self) -> np.ndarray:
+        """Mass of the robot in each piece's recording, kg, shape (S,)."""
+        for recording in self.recordings:
+            if recording.mass_kg is None:
+                raise RecordingError(
+                    f"A recording of policy {recording.policy_hash[:8]} on world '{recording.world}' does not say the "
+                    "robot's mass. Weigh it and give mass_kg with the recording."
+                )
+        return np.array([self.recordings[i].mass_kg for i in self.recording], dtype=float)
+
+    @staticmethod
+    def _series(recording: Recording, channel: str) -> np.ndarray:
+        if channel not in recording.channels:
+            where = f"A recording of policy {recording.policy_hash[:8]} on world '{recording.world}': "
+            raise RecordingError(where + unknown_name("channel", channel, recording.channels))
+        return np.asarray(recording.channels[channel].values)
+
+
+def cut(
+    recordings: Sequence[Recording],
+    speed_tolerance: float = 0.1,
+    settle_seconds: float = 2.0,
+    segment_seconds: float = 1.0,
+) -> Segments:
+    """Cut recordings into pieces that do not overlap, and keep the valid ones.
+
+    The first `settle_seconds` of a recording and of every command are dropped and not counted. A piece is valid if
+    its mean forward speed is within ±speed_tolerance of the commanded one, no samples are missing in it, and it is
+    not near a fall (from 1 s before the trunk tilts over to settle_seconds after it stands again).
+    A command of 0 m/s has no valid pieces: ±10 % of nothing is nothing.
+    Raises RecordingError if rates differ or `base_velocity` is missing.
+    """
+    rates = sorted({recording.rate_hz for recording in recordings})
+    if len(rates) > 1:
+        raise RecordingError(
+            f"Recordings with rates of {', '.join(f'{rate:g}' for rate in rates)} Hz cannot be cut together: "
+            "resample them to one rate when importing."
+        )
+    samples = round(rates[0] * segment_seconds) if rates else 0
+    columns: list[tuple[int, int, float, float, int]] = []
+    blocks: dict[tuple[str, int], int] = {}
+    total = falls = 0
+    for index, recording in enumerate(recordings):
+        block = blocks.setdefault((recording.session, recording.block), len(blocks))
+        near_fall, count = _near_falls(recording, settle_seconds)
+        falls += count
+        forward = Segments._series(recording, "base_velocity")[:, 0]
+        for start, commanded in _starts(recording, settle_seconds, samples):
+            total += 1
+            piece = slice(start, start + samples)
+            speed = float(forward[piece].mean())
+            elapsed = recording.time[piece][-1] - recording.time[piece][0]
+            whole = elapsed < 1.2 * segment_seconds  # a gap in the log stretches the piece
+            if whole and not near_fall[piece].any() and abs(speed - commanded) < speed_tolerance * abs(commanded):
+                columns.append((index, start, speed, commanded, block))
+    table = np.array(columns, dtype=float).reshape(-1, 5).T
+    return Segments(
+        recordings=tuple(recordings),
+        samples=samples,
+        recording=table[0].astype(int),
+        start=table[1].astype(int),
+        speed=table[2],
+        commanded=table[3],
+        block=table[4].astype(int),
+        total=total,
+        falls=falls,
+    )
+
+
+def _starts(recording: Recording, settle_seconds: float, samples: int) -> list[tuple[int, float]]:
+    """First sample and commanded vx of each piece, in order."""
+    elapsed = recording.time - recording.time[0]
+    half = 0.5 / recording.rate_hz  # clocks jitter: compare halfway between samples
+    starts: list[tuple[int, float]] = []
+    begin = 0.0
+    for vx, seconds in _merged(recording):
+        end = begin + seconds
+        first = int(np.searchsorted(elapsed, begin + settle_seconds - half))
+        stop = int(np.searchsorted(elapsed, end - half))
+        starts += [(start, vx) for start in range(first, stop - samples + 1, samples)]
+        begin = end
+    return starts
+
+
+def _merged(recording: Recording) -> list[tuple[float, float]]:
+    """(vx, seconds) of the schedule, equal commands in a row taken as one."""
+    merged: list[tuple[tuple[float, float, float], float]] = []
+    for command in recording.schedule.commands:
+        velocity = (command.vx, command.vy, command.yaw_rate)
+        if merged and merged[-1][0] == velocity:
+            merged[-1] = (velocity, merged[-1][1] + command.seconds)
+        else:
+            merged.append((velocity, command.seconds))
+    return [(velocity[0], seconds) for velocity, seconds in merged]
+
+
+def _near_falls(recording: Recording, settle_seconds: float) -> tuple[np.ndarray, int]:
+    """Samples near a fall, bool (T,), and the number of falls."""
+    num = len(recording.time)
+    near = np.zeros(num, dtype=bool)
+    falls = 0
+    if "projected_gravity" in recording.channels:
+        fallen = np.asarray(recording.channels["projected_gravity"].values)[:, 2] > FALLEN_GRAVITY_Z
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], fallen, [False]]).astype(int)))
+        before, after = (round(s * recording.rate_hz) for s in (BEFORE_FALL_SECONDS, settle_seconds))
+        for down, up in edges.reshape(-1, 2):
+            near[max(0, down - before) : up + after] = True
+        falls = len(edges) // 2
+    if recording.fell and falls == 0:  # it ended in a fall whose tilt was not recorded
+        near[max(0, num - round((BEFORE_FALL_SECONDS + settle_seconds) * recording.rate_hz)) :] = True
+        falls = 1
+    return near, falls

@@ -1,0 +1,100 @@
+"""How policies do in the training simulation: mean action, straight walks at fixed speeds, one whole trial per world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torchrl.envs import EnvBase
+
+from hts.config import EnvConfig
+from hts.policies.networks import Population
+from hts.ppo.actor import Explorer
+
+SETTLE_SECONDS = 2.0  # the start of a trial is not judged
+
+
+@dataclass(frozen=True)
+class SimulatedTrial:
+    """One policy at one speed over its worlds.
+
+    falls: worlds that fell at least once; mean_speed m/s over worlds that did not; valid: share of their 1 s segments
+    within the tolerance of the commanded speed; rewards: mean r_real per objective (per second), after settling.
+    """
+
+    speed: float
+    worlds: int
+    falls: int
+    mean_speed: float
+    valid: float
+    rewards: dict[str, float] = field(default_factory=dict)
+
+
+def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
+    """The training env with straight walks at `speeds`, no kicks, no time-out within the trial; its noise and variants stay."""
+    commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
+    calm = base.randomisation.model_copy(update={"push_speed": 0.0})
+    changes = {"commands": commands, "randomisation": calm, "episode_seconds": seconds + 1.0, "seed": seed}
+    return base.model_copy(update=changes)
+
+
+test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
+
+
+@torch.no_grad()
+def simulate(
+    env: EnvBase, population: Population, speeds: Sequence[float], seconds: float, tolerance: float
+) -> list[list[SimulatedTrial]]:
+    """Trials of every policy (outer) at every speed (inner); world n walks at speeds[n mod len(speeds)].
+
+    env: of batch size [P, N], made with `test_config`, writing the channel base_velocity; tolerance: relative speed error of a valid segment.
+    """
+    act = Explorer(population, None)
+    shape, per_segment = env.batch_size, round(1.0 / env.dt)
+    state = env.reset()
+    fallen = torch.zeros(shape, dtype=torch.bool, device=env.device)
+    segments: list[torch.Tensor] = []
+    sums: dict[str, torch.Tensor] = {}
+    steps, counted = round(seconds / env.dt), 0
+    speed_sum = torch.zeros(shape, device=env.device)
+    for step in range(steps):
+        data, state = env.step_and_maybe_reset(act(state))
+        after = data["next"]
+        fallen |= after["terminated"].squeeze(-1)
+        if step * env.dt < SETTLE_SECONDS - 1e-6:
+            continue
+        counted += 1
+        speed_sum += _forward_speed(env, after)
+        if counted % per_segment == 0:
+            segments.append(speed_sum / per_segment)
+            speed_sum = torch.zeros_like(speed_sum)
+        if "real_reward" in after.keys():
+            for name, value in after["real_reward"].items():
+                sums[name] = sums.get(name, 0.0) + value.squeeze(-1)
+    told = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
+    pieces = torch.stack(segments)  # (S, P, N)
+    good = ((pieces - told).abs() <= tolerance * told).float().mean(0)
+    mean_speed = pieces.mean(0)
+    results = []
+    for candidate in range(shape[0]):
+        row = []
+        for index, speed in enumerate(speeds):
+            worlds = torch.arange(shape[1], device=env.device) % len(speeds) == index
+            stood = worlds & ~fallen[candidate]
+            some = bool(stood.any())
+            row.append(
+                SimulatedTrial(
+                    speed=float(speed), worlds=int(worlds.sum()), falls=int((worlds & fallen[candidate]).sum()),
+                    mean_speed=float(mean_speed[candidate][stood].mean()) if some else float("nan"),
+                    valid=float(good[candidate][worlds].mean()),
+                    rewards={name: float((total[candidate][stood] / counted).mean()) if some else float("-inf") for name, total in sums.items()},
+                )  # fmt: skip
+            )
+        results.append(row)
+    return results
+
+
+def _forward_speed(env: EnvBase, after) -> torch.Tensor:
+    """Trunk speed forward, m/s, [P, N]: the channel of any env that writes it."""
+    return after["channels", "base_velocity"][..., 0]

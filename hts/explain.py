@@ -1,0 +1,97 @@
+"""What pydantic found wrong, as one line: which key, what it holds, what was expected, the closest right key."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, get_args
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel, ValidationError
+
+Location = tuple[int | str, ...]
+
+
+def explain(
+    error: ValidationError, model: type[BaseModel] | None = None, origin: Callable[[Location], str] | None = None
+) -> str:
+    """One line for the first thing wrong, and how many more there are.
+
+    model: what was being validated; left out, it is looked up in the error's traceback.
+    origin: says of a location where its value was written, e.g. "--set a.b"; default: the location itself.
+    """
+    faults = error.errors(include_url=False)
+    first = faults[0]
+    location: Location = tuple(first["loc"])
+    where = origin(location) if origin else dotted(location)
+    model = model or _validated_model(error)
+    if first["type"] == "extra_forbidden":
+        known = _keys_at(model, location[:-1]) if model else []
+        text = f"{where}: there is no key '{location[-1]}'{' in ' + dotted(location[:-1]) if location[:-1] else ''}."
+        text += closest(str(location[-1]), known)
+    elif first["type"] == "missing":
+        text = f"{where}: this key is needed and missing."
+    else:
+        message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
+        text = f"{where}: {message}, found {shortened(first['input'])}." if where else f"{message}."
+    more = len(faults) - 1
+    return text + (f" ({more} more thing{'s' if more > 1 else ''} wrong.)" if more else "")
+
+
+def closest(name: str, known: Sequence[str]) -> str:
+    """The end of a sentence about a wrong key: the closest right one, then all of them. Empty if none are known."""
+    if not known:
+        return ""
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f" Did you mean '{close[0]}'?" if close else ""
+    return f"{hint} Known: {', '.join(sorted(known))}."
+
+
+def dotted(location: Location) -> str:
+    return ".".join(str(part) for part in location)
+
+
+def shortened(value: Any, limit: int = 60) -> str:
+    """The value as Python writes it, on one line, cut off after `limit` characters."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= limit else text[:limit] + "…"
+
+
+def _validated_model(error: ValidationError) -> type[BaseModel] | None:
+    """The model class that raised. ValidationError knows only its name, the frame that raised knows the class."""
+    from pydantic import BaseModel
+
+    trace, model = error.__traceback__, None
+    while trace is not None:
+        scope = trace.tb_frame.f_locals
+        candidate = scope.get("cls", type(scope.get("self")))
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel) and candidate.__name__ == error.title:
+            model = candidate
+        trace = trace.tb_next
+    return model
+
+
+def _keys_at(model: Any, location: Location) -> list[str]:
+    """Keys that may stand at a location inside a model; empty where anything may (or nobody knows)."""
+    if not location:
+        fields: Mapping[str, Any] = getattr(model, "model_fields", {})
+        return list(fields)
+    step, rest = location[0], location[1:]
+    fields = getattr(model, "model_fields", None) or {}
+    if step in fields:
+        return _keys_at_annotation(fields[str(step)].annotation, rest)
+    return []
+
+
+def _keys_at_annotation(annotation: Any, location: Location) -> list[str]:
+    """As `_keys_at`, through Optional, list, tuple and dict."""
+    if getattr(annotation, "model_fields", None):
+        return _keys_at(annotation, location)
+    inner = [argument for argument in get_args(annotation) if argument is not Ellipsis]
+    for argument in inner:
+        # an element of a list or dict uses up one step of the location, a member of a union none
+        for rest in (location[1:], location) if location else (location,):
+            keys = _keys_at_annotation(argument, rest)
+            if keys:
+                return keys
+    return []

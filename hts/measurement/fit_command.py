@@ -1,0 +1,169 @@
+"""`hts fit`: one measurement model from a recording store, with its checks.
+
+`OUT/model.safetensors` and `OUT/model.json` are the model, `OUT/fit.json` says what it was fitted to and how well it predicts.
+`fit_and_check` is the same thing for callers that have the recordings in hand, such as a run.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+from pydantic import ValidationError
+
+from hts.config import MeasurementConfig
+from hts.errors import ConfigError, RecordingError, RunError, unknown_name
+from hts.measurement import checks, files
+from hts.measurement.fit import FitResult, Progress, fit
+
+if TYPE_CHECKING:
+    from hts.contracts import Objective
+    from hts.measurement.models import MeasurementModel
+    from hts.recordings.recording import Recording
+
+
+def fit_and_check(
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: MeasurementConfig | None = None,
+    *,
+    keep: Collection[str] = (),
+    warm_start: MeasurementModel | None = None,
+    progress: Progress | None = None,
+) -> FitResult:
+    """Split, fit on the larger part, check on the rest. The report is plain JSON values:
+
+    fit: see `measurement.fit`; held_out: see `checks.check`; training: ids fitted to;
+    held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing).
+    keep: hashes of policies never held out whole.
+    """
+    config = config or MeasurementConfig()
+    training, held_out = checks.split(recordings, config.held_out, config.seed, keep)
+    result = fit(
+        objective.measurement_model(),
+        training,
+        seed=config.seed,
+        epochs=config.epochs,
+        max_seconds=config.max_seconds,
+        warm_start=warm_start,
+        progress=progress,
+    )
+    checked = checks.check(objective, result.model, held_out, training)
+    result.report = {
+        "objective": objective.name,
+        "target": objective.target.name,
+        "inputs": list(objective.inputs),
+        "held_out_r2": checked["r2"],
+        "rank_correlation": checked["rank_correlation"],
+        "held_out": checked,
+        "training": [recording.id for recording in training],
+        "fit": result.report,
+    }
+    return result
+
+
+def fit_store(
+    objective_name: str,
+    store_path: Path,
+    out: Path,
+    *,
+    overrides: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> Path:
+    """Fit the objective's model to all recordings of a store that have its channels; returns the path of fit.json.
+
+    overrides: KEY=VALUE, the key `measurement.…` or `objectives.NAME.…` as in a run's config.
+    Recordings without one of the channels are left out and listed in fit.json under `left_out`.
+    Raises RunError if `out` holds a fit already; RecordingError if nothing can be fitted.
+    """
+    from hts import plugins
+    from hts.recordings.store import RecordingStore
+
+    settings = _settings(overrides, objective_name)
+    objective = plugins.load().make_objective(objective_name, settings["objectives"])
+    config = _measurement_config(settings["measurement"])
+    report_file = Path(out) / "fit.json"
+    if report_file.exists():
+        raise RunError(f"{report_file} exists: nothing is overwritten. Choose another folder with --out.")
+    store = RecordingStore(store_path)
+    wanted = (*objective.inputs, objective.target.name)
+    usable, left_out = [], {}
+    for recording_id in store.ids():
+        missing = [name for name in wanted if name not in store.attributes(recording_id)["arrays"]]
+        if missing:
+            left_out[recording_id] = f"has no channel '{missing[0]}'"
+        else:
+            usable.append(recording_id)
+    if not usable:
+        raise RecordingError(
+            f"{store_path}: none of its {len(left_out)} recordings has all of {', '.join(wanted)}. "
+            f"`hts data show` lists their channels; import logs that hold these."
+        )
+    dataset = store.dataset(usable)
+    result = fit_and_check(objective, [store.read(i, wanted) for i in usable], config, progress=progress)
+    report = {**result.report, "dataset": dataset.sha256, "left_out": left_out, "store": str(store_path)}
+    try:
+        files.save(result.model, Path(out) / "model", {"objective": objective.name, "dataset": dataset.sha256})
+        temporary = report_file.with_name("fit.json.part")
+        temporary.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.replace(report_file)
+    except OSError as error:
+        raise RunError(f"{out}: cannot be written ({error.strerror}). Choose another folder with --out.") from error
+    return report_file
+
+
+def summary_line(report: Mapping[str, Any]) -> str:
+    """One line for a person, from the report of `fit_and_check`."""
+    held = report["held_out"]
+    proxy = (held["proxy"] or {}).get("smoothed")
+    against = f", analytic stand-in {_number(proxy['r2'])}" if proxy else ""
+    return (
+        f"{report['target']}: R² {_number(report['held_out_r2'])} on {len(held['recordings'])} held-out recordings{against}; "
+        f"rank correlation across {len(held['policies'])} policies {_number(report['rank_correlation'])}"
+    )
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None or not math.isfinite(value) else f"{value:.3f}"
+
+
+def _settings(overrides: Sequence[str], objective_name: str) -> dict[str, dict[str, Any]]:
+    """{"measurement": {...}, "objectives": settings of this objective} from KEY=VALUE texts."""
+    found: dict[str, dict[str, Any]] = {"measurement": {}, "objectives": {}}
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        section, *path = key.strip().split(".")
+        if not equals or section not in found or not path:
+            raise ConfigError(
+                f"--set {override}: expected measurement.KEY=VALUE or objectives.{objective_name}.KEY=VALUE, "
+                "e.g. --set measurement.epochs=40"
+            )
+        if section == "objectives":
+            if path[0] != objective_name:
+                raise ConfigError(
+                    f"--set {override}: " + unknown_name("objective of this fit", path[0], [objective_name])
+                )
+            path = path[1:]
+        if len(path) != 1:
+            raise ConfigError(f"--set {override}: '{key}' is not a key with a value.")
+        try:
+            found[section][path[0]] = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ConfigError(f"--set {override}: the value '{text}' is not YAML.") from error
+    return found
+
+
+def _measurement_config(values: Mapping[str, Any]) -> MeasurementConfig:
+    from hts.explain import explain
+
+    def origin(location: tuple[int | str, ...]) -> str:
+        return "--set measurement." + ".".join(str(step) for step in location)
+
+    try:
+        return MeasurementConfig.model_validate(dict(values))
+    except ValidationError as error:
+        raise ConfigError(explain(error, MeasurementConfig, origin)) from error

@@ -1,0 +1,145 @@
+"""The measurement model inside a training env, as a TorchRL transform.
+
+For an env of batch size [P, N] that writes ("channels", name), each control step adds
+
+    ("measured", target)       [P, N, 1]  prediction, z-scored (`model.denormalise` gives the target's unit)
+    ("real_reward", objective) [P, N, 1]  r_real = objective.reward(prediction), per second, not weighted, not centred
+    ("outside", target)        [P, N, 1]  share of the inputs that lie outside the range the model was fitted on
+
+All three are 0 where an episode has just begun: nothing has been measured yet. They are observations, not the
+env's reward: whoever trains adds λ·dt·(r_real − centre) to r_sim. NaN stays NaN, so that it can be found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs.transforms import Transform
+
+from hts.errors import SimulationError, unknown_name
+from hts.measurement.models import MeasurementModel, gather
+
+if TYPE_CHECKING:
+    from hts.contracts import Objective
+
+
+class _Measured(Transform):
+    """What both transforms share: what they read and write, and their specs."""
+
+    def __init__(self, inputs: tuple[str, ...], outputs: tuple[tuple[str, str], ...]) -> None:
+        super().__init__(in_keys=[("channels", name) for name in inputs], out_keys=list(outputs))
+        self.inputs = tuple(inputs)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        batch, device = observation_spec.shape, observation_spec.device
+        groups = set(observation_spec.keys())
+        known = set(observation_spec["channels"].keys()) if "channels" in groups else set()
+        for name in self.inputs:
+            if name not in known:
+                raise SimulationError("Measurement model: " + unknown_name("channel of the env", name, known))
+        for group, name in self.out_keys:
+            if group not in groups:
+                observation_spec[group] = Composite(shape=batch, device=device)
+                groups.add(group)
+            observation_spec[group, name] = Unbounded((*batch, 1), device=device)
+        return observation_spec
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        for key in self.out_keys:
+            tensordict_reset.set(key, torch.zeros(*tensordict_reset.batch_size, 1, device=tensordict_reset.device))
+        return tensordict_reset
+
+    # An env that resets itself hands the same mask to the same work.
+    def _reset_on_native_autoreset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._reset(tensordict, tensordict_reset)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        raise SimulationError(f"{type(self).__name__} works inside an env only: its memory belongs to worlds.")
+
+
+class MeasurementTransform(_Measured):
+    """Predicts the objective's target in every world at every step, and turns it into r_real.
+
+    model: one for all candidates, on the env's device; reward: z-scored prediction -> r_real, any shape.
+    The memory, (layers, 2, hidden, P·N), is emptied where an episode begins; it is part of `state_dict()`, so a
+    run resumes in mid-episode. The model's weights are not: they have their own file (`measurement.files`).
+    """
+
+    def __init__(self, model: MeasurementModel, reward: Callable[[Tensor], Tensor], name: str) -> None:
+        target = model.config.target
+        super().__init__(model.config.inputs, (("measured", target), ("real_reward", name), ("outside", target)))
+        model.requires_grad_(False).eval()
+        # In a tuple, so that the model is not a submodule: its weights would be saved with every checkpoint.
+        self._model = (model,)
+        self.reward = reward
+        self.register_buffer("memory", None)
+
+    @property
+    def model(self) -> MeasurementModel:
+        return self._model[0]
+
+    @classmethod
+    def of(cls, objective: Objective, model: MeasurementModel) -> MeasurementTransform:
+        """The transform of an objective with its fitted model."""
+        return cls(model, objective.reward, objective.name)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        shape = next_tensordict.batch_size
+        worlds = shape.numel()
+        model = self._model[0]
+        inputs = gather(next_tensordict.get("channels"), self.inputs, worlds)
+        if self.memory is None:
+            self.memory = model.initial_state(worlds, inputs.device)
+        prediction, self.memory = model.step(inputs, self.memory)
+        prediction = prediction.view(*shape, 1)
+        measured, real_reward, outside = self.out_keys
+        next_tensordict.set(measured, prediction)
+        next_tensordict.set(real_reward, self.reward(prediction))
+        next_tensordict.set(outside, model.outside(inputs).view(*shape, 1))
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        mask = tensordict.get("_reset", None)
+        if self.memory is not None:
+            if mask is None:
+                self.memory = torch.zeros_like(self.memory)
+            else:  # where, not a product: a world that ended in NaN must start clean
+                self.memory = torch.where(mask.reshape(-1), 0.0, self.memory)
+        return super()._reset(tensordict, tensordict_reset)
+
+    def _load_from_state_dict(self, state_dict, prefix, *args, **kwargs) -> None:
+        saved = state_dict.get(prefix + "memory")
+        self.memory = None if saved is None else torch.empty_like(saved, device=self.model.feature_mean.device)
+        super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
+
+
+class ProxyTransform(_Measured):
+    """The analytic stand-in of the objective as the reward, for the baseline: r_real = reward(proxy).
+
+    The proxy is in its own unit and not z-scored, which is why the baseline sweeps other weights.
+    Writes ("measured", target) with the proxy and ("real_reward", objective), each [P, N, 1].
+    """
+
+    def __init__(self, objective: Objective) -> None:
+        super().__init__(objective.inputs, (("measured", objective.target.name), ("real_reward", objective.name)))
+        self.objective = objective
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        channels = next_tensordict.get("channels")
+        proxy = self.objective.proxy({name: channels.get(name) for name in self.inputs})
+        if proxy is None:
+            raise SimulationError(
+                f"Objective '{self.objective.name}' has no analytic stand-in, so there is no baseline to train."
+            )
+        proxy = proxy.unsqueeze(-1)
+        measured, real_reward = self.out_keys
+        next_tensordict.set(measured, proxy)
+        next_tensordict.set(real_reward, self.objective.reward(proxy))
+        return next_tensordict

@@ -1,0 +1,199 @@
+"""The registry: everything that comes in by a hook, with the package it came from.
+
+Entry points of the group ``hts`` are loaded one by one. A plugin that cannot be loaded is kept in
+`Registry.broken` with its reason, so that `hts plugins` can show it; the others go on. The core's own
+worlds, selector and log reader come in by the same door, as the entry point ``core``.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import pluggy
+
+from hts import hookspecs
+from hts.errors import ConfigError, HtsError, PluginError, unknown_name
+
+if TYPE_CHECKING:
+    from hts.contracts import Instrument, LogReader, Objective, Robot, Selector, Settings, World, WorldContext
+
+GROUP = "hts"
+
+KINDS: dict[str, str] = {
+    "objectives": "objective",
+    "robots": "robot",
+    "worlds": "world",
+    "instruments": "instrument",
+    "selectors": "selector",
+    "log_readers": "log reader",
+    "commands": "command",
+}
+"""Field of the registry (and end of the hook's name) -> how a person calls one of them."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One thing that a plugin offers: its name, what makes it, and the distribution it came from."""
+
+    name: str
+    factory: Callable[..., Any]
+    package: str
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """An entry point that was loaded: its name, the module behind it, its distribution and version."""
+
+    entry_point: str
+    module: str
+    package: str
+    version: str
+
+
+@dataclass(frozen=True)
+class Broken:
+    """An entry point that could not be loaded, and why."""
+
+    entry_point: str
+    package: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Everything that is installed, by kind and name. Mappings name -> Entry."""
+
+    robots: Mapping[str, Entry] = field(default_factory=dict)
+    objectives: Mapping[str, Entry] = field(default_factory=dict)
+    worlds: Mapping[str, Entry] = field(default_factory=dict)
+    instruments: Mapping[str, Entry] = field(default_factory=dict)
+    selectors: Mapping[str, Entry] = field(default_factory=dict)
+    log_readers: Mapping[str, Entry] = field(default_factory=dict)
+    commands: Mapping[str, Entry] = field(default_factory=dict)
+    plugins: tuple[Plugin, ...] = ()
+    broken: tuple[Broken, ...] = ()
+
+    def make_robot(self, name: str, settings: Settings | None = None) -> Robot:
+        return self._make("robots", name, dict(settings or {}))
+
+    def make_objective(self, name: str, settings: Settings | None = None) -> Objective:
+        return self._make("objectives", name, dict(settings or {}))
+
+    def make_world(self, name: str, settings: Settings | None, context: WorldContext) -> World:
+        return self._make("worlds", name, dict(settings or {}), context)
+
+    def make_instrument(self, name: str, settings: Settings | None, robot: Robot) -> Instrument:
+        return self._make("instruments", name, dict(settings or {}), robot)
+
+    def make_selector(self, name: str, settings: Settings | None = None) -> Selector:
+        return self._make("selectors", name, dict(settings or {}))
+
+    def make_log_reader(self, name: str, settings: Settings | None = None) -> LogReader:
+        return self._make("log_readers", name, dict(settings or {}))
+
+    def entry(self, kind: str, name: str) -> Entry:
+        """The entry of that name; kind is one of KINDS. Raises ConfigError with the closest name."""
+        entries: Mapping[str, Entry] = getattr(self, kind)
+        if name not in entries:
+            message = unknown_name(KINDS[kind], name, entries)
+            if self.broken:
+                packages = ", ".join(sorted({broken.package for broken in self.broken}))
+                message += f" Could not be loaded: {packages}; `hts plugins` says why."
+            raise ConfigError(message)
+        return entries[name]
+
+    def _make(self, kind: str, name: str, settings: dict[str, Any], *context: Any) -> Any:
+        """Call the factory; what pydantic says of wrong settings becomes one line with the closest key."""
+        from pydantic import ValidationError
+
+        entry = self.entry(kind, name)
+        try:
+            return entry.factory(settings, *context)
+        except ValidationError as error:
+            from hts.explain import explain
+
+            where = f"{KINDS[kind]} '{name}' (from {entry.package})"
+            raise ConfigError(f"Settings of {where}: {explain(error)}") from error
+
+
+def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) -> Registry:
+    """Load all plugins that are installed (or only those given) into a registry.
+
+    Raises PluginError if two plugins offer one name. Anything else that is wrong with a plugin
+    (it cannot be imported, was written for other hooks, misspells a hook, raises in one) lands in
+    `Registry.broken` and none of what it offers is kept.
+    """
+    found: dict[str, dict[str, Entry]] = {kind: {} for kind in KINDS}
+    plugins: list[Plugin] = []
+    broken: list[Broken] = []
+    if entry_points is None:
+        entry_points = importlib.metadata.entry_points(group=GROUP)
+    for point in sorted(entry_points, key=lambda point: (_package(point), point.name)):
+        package = _package(point)
+        try:
+            offered = _offers(point, package)
+        except Exception as error:  # any fault of a stranger's module: shown by `hts plugins`, never fatal to others
+            broken.append(Broken(point.name, package, _reason(error)))
+            continue
+        for kind, entry in offered:
+            other = found[kind].get(entry.name)
+            if other is not None:
+                raise PluginError(_two_of_one_name(kind, other, entry))
+            found[kind][entry.name] = entry
+        version = point.dist.version if point.dist is not None else "unknown"
+        plugins.append(Plugin(point.name, point.value, package, version))
+    return Registry(**found, plugins=tuple(plugins), broken=tuple(broken))
+
+
+def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[str, Entry]]:
+    """Import one plugin and ask it for all it offers, as (kind, entry)."""
+    module = point.load()
+    written_for = getattr(module, "HTS_API", None)
+    if written_for is None:
+        raise PluginError(
+            f"{point.value} does not say which version of the hooks it was written for; "
+            f"add the line HTS_API = {hookspecs.API_VERSION} to it"
+        )
+    if written_for != hookspecs.API_VERSION:
+        raise PluginError(
+            f"{package} was written for version {written_for} of the hooks, this hts has version "
+            f"{hookspecs.API_VERSION}; install a version of {package} made for this hts"
+        )
+    manager = pluggy.PluginManager(GROUP)  # one each, so that what it registers can be told from the others'
+    manager.add_hookspecs(hookspecs)
+    manager.register(module, name=point.name)
+    manager.check_pending()  # pluggy accepts a misspelt hook without a word
+    offered: list[tuple[str, Entry]] = []
+    for kind in KINDS:
+
+        def register(name: str, factory: Callable[..., Any], kind: str = kind) -> None:
+            if not isinstance(name, str) or not name or not callable(factory):
+                raise PluginError(f"hts_{kind}: register({name!r}, {factory!r}) needs a name and something to call")
+            offered.append((kind, Entry(name, factory, package)))
+
+        getattr(manager.hook, f"hts_{kind}")(register=register)
+    return offered
+
+
+def _package(point: importlib.metadata.EntryPoint) -> str:
+    return point.dist.name if point.dist is not None else point.value
+
+
+def _two_of_one_name(kind: str, first: Entry, second: Entry) -> str:
+    if first.package == second.package:
+        return f"{first.package} offers two {KINDS[kind]}s named '{first.name}': rename one of them."
+    return (
+        f"Two {KINDS[kind]}s are named '{first.name}': one from {first.package}, one from {second.package}. "
+        f"Uninstall one of the packages: pip uninstall {second.package}"
+    )
+
+
+def _reason(error: Exception) -> str:
+    """Why a plugin could not be loaded, on one line."""
+    text = " ".join(str(error).split())
+    if isinstance(error, HtsError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -1,0 +1,63 @@
+"""A policy on a robot: ONNX and numpy only, no torch. What a twin and a real robot's computer both run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import onnxruntime
+
+from hts.errors import PolicyError
+
+CARD_KEY = "hts"
+
+
+class DeployedPolicy:
+    """An exported policy driving W robots at once.
+
+    card: its PolicyCard as a plain namespace. Raises PolicyError for a file that is not an exported policy.
+    """
+
+    def __init__(self, path: Path):
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        try:
+            self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            meta = self._session.get_modelmeta().custom_metadata_map
+            card: dict[str, Any] = json.loads(meta[CARD_KEY])
+        except Exception as error:  # onnxruntime raises its own classes for each way a file can be broken
+            raise PolicyError(f"{path}: not an exported policy ({type(error).__name__}: {str(error)[:120]}). Export it again with `hts export`.") from error
+        self.card = SimpleNamespace(**card)
+        self._pose = np.asarray(card["default_pose"], np.float32)
+        self._scale = np.asarray(card["action_scale"], np.float32)
+        self._parts = [part["name"] for part in card["observation"]]
+        self.start(1)
+
+    def start(self, num: int) -> None:
+        """Begin with `num` robots, no past."""
+        self._last_action = np.zeros((num, self._pose.size), np.float32)
+        size = sum(part["size"] for part in self.card.observation)
+        self._history = np.zeros((num, self.card.history, size), np.float32)
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget the past of the robots of mask (W,) bool."""
+        self._last_action[mask] = 0.0
+        self._history[mask] = 0.0
+
+    def targets(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Joint position targets (W, J), rad, from sensor readings: angular_velocity (W, 3) rad/s,
+        projected_gravity (W, 3), command (W, 3), joint_position (W, J) rad, joint_velocity (W, J) rad/s."""
+        values = {
+            **readings, "joint_position_offset": readings["joint_position"] - self._pose, "last_action": self._last_action,
+        }  # fmt: skip
+        observation = np.concatenate([np.asarray(values[name], np.float32) for name in self._parts], axis=1)
+        if self.card.history > 1:
+            self._history = np.roll(self._history, -1, axis=1)
+            self._history[:, -1] = observation
+            observation = self._history.reshape(len(observation), -1)
+        self._last_action = self._session.run(["action"], {"observation": observation})[0]
+        return self._pose + self._scale * self._last_action

@@ -1,0 +1,93 @@
+"""Policies for robots: ONNX (any runtime) and TorchScript (LibTorch), both with the normaliser inside and the card attached."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from onnx import TensorProto, helper, numpy_helper
+
+from hts.policies.files import Policy
+
+CARD_KEY = "hts"
+CLIP = 10.0  # of normalised observations, as in `Population.normalised`
+
+
+def to_onnx(policy: Policy, path: Path) -> Path:
+    """`observation` (batch, O) float32, raw -> `action` (batch, J), the mean action. Written in one move.
+
+    The graph is built node by node: it is small, exact, and needs no tracing.
+    """
+    tensors, layers = policy.tensors, len(policy.card.hidden) + 1
+    weights = {"mean": tensors["observation_mean"], "std": tensors["observation_std"]}
+    nodes = [
+        helper.make_node("Sub", ["observation", "mean"], ["centred"]),
+        helper.make_node("Div", ["centred", "std"], ["scaled"]),
+        helper.make_node("Clip", ["scaled", "low", "high"], ["h0"]),
+    ]
+    for index in range(layers):
+        for what in ("weight", "bias"):
+            weights[f"{what}{index}"] = tensors[f"actor.{index}.{what}"]
+        last = index == layers - 1
+        out = "action" if last else f"z{index}"
+        nodes.append(helper.make_node("Gemm", [f"h{index}", f"weight{index}", f"bias{index}"], [out], transB=1))
+        if not last:
+            nodes.append(helper.make_node("Elu", [f"z{index}"], [f"h{index + 1}"]))
+    initial = [numpy_helper.from_array(value.numpy().astype(np.float32), name) for name, value in weights.items()]
+    initial += [numpy_helper.from_array(np.float32(value), name) for name, value in (("low", -CLIP), ("high", CLIP))]
+    graph = helper.make_graph(
+        nodes, "policy",
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", policy.card.observation_size])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", len(policy.card.joint_names)])],
+        initial,
+    )  # fmt: skip
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, {CARD_KEY: json.dumps(asdict(policy.card))})
+    onnx.checker.check_model(model)
+    return _write(path, model.SerializeToString())
+
+
+class _Actor(torch.nn.Module):
+    """The mean action of one policy, for tracing."""
+
+    def __init__(self, policy: Policy):
+        super().__init__()
+        self.layers = len(policy.card.hidden) + 1
+        for name, value in policy.tensors.items():
+            if name.startswith(("actor.", "observation_")):
+                self.register_buffer(name.replace(".", "_"), value)
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        x = ((observation - self.observation_mean) / self.observation_std).clamp(-CLIP, CLIP)
+        for index in range(self.layers):
+            x = torch.nn.functional.linear(x, getattr(self, f"actor_{index}_weight"), getattr(self, f"actor_{index}_bias"))
+            if index < self.layers - 1:
+                x = torch.nn.functional.elu(x)
+        return x
+
+
+def to_torchscript(policy: Policy, path: Path) -> Path:
+    """The same function as a TorchScript file with the card as extra file `hts.json`, while torch still offers it."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)
+        warnings.filterwarnings("ignore", message=".*torch.jit.*", category=FutureWarning)
+        traced = torch.jit.trace(_Actor(policy), torch.zeros(1, policy.card.observation_size))
+        temporary = Path(path).with_name(f".{Path(path).name}.tmp")
+        torch.jit.save(traced, str(temporary), _extra_files={f"{CARD_KEY}.json": json.dumps(asdict(policy.card))})
+    os.replace(temporary, path)
+    return Path(path)
+
+
+def _write(path: Path, data: bytes) -> Path:
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_bytes(data)
+    os.replace(temporary, path)
+    return path

@@ -1,0 +1,145 @@
+"""Policy files: tensors in safetensors, everything else in a JSON card beside them. Loading never runs code."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from hts.contracts import RobotSpec
+from hts.errors import PolicyError
+from hts.policies.networks import Sizes
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class PolicyCard:
+    """What a computer on a robot must know of a policy beside its numbers.
+
+    joint target (rad) = default_pose + action_scale x action; observation: parts in order, [{name, size}];
+    history: how many observations are stacked, newest last (1: none).
+    """
+
+    robot: str
+    joint_names: tuple[str, ...]
+    default_pose: tuple[float, ...]
+    action_scale: tuple[float, ...]
+    kp: tuple[float, ...]
+    kd: tuple[float, ...]
+    control_rate_hz: float
+    observation: tuple[Mapping[str, Any], ...]
+    critic_observation_size: int
+    hidden: tuple[int, ...]
+    history: int = 1
+    policy_hash: str = ""
+    made: Mapping[str, Any] = field(default_factory=dict)
+    format: int = FORMAT
+
+    @property
+    def observation_size(self) -> int:
+        return sum(int(part["size"]) for part in self.observation) * self.history
+
+    def sizes(self) -> Sizes:
+        return Sizes(self.observation_size, self.critic_observation_size, len(self.joint_names), tuple(self.hidden))
+
+
+@dataclass(frozen=True)
+class Policy:
+    """One policy: its tensors by name (see `Sizes.shapes`, plus the normalisers) and its card."""
+
+    tensors: Mapping[str, torch.Tensor]
+    card: PolicyCard
+
+
+def hash_tensors(tensors: Mapping[str, torch.Tensor]) -> str:
+    """SHA-256 over names, shapes and float32 values, in order of name."""
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        value = tensors[name].detach().cpu().float().contiguous()
+        digest.update(f"{name}{tuple(value.shape)}".encode())
+        digest.update(value.numpy().tobytes())
+    return digest.hexdigest()
+
+
+def make_card(
+    spec: RobotSpec, tensors: Mapping[str, torch.Tensor], observation: list[dict[str, Any]], sizes: Sizes, **made: Any
+) -> PolicyCard:
+    """The card of a policy for a robot; `made` records how it was made."""
+    return PolicyCard(
+        robot=spec.name, joint_names=spec.joint_names, default_pose=spec.default_pose, action_scale=spec.action_scale,
+        kp=spec.kp, kd=spec.kd, control_rate_hz=spec.control_rate_hz, observation=tuple(observation),
+        critic_observation_size=sizes.critic_observation, hidden=tuple(sizes.hidden),
+        policy_hash=hash_tensors(tensors), made=made,
+    )  # fmt: skip
+
+
+def save_policy(path: Path, policy: Policy) -> Path:
+    """Write `path` (.safetensors) and its .json, each in one move: no reader ever sees half a file."""
+    path = Path(path).with_suffix(".safetensors")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    card = json.dumps(asdict(policy.card), indent=1)
+    with_tensors = path.with_name(f".{path.name}.tmp")
+    save_file({name: value.contiguous() for name, value in policy.tensors.items()}, with_tensors)
+    with_card = path.with_name(f".{path.stem}.json.tmp")
+    with_card.write_text(card + "\n")
+    os.replace(with_card, path.with_suffix(".json"))
+    os.replace(with_tensors, path)
+    return path
+
+
+def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
+    """Read a policy back. Raises PolicyError if a file is missing, damaged, or made for another robot."""
+    path = Path(path).with_suffix(".safetensors")
+    try:
+        card = read_card(path.with_suffix(".json"))
+        tensors = load_file(path)
+    except FileNotFoundError as error:
+        raise PolicyError(f"{error.filename or path}: no such file; a policy is a .safetensors and a .json of one name.") from error
+    except SafetensorError as error:
+        raise PolicyError(f"{path}: not a whole safetensors file ({error}). Copy or export it again.") from error
+    expected = card.sizes().shapes()
+    for name, shape in expected.items():
+        found = tuple(tensors[name].shape) if name in tensors else None
+        if found != shape:
+            what = f"has shape {found}" if found else "is missing"
+            raise PolicyError(f"{path}: tensor '{name}' {what}, its card says {shape}. File and card belong to different policies.")
+    if hash_tensors(tensors) != card.policy_hash:
+        raise PolicyError(f"{path}: its numbers do not match the hash in {path.with_suffix('.json').name}. Copy both files again.")
+    if robot is not None:
+        check_robot(path, card, robot)
+    return Policy(tensors, card)
+
+
+def read_card(path: Path) -> PolicyCard:
+    """A policy's JSON card. Raises PolicyError if it is damaged or of an unknown format."""
+    try:
+        data = json.loads(Path(path).read_text())
+        if data.get("format") != FORMAT:
+            raise PolicyError(f"{path}: policy format {data.get('format')}, this version reads {FORMAT}. Export the policy again.")
+        lists = {key: tuple(value) for key, value in data.items() if isinstance(value, list)}
+        return PolicyCard(**{**data, **lists})
+    except (json.JSONDecodeError, UnicodeDecodeError, TypeError, AttributeError) as error:
+        raise PolicyError(f"{path}: not a policy card ({error}). Copy or export the policy again.") from error
+
+
+def check_robot(path: Path, card: PolicyCard, robot: RobotSpec) -> None:
+    """Raises PolicyError unless the policy was made for this robot with these joints, gains and rate."""
+    for what, of_policy, of_robot in (
+        ("robot", card.robot, robot.name), ("joint order", card.joint_names, robot.joint_names),
+        ("default pose", card.default_pose, robot.default_pose), ("action scale", card.action_scale, robot.action_scale),
+        ("kp", card.kp, robot.kp), ("kd", card.kd, robot.kd), ("control rate", card.control_rate_hz, robot.control_rate_hz),
+    ):  # fmt: skip
+        if of_policy != of_robot:
+            raise PolicyError(
+                f"{path}: made for {what} {of_policy}, robot '{robot.name}' has {of_robot}. "
+                "Use a policy of this robot, or run with the robot it was made for."
+            )

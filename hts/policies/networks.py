@@ -1,0 +1,190 @@
+"""Actor and critic of P candidates, stacked so that one program runs and trains all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Layer sizes: observation, critic observation, action; hidden layers are shared by actor and critic."""
+
+    observation: int
+    critic_observation: int
+    action: int
+    hidden: tuple[int, ...] = (256, 128)
+
+    def layers(self, first: int, last: int) -> list[tuple[int, int]]:
+        """(inputs, outputs) of each linear layer."""
+        widths = (first, *self.hidden, last)
+        return list(zip(widths[:-1], widths[1:], strict=True))
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Name and shape of every parameter of one candidate, in the order in which they lie in its vector."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        for part, first, last in (("actor", self.observation, self.action), ("critic", self.critic_observation, 1)):
+            for index, (inputs, outputs) in enumerate(self.layers(first, last)):
+                shapes[f"{part}.{index}.weight"] = (outputs, inputs)
+                shapes[f"{part}.{index}.bias"] = (outputs,)
+        shapes["log_std"] = (self.action,)
+        return shapes
+
+
+class Population(nn.Module):
+    """P actor-critics: a = N(mean(o), diag sigma^2), v = V(o_critic), both on normalised observations.
+
+    A candidate's parameters are one vector, so that optimiser, clipping and learning rate are per candidate for free.
+    On the CPU the candidates are computed one by one: the matrices are the same whoever else trains, so a
+    candidate's numbers do not change in a crowd by as much as a rounding. On a GPU they are one batched product.
+    """
+
+    def __init__(self, sizes: Sizes, count: int, init_std: float = 1.0, seed: int = 0, device: torch.device | str = "cpu"):
+        super().__init__()
+        self.sizes, self.count = sizes, count
+        self._shapes = sizes.shapes()
+        self._lengths = [torch.Size(shape).numel() for shape in self._shapes.values()]
+        vectors = [self._initial_vector(init_std, seed + index) for index in range(count)]
+        self.vectors = nn.ParameterList([nn.Parameter(vector.to(device)) for vector in vectors])
+        for name, size in (("observation", sizes.observation), ("critic_observation", sizes.critic_observation)):
+            self.register_buffer(f"{name}_mean", torch.zeros(count, 1, size, device=device))
+            self.register_buffer(f"{name}_std", torch.ones(count, 1, size, device=device))
+            self.register_buffer(f"{name}_count", torch.zeros(count, device=device))
+        self._cache: list[dict[str, torch.Tensor]] | dict[str, torch.Tensor] | None = None
+
+    def _initial_vector(self, init_std: float, seed: int) -> torch.Tensor:
+        generator = torch.Generator().manual_seed(seed)
+        parts = []
+        for name, shape in self._shapes.items():
+            if name == "log_std":
+                parts.append(torch.full(shape, init_std).log())
+            elif name.endswith("bias"):
+                parts.append(torch.zeros(shape))
+            else:
+                weight = torch.empty(shape)
+                last = name in (f"actor.{len(self.sizes.hidden)}.weight",)
+                nn.init.orthogonal_(weight, gain=0.01 if last else 2**0.5, generator=generator)
+                parts.append(weight)
+        return torch.cat([part.reshape(-1) for part in parts])
+
+    # -------------------------------------------------------------------------------------- parameters by name
+
+    @property
+    def device(self) -> torch.device:
+        return self.vectors[0].device
+
+    def split(self, vector: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Named views of a candidate's vector [D], or of all of them stacked [P, D]."""
+        parts = vector.split(self._lengths, dim=-1)
+        lead = vector.shape[:-1]
+        return {name: part.view(*lead, *shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)}
+
+    def named(self) -> list[dict[str, torch.Tensor]] | dict[str, torch.Tensor]:
+        """Parameters as the forward pass wants them: a list of P dicts on the CPU, one stacked dict on a GPU."""
+        if self.device.type == "cpu":
+            return [self.split(vector) for vector in self.vectors]
+        return self.split(torch.stack(list(self.vectors)))
+
+    def refresh(self) -> None:
+        """Renew what `act` and `value` use without gradients; call after every change of parameters."""
+        with torch.no_grad():
+            self._cache = self.named()
+
+    # ------------------------------------------------------------------------------------------------ forward
+
+    def _mlp(self, part: str, x: torch.Tensor, named) -> torch.Tensor:
+        """x [P, B, inputs] -> [P, B, outputs]."""
+        last = len(self.sizes.hidden)
+        if isinstance(named, list):
+            rows = []
+            for row, one in zip(x.unbind(0), named, strict=True):
+                for index in range(last + 1):
+                    row = F.linear(row, one[f"{part}.{index}.weight"], one[f"{part}.{index}.bias"])
+                    if index < last:
+                        row = F.elu(row)
+                rows.append(row)
+            return torch.stack(rows)
+        for index in range(last + 1):
+            x = torch.baddbmm(named[f"{part}.{index}.bias"].unsqueeze(1), x, named[f"{part}.{index}.weight"].mT)
+            if index < last:
+                x = F.elu(x)
+        return x
+
+    def normalised(self, name: str, x: torch.Tensor) -> torch.Tensor:
+        return ((x - getattr(self, f"{name}_mean")) / getattr(self, f"{name}_std")).clamp(-10.0, 10.0)
+
+    def mean(self, observation: torch.Tensor, named=None) -> torch.Tensor:
+        """Mean action [P, B, J] of observations [P, B, O]."""
+        if named is None:
+            named = self._ready()
+        return self._mlp("actor", self.normalised("observation", observation), named)
+
+    def log_std(self, named=None) -> torch.Tensor:
+        """log sigma [P, 1, J]."""
+        if named is None:
+            named = self._ready()
+        if isinstance(named, list):
+            return torch.stack([one["log_std"] for one in named]).unsqueeze(1)
+        return named["log_std"].unsqueeze(1)
+
+    def value(self, critic_observation: torch.Tensor, named=None) -> torch.Tensor:
+        """V [P, B] of critic observations [P, B, O_c]."""
+        if named is None:
+            named = self._ready()
+        return self._mlp("critic", self.normalised("critic_observation", critic_observation), named).squeeze(-1)
+
+    def _ready(self):
+        if self._cache is None:
+            self.refresh()
+        return self._cache
+
+    # --------------------------------------------------------------------------------------------- normaliser
+
+    @torch.no_grad()
+    def update_normaliser(self, name: str, x: torch.Tensor) -> None:
+        """Fold x [P, B, size] into the running mean and variance (Chan et al. 1979). Pretraining only:
+        fine-tuning keeps the anchor's normaliser, else the anchor would drift with it."""
+        mean, std, count = (getattr(self, f"{name}_{what}") for what in ("mean", "std", "count"))
+        batch = x.shape[1]
+        new_mean, new_var = x.mean(1, keepdim=True), x.var(1, keepdim=True, unbiased=False)
+        total = count + batch
+        share = (batch / total).view(-1, 1, 1)
+        delta = new_mean - mean
+        variance = std.square() * (1 - share) + new_var * share + delta.square() * share * (1 - share)
+        mean += delta * share
+        std.copy_(variance.clamp(min=1e-4).sqrt())
+        count.copy_(total.clamp(max=1e8))
+
+    # --------------------------------------------------------------------------------------- single candidates
+
+    def candidate(self, index: int) -> dict[str, torch.Tensor]:
+        """Everything of one candidate, by name, on the CPU; what a policy file holds."""
+        state = {name: value.detach().cpu().clone().contiguous() for name, value in self.split(self.vectors[index]).items()}
+        for name in ("observation", "critic_observation"):
+            for what in ("mean", "std"):
+                state[f"{name}_{what}"] = getattr(self, f"{name}_{what}")[index, 0].cpu().clone()
+            state[f"{name}_count"] = getattr(self, f"{name}_count")[index].cpu().clone()
+        return state
+
+    @classmethod
+    def from_candidates(cls, sizes: Sizes, candidates: Sequence[Mapping[str, torch.Tensor]], device="cpu") -> Population:
+        """A population whose members start as these."""
+        population = cls(sizes, len(candidates), device=device)
+        with torch.no_grad():
+            for index, state in enumerate(candidates):
+                vector = torch.cat([state[name].reshape(-1) for name in population._shapes])
+                population.vectors[index].copy_(vector)
+                for name in ("observation", "critic_observation"):
+                    for what in ("mean", "std"):
+                        getattr(population, f"{name}_{what}")[index, 0] = state[f"{name}_{what}"].to(device)
+                    getattr(population, f"{name}_count")[index] = state[f"{name}_count"].to(device)
+        return population
+
+    def frozen(self) -> Population:
+        """A copy that never changes: the anchor, its observation normaliser included."""
+        copy = Population.from_candidates(self.sizes, [self.candidate(i) for i in range(self.count)], self.device)
+        return copy.requires_grad_(False).eval()

@@ -1,0 +1,1 @@
+"""Learning: anchored PPO for a population of candidates, and pretraining."""

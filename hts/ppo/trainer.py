@@ -1,0 +1,272 @@
+"""Training of P candidates at once: one TorchRL Collector, one loss, one optimiser step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
+
+from hts.config import PPOConfig
+from hts.envs.random import PopulationRandom
+from hts.errors import SimulationError
+from hts.policies.networks import Population
+from hts.ppo.actor import Explorer, log_prob
+from hts.ppo.advantage import advantages
+from hts.ppo.anchor import Multipliers, gaussian_kl
+from hts.ppo.centring import Centre
+from hts.ppo.loss import anchored_ppo_loss
+from hts.ppo.rows import row_mean, row_standardised
+
+
+@dataclass
+class BatchStats:
+    """What one batch showed, each a list of length P, plus the environment steps so far (all candidates)."""
+
+    steps: int
+    values: dict[str, list[float]]
+
+
+class PopulationTrainer:
+    """PPO for a population, with an optional anchor.
+
+    population: P candidates, changed in place; anchor: frozen Population of P, or None (pretraining);
+    bounds [P]: c per candidate, nats; weights: objective -> lambda [P]; seeds: one per candidate;
+    names: what candidates are called in errors.
+
+    A candidate whose numbers stop being finite is stopped, named in `stopped`, and put back to its anchor; the
+    others go on. If none is left, SimulationError.
+    """
+
+    def __init__(
+        self, env: EnvBase, population: Population, config: PPOConfig, *, seeds: Sequence[int], names: Sequence[str],
+        anchor: Population | None = None, bounds: torch.Tensor | None = None,
+        weights: Mapping[str, torch.Tensor] | None = None, update_normaliser: bool = False, resume: TensorDictBase | None = None,
+    ):  # fmt: skip
+        self.env, self.population, self.config, self.anchor = env, population, config, anchor
+        self.names, self.update_normaliser = list(names), update_normaliser
+        count, device = population.count, population.device
+        self.dt = env.dt
+        self.noise = PopulationRandom([seed + 101 for seed in seeds], device)
+        self.order = PopulationRandom([seed + 202 for seed in seeds], device)
+        groups = [{"params": [vector], "lr": config.learning_rate} for vector in population.vectors]
+        self.optimiser = torch.optim.Adam(groups, eps=1e-8, fused=True)
+        bounds = bounds if bounds is not None else torch.full((count,), torch.inf)
+        self.multipliers = Multipliers(bounds.to(device), config.multiplier_rate)
+        self.weights = {name: value.to(device) for name, value in (weights or {}).items()}
+        self.centres = {name: Centre(count, config.centring_rate, device) for name in self.weights}
+        self.stopped: dict[int, str] = {}
+        self.batches = 0
+        self.kl = torch.zeros(count, device=device)
+        population.refresh()
+        if resume is not None:
+            self._load(resume)
+        per_batch = count * env.batch_size[1] * config.horizon
+        self.collector = Collector(
+            env, Explorer(population, self.noise), frames_per_batch=per_batch, total_frames=-1, device=device,
+            track_traj_ids=False, trust_policy=True, use_buffers=False, track_policy_version=False,
+        )  # fmt: skip
+        self._stream = iter(self.collector)
+        self.steps_per_batch = per_batch
+
+    # --------------------------------------------------------------------------------------------------- a batch
+
+    def collect(self) -> TensorDictBase:
+        """One batch [P, N, T] from the env."""
+        return next(self._stream)
+
+    def batch(self) -> BatchStats:
+        """Collect, then learn from it."""
+        return self.learn(self.collect())
+
+    def learn(self, data: TensorDictBase) -> BatchStats:
+        """Update every candidate from a batch [P, N, T]."""
+        with torch.no_grad():
+            rewards, stats = self._rewards(data)
+            samples = self._prepare(data, rewards)
+        losses = self._epochs(samples)
+        with torch.no_grad():
+            self.population.refresh()
+            if self.anchor is not None:
+                self.kl = self._measure_kl(samples)
+                if self.batches >= self.config.warmup_batches:
+                    self.multipliers.update(self.kl)
+        self.batches += 1
+        falls = data["next", "terminated"].flatten(1).sum(1)
+        std = self.population.log_std().exp().mean((1, 2))
+        stats |= {**losses, "kl": self.kl, "multiplier": self.multipliers.value, "falls": falls, "std": std}
+        values = {name: value.tolist() for name, value in stats.items()}
+        values["learning_rate"] = [group["lr"] for group in self.optimiser.param_groups]
+        return BatchStats(self.batches * self.steps_per_batch, values)
+
+    def _rewards(self, data: TensorDictBase) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """r = r_sim + sum_j lambda_j dt (r_real_j - centre_j), [P, N, T]; centred first, never clipped.
+
+        lambda's unit: task reward per second, for one standard deviation of the measured channel (the model's
+        prediction is z-scored by its data), so that r_sim's weights, also rates per second, are on the same scale.
+        """
+        simulated = data["next", "reward"].squeeze(-1)
+        self._stop_if_bad({"r_sim": simulated})
+        stats = {"r_sim": row_mean(simulated) / self.dt}
+        total = simulated
+        for name, weight in self.weights.items():
+            real = data["next", "real_reward", name].squeeze(-1)
+            self._stop_if_bad({f"r_real of {name}": real})
+            centre = self.centres[name]
+            centre.update(real)
+            total = total + (weight * self.dt).view(-1, 1, 1) * (real - centre.mean.view(-1, 1, 1))
+            stats[f"r_real/{name}"] = row_mean(real)
+        return total, stats
+
+    def _stop_if_bad(self, parts: Mapping[str, torch.Tensor]) -> None:
+        """Stop candidates with a non-finite value; parts: name -> [P, ...]."""
+        for what, value in parts.items():
+            finite = torch.isfinite(value.flatten(1)).all(1)
+            if bool(finite.all()):
+                continue
+            for index in (~finite).nonzero().flatten().tolist():
+                self._stop(index, f"{what} is not finite in batch {self.batches} (control step {self.batches * self.config.horizon} and on)")
+
+    def _stop(self, index: int, reason: str) -> None:
+        if index in self.stopped:
+            return
+        self.stopped[index] = f"candidate {self.names[index]}: {reason}"
+        if len(self.stopped) == self.population.count:
+            raise SimulationError("Training stopped, no candidate is left: " + "; ".join(self.stopped.values()))
+        if self.anchor is not None:
+            with torch.no_grad():
+                self.population.vectors[index].copy_(self.anchor.vectors[index])
+
+    def _prepare(self, data: TensorDictBase, reward: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Flatten [P, N, T] to [P, S] samples with everything the loss needs."""
+        population = self.population
+        observation = data["observation"].flatten(1, 2)
+        critic_observation = data["critic_observation"].flatten(1, 2)
+        if self.update_normaliser:
+            population.update_normaliser("critic_observation", critic_observation)
+        value = population.value(critic_observation)
+        last = population.value(data["next", "critic_observation"][..., -1, :])
+        shape = reward.shape
+        terminated, truncated = (data["next", key].squeeze(-1) for key in ("terminated", "truncated"))
+        advantage, target = advantages(
+            reward, value.view(shape), last, terminated, truncated, self.config.gamma, self.config.gae_lambda
+        )
+        advantage = row_standardised(advantage.flatten(1))
+        action, mean = data["action"].flatten(1, 2), data["action_mean"].flatten(1, 2)
+        log_std = population.log_std().clone()
+        samples = {
+            "observation": observation, "critic_observation": critic_observation, "action": action, "old_mean": mean,
+            "log_prob": log_prob(action, mean, log_std), "advantage": advantage, "target": target.flatten(1), "old_value": value,
+        }  # fmt: skip
+        self._old_log_std = log_std
+        if self.anchor is not None:
+            samples["anchor_mean"] = self.anchor.mean(observation)
+        return samples
+
+    def _epochs(self, samples: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        config, count = self.config, self.population.count
+        size = samples["advantage"].shape[1]
+        rows = torch.arange(count, device=self.population.device).unsqueeze(1)
+        sums: dict[str, torch.Tensor] = {}
+        constant = {"old_log_std": self._old_log_std}
+        if self.anchor is not None:
+            constant["anchor_log_std"] = self.anchor.log_std()
+        policy_on = 0.0 if self.batches < config.warmup_batches else 1.0
+        updates = 0
+        for _ in range(config.epochs):
+            order = self.order.permutation(size)
+            for part in order.chunk(config.minibatches, dim=1):
+                batch = {name: value[rows, part] for name, value in samples.items()} | constant
+                loss = anchored_ppo_loss(
+                    self.population, batch, self.multipliers.value, clip=config.clip, value_coef=config.value_coef,
+                    entropy_coef=config.entropy_coef, policy_on=policy_on,
+                )  # fmt: skip
+                self._step(loss.total)
+                if config.adaptive_rate:
+                    self._adapt(loss.kl_old)
+                updates += 1
+                for name in ("policy", "value", "kl_old"):
+                    sums[name] = sums.get(name, 0.0) + getattr(loss, name)
+        if self.update_normaliser:
+            # The observation normaliser moves only between batches: the samples' log-probabilities were made with it.
+            self.population.update_normaliser("observation", samples["observation"])
+        return {f"loss/{name}": value / updates for name, value in sums.items()}
+
+    def _step(self, loss: torch.Tensor) -> None:
+        """One Adam step of every candidate that is still running, its gradient clipped by its own norm. loss [P]."""
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.sum().backward()
+        vectors = list(self.population.vectors)
+        norms = torch.stack(torch._foreach_norm([vector.grad for vector in vectors]))
+        scale = (self.config.max_grad_norm / (norms + 1e-6)).clamp(max=1.0)
+        torch._foreach_mul_([vector.grad for vector in vectors], list(scale.unbind()))
+        if not bool(torch.isfinite(norms).all()):
+            for index in (~torch.isfinite(norms)).nonzero().flatten().tolist():
+                self._stop(index, f"the gradient is not finite in batch {self.batches}")
+        for index in self.stopped:
+            vectors[index].grad = None
+        self.optimiser.step()
+
+    def _adapt(self, kl_old: torch.Tensor) -> None:
+        """Rate / 1.5 above twice the desired KL, x 1.5 below half of it, per candidate (rsl_rl)."""
+        desired = self.config.desired_kl
+        for group, kl in zip(self.optimiser.param_groups, kl_old.tolist(), strict=True):
+            if kl > 2 * desired:
+                group["lr"] = max(1e-5, group["lr"] / 1.5)
+            elif 0 < kl < desired / 2:
+                group["lr"] = min(1e-2, group["lr"] * 1.5)
+
+    def _measure_kl(self, samples: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Mean KL(pi || anchor) [P] over the batch's states, with the parameters as they are now."""
+        assert self.anchor is not None
+        mean = self.population.mean(samples["observation"])
+        return row_mean(gaussian_kl(mean, self.population.log_std(), samples["anchor_mean"], self.anchor.log_std()))
+
+    # -------------------------------------------------------------------------------------------- saving, loading
+
+    def full_state(self) -> TensorDict:
+        """Everything to go on exactly from here: parameters, optimiser, env, random numbers, multipliers, centres."""
+        vectors = {str(index): vector.detach().clone() for index, vector in enumerate(self.population.vectors)}
+        optimiser = {}
+        for index, vector in enumerate(self.population.vectors):
+            state = self.optimiser.state.get(vector)
+            if state:
+                optimiser[str(index)] = {name: state[name].clone() for name in ("step", "exp_avg", "exp_avg_sq")}
+        rates = torch.tensor([group["lr"] for group in self.optimiser.param_groups], dtype=torch.float64)
+        parts = {
+            "vectors": vectors, "optimiser": optimiser, "rates": rates, "noise": self.noise.state_dict(), "order": self.order.state_dict(),
+            "normaliser": {name: value.clone() for name, value in self.population.named_buffers()}, "multipliers": self.multipliers.state_dict(),
+            "centres": {name: centre.state_dict() for name, centre in self.centres.items()}, "kl": self.kl.clone(),
+            "batches": torch.tensor(self.batches), "stopped": torch.tensor(sorted(self.stopped), dtype=torch.int64),
+            "env": self.env.full_state(),
+        }  # fmt: skip
+        return TensorDict(parts, batch_size=[])
+
+    def _load(self, state: TensorDictBase) -> None:
+        with torch.no_grad():
+            for index, vector in enumerate(self.population.vectors):
+                vector.copy_(state["vectors", str(index)])
+                if str(index) in state["optimiser"].keys():
+                    saved = state["optimiser", str(index)]
+                    self.optimiser.state[vector] = {name: saved[name].to(vector.device if name != "step" else saved[name].device).clone() for name in ("step", "exp_avg", "exp_avg_sq")}
+            for name, buffer in self.population.named_buffers():
+                buffer.copy_(state["normaliser", name])
+        for group, rate in zip(self.optimiser.param_groups, state["rates"].tolist(), strict=True):
+            group["lr"] = rate
+        self.noise.load_state_dict(state["noise"])
+        self.order.load_state_dict(state["order"])
+        self.multipliers.load_state_dict(state["multipliers"])
+        for name, centre in self.centres.items():
+            centre.load_state_dict(state["centres", name])
+        self.kl = state["kl"].to(self.kl.device)
+        self.batches = int(state["batches"])
+        self.stopped = {index: f"candidate {self.names[index]}: stopped before the checkpoint" for index in state["stopped"].tolist()}
+        self.env.load_full_state(state["env"])
+        self.population.refresh()
+
+    def close(self) -> None:
+        """Shut the collector (and its env) down."""
+        self.collector.shutdown()

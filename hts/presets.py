@@ -1,0 +1,87 @@
+"""Presets: where a run's configuration starts from. Data only; `hts config show --preset NAME` prints one.
+
+smoke   under a minute on two cores: does everything once, proves nothing
+quick   real results on two CPU cores in about ten minutes (default)
+paper   the numbers of the paper, meant for a GPU
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+DEFAULT = "quick"
+
+
+def _walk(*speeds: float, seconds: float) -> dict[str, Any]:
+    """A schedule: straight ahead at each speed in turn, m/s, for so many seconds each."""
+    return {"commands": [{"seconds": seconds, "vx": speed} for speed in speeds]}
+
+
+SMOKE: dict[str, Any] = {
+    "world": {"name": "twin", "warmup_seconds": 1.0, "block_seconds": 4.0, "unsteady_seconds": 1.0},
+    "iterations": 1,
+    "collection": {"schedule": _walk(0.5, 0.8, seconds=3.0), "repeats": 2},
+    "measurement": {"epochs": 2, "max_seconds": 5.0},
+    "sweep": {"kl_bounds": [0.5, 1.0], "anchors": ["pretrained"]},
+    "finetune": {
+        "num_envs": 8,
+        "steps": 400,
+        "ppo": {"horizon": 24, "epochs": 2, "minibatches": 2},
+        "env": {"randomisation": {"models": 4}},
+    },
+    "simulation_test": {"num_envs": 4, "seconds": 2.0, "speeds": [0.8], "speed_tolerance": 0.5},
+    "selection": {"selector": {"name": "hierarchical"}, "elites": 2},
+    "evaluation": {"speeds": [0.8], "min_valid": 0.0, "min_segments": 1, "bootstrap": 200},
+}
+
+QUICK: dict[str, Any] = {
+    "world": {"name": "twin", "block_seconds": 20.0},
+    "iterations": 2,
+    "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0), "repeats": 5},
+    "measurement": {"epochs": 20, "max_seconds": 40.0},
+    "sweep": {"kl_bounds": [0.5, 1.0], "anchors": ["best"]},
+    "finetune": {
+        "num_envs": 64,
+        "steps": 150_000,
+        "ppo": {"horizon": 24, "epochs": 5, "minibatches": 4},
+    },
+    "simulation_test": {"num_envs": 16, "seconds": 8.0, "speeds": [0.8]},
+    "selection": {"selector": {"name": "hierarchical"}, "elites": 3},
+    "evaluation": {"speeds": [0.5, 0.8, 1.1]},
+}
+
+# The paper's protocol: sweep λ {0.5, 1, 5} × c {0.2, 0.5, 1} from two anchors, 6 elites, 4 iterations, 160 s of
+# each policy at 50 Hz, policies alternating every 80 s (arXiv 2502.10956, experiments).
+PAPER: dict[str, Any] = {
+    "world": {"name": "twin", "block_seconds": 80.0},
+    "engine": "warp",
+    "iterations": 4,
+    "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=32.0), "repeats": 6},
+    "measurement": {"epochs": 60, "max_seconds": 1800.0},
+    "sweep": {"kl_bounds": [0.2, 0.5, 1.0], "anchors": ["best", "pretrained"]},
+    "finetune": {"num_envs": 1024, "steps": 4_000_000},
+    "simulation_test": {"num_envs": 256, "seconds": 20.0, "speeds": [0.5, 0.8, 1.1]},
+    "selection": {"selector": {"name": "hierarchical"}, "elites": 6},
+    "evaluation": {"speeds": [0.5, 0.8, 1.1], "bootstrap": 10_000},
+}
+
+PRESETS: dict[str, dict[str, Any]] = {"smoke": SMOKE, "quick": QUICK, "paper": PAPER}
+
+# The baseline sees no measurements, so one round does; it gets the candidates' samples of all rounds and as many
+# tests in reality (arXiv 2502.10956, experiments: c {0.1, 0.2, 0.5, 1, 5, inf}, 24 tested). The λ are the objective's own.
+BASELINES: dict[str, dict[str, Any]] = {
+    "smoke": {"iterations": 1, "sweep": {"kl_bounds": [1.0]}},
+    "quick": {
+        "iterations": 1,
+        "sweep": {"kl_bounds": [0.5, 1.0], "anchors": ["pretrained"]},
+        "finetune": {"steps": 300_000},
+        "selection": {"elites": 6},
+    },
+    "paper": {
+        "iterations": 1,
+        "sweep": {"kl_bounds": [0.1, 0.2, 0.5, 1.0, 5.0, float("inf")], "anchors": ["pretrained"]},
+        "finetune": {"steps": 16_000_000},
+        "selection": {"elites": 24},
+    },
+}
+"""Laid over the preset by `hts baseline`."""

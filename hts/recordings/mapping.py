@@ -1,0 +1,186 @@
+"""The mapping of a log: which column is which channel, in what unit, sign and joint order. Written as YAML.
+
+time: {column: stamp, unit: ns}
+rate_hz: 50
+joints: {left_hip: LH, left_knee: LK}            # robot's joint: the log's name for it
+channels:
+  joint_torque: {columns: "{joint}_tau", unit: N*m}
+  joint_velocity: {columns: "{joint}_dq", unit: rad/s}
+  supply: {columns: amps, unit: A, sign: -1, idle: 1.9}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from hts.channels import UNITS
+from hts.config import Config, ScheduleConfig
+from hts.errors import ConfigError, unknown_name
+from hts.explain import explain
+
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+ColumnName = str | int
+
+
+class TimeMapping(Config):
+    """Where the time stamps are."""
+
+    column: ColumnName = Field(description="name, or number from 0 where the file has no header line")
+    unit: Literal["s", "ms", "us", "ns"] = Field(description="unit of the stamps")
+
+
+class ChannelMapping(Config):
+    """One channel from one or more columns: value = sign * scale * column + offset."""
+
+    columns: ColumnName | tuple[ColumnName, ...] = Field(
+        description="a column; a list of them; a range of numbers '13..24'; or a pattern with {joint}"
+    )
+    unit: str = Field(description="of the value after sign, scale and offset; one of hts.channels.UNITS")
+    file: str | None = Field(None, description="which of `files` the columns are in")
+    sign: Literal[1, -1] = Field(1, description="-1 where the log counts the other way")
+    scale: float = Field(1.0, description="factor to the unit above")
+    offset: float = Field(0.0, description="added after the factor, in the unit above")
+    resample: Literal["interpolate", "mean"] = Field(
+        "interpolate", description="value at each sample's instant, or mean over one sample period around it"
+    )
+    per_joint: bool | None = Field(None, description="columns follow the joints; default: the name begins with joint_")
+    idle: float | None = Field(None, description="level with electronics on and motors idle; makes it a real channel")
+    real: bool = Field(True, description="false: a channel that the robot does not list, yet not one to learn")
+    limits: tuple[float, float] | None = Field(None, description="refuse the log where values lie outside")
+    may_be_constant: bool = Field(False, description="for a quantity that may honestly stand still")
+    description: str = Field("", description="for the reader of the store")
+
+    @field_validator("unit")
+    @classmethod
+    def _known_unit(cls, unit: str) -> str:
+        if unit not in UNITS:
+            raise ValueError(unknown_name("unit", unit, UNITS))
+        return unit
+
+
+class RecordingFacts(Config):
+    """What the log cannot say of itself."""
+
+    world: str = Field("field", min_length=1, description="where it was recorded")
+    clock: str = Field("log", description="what the stamps count")
+    policy_hash: str = Field("", description="of the exported policy that ran")
+    iteration: int = Field(0, ge=0, description="round of the run it belongs to")
+    schedule: ScheduleConfig | None = Field(None, description="commanded velocities; left out: one stretch at 0 m/s")
+    mass_kg: float | None = Field(None, gt=0, description="of the robot as it walked, kg")
+    session: str = Field("", description="head-to-head it belongs to")
+    block: int = Field(0, ge=0, description="position in the session")
+    role: Literal["collection", "policy", "reference"] = "collection"
+    fell: bool = Field(False, description="whether the robot fell")
+    kp: tuple[float, ...] | None = Field(None, description="gains, N*m/rad; left out: the robot's own")
+    kd: tuple[float, ...] | None = Field(None, description="gains, N*m*s/rad; left out: the robot's own")
+    notes: dict[str, str] = Field(default_factory=dict, description="anything else worth keeping")
+
+
+class LogMapping(Config):
+    """A whole mapping."""
+
+    reader: str = Field("csv", description="log reader, by name")
+    header: bool = Field(True, description="whether the first line names the columns")
+    delimiter: str = Field(",", min_length=1, max_length=1, description="between columns")
+    files: dict[str, str] | None = Field(
+        None, description="name -> pattern of the file name, where one recording is spread over several files"
+    )
+    time: TimeMapping
+    rate_hz: float = Field(gt=0, description="of the recording, Hz; the log is resampled to it")
+    max_gap_seconds: float = Field(0.1, gt=0, description="longest gap that is filled by interpolation, s")
+    joints: dict[str, str] | None = Field(None, description="robot's joint -> its name in the log, for {joint}")
+    joint_order: tuple[str, ...] | None = Field(
+        None, description="robot's joint names in the order of the log's columns; left out: the robot's order"
+    )
+    channels: dict[str, ChannelMapping] = Field(min_length=1, description="by channel name")
+    recording: RecordingFacts = Field(default_factory=RecordingFacts)
+
+    @model_validator(mode="after")
+    def _files_are_known(self) -> LogMapping:
+        for name, channel in self.channels.items():
+            if (channel.file is None) != (self.files is None):
+                raise ValueError(f"channel '{name}': `file` goes with `files`; give both or neither")
+            if channel.file is not None and self.files is not None and channel.file not in self.files:
+                raise ValueError(f"channel '{name}': " + unknown_name("file", channel.file, self.files))
+        return self
+
+
+def load_mapping(path: Path) -> dict[str, Any]:
+    """The YAML of a mapping, not yet validated. Raises ConfigError if it cannot be read."""
+    import yaml
+
+    try:
+        mapping = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({error.strerror}). Expected the mapping of the log, as YAML."
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: no valid YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(mapping, dict):
+        raise ConfigError(
+            f"{path}: expected keys and values (time, rate_hz, channels), found {type(mapping).__name__}."
+        )
+    return mapping
+
+
+def parse_mapping(mapping: Mapping[str, Any]) -> LogMapping:
+    """A validated mapping. Raises ConfigError with the key and the closest right one."""
+    try:
+        return LogMapping.model_validate(dict(mapping))
+    except ValidationError as error:
+        raise ConfigError(f"Mapping: {explain(error, LogMapping)}") from error
+
+
+def follows_joints(name: str, channel: ChannelMapping) -> bool:
+    """Whether the channel has one component per joint."""
+    return name.startswith("joint_") if channel.per_joint is None else channel.per_joint
+
+
+def column_names(
+    name: str, channel: ChannelMapping, mapping: LogMapping, joint_names: tuple[str, ...]
+) -> tuple[ColumnName, ...]:
+    """Columns of a channel, one per component; those that follow the joints come in the robot's order.
+
+    Raises ConfigError where the mapping does not say enough.
+    """
+    columns = channel.columns
+    per_joint = follows_joints(name, channel)
+    if isinstance(columns, str) and "{joint}" in columns:
+        if not mapping.joints:
+            raise ConfigError(
+                f"Mapping: '{name}' uses {{joint}}; give `joints`: the robot's joint -> its name in the log."
+            )
+        _same_joints("joints", mapping.joints, joint_names)
+        return tuple(columns.replace("{joint}", mapping.joints[joint]) for joint in joint_names)
+    if isinstance(columns, str) and ".." in columns:
+        first, _, last = columns.partition("..")
+        if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
+            raise ConfigError(f"Mapping: columns '{columns}' of '{name}' are no range of numbers such as '13..24'.")
+        listed: tuple[ColumnName, ...] = tuple(range(int(first), int(last) + 1))
+    else:
+        listed = columns if isinstance(columns, tuple) else (columns,)
+    if per_joint and len(listed) != len(joint_names):
+        raise ConfigError(
+            f"Mapping: '{name}' has {len(listed)} columns for {len(joint_names)} joints. "
+            "List one per joint, or say per_joint: false."
+        )
+    if per_joint and mapping.joint_order is not None:
+        _same_joints("joint_order", mapping.joint_order, joint_names)
+        return tuple(listed[mapping.joint_order.index(joint)] for joint in joint_names)
+    return listed
+
+
+def _same_joints(key: str, given: Any, joint_names: tuple[str, ...]) -> None:
+    for joint in given:
+        if joint not in joint_names:
+            raise ConfigError(f"Mapping: {key}: " + unknown_name("joint", joint, joint_names))
+    missing = [joint for joint in joint_names if joint not in given]
+    if missing or len(given) != len(joint_names):
+        what = f"{', '.join(missing)} missing" if missing else "a joint is named twice"
+        raise ConfigError(f"Mapping: {key}: {what}. Name each of the robot's {len(joint_names)} joints once.")

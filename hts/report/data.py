@@ -1,0 +1,116 @@
+"""What a run folder holds, read for the report. Only summary.json is needed; the rest makes the page fuller."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hts.errors import RunError
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class RunData:
+    """A finished run.
+
+    summary: summary.json; config: config.yaml; provenance: provenance.json; fits: iteration -> its fit.json;
+    segments: segments.json, objective -> speed -> role -> quantity -> values; evaluation: evaluation.json, made
+    after the run. Those that are not there are empty.
+    """
+
+    folder: Path
+    summary: Json
+    config: Json
+    provenance: Json
+    fits: dict[int, Json]
+    segments: Json
+    evaluation: Json
+
+    @property
+    def world(self) -> str:
+        world = self.config.get("world")
+        return str(world.get("name", "unknown")) if isinstance(world, dict) else str(world or "unknown")
+
+    @property
+    def objectives(self) -> list[str]:
+        return list(self.summary.get("objectives") or self.final)
+
+    @property
+    def iterations(self) -> list[Json]:
+        return list(self.summary.get("iterations") or [])
+
+    @property
+    def final(self) -> dict[str, Json]:
+        """Objective -> {"unit", "speeds"} of the final head-to-head; empty if there was none."""
+        return dict((self.summary.get("final") or {}).get("objectives") or {})
+
+    def unit(self, objective: str) -> str:
+        return str(self.final.get(objective, {}).get("unit", "1"))
+
+    def fit(self, index: int, objective: str) -> Json:
+        """The part of an iteration's fit.json that is about this objective."""
+        fit = self.fits.get(index, {})
+        part = fit.get(objective, fit if len(self.objectives) == 1 else {})
+        return part if isinstance(part, dict) else {}
+
+    def tested(self, iteration: Json, objective: str) -> Iterator[tuple[Json, str, Json]]:
+        """(candidate, speed, result) of every head-to-head of an iteration."""
+        for candidate in iteration.get("candidates") or []:
+            for speed, result in ((candidate.get("real") or {}).get(objective) or {}).items():
+                yield candidate, speed, result
+
+
+def read_run(folder: Path) -> RunData:
+    """Read a run folder. Raises RunError if there is no summary.json, or a file in it cannot be read."""
+    folder = Path(folder)
+    path = folder / "summary.json"
+    if not path.is_file():
+        if (folder / "config.yaml").is_file():
+            raise RunError(
+                f"{folder}: this run is not finished (no summary.json). Go on with it: `hts resume {folder}`."
+            )
+        raise RunError(f"{folder}: holds no run (no summary.json). Give the folder that `hts run` named at its end.")
+    summary = _json(path)
+    return RunData(
+        folder=folder,
+        summary=summary,
+        config=_yaml(folder / "config.yaml"),
+        provenance=_json(folder / "provenance.json"),
+        fits={
+            int(iteration["index"]): fit
+            for iteration in summary.get("iterations") or []
+            if (fit := _json(folder / "iterations" / f"{int(iteration['index']):02d}" / "fit.json"))
+        },
+        segments=_json(folder / "segments.json"),
+        evaluation=_json(folder / "evaluation.json"),
+    )
+
+
+def _json(path: Path) -> Json:
+    """The file's object, {} if there is no such file."""
+    if not path.is_file():
+        return {}
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RunError(f"{path}: cannot be read as JSON ({error}). It was cut off or edited; restore it.") from error
+    if not isinstance(found, dict):
+        raise RunError(f"{path}: holds a {type(found).__name__}, expected an object. Restore the file.")
+    return found
+
+
+def _yaml(path: Path) -> Json:
+    if not path.is_file():
+        return {}
+    try:
+        found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise RunError(f"{path}: cannot be read as YAML ({reason}). It was cut off or edited; restore it.") from error
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,279 @@
+"""The figures of a report. Each takes the run and returns a matplotlib figure, or None where it has no data."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hts.report import wording
+from hts.report.data import Json, RunData
+from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, error_bar, figure, ramp, zero_line
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def improvement(run: RunData, objective: str) -> Figure | None:
+    """Improvement at each speed with its 95 % interval; the objective's other fractions beside it."""
+    speeds = run.final.get(objective, {}).get("speeds") or {}
+    if not speeds:
+        return None
+    factor, unit = wording.scale(run.unit(objective))
+    drawing, axes = figure(2.7)
+    panel = axes[0, 0]
+    zero_line(panel)
+    keys = sorted(speeds, key=float)
+    names = list(dict.fromkeys(name for key in keys for name in speeds[key].get("metrics") or {}))
+    names = [name for name in names if name.endswith(wording.FRACTION_ENDINGS)] if unit == "%" else []
+    # A metric that is the improvement itself would only be drawn twice.
+    names = [
+        name
+        for name in names
+        if any(speeds[key].get("metrics", {}).get(name) != speeds[key]["improvement"] for key in keys)
+    ]
+    step = 0.11
+    for position, key in enumerate(keys):
+        result = speeds[key]
+        bounds = result.get("improvement_ci95")
+        error_bar(
+            panel,
+            position - step * len(names) / 2,
+            factor * result["improvement"],
+            [factor * b for b in bounds] if bounds else None,
+            ACCENT,
+            label=None if position else "improvement, 95 % interval",
+            markersize=6.5,
+        )
+        for offset, name in enumerate(names, start=1):
+            value = (result.get("metrics") or {}).get(name)
+            if value is not None:
+                panel.plot(
+                    [position - step * len(names) / 2 + step * offset],
+                    [factor * value],
+                    marker=MARKERS[offset % len(MARKERS)],
+                    markersize=5,
+                    markerfacecolor="white",
+                    color=SOFT,
+                    linestyle="none",
+                    label=None if position else wording.label(name).lower(),
+                )
+    panel.set_xticks(range(len(keys)), [f"{key} m/s" for key in keys])
+    panel.set_xlim(-0.6, len(keys) - 0.4)
+    panel.grid(axis="x", visible=False)
+    panel.set_ylabel(f"against the pretrained policy, {unit}")
+    handles, labels = panel.get_legend_handles_labels()
+    first = sorted(range(len(labels)), key=lambda i: not labels[i].startswith("improvement"))
+    panel.legend([handles[i] for i in first], [labels[i] for i in first], loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return drawing
+
+
+def distribution(run: RunData, objective: str) -> Figure | None:
+    """Every 1 s segment of the final head-to-head, by the first quantity the objective scores."""
+    speeds = run.segments.get(objective) or {}
+    if not speeds:
+        return None
+    keys = sorted(speeds, key=float)
+    quantity = next(iter(speeds[keys[0]]["policy"]))
+    fraction = run.unit(objective) == wording.PERCENT
+    drawing, axes = figure(2.6, 1, len(keys), sharey=True)
+    rng = np.random.default_rng(0)
+    for panel, key in zip(axes[0], keys, strict=True):
+        groups = [np.asarray(speeds[key][role][quantity], dtype=float) for role in ("reference", "policy")]
+        centre = groups[0].mean()
+        panel.axhline(1.0 if fraction else 0.0, color=SOFT, linewidth=0.9, zorder=1)
+        for x, (values, color) in enumerate(zip(groups, (REFERENCE, ACCENT), strict=True)):
+            shown = values / centre if fraction else values - centre
+            panel.scatter(x + rng.uniform(-0.2, 0.2, len(shown)), shown, s=7, color=color, alpha=0.45, linewidths=0)
+            panel.plot([x - 0.3, x + 0.3], [shown.mean()] * 2, color=INK, linewidth=1.4)
+        panel.set_xticks([0, 1], ["pretrained", "final"])
+        panel.set_xlim(-0.6, 1.6)
+        panel.grid(axis="x", visible=False)
+        panel.set_title(f"{key} m/s")
+    name = wording.label(quantity)
+    axes[0, 0].set_ylabel(f"{name} / pretrained mean" if fraction else f"{name} − pretrained mean")
+    return drawing
+
+
+def sweep(run: RunData, objective: str) -> Figure | None:
+    """One row per iteration: all candidates in simulation, and the elites in reality."""
+    rows = [iteration for iteration in run.iterations if iteration.get("candidates")]
+    if not rows:
+        return None
+    factor, unit = wording.scale(run.unit(objective))
+    elites = [len(list(run.tested(iteration, objective))) for iteration in rows]
+    heights = [max(2.3, 0.9 + 0.22 * count) for count in elites]
+    drawing, axes = figure(
+        sum(heights) + 0.5, len(rows), 2, gridspec_kw={"height_ratios": heights, "width_ratios": [1.15, 1]}
+    )
+    styles = _styles(rows)
+    real = [result for iteration in rows for _, _, result in run.tested(iteration, objective)]
+    edges = [
+        factor * b for result in real for b in (result.get("improvement_ci95") or [result.get("improvement") or 0])
+    ]
+    for (left, right), iteration in zip(axes, rows, strict=True):
+        _simulated(left, iteration, styles)
+        left.set_title(f"Iteration {iteration['index']}: in simulation")
+        left.set_ylabel("score in simulation")
+        _measured(right, run, iteration, objective, factor, styles)
+        right.set_title("Elites in reality")
+        if edges:
+            margin = 0.06 * (max(*edges, 0.0) - min(*edges, 0.0) + 1e-9)
+            right.set_xlim(min(*edges, 0.0) - margin, max(*edges, 0.0) + margin)
+    axes[-1, 0].set_xlabel("KL to the anchor, nats")
+    axes[-1, 1].set_xlabel(f"improvement, {unit}")
+    drawing.legend(handles=_legend(styles), loc="outside lower center", ncols=6, handletextpad=0.3, columnspacing=1.2)
+    return drawing
+
+
+def iterations(run: RunData, objective: str) -> Figure | None:
+    """Measured improvement over iterations: every elite, and the best so far."""
+    points = [
+        (int(iteration["index"]), candidate, result)
+        for iteration in run.iterations
+        for candidate, _, result in run.tested(iteration, objective)
+        if result.get("improvement") is not None
+    ]
+    if not points:
+        return None
+    factor, unit = wording.scale(run.unit(objective))
+    drawing, axes = figure(2.6)
+    panel = axes[0, 0]
+    zero_line(panel)
+    rng = np.random.default_rng(0)
+    best_by_index = {int(iteration["index"]): iteration.get("best") for iteration in run.iterations}
+    first = True
+    for index, candidate, result in points:
+        if candidate["id"] == best_by_index[index]:
+            continue
+        x = index + rng.uniform(-0.09, 0.09)
+        panel.plot(
+            [x],
+            [factor * result["improvement"]],
+            "o",
+            color=REFERENCE,
+            markersize=4.5,
+            label="other elites" if first else None,
+        )
+        first = False
+    best = [(index, result) for index, candidate, result in points if candidate["id"] == best_by_index[index]]
+    if best:
+        panel.plot(
+            [index for index, _ in best],
+            [factor * result["improvement"] for _, result in best],
+            color=ACCENT,
+            zorder=2,
+        )
+    for position, (index, result) in enumerate(best):
+        bounds = result.get("improvement_ci95")
+        error_bar(
+            panel,
+            index,
+            factor * result["improvement"],
+            [factor * b for b in bounds] if bounds else None,
+            ACCENT,
+            label=None if position else "best of the iteration",
+            markersize=6.5,
+        )
+    indices = sorted(best_by_index)
+    panel.set_xticks(indices)
+    panel.set_xlim(indices[0] - 0.6, indices[-1] + 0.6)
+    panel.grid(axis="x", visible=False)
+    panel.set_xlabel("iteration")
+    panel.set_ylabel(f"improvement, {unit}")
+    panel.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return drawing
+
+
+def _styles(rows: list[Json]) -> dict[str, dict[str, str]]:
+    """Colour per λ and marker per anchor, over all iterations."""
+    candidates = [candidate for iteration in rows for candidate in iteration["candidates"]]
+    weights = sorted({tuple(candidate["weights"].items()) for candidate in candidates}, key=lambda w: [v for _, v in w])
+    labels = [wording.weights(dict(weight)) for weight in weights]
+    anchors = sorted({str(candidate["anchor"]) for candidate in candidates}, key=lambda a: (a != "pretrained", a))
+    return {
+        "color": {label: ramp(position, len(labels)) for position, label in enumerate(labels)},
+        "marker": {anchor: MARKERS[position % len(MARKERS)] for position, anchor in enumerate(anchors)},
+    }
+
+
+def _simulated(panel, iteration: Json, styles: dict[str, dict[str, str]]) -> None:
+    for bound in sorted({c["kl_bound"] for c in iteration["candidates"] if c["kl_bound"] is not None}):
+        panel.axvline(bound, color=SOFT, linewidth=0.8, linestyle=(0, (3, 3)), zorder=1)
+        panel.annotate(
+            f"c {bound:g}",
+            (bound, 0.0),
+            xycoords=panel.get_xaxis_transform(),
+            xytext=(2, 2),
+            textcoords="offset points",
+            color=SOFT,
+            fontsize=7,
+        )
+    for candidate in iteration["candidates"]:
+        if candidate.get("kl") is None or candidate.get("sim_score") is None:
+            continue
+        place = ([candidate["kl"]], [candidate["sim_score"]])
+        marker = styles["marker"][str(candidate["anchor"])]
+        color = styles["color"][wording.weights(candidate["weights"])]
+        if candidate.get("elite"):
+            panel.plot(*place, marker=marker, markersize=10.5, markerfacecolor="none", color=INK, markeredgewidth=0.9)
+        panel.plot(*place, marker=marker, markersize=6, color=color, linestyle="none")
+        if candidate.get("falls"):
+            panel.plot(*place, marker="x", markersize=6, color="white", markeredgewidth=1.2)
+    distances = [c["kl"] for c in iteration["candidates"] if c.get("kl") is not None and c["kl"] > 0]
+    if distances and max(distances) > 12 * min(distances):
+        panel.set_xscale("log")
+        panel.xaxis.set_major_formatter("{x:g}")
+    panel.margins(x=0.1, y=0.15)
+
+
+def _measured(panel, run: RunData, iteration: Json, objective: str, factor: float, styles) -> None:
+    tested = [
+        (candidate, speed, result)
+        for candidate, speed, result in run.tested(iteration, objective)
+        if result.get("improvement") is not None
+    ]
+    tested.sort(key=lambda item: item[2]["improvement"])
+    speeds = {speed for _, speed, _ in tested}
+    zero_line(panel, vertical=True)
+    names = []
+    for row, (candidate, speed, result) in enumerate(tested):
+        value = factor * result["improvement"]
+        bounds = result.get("improvement_ci95")
+        error = [[max(0, value - factor * bounds[0])], [max(0, factor * bounds[1] - value)]] if bounds else None
+        panel.errorbar(
+            [value],
+            [row],
+            xerr=error,
+            fmt=styles["marker"][str(candidate["anchor"])],
+            color=styles["color"][wording.weights(candidate["weights"])],
+            capsize=2.5,
+            markersize=5.5,
+            linewidth=1.2,
+        )
+        name = f"λ {wording.weights(candidate['weights'])} · c {wording.bound(candidate['kl_bound'])}"
+        names.append(name + (f" · {speed} m/s" if len(speeds) > 1 else ""))
+    panel.set_yticks(range(len(tested)), names)
+    panel.set_ylim(-0.7, max(len(tested) - 0.3, 0.7))
+    panel.grid(axis="y", visible=False)
+    for text, (candidate, _, _) in zip(panel.get_yticklabels(), tested, strict=True):
+        if candidate["id"] == iteration.get("best"):
+            text.set_fontweight("bold")
+    if not tested:
+        panel.text(0.5, 0.5, "none tested", transform=panel.transAxes, ha="center", color=SOFT)
+        panel.set_xticks([])
+
+
+def _legend(styles: dict[str, dict[str, str]]) -> list:
+    from matplotlib.lines import Line2D
+
+    colors = [
+        Line2D([], [], marker="o", linestyle="none", color=color, label=f"λ {name}")
+        for name, color in styles["color"].items()
+    ]
+    anchors = [
+        Line2D([], [], marker=marker, linestyle="none", color=SOFT, label=f"from {anchor}")
+        for anchor, marker in styles["marker"].items()
+    ]
+    ring = Line2D([], [], marker="o", markersize=9, linestyle="none", markerfacecolor="none", color=INK, label="elite")
+    return [*colors, *anchors, ring]

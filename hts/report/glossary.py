@@ -1,0 +1,112 @@
+"""What every figure and number of the page means."""
+
+from __future__ import annotations
+
+GLOSSARY: tuple[tuple[str, str], ...] = (
+    (
+        "Improvement",
+        (
+            "The objective's own primary score of the policy against the pretrained policy; larger is better, zero is "
+            "the pretrained policy."
+        ),
+    ),
+    (
+        "95 % interval",
+        (
+            "Where the improvement would lie in 19 of 20 repetitions of this head-to-head. Contiguous stretches of "
+            "segments are resampled, because neighbouring seconds are alike. It speaks of this robot on this occasion, "
+            "not of other robots or other days."
+        ),
+    ),
+    (
+        "Head-to-head",
+        (
+            "Both policies on one robot, one after the other in the order A-B-B-A, so that anything that drifts steadily, "
+            "such as charge or heat, adds the same to both and cancels."
+        ),
+    ),
+    (
+        "Segment",
+        (
+            "One second of walking whose mean forward speed is within the allowed deviation (10 % by default) of the "
+            "commanded speed. The first two seconds after each change and everything near a fall are left out. The share "
+            "in brackets is the valid part of all seconds."
+        ),
+    ),
+    ("Mean speed", "Over the valid segments; in brackets that of the pretrained policy. Walking slower is not saving."),
+    ("Falls", "How often the policy fell in its own blocks of the final head-to-head."),
+    (
+        "Other columns of the result",
+        "Further measures that the objective gives for the same segments, named by the objective.",
+    ),
+    (
+        "Pretrained, anchor, best",
+        (
+            "The policy the run started from; the policy a candidate was fine-tuned from and is kept close to; the elite "
+            "with the best measured score, which is an anchor of the next iteration."
+        ),
+    ),
+    (
+        "Candidate, elite",
+        "One fine-tuned policy of the sweep; one of those that scored best in simulation and were tested.",
+    ),
+    (
+        "KL, c",
+        (
+            "How far a candidate's actions are from its anchor's, on average over the states it visits, in nats; c is the "
+            "bound that fine-tuning keeps it under (∞: none)."
+        ),
+    ),
+    ("λ", "Weight of the measured objective against the walking task in the reward."),
+    (
+        "Score in simulation",
+        (
+            "Mean reward of the objective alone, as the measurement model of that iteration predicts it: larger is better. "
+            "Scores of different iterations come from different models and are not comparable. A white cross marks a "
+            "candidate that fell in simulation."
+        ),
+    ),
+    (
+        "Improvement during iterations",
+        (
+            "Measured in one shorter head-to-head each. The largest of several noisy numbers is flattering by nature; the "
+            "final head-to-head measures the chosen policy afresh."
+        ),
+    ),
+    (
+        "Measurement model",
+        "Predicts the measured quantity from what simulation knows too. Fitted on all recordings so far.",
+    ),
+    (
+        "Held-out R²",
+        (
+            "Share of the variance of the measured quantity that the model explains in recordings it was not fitted on; "
+            "1 is perfect, 0 is no better than the mean."
+        ),
+    ),
+    (
+        "Analytic stand-in",
+        (
+            "A formula of simulated quantities that the objective offers instead of a learned model, fitted to the same "
+            "recordings as well as it can be: the baseline."
+        ),
+    ),
+    (
+        "Rank correlation",
+        (
+            "Agreement between predicted and measured order of the policies, from −1 to 1; it says whether the model can "
+            "tell a better policy from a worse one. Needs at least two policies."
+        ),
+    ),
+    (
+        "Segment by segment",
+        (
+            "Each point is one second of the final head-to-head: the first quantity that the objective scores, relative to "
+            "the mean of the pretrained policy. Bars are means."
+        ),
+    ),
+    (
+        "Steps in simulation, samples from reality",
+        "Control steps of all training; control steps recorded for learning.",
+    ),
+)

@@ -1,0 +1,323 @@
+"""`report.html`: one self-contained, printable page about a finished run."""
+
+from __future__ import annotations
+
+import base64
+import os
+from collections.abc import Callable, Iterable
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+import hts
+from hts.errors import RunError
+from hts.report import wording
+from hts.report.data import Json, RunData, read_run
+from hts.report.glossary import GLOSSARY
+from hts.report.measurement_figure import proxy_r2
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WORLDS = {
+    "twin": (
+        "Simulated reality.",
+        (
+            "No robot was involved. The measurements come from a twin: a second simulation with other dynamics and its own "
+            "simulated instruments, into which learning could not look. They show that the method works there; what a "
+            "real robot gains only a real robot can tell."
+        ),
+    ),
+    "field": ("A real robot.", "The measurements were recorded by a person with a robot and imported."),
+}
+PLAIN_VALUE = 160  # characters; longer ones (a diff) are left to provenance.json
+
+
+def write_report(folder: Path) -> Path:
+    """Write report.html and figures/*.svg, *.pdf into a run folder; returns the page's path.
+
+    Raises RunError if the run is not finished, a file of it cannot be read, or the page cannot be written.
+    """
+    from jinja2 import Environment, StrictUndefined
+
+    run = read_run(folder)
+    template = resources.files("hts.report").joinpath("page.html.j2").read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    path = Path(folder) / "report.html"
+    partial = path.with_name("report.html.partial")
+    try:
+        html = environment.from_string(template).render(**contents(run))
+        partial.write_text(html, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise RunError(
+            f"{path}: cannot be written ({error.strerror}). Make room or permission, then: hts report {folder}"
+        ) from error
+    return path
+
+
+def contents(run: RunData) -> dict[str, Any]:
+    """Everything the template shows; draws and saves the figures on the way."""
+    summary = run.summary
+    title, text = WORLDS.get(
+        run.world, (f"World: {run.world}.", "The measurements come from a world that a plugin offers.")
+    )
+    objectives = [_objective(run, name) for name in run.objectives]
+    return {
+        "title": f"{wording.label(' and '.join(run.objectives))} on {summary.get('robot', 'a robot')}",
+        "facts": _facts(run),
+        "world_simulated": run.world == "twin",
+        "world_title": title,
+        "world_text": text,
+        "objectives": objectives,
+        "later": _later(run),
+        "iterations": [_iteration(run, iteration) for iteration in run.iterations],
+        "glossary": GLOSSARY,
+        "provenance": list(_flat(run.provenance)) or [("provenance.json", "not there")],
+        "config": yaml.safe_dump(run.config, sort_keys=False, allow_unicode=True) if run.config else "",
+        "version": hts.__version__,
+    }
+
+
+def _facts(run: RunData) -> list[str]:
+    summary = run.summary
+    facts = [f"preset {summary['preset']}"] if summary.get("preset") else []
+    facts += [f"engine {summary['engine']}"] if summary.get("engine") else []
+    facts += [f"seed {summary['seed']}"] if summary.get("seed") is not None else []
+    facts.append(f"{len(run.iterations)} iteration{'' if len(run.iterations) == 1 else 's'}")
+    if run.config.get("reward_source", "model") != "model":
+        facts.append("baseline: analytic proxy as reward")
+    if summary.get("sim_steps") is not None:
+        facts.append(f"{wording.count(summary['sim_steps'])} steps in simulation")
+    if summary.get("real_samples") is not None:
+        facts.append(f"{wording.count(summary['real_samples'])} samples from reality")
+    if summary.get("wall_seconds") is not None:
+        facts.append(wording.duration(summary["wall_seconds"]))
+    return facts
+
+
+# ---------------------------------------------------------------------------------------------- results
+
+
+def _objective(run: RunData, name: str) -> dict[str, Any]:
+    result = run.final.get(name) or {"unit": "1", "speeds": {}}
+    shown = result_rows(name, result)
+    return {
+        **shown,
+        "headline": _headline(run, name, result),
+        "figures": _figures(run, name),
+        "models": [
+            {
+                "index": iteration["index"],
+                "r2": wording.number(model.get("held_out_r2"), 3),
+                "proxy": wording.number(proxy_r2(run.fit(int(iteration["index"]), name)), 3),
+                "rank": wording.number(model.get("rank_correlation")),
+                "dataset": str(model.get("dataset") or "–")[:12],
+            }
+            for iteration in run.iterations
+            if (model := (iteration.get("measurement_models") or {}).get(name))
+        ],
+    }
+
+
+def result_rows(name: str, result: Json) -> dict[str, Any]:
+    """The result table of one objective."""
+    unit, speeds = result["unit"], result["speeds"]
+    metrics = list(dict.fromkeys(metric for speed in speeds.values() for metric in speed.get("metrics") or {}))
+    rows = []
+    for key in sorted(speeds, key=float):
+        speed = speeds[key]
+        bounds = speed.get("improvement_ci95")
+        reference = speed.get("reference") or {}
+        mean = f"{wording.number(speed.get('mean_speed'))} m/s"
+        valid = speed.get("valid")
+        rows.append(
+            {
+                "speed": key,
+                "improvement": wording.quantity(speed["improvement"], unit),
+                "interval": wording.interval(bounds, unit),
+                "above_zero": bool(bounds) and bounds[0] > 0,
+                "metrics": [wording.metric(metric, (speed.get("metrics") or {}).get(metric)) for metric in metrics],
+                "mean_speed": mean
+                + (f" ({wording.number(reference['mean_speed'])})" if reference.get("mean_speed") is not None else ""),
+                "falls": wording.count(speed.get("falls")),
+                "fell": bool(speed.get("falls")),
+                "segments": wording.count(speed.get("segments"))
+                + (f" ({100 * valid:.0f} %)" if valid is not None else ""),
+            }
+        )
+    return {"name": name, "metrics": [wording.label(metric) for metric in metrics], "rows": rows}
+
+
+def _headline(run: RunData, name: str, result: Json) -> str:
+    """The result in one sentence or two, without more certainty than the intervals have."""
+    speeds = result["speeds"]
+    if not speeds:
+        return ""
+    unit = result["unit"]
+    better = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[0] > 0]
+    worse = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[1] < 0]
+    falls = sum(speed.get("falls") or 0 for speed in speeds.values())
+    chosen = (run.summary.get("final") or {}).get("policy")
+    policy = f"the final policy ({chosen})" if chosen else "the final policy"
+    if len(better) == len(speeds):
+        values = sorted(speed["improvement"] for speed in speeds.values())
+        spread = (
+            wording.interval((values[0], values[-1]), unit) if len(values) > 1 else wording.quantity(values[0], unit)
+        )
+        text = f"Against the pretrained policy, {policy} improves {name} by {spread}, at every speed tested."
+    else:
+        parts = [
+            (better, "better"),
+            (worse, "worse"),
+            ([k for k in speeds if k not in better + worse], "not clearly either"),
+        ]
+        told = ", ".join(f"{word} at {_speeds(keys)}" for keys, word in parts if keys)
+        text = f"Against the pretrained policy, {policy} is, for {name}, {told}."
+    fell = "It did not fall." if not falls else f"It fell {falls} time{'' if falls == 1 else 's'}."
+    return f"{text} {fell}"
+
+
+def _speeds(keys: Iterable[str]) -> str:
+    return " and ".join(sorted(keys, key=float)) + " m/s"
+
+
+def _later(run: RunData) -> dict[str, Any] | None:
+    evaluation = run.evaluation
+    if not evaluation.get("objectives"):
+        return None
+    return {
+        "text": f"`hts evaluate`: policy {evaluation.get('policy', 'best')} against pretrained on world "
+        f"{evaluation.get('world', 'unknown')}, seed {evaluation.get('seed', 'unknown')}.",
+        "objectives": [result_rows(name, result) for name, result in evaluation["objectives"].items()],
+    }
+
+
+# ---------------------------------------------------------------------------------------------- figures
+
+
+def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
+    import matplotlib
+
+    from hts.report import figures, measurement_figure, style
+
+    wanted: tuple[tuple[str, str, str, Callable[[RunData, str], Figure | None]], ...] = (
+        (
+            "improvement",
+            "Improvement by speed",
+            (
+                "Final head-to-head against the pretrained policy (zero). Bars: 95 % intervals. Open marks, if any: the objective's "
+                "other fractions."
+            ),
+            figures.improvement,
+        ),
+        (
+            "distribution",
+            "Segment by segment",
+            (
+                "Each point is one second of the final head-to-head, relative to the mean of the pretrained policy. Short "
+                "lines: means."
+            ),
+            figures.distribution,
+        ),
+        (
+            "iterations",
+            "Over the iterations",
+            (
+                "Measured improvement of every elite, and of the best one with its 95 % interval. The best of several noisy "
+                "numbers is flattering; the final head-to-head measures afresh."
+            ),
+            figures.iterations,
+        ),
+        (
+            "sweep",
+            "Sweep",
+            (
+                "Left: every candidate by its distance from its anchor (dashed: the bounds c) and its score in simulation; "
+                "rings are elites. Right: what the elites gained in reality, with 95 % intervals; the best is in bold."
+            ),
+            figures.sweep,
+        ),
+        (
+            "measurement",
+            "Measurement model",
+            (
+                "Left: how well the model predicts recordings it was not fitted to, and in which order it puts the policies. "
+                "Right: each point is a policy at one commanded speed; on the line, prediction equals measurement."
+            ),
+            measurement_figure.measurement,
+        ),
+    )
+    drawn = []
+    with matplotlib.rc_context(style.RC):
+        for name, title, caption, draw in wanted:
+            drawing = draw(run, objective)
+            if drawing is None:
+                continue
+            file = name if len(run.objectives) == 1 else f"{name}-{objective}"
+            path = style.save(drawing, run.folder / "figures", file)
+            data = base64.b64encode(path.read_bytes()).decode()
+            drawn.append({"title": title, "caption": caption, "alt": f"{title}. {caption}", "data": data})
+    return drawn
+
+
+# ------------------------------------------------------------------------------------------- candidates
+
+
+def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
+    rows = []
+    for candidate in iteration.get("candidates") or []:
+        measured = [
+            (name, speed, result)
+            for name, speeds in (candidate.get("real") or {}).items()
+            for speed, result in speeds.items()
+        ]
+        several = len(measured) > 1
+        best = candidate["id"] == iteration.get("best")
+        rows.append(
+            {
+                "id": candidate["id"],
+                "anchor": candidate["anchor"],
+                "weights": wording.weights(candidate["weights"]),
+                "bound": wording.bound(candidate["kl_bound"]),
+                "kl": wording.number(candidate.get("kl"), 3),
+                "score": wording.number(candidate.get("sim_score"), 3),
+                "falls": wording.count(candidate.get("falls")),
+                "fell": bool(candidate.get("falls")),
+                "kind": "best" if best else "elite" if candidate.get("elite") else "",
+                "improvement": "; ".join(
+                    (f"{name} {speed}: " if several else "")
+                    + wording.quantity(result.get("improvement"), run.unit(name))
+                    for name, speed, result in measured
+                )
+                or ("refused" if candidate.get("refused") else "–"),
+                "refused": candidate.get("refused"),
+                "interval": "; ".join(
+                    wording.interval(result.get("improvement_ci95"), run.unit(name)) for name, _, result in measured
+                )
+                or "–",
+                "segments": "; ".join(wording.count(result.get("segments")) for _, _, result in measured) or "–",
+            }
+        )
+    return {"index": iteration["index"], "rows": rows}
+
+
+# ------------------------------------------------------------------------------------------- provenance
+
+
+def _flat(value: Any, prefix: str = "") -> Iterable[tuple[str, str]]:
+    """(key, text) of a nested JSON object; what is too long for a page is said to be in the file."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _flat(item, f"{prefix} / {key}" if prefix else str(key).replace("_", " "))
+    elif isinstance(value, list) and not any(isinstance(item, dict | list) for item in value):
+        yield from _flat(", ".join(map(str, value)), prefix)
+    elif isinstance(value, list):
+        yield prefix, f"{len(value)} entries, in provenance.json"
+    else:
+        text = "none" if value in (None, "") else str(value)
+        long = len(text) > PLAIN_VALUE or "\n" in text
+        yield prefix, f"{len(text.splitlines())} lines, in provenance.json" if long else text

@@ -1,0 +1,77 @@
+"""How numbers and names are written, the same in tables, figures and the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+PERCENT = "1"  # the unit of a fraction; written as per cent
+FRACTION_ENDINGS = ("_reduction", "_share", "_fraction")
+"""A metric whose name ends so is a fraction and is written as per cent; any other is a plain number."""
+
+Number = float | int | None
+
+
+def quantity(value: Number, unit: str, signed: bool = False) -> str:
+    """18.2 % for 0.182 of unit "1"; 3.21 dB for 3.21 of "dB"; a dash for nothing."""
+    if value is None:
+        return "–"
+    sign = "+" if signed else ""
+    text = f"{100 * value:{sign}.1f} %" if unit == PERCENT else f"{value:{sign}.2f} {unit}"
+    return text.replace("-", "−")
+
+
+def interval(bounds: Any, unit: str) -> str:
+    """15.1 to 21.3 %; a dash for nothing."""
+    if not bounds or bounds[0] is None or bounds[1] is None:
+        return "–"
+    low, high = (quantity(bound, unit) for bound in bounds)
+    return f"{low.rsplit(' ', 1)[0]} to {high}"
+
+
+def number(value: Number, digits: int = 2) -> str:
+    return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
+
+
+def metric(name: str, value: Number) -> str:
+    """A metric of an objective, written by the ending of its name."""
+    return quantity(value, PERCENT) if name.endswith(FRACTION_ENDINGS) else number(value)
+
+
+def label(name: str) -> str:
+    """cost_of_transport_reduction -> Cost of transport reduction."""
+    text = name.replace("_", " ")
+    return text[:1].upper() + text[1:]
+
+
+def scale(unit: str) -> tuple[float, str]:
+    """(factor, axis unit) for plotting values of this unit."""
+    return (100.0, "%") if unit == PERCENT else (1.0, unit)
+
+
+def bound(value: Number) -> str:
+    """A KL bound c: 0.5, or ∞ where there is none."""
+    return "∞" if value is None else f"{value:g}"
+
+
+def weights(values: Mapping[str, float]) -> str:
+    """λ of a candidate: 0.5, or one per objective."""
+    if len(values) == 1:
+        return f"{next(iter(values.values())):g}"
+    return " + ".join(f"{value:g} {name}" for name, value in values.items())
+
+
+def duration(seconds: Number) -> str:
+    """9 min 14 s."""
+    if seconds is None:
+        return "–"
+    whole = round(seconds)
+    hours, minutes, rest = whole // 3600, whole // 60 % 60, whole % 60
+    if hours:
+        return f"{hours} h {minutes} min"
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+def count(value: Number) -> str:
+    """1 234 567, with thin spaces."""
+    return "–" if value is None else f"{value:,}".replace(",", "\u2009")

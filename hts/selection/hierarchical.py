@@ -1,0 +1,67 @@
+"""`hierarchical`: the best K in simulation are tried in reality, the best of those goes on (Algorithm 1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from pydantic import Field
+
+from hts.config import Config
+from hts.contracts import Comparison, Selector, Settings, SimulatedCandidate, TestedCandidate
+from hts.errors import ConfigError, unknown_name
+
+
+class HierarchicalSettings(Config):
+    """Settings of `hierarchical`."""
+
+    objective: str | None = Field(
+        None, description="whose selection score decides when several run together; none: the first one of the run"
+    )
+    allow_falls: bool = Field(False, description="may a candidate that fell in reality be the best one")
+
+
+class Hierarchical(Selector):
+    """Elites by simulated score, the best by measured selection score.
+
+    A candidate that fell or missed the speed in simulation ranks behind all that did not, whatever its score: a
+    policy that stands still or lies down measures cheapest. Ties keep the order given.
+    """
+
+    def __init__(self, settings: HierarchicalSettings) -> None:
+        self.settings = settings
+
+    def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
+        """Ids of the `count` best, best first. A score that is not a number ranks last of all."""
+
+        def key(candidate: SimulatedCandidate) -> tuple[bool, bool, bool, float]:
+            unknown = math.isnan(candidate.score)
+            return (unknown, candidate.falls > 0, not candidate.tracked, 0.0 if unknown else -candidate.score)
+
+        return [candidate.id for candidate in sorted(candidates, key=key)[:count]]
+
+    def best(self, tested: Sequence[TestedCandidate]) -> str | None:
+        """Id with the highest selection score above zero; None if no candidate improves on the reference.
+
+        With several objectives the one named in the settings decides, by default the first of the run: scores of
+        different units have no sum.
+        """
+        improving = [
+            (self._comparison(candidate).selection_score, candidate.id)
+            for candidate in tested
+            if candidate.comparisons and (self.settings.allow_falls or not candidate.fell)
+        ]
+        improving = [(score, name) for score, name in improving if score > 0]
+        return max(improving, key=lambda pair: pair[0])[1] if improving else None
+
+    def _comparison(self, candidate: TestedCandidate) -> Comparison:
+        name = self.settings.objective or next(iter(candidate.comparisons))
+        if name not in candidate.comparisons:
+            raise ConfigError("Selector 'hierarchical': " + unknown_name("objective", name, candidate.comparisons))
+        return candidate.comparisons[name]
+
+
+def make(settings: Settings) -> Selector:
+    """Factory behind the name `hierarchical`."""
+    return Hierarchical(HierarchicalSettings(**dict[str, Any](settings)))

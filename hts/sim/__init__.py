@@ -1,0 +1,1 @@
+"""Physics for training: one small interface, two engines."""

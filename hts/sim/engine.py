@@ -1,0 +1,87 @@
+"""The interface of a physics engine that steps many worlds of one robot."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from hts.errors import ConfigError, unknown_name
+
+if TYPE_CHECKING:
+    import mujoco
+    import torch
+
+
+class Engine(ABC):
+    """W worlds stepped together. Tensors live on `device`, float32, and are rewritten in place by each step.
+
+    qpos (W, nq): free joint [x y z m, quaternion w x y z], then joints rad; qvel (W, nv): trunk linear velocity m/s in
+    the world frame, angular velocity rad/s in the trunk frame, then joints rad/s; sensordata (W, ns), see `sensor`;
+    diverged (W,) bool: worlds whose physics broke in the last step, until they are reset.
+    """
+
+    num_worlds: int
+    device: torch.device
+    qpos: torch.Tensor
+    qvel: torch.Tensor
+    sensordata: torch.Tensor
+    diverged: torch.Tensor
+
+    @abstractmethod
+    def step(self, ctrl: torch.Tensor) -> None:
+        """Advance every world by one control step. ctrl (substeps, W, nu): actuator inputs of each physics step."""
+
+    @abstractmethod
+    def reset(self, mask: torch.Tensor, qpos: torch.Tensor, qvel: torch.Tensor) -> None:
+        """Put the worlds of mask (W,) into rows of qpos (W, nq), qvel (W, nv); other rows are not read."""
+
+    @abstractmethod
+    def sensor(self, name: str) -> slice:
+        """Where a sensor of the MJCF lies in `sensordata`."""
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Everything needed to go on exactly from here."""
+
+    @abstractmethod
+    def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from a saved state."""
+
+    def check(self) -> None:  # noqa: B027
+        """Raise SimulationError if a buffer overflowed since the start. May wait for the device: call it rarely."""
+
+    def close(self) -> None:  # noqa: B027
+        """Let go of threads and device memory."""
+
+
+def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
+    """Name -> columns of sensordata."""
+    slices = {}
+    for index in range(model.nsensor):
+        start = int(model.sensor_adr[index])
+        slices[model.sensor(index).name] = slice(start, start + int(model.sensor_dim[index]))
+    return slices
+
+
+def make_engine(
+    name: str, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, **options: Any
+) -> Engine:
+    """The engine called `name`.
+
+    models: M compiled variants of one robot that differ in numbers only; assignment (W,): variant of each world.
+    Raises ConfigError for an unknown engine or one whose package or device is missing.
+    """
+    if name == "mujoco":
+        from hts.sim.mujoco_engine import MujocoEngine
+
+        return MujocoEngine(models, assignment, substeps, threads=options.get("threads", 0))
+    if name == "warp":
+        from hts.sim.warp_engine import make_warp_engine
+
+        return make_warp_engine(
+            models, assignment, substeps, device=options.get("device", "auto"),
+            contacts_per_world=options.get("contacts_per_world", 0),
+            constraints_per_world=options.get("constraints_per_world", 0),
+        )  # fmt: skip
+    raise ConfigError(unknown_name("engine", name, ("mujoco", "warp")))

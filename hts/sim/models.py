@@ -1,0 +1,52 @@
+"""Compiled variants of a robot's model for domain randomisation."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from hts.config import RandomisationConfig
+from hts.contracts import Robot
+from hts.errors import ConfigError
+
+FLOOR = "floor"  # name of the ground geom in a robot's MJCF; its friction must win (priority) over the feet's
+
+
+def compile_model(robot: Robot) -> mujoco.MjModel:
+    """The robot's nominal model at its training time step. Raises ConfigError for a log-only robot."""
+    root = robot.mjcf()
+    if root is None:
+        raise ConfigError(
+            f"Robot '{robot.spec.name}' is log-only: it has no model to simulate. Use it with `hts import` and `hts fit`."
+        )
+    model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+    model.opt.timestep = robot.spec.physics_dt
+    return model
+
+
+def variants(robot: Robot, config: RandomisationConfig, seed: int, count: int | None = None) -> list[mujoco.MjModel]:
+    """A pool of randomised models; just the nominal one if randomisation is off.
+
+    The pool depends on `seed` alone, never on the number of candidates, so that a candidate meets the same
+    worlds whoever trains beside it. One model per world would cost time and copies for no gain.
+    """
+    if not config.enabled:
+        return [compile_model(robot)]
+    rng = np.random.default_rng([seed, 7201])
+    return [vary(compile_model(robot), robot, config, rng) for _ in range(count or config.models)]
+
+
+def vary(model: mujoco.MjModel, robot: Robot, config: RandomisationConfig, rng: np.random.Generator) -> mujoco.MjModel:
+    """Draw one variant in place: floor friction, trunk mass and centre of mass, gains, joint friction."""
+    trunk = model.body(robot.spec.trunk_body).id
+    model.geom(FLOOR).friction[0] = rng.uniform(*config.friction)
+    before = model.body_mass[trunk]
+    model.body_mass[trunk] += rng.uniform(*config.added_mass)
+    model.body_inertia[trunk] *= model.body_mass[trunk] / before
+    model.body_ipos[trunk] += rng.uniform(*config.com_shift, size=3)
+    strength = rng.uniform(*config.strength, size=model.nu)
+    model.actuator_gainprm[:, 0] *= strength
+    model.actuator_biasprm[:, 1:3] *= strength[:, None]
+    model.dof_frictionloss[6:] *= rng.uniform(*config.joint_friction, size=model.nv - 6)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model

@@ -1,0 +1,128 @@
+"""Recordings from worlds with known answers, to test statistics and selection against."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hts.channels import Channel
+from hts.config import Command, ScheduleConfig
+from hts.contracts import Comparison, Objective
+from hts.evaluation.segments import Segments
+from hts.recordings.recording import Recording, Series
+
+COST = Channel("cost", "1", (), "what the known world charges for walking")
+
+
+class CostObjective(Objective):
+    """Lower `cost` is better; the improvement is the saved fraction of what is above idle."""
+
+    name = "cost"
+    unit = "1"
+    inputs = ("base_velocity",)
+    target = COST
+
+    def measurement_model(self) -> None:
+        return None
+
+    def reward(self, prediction):
+        return -prediction
+
+    def score(self, segments: Segments) -> Mapping[str, np.ndarray]:
+        gross = segments.values("cost").mean(axis=1)
+        return {"net_cost": gross - segments.idle("cost"), "gross_cost": gross}
+
+    def compare(self, policy: Mapping[str, float], reference: Mapping[str, float]) -> Comparison:
+        net = 1 - policy["net_cost"] / reference["net_cost"]
+        return Comparison(net, net, {"gross_reduction": 1 - policy["gross_cost"] / reference["gross_cost"]})
+
+
+def known_recording(
+    cost: Sequence[float] | np.ndarray,
+    *,
+    speed: float | Sequence[float] | np.ndarray = 0.8,
+    vx: float = 0.8,
+    role: str = "policy",
+    block: int = 0,
+    session: str = "session-0",
+    rate_hz: float = 10.0,
+    idle: float = 0.0,
+    fell_at: float | None = None,
+    schedule: ScheduleConfig | None = None,
+    start: float = 0.0,
+) -> Recording:
+    """A recording whose `cost` and forward speed are given per second (speed also as one number).
+
+    fell_at: the trunk lies on its side from then on, s; start: first time stamp, s.
+    """
+    per_second = round(rate_hz)
+    seconds = len(cost)
+    samples = seconds * per_second
+    velocity = np.zeros((samples, 3))
+    velocity[:, 0] = np.repeat(np.broadcast_to(speed, (seconds,)), per_second)
+    gravity = np.tile([0.0, 0.0, -1.0], (samples, 1))
+    if fell_at is not None:
+        gravity[round(fell_at * rate_hz) :] = [0.0, 1.0, 0.0]
+    values = {"base_velocity": velocity, "projected_gravity": gravity, "cost": np.repeat(cost, per_second)}
+    channels = {
+        "base_velocity": Channel("base_velocity", "m/s", (3,)),
+        "projected_gravity": Channel("projected_gravity", "1", (3,)),
+        "cost": COST,
+    }
+    return Recording(
+        robot="fake",
+        world="known",
+        policy_hash={"policy": "aa" * 32, "reference": "bb" * 32}.get(role, "cc" * 32),
+        iteration=0,
+        joint_names=("joint",),
+        kp=(1.0,),
+        kd=(0.1,),
+        rate_hz=rate_hz,
+        schedule=schedule or ScheduleConfig(commands=(Command(seconds=float(seconds), vx=vx),)),
+        idle={"cost": idle},
+        clock="simulated",
+        time=start + np.arange(samples) / rate_hz,
+        channels={name: Series(channels[name], values[name]) for name in channels},
+        mass_kg=10.0,
+        session=session,
+        block=block,
+        role=role,
+        fell=fell_at is not None,
+    )
+
+
+def known_head_to_head(
+    policy_cost: float,
+    reference_cost: float,
+    *,
+    block_seconds: int = 40,
+    order: str = "ABBA",
+    noise: float = 0.0,
+    correlation: float = 0.0,
+    drift: float = 0.0,
+    seed: int = 0,
+    vx: float = 0.8,
+    idle: float = 0.0,
+) -> list[Recording]:
+    """Blocks of policy (A) and reference (B) in the given order, one after the other on one clock.
+
+    The cost is the policy's own, times 1 + an AR(1) series of standard deviation `noise` and lag-one `correlation`
+    (per second, running on through all blocks), plus a linear drift of `drift` in all from first to last second.
+    """
+    rng = np.random.default_rng(seed)
+    total = block_seconds * len(order)
+    shocks = rng.standard_normal(total)
+    series = np.empty(total)
+    series[0] = shocks[0]
+    for second in range(1, total):
+        series[second] = correlation * series[second - 1] + np.sqrt(1 - correlation**2) * shocks[second]
+    drifting = drift * np.arange(total) / total
+    recordings = []
+    for block, letter in enumerate(order):
+        part = slice(block * block_seconds, (block + 1) * block_seconds)
+        cost = (policy_cost if letter == "A" else reference_cost) * (1 + noise * series[part]) + drifting[part] + idle
+        role = "policy" if letter == "A" else "reference"
+        start = float(block * block_seconds)
+        recordings.append(known_recording(cost, role=role, block=block, vx=vx, speed=vx, start=start, idle=idle))
+    return recordings

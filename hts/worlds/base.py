@@ -1,0 +1,86 @@
+"""What every world needs: a schedule as commands per control step, and an operator who keeps the heading."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hts.config import Command, ScheduleConfig
+
+HEADING_GAIN = 0.5  # rad/s per rad, as the training commands of Rudin et al. 2022 as released
+LARGEST_YAW_RATE = 1.0  # rad/s
+ORDER = ("reference", "policy", "policy", "reference")
+"""Roles of the blocks of a head-to-head: A-B-B-A cancels a drift that is linear in time."""
+
+
+def commands(schedule: ScheduleConfig, rate_hz: float) -> np.ndarray:
+    """Commanded vx m/s, vy m/s, yaw rate rad/s at each control step, (T, 3). T = round(seconds * rate_hz)."""
+    rows = []
+    elapsed, done = 0.0, 0
+    for command in schedule.commands:
+        elapsed += command.seconds
+        steps = round(elapsed * rate_hz) - done  # rounded in total, so that many short commands do not drift
+        done += steps
+        rows.append(np.tile([command.vx, command.vy, command.yaw_rate], (steps, 1)))
+    return np.concatenate(rows)
+
+
+def walking(speed: float, seconds: float) -> ScheduleConfig:
+    """Straight ahead at one speed, m/s, for so long, s."""
+    return ScheduleConfig(commands=(Command(seconds=seconds, vx=speed),))
+
+
+class Operator:
+    """Keeps the heading of W robots as a person with a joystick would.
+
+    While a robot is told to walk without turning, yaw rate = clip(0.5 * heading error, -1, 1); the heading to keep
+    is the one it had when that began. A robot told to stand still gets no correction.
+    """
+
+    def __init__(self, num_worlds: int) -> None:
+        self._wanted = np.full(num_worlds, np.nan)
+
+    def command(self, told: np.ndarray, heading: np.ndarray) -> np.ndarray:
+        """What is sent to the robots, (W, 3). told: of the schedule (W, 3) or (3,); heading: rad (W,)."""
+        sent = np.array(np.broadcast_to(told, (len(heading), 3)), dtype=float)
+        straight = (sent[:, 2] == 0) & (np.abs(sent[:, :2]).max(axis=1) > 0)
+        self._wanted = np.where(straight, np.where(np.isnan(self._wanted), heading, self._wanted), np.nan)
+        error = (np.nan_to_num(self._wanted) - heading + np.pi) % (2 * np.pi) - np.pi
+        correction = np.clip(HEADING_GAIN * error, -LARGEST_YAW_RATE, LARGEST_YAW_RATE)
+        sent[straight, 2] = correction[straight]
+        return sent
+
+    def forget(self, mask: np.ndarray) -> None:
+        """A new heading to keep for the robots of the mask (W,)."""
+        self._wanted[mask] = np.nan
+
+
+def request_id(*parts: Any) -> str:
+    """12 hex digits that name a request by its content, so that repeating it gives the same session names and noise."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:12]
+
+
+def seed_sequence(seed: int, request: str, group: int = 0) -> np.random.SeedSequence:
+    """Randomness of a request: from the run's seed and the request's content, not from how many came before."""
+    return np.random.SeedSequence([seed, int(request, 16), group])
+
+
+def in_groups(count: int, largest: int) -> list[range]:
+    """0..count-1 cut into as few groups of nearly equal size as `largest` allows."""
+    number = -(-count // largest)
+    edges = [round(i * count / number) for i in range(number + 1)] if number else [0]
+    return [range(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def file_hash(path: Any) -> str:
+    """SHA-256 of a file's content, for naming requests."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def speeds_text(speeds: Sequence[float]) -> str:
+    return ", ".join(f"{speed:g}" for speed in speeds) + " m/s"

@@ -1,0 +1,170 @@
+"""The robot's MJCF made into another machine: other masses, frictions, contact and time step, motors instead of servos."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from hts.contracts import Robot, RobotSpec
+from hts.errors import WorldError
+from hts.worlds.twin.parameters import DynamicsParameters
+
+TOUCH_ZONE = 1.6  # times the site size: the zone of the touch sensor must hold every contact of the foot
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A compiled twin and where things are in it.
+
+    joint_qpos, joint_dof: addresses, (J,) or a slice; touch, foot_velocity: columns of sensordata, (F,) and (F,) of the
+    vertical component; foot_mass: effective vertical mass of each foot in the default pose, kg (F,);
+    friction, gear_loss: dry friction N·m and share of the motor torque lost, (J,); standing: qpos of the default
+    pose; standing_torque: that holds it, N·m (J,); total_mass: kg.
+    """
+
+    model: mujoco.MjModel
+    spec: RobotSpec
+    joint_qpos: slice | np.ndarray
+    joint_dof: slice | np.ndarray
+    touch: slice | np.ndarray
+    foot_velocity: slice | np.ndarray
+    foot_mass: np.ndarray
+    friction: np.ndarray
+    gear_loss: np.ndarray
+    encoder_offset: np.ndarray
+    standing: np.ndarray
+    standing_torque: np.ndarray
+    total_mass: float
+
+
+def columns(addresses: np.ndarray) -> slice | np.ndarray:
+    """The addresses as a slice where they are evenly spaced, because a slice is a view and costs nothing."""
+    steps = np.diff(addresses)
+    if len(addresses) == 1:
+        return slice(int(addresses[0]), int(addresses[0]) + 1)
+    if steps[0] > 0 and (steps == steps[0]).all():
+        return slice(int(addresses[0]), int(addresses[-1]) + 1, int(steps[0]))
+    return addresses
+
+
+def by_gearing(spec: RobotSpec, plain: float, extra_stage: float) -> np.ndarray:
+    """One value per joint, (J,): joints whose gear ratio exceeds the robot's smallest have a further stage or linkage."""
+    if spec.motors is None:
+        return np.full(spec.num_joints, plain)
+    ratio = np.array(spec.motors.gear_ratio)
+    return np.where(ratio > 1.01 * ratio.min(), extra_stage, plain)
+
+
+def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
+    """Compile the twin of a robot. Raises WorldError for a robot that has no model."""
+    root = robot.mjcf()
+    spec = robot.spec
+    if root is None:
+        raise WorldError(f"Robot '{spec.name}' has logs but no model, so there is no twin of it. Use --world field.")
+    machine_rng = np.random.default_rng([parameters.machine, 1])
+    friction = by_gearing(spec, parameters.joint_friction, parameters.joint_friction_extra_stage)
+    friction = friction * (1 + parameters.friction_spread * machine_rng.uniform(-1, 1, spec.num_joints))
+    offset = parameters.encoder_offset * machine_rng.uniform(-1, 1, spec.num_joints)
+
+    joints = [root.find("joint", name) for name in spec.joint_names]
+    names = [joint.full_identifier for joint in joints]
+    trunk = root.find("body", spec.trunk_body).full_identifier
+    _motors_for_servos(root, joints)
+    _foot_sensors(root, spec)
+    root.option.timestep = parameters.physics_dt
+    root.option.integrator = "Euler"
+    root.option.cone = "elliptic"
+    root.option.impratio = parameters.contact_impratio
+    model = mujoco.MjModel.from_xml_string(root.to_xml_string(), {k: v for k, v in root.get_assets().items()})
+
+    # Damping is too small to need its implicit treatment, and without islands a step of one robot is cheaper.
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags |= flags.mjDSBL_EULERDAMP | flags.mjDSBL_ISLAND | flags.mjDSBL_MIDPHASE
+    dof = np.array([model.joint(name).dofadr[0] for name in names])
+    qpos = np.array([model.joint(name).qposadr[0] for name in names])
+    model.dof_armature[dof] *= parameters.armature_scale
+    model.dof_frictionloss[dof] = friction
+    model.dof_damping[dof] = parameters.joint_damping
+    body = model.body(trunk).id
+    model.body_mass[body] *= parameters.trunk_mass_scale
+    model.body_inertia[body] *= parameters.trunk_mass_scale
+    model.body_ipos[body] += (parameters.com_shift_x, parameters.com_shift_y, parameters.com_shift_z)
+    model.geom_solref[:, 0] = parameters.contact_time
+    floor = model.geom_bodyid == 0
+    model.geom_friction[floor, 0] = parameters.floor_friction
+    model.geom_priority[floor] = 1  # the floor's friction decides, whatever the feet say
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+
+    standing = model.qpos0.copy()
+    standing[2] = spec.base_height
+    standing[qpos] = spec.default_pose
+    return Machine(
+        model=model,
+        spec=spec,
+        joint_qpos=columns(qpos),
+        joint_dof=columns(dof),
+        touch=columns(np.array([model.sensor(f"twin_touch_{i}").adr[0] for i in range(len(spec.foot_sites))])),
+        foot_velocity=columns(np.array([model.sensor(f"twin_velocity_{i}").adr[0] + 2 for i in range(len(spec.foot_sites))])),
+        foot_mass=effective_foot_mass(model, standing, len(spec.foot_sites)),
+        friction=friction,
+        gear_loss=by_gearing(spec, parameters.gear_loss, parameters.gear_loss_extra_stage),
+        encoder_offset=offset,
+        standing=standing,
+        standing_torque=statics(model, standing, len(spec.foot_sites))[dof],
+        total_mass=float(model.body_mass.sum()),
+    )
+
+
+def _motors_for_servos(root, joints: list) -> None:
+    """Position servos become plain torque motors in joint order: the twin does its own motor control."""
+    for sensor in root.find_all("sensor"):  # sensors of the robot's own model; the twin has other ones
+        sensor.remove()
+    for actuator in root.find_all("actuator"):
+        actuator.remove()
+    for joint in joints:
+        root.actuator.add("motor", name=joint.name, joint=joint, ctrllimited=False)
+
+
+def _foot_sensors(root, spec: RobotSpec) -> None:
+    """Normal force on and velocity of each foot."""
+    for index, name in enumerate(spec.foot_sites):
+        site = root.find("site", name)
+        size = float(np.max(site.size)) if site.size is not None else 0.03
+        zone = site.parent.add("site", name=f"twin_foot_{index}", pos=site.pos, size=[TOUCH_ZONE * size])
+        root.sensor.add("touch", name=f"twin_touch_{index}", site=zone)
+        root.sensor.add("framelinvel", name=f"twin_velocity_{index}", objtype="site", objname=zone)
+
+
+def effective_foot_mass(model: mujoco.MjModel, qpos: np.ndarray, num_feet: int) -> np.ndarray:
+    """m_e = 1 / (J_z M^-1 J_z^T) of each foot, kg (F,): what a foot weighs to the floor that it hits."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    masses = np.empty(num_feet)
+    jacobian, rotation, solved = np.zeros((3, model.nv)), np.zeros((3, model.nv)), np.zeros((1, model.nv))
+    for foot in range(num_feet):
+        mujoco.mj_jacSite(model, data, jacobian, rotation, model.site(f"twin_foot_{foot}").id)
+        mujoco.mj_solveM(model, data, solved, jacobian[2:3])
+        masses[foot] = 1.0 / float(jacobian[2] @ solved[0])
+    return masses
+
+
+def statics(model: mujoco.MjModel, qpos: np.ndarray, num_feet: int) -> np.ndarray:
+    """Generalised forces that hold a pose on its feet, (nv,), those of the free trunk being zero.
+
+    Feet push straight up, with the smallest sum of squares that carries the weight and keeps the trunk level:
+    tau = g(q) - sum_i J_zi^T f_i, f the minimum-norm solution of the trunk's six equations.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    rows, rotation = np.zeros((num_feet, model.nv)), np.zeros((3, model.nv))
+    for foot in range(num_feet):
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, jacobian, rotation, model.site(f"twin_foot_{foot}").id)
+        rows[foot] = jacobian[2]
+    force = np.linalg.lstsq(rows[:, :6].T, data.qfrc_bias[:6], rcond=None)[0]
+    return data.qfrc_bias - rows.T @ force

@@ -1,0 +1,211 @@
+"""Runs sessions on a batch of twins, side by side, and makes recordings of what a real robot would give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from hts.channels import Channel
+from hts.contracts import Instrument, Robot
+from hts.errors import PolicyError
+from hts.recordings.recording import Recording, Series
+from hts.worlds.base import Operator, commands
+from hts.worlds.twin.dynamics import Dynamics
+from hts.worlds.twin.model import Machine, build
+from hts.worlds.twin.parameters import TwinSettings
+from hts.worlds.twin.programme import Block, Session
+from hts.worlds.twin.sensors import Sensors
+
+FALLEN_TILT = -0.5  # projected gravity z: 60 degrees
+FALLEN_HEIGHT = 0.4  # of the trunk, as a share of its height in the default pose
+
+Progress = Callable[[float], None]
+
+
+class Standing:
+    """The robot's own stand mode for W robots: holds the default pose, with the torque of standing fed forward."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._targets = np.array(machine.spec.default_pose) + machine.standing_torque / np.array(machine.spec.kp)
+
+    def start(self, num: int) -> None:
+        self._num = num
+
+    def reset(self, mask: np.ndarray) -> None:
+        """There is nothing to forget."""
+
+    def targets(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Joint targets (W, J), rad."""
+        return np.tile(self._targets, (self._num, 1))
+
+
+class Batch:
+    """W robots of one make, on which W sessions run side by side. Closes with `close`."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        settings: TwinSettings,
+        instruments: Mapping[str, Instrument],
+        num_worlds: int,
+        seeds: np.random.SeedSequence,
+    ) -> None:
+        self.robot, self.spec, self.settings, self.instruments = robot, robot.spec, settings, instruments
+        self.machine = build(robot, settings.dynamics)
+        self.body = Dynamics(self.machine, settings.dynamics, num_worlds, settings.threads)
+        sensor_seed, *instrument_seeds = seeds.spawn(1 + len(instruments))
+        self.sensors = Sensors(settings.sensors, self.body, settings.dynamics.machine, np.random.default_rng(sensor_seed))
+        for instrument, seed in zip(instruments.values(), instrument_seeds, strict=True):
+            instrument.reset(num_worlds, np.random.default_rng(seed))
+        self.operator = Operator(num_worlds)
+        self.period = 1 / self.spec.control_rate_hz
+        self.steps = round(self.period / settings.dynamics.physics_dt)
+        self._ticks = 0  # control steps since switching on
+        step = settings.sensors.scale_resolution
+        self.mass_kg = round(round(self.machine.total_mass / step) * step, 4)
+
+    def run(self, sessions: Sequence[Session], world: str, progress: Progress | None = None) -> list[list[Recording]]:
+        """Recordings of each session, in the order of its blocks. Sessions must have blocks of the same lengths."""
+        recordings: list[list[Recording]] = [[] for _ in sessions]
+        done, total = 0.0, sessions[0].seconds
+        for blocks in zip(*(session.blocks for session in sessions), strict=True):
+            share = blocks[0].schedule.seconds / total
+            tape = self._run_block(blocks, lambda x, d=done, s=share: progress(d + s * x) if progress else None)
+            done += share
+            if blocks[0].settle:
+                for instrument in self.instruments.values():
+                    instrument.settle()
+            for number, (block, session) in enumerate(zip(blocks, sessions, strict=True)):
+                if block.recorded:
+                    recordings[number].append(tape.recording(number, block, session.id, self, world))
+        return recordings
+
+    def _run_block(self, blocks: Sequence[Block], progress: Progress) -> Tape:
+        told = np.stack([commands(block.schedule, self.spec.control_rate_hz) for block in blocks])  # (W, T, 3)
+        crew = Crew(self.machine, [block.policy for block in blocks])
+        self.body.set_gains(crew.kp, crew.kd)
+        tape = Tape(self, told.shape[1], crew)
+        for step in range(told.shape[1]):
+            readings = self.sensors.read(self.period)
+            readings["command"] = self.operator.command(told[:, step], self.body.heading())
+            readings["joint_target"] = crew.targets(readings)
+            for instrument in self.instruments.values():
+                readings.update(instrument.read())
+            fell = self._fallen(readings)
+            tape.write(step, self._ticks * self.period, readings, fell)
+            if fell.any():  # picked up and set down again, and the show goes on
+                self.body.stand(fell)
+                self.operator.forget(fell)
+                crew.reset(fell)
+                readings["joint_target"][fell] = self.spec.default_pose
+            self.body.advance(readings["joint_target"], self.steps, tuple(self.instruments.values()))
+            self._ticks += 1
+            if step % 50 == 0:
+                progress(step / told.shape[1])
+        return tape
+
+    def _fallen(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Robots (W,) that lie on their side, have collapsed, or whose physics broke down."""
+        low = self.body.qpos[:, 2] < FALLEN_HEIGHT * self.spec.base_height
+        return low | (readings["projected_gravity"][:, 2] > FALLEN_TILT) | self.body.diverged()
+
+    def close(self) -> None:
+        self.body.close()
+
+
+class Crew:
+    """The controllers of a block: robots with the same policy share one. hashes: of each robot's policy; kp, kd (W, J)."""
+
+    def __init__(self, machine: Machine, policies: Sequence[str | None]) -> None:
+        self._machine, self._spec = machine, machine.spec
+        self._members = {p: np.flatnonzero([q == p for q in policies]) for p in dict.fromkeys(policies)}
+        self._controllers = {path: self._controller(path) for path in self._members}
+        for path, worlds in self._members.items():
+            self._controllers[path].start(len(worlds))
+        cards = [None if path is None else self._controllers[path].card for path in policies]
+        self.hashes = [card.policy_hash if card else "" for card in cards]
+        self.kp = np.array([card.kp if card else self._spec.kp for card in cards], dtype=float)
+        self.kd = np.array([card.kd if card else self._spec.kd for card in cards], dtype=float)
+
+    def targets(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Joint targets of all robots (W, J), rad. Raises PolicyError for a policy that gives something not finite."""
+        targets = np.empty_like(readings["joint_position"])
+        for path, worlds in self._members.items():
+            own = readings if len(worlds) == len(targets) else {name: values[worlds] for name, values in readings.items()}
+            targets[worlds] = self._controllers[path].targets(own)
+        if not np.isfinite(targets).all():
+            bad = next(p for p, worlds in self._members.items() if not np.isfinite(targets[worlds]).all())
+            raise PolicyError(f"{bad}: gives a joint target that is not a finite number. Nothing was recorded; export it again.")
+        return targets
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Forget the past of the robots of the mask (W,)."""
+        for path, worlds in self._members.items():
+            if mask[worlds].any():
+                self._controllers[path].reset(mask[worlds])
+
+    def _controller(self, path: str | None):
+        if path is None:
+            return Standing(self._machine)
+        from hts.policies.deploy import DeployedPolicy
+
+        policy = DeployedPolicy(path)
+        if tuple(policy.card.joint_names) != tuple(self._spec.joint_names):
+            raise PolicyError(f"{path}: made for robot '{policy.card.robot}', this twin is a '{self._spec.name}'.")
+        return policy
+
+
+class Tape:
+    """What is written down of W robots during a block of T control steps."""
+
+    def __init__(self, batch: Batch, length: int, crew: Crew) -> None:
+        self._length, self._crew = length, crew
+        self.channels: dict[str, Channel] = dict(batch.robot.channels())
+        for instrument in batch.instruments.values():
+            self.channels |= {channel.name: channel for channel in instrument.channels}
+        self._values: dict[str, np.ndarray] = {}
+        self._time = np.empty(length)
+        self._falls = np.zeros(len(crew.hashes), dtype=int)
+
+    def write(self, step: int, time: float, readings: Mapping[str, np.ndarray], fell: np.ndarray) -> None:
+        """One control step of all robots: channel -> (W, *shape)."""
+        if not self._values:
+            self._values = {
+                name: np.empty((len(fell), self._length, *channel.shape), dtype=np.float32)
+                for name, channel in self.channels.items()
+                if name in readings
+            }
+        for name, values in self._values.items():
+            values[:, step] = readings[name]
+        self._time[step] = time
+        self._falls += fell
+
+    def recording(self, number: int, block: Block, session: str, batch: Batch, world: str) -> Recording:
+        """The recording of one robot."""
+        idle: dict[str, float] = {}
+        for instrument in batch.instruments.values():
+            idle |= instrument.idle()
+        spec, falls = batch.spec, int(self._falls[number])
+        notes = {"unsteady_seconds": f"{batch.settings.unsteady_seconds:g}", "falls": str(falls)}
+        return Recording(
+            robot=spec.name,
+            world=world,
+            policy_hash=self._crew.hashes[number],
+            iteration=0,
+            joint_names=spec.joint_names,
+            kp=tuple(self._crew.kp[number].tolist()),
+            kd=tuple(self._crew.kd[number].tolist()),
+            rate_hz=spec.control_rate_hz,
+            schedule=block.schedule,
+            idle=idle,
+            clock="simulated",
+            time=self._time,
+            channels={name: Series(self.channels[name], values[number]) for name, values in self._values.items()},
+            mass_kg=batch.mass_kg,
+            session=session,
+            block=block.index,
+            role=block.role,
+            fell=falls > 0,
+            notes=notes,
+        )

@@ -1,0 +1,1 @@
+"""Stepping noise as an objective of hard-to-sim."""

@@ -1,0 +1,1 @@
+"""Battery power as an objective of hard-to-sim."""

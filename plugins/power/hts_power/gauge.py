@@ -1,0 +1,205 @@
+"""The instrument `gauge`: what the battery management of a simulated robot shows, from the physics of its drives.
+
+Per step and joint: copper, iron and inverter losses on top of tau * q'; all joints share a bus, whose sum the
+battery delivers; windings and housings warm up and stay warm when policies are swapped; the gauge averages, delays,
+rounds and holds. docs/twin.md gives every formula with its number.
+
+Steps are collected and worked through in one go when somebody looks, because numpy on (K, W, J) arrays costs
+hardly more than on (W, J).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hts.channels import Channel
+from hts.contracts import Instrument, PhysicsSample, Robot, RobotSpec, Settings
+from hts.errors import WorldError
+from hts_power import drive_train
+from hts_power.battery import Battery
+from hts_power.gauge_parameters import GaugeParameters
+
+ENERGIES = ("idle", "mechanical", "copper", "iron", "inverter", "bus", "battery")
+CHUNK = 64  # steps worked through together at most
+
+
+def make_gauge(settings: Settings, robot: Robot) -> BatteryGauge:
+    """The factory of instrument `gauge`. Raises WorldError for a robot whose motors are unknown."""
+    return BatteryGauge(GaugeParameters.model_validate(dict(settings)), robot.spec)
+
+
+class BatteryGauge(Instrument):
+    """Battery current, voltage, charge and motor temperatures of W robots.
+
+    battery_current is positive when discharging; the register of a real gauge is negative then, readers turn it round.
+    """
+
+    def __init__(self, parameters: GaugeParameters, spec: RobotSpec) -> None:
+        if spec.motors is None:
+            raise WorldError(
+                f"Robot '{spec.name}' gives no motor constants (RobotSpec.motors), which the instrument 'gauge' needs "
+                "to turn torque into current. Add them, or use another instrument."
+            )
+        self.p, self.spec = parameters, spec
+        self.channels = (
+            Channel("battery_current", "A", (), "drawn from the pack, positive when discharging"),
+            Channel("battery_voltage", "V", (), "of the pack, sum of its cells"),
+            Channel("state_of_charge", "%", (), "of the pack", may_be_constant=True),
+            Channel("motor_temperature", "degC", (spec.num_joints,), "of each motor's housing", may_be_constant=True),
+        )
+        self._constant = np.array(spec.motors.torque_constant)
+        self._ratio = np.array(spec.motors.gear_ratio)
+        self._coefficient = drive_train.copper_coefficient(parameters.phase_resistance, self._constant)
+        self.reset(1, np.random.default_rng(0))
+
+    def reset(self, num_worlds: int, rng: np.random.Generator) -> None:
+        p, joints = self.p, (num_worlds, self.spec.num_joints)
+        self._rng = rng
+        self._battery = self._new_battery(num_worlds)
+        self.winding = np.full(joints, p.start_temperature)
+        self.housing = np.full(joints, p.start_temperature)
+        self._count, self._dt = 0, 0.0
+        self._torque, self._speed = np.empty((CHUNK, *joints)), np.empty((CHUNK, *joints))
+        self._history = np.empty((0, num_worlds))
+        self._steps = 0
+        self._shown = self._register(self._battery.current)
+        self._shown_voltage = self._battery.voltage
+        self.energy = {name: np.zeros(num_worlds) for name in ENERGIES}
+        """J since reset, (W,): what only a simulator knows. For calibration, never recorded."""
+        self.seconds = 0.0
+        self._since_settle()
+
+    def step(self, sample: PhysicsSample) -> None:
+        self._torque[self._count] = sample.motor_torque
+        self._speed[self._count] = sample.joint_velocity
+        self._count += 1
+        self._dt = sample.dt
+        if self._count == CHUNK:
+            self._work()
+
+    def read(self) -> Mapping[str, np.ndarray]:
+        self._work()
+        return {
+            "battery_current": self._shown,
+            # cells are reported in whole millivolts
+            "battery_voltage": np.round(1000 * self._shown_voltage / self.p.cells) * self.p.cells / 1000,
+            "state_of_charge": np.round(100 * self._battery.state_of_charge),
+            "motor_temperature": np.round(self.housing),
+        }
+
+    def idle(self) -> Mapping[str, float]:
+        """As read off over a minute: noise averages out, gain and offset do not."""
+        battery = self._new_battery(1)
+        reading = (1 + self.p.gain_error) * battery.current[0] - self.p.offset
+        return {"battery_current": float(reading), "battery_voltage": float(battery.voltage[0])}
+
+    def settle(self) -> None:
+        """Steady heat for the mean tau^2 and iron loss since reset or the last settle, and steady polarisation.
+
+        Raises WorldError if the windings would warm up without end.
+        """
+        self._work()
+        if self._settle_seconds == 0:
+            return
+        p = self.p
+        winding, housing = drive_train.steady_temperatures(
+            self._torque_squared / self._settle_seconds, self._iron / self._settle_seconds,
+            self._coefficient, p.ambient, p.winding_resistance, p.housing_resistance,
+        )  # fmt: skip
+        if not np.isfinite(winding).all():
+            joint = self.spec.joint_names[int(np.argwhere(~np.isfinite(winding))[0][1])]
+            raise WorldError(
+                f"The motor of {joint} would overheat: its windings find no steady temperature under the mean torque "
+                "of the warm-up. Warm up with a policy that needs less torque, or at a lower speed."
+            )
+        self.winding, self.housing = winding, housing
+        self._battery.settle(self._charge / self._settle_seconds)
+        self._since_settle()
+
+    def describe(self) -> Mapping[str, Any]:
+        return self.p.model_dump(mode="json")
+
+    # ------------------------------------------------------------------------------------------ inside
+
+    def _new_battery(self, num: int) -> Battery:
+        p = self.p
+        return Battery(
+            num, p.state_of_charge, p.cells, 3600 * p.capacity, p.pack_resistance, p.polarisation_resistance,
+            p.polarisation_seconds, p.bus_capacitance, p.idle_power,
+        )  # fmt: skip
+
+    def _since_settle(self) -> None:
+        self._torque_squared = np.zeros_like(self.winding)
+        self._iron = np.zeros_like(self.winding)
+        self._charge = np.zeros(len(self.winding))
+        self._settle_seconds = 0.0
+
+    def _work(self) -> None:
+        """Work through the steps collected so far."""
+        count, self._count = self._count, 0
+        if count == 0:
+            return
+        p, dt = self.p, self._dt
+        torque, speed = self._torque[:count], self._speed[:count]  # (K, W, J)
+        squared = np.square(torque)
+        mechanical = torque * speed
+        copper = self._coefficient * (1 + drive_train.COPPER_TEMPERATURE * (self.winding - 25.0)) * squared
+        iron = drive_train.iron_power(self._ratio * speed, p.hysteresis, p.eddy)
+        inverter = drive_train.inverter_power(
+            np.abs(torque) / self._constant, self._battery.voltage[:, None], p.switch_resistance,
+            p.switching_seconds, p.dead_seconds, p.switching_frequency, p.diode_voltage,
+        )  # fmt: skip
+        bus = drive_train.bus_power(p.idle_power, mechanical + copper + iron + inverter, p.regeneration)
+        current = self._battery.deliver(bus, dt)
+
+        seconds = count * dt
+        mean_copper, mean_iron = copper.mean(axis=0), iron.mean(axis=0)
+        self._warm(mean_copper, mean_iron, seconds)
+        self._torque_squared += squared.sum(axis=0) * dt
+        self._iron += mean_iron * seconds
+        self._charge += current.sum(axis=0) * dt
+        self._settle_seconds += seconds
+        self._account(mechanical, mean_copper, mean_iron, inverter, bus, current, seconds)
+        self._sense(current, dt)
+
+    def _warm(self, copper: np.ndarray, iron: np.ndarray, seconds: float) -> None:
+        """(10) C_w T_w' = P_cu + P_fe/2 - (T_w - T_h)/R_wh; C_h T_h' = (T_w - T_h)/R_wh - (T_h - T_a)/R_ha."""
+        p = self.p
+        inner = (self.winding - self.housing) / p.winding_resistance
+        outer = (self.housing - p.ambient) / p.housing_resistance
+        self.winding = self.winding + seconds / p.winding_capacity * (copper + 0.5 * iron - inner)
+        self.housing = self.housing + seconds / p.housing_capacity * (inner - outer)
+
+    def _account(self, mechanical, copper, iron, inverter, bus, current, seconds) -> None:
+        self.energy["idle"] += self.p.idle_power * seconds
+        self.energy["mechanical"] += mechanical.mean(axis=0).sum(axis=-1) * seconds
+        self.energy["copper"] += copper.sum(axis=-1) * seconds
+        self.energy["iron"] += iron.sum(axis=-1) * seconds
+        self.energy["inverter"] += inverter.mean(axis=0).sum(axis=-1) * seconds
+        self.energy["bus"] += bus.mean(axis=0) * seconds
+        self.energy["battery"] += (current.mean(axis=0) * self._battery.voltage) * seconds
+        self.seconds += seconds
+
+    def _sense(self, current: np.ndarray, dt: float) -> None:
+        """(11) The register: mean over the window, as it was `delay` ago, at each update since the last look."""
+        p = self.p
+        window, late = max(1, round(p.window / dt)), round(p.delay / dt)
+        if len(self._history) < window + late:  # before the first step it had been idling
+            self._history = np.tile(self._new_battery(current.shape[1]).current, (window + late, 1))
+        self._history = np.concatenate([self._history[-(window + late) :], current])
+        every = max(1, round(1 / (p.update_rate * dt)))
+        for step in range(len(current)):
+            if (self._steps + step + 1) % every == 0:
+                end = window + step + 1  # counted back by `late` from the newest
+                self._shown = self._register(self._history[end - window : end].mean(axis=0))
+                self._shown_voltage = self._battery.voltage
+        self._steps += len(current)
+
+    def _register(self, current: np.ndarray) -> np.ndarray:
+        """A reading of a true current (W,), A, turned positive for discharge."""
+        p = self.p
+        reading = -(1 + p.gain_error) * current + p.offset + p.noise * self._rng.standard_normal(current.shape)
+        return -(np.round(reading / p.resolution) * p.resolution if p.resolution > 0 else reading)

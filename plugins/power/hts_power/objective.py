@@ -1,0 +1,116 @@
+"""The objective `power`: walk with less from the battery.
+
+Inputs are joint torque and joint velocity, the target is the current the battery's gauge shows: voltage hardly
+moves within a test, so current is the power (paper, section on energy). What counts in the end is measured on the
+robot: mean of current times voltage, less what the robot draws with its motors idle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field
+
+from hts.channels import Channel
+from hts.config import Config
+from hts.contracts import Comparison, Objective
+from hts_power.proxy import JOULE_COEFFICIENT, analytic_power
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+
+    from hts.evaluation.segments import Segments
+
+GRAVITY = 9.81  # m/s²
+
+
+class PowerSettings(Config):
+    """Settings of objective `power`."""
+
+    criterion: Literal["smaller", "net"] = Field(
+        "smaller",
+        description="what a candidate counts with: the smaller of its savings in net power and in cost of "
+        "transport (slower walking is no saving), or net power alone as in the paper",
+    )
+    weights: tuple[float, ...] = Field(
+        (0.5, 1.0, 5.0), min_length=1, description="λ swept, reward per second and standard deviation of current"
+    )
+    baseline_weights: tuple[float, ...] = Field(
+        (5e-5, 1e-4, 5e-4, 1e-3, 5e-3), min_length=1, description="λ swept with the analytic proxy, reward per joule"
+    )
+    joule_coefficient: float = Field(JOULE_COEFFICIENT, gt=0, description="r/k² of the analytic proxy, W/(N·m)²")
+    hidden: int = Field(64, ge=1, description="units of the measurement model")
+    products: bool = Field(
+        True, description="give the model τ², τq̇ and q̇² beside τ and q̇; false: the paper's inputs alone"
+    )
+
+
+class Power(Objective):
+    """Battery power, from battery current.
+
+    λ applies to r_real = −ẑ, where ẑ is the predicted current in standard deviations of the current in the data the
+    model was fitted on, per second. So λ = 1 says: one standard deviation less current is worth one unit of reward a
+    second, as much as perfect speed tracking (weight 1 in Rudin et al. 2022, whose weights are per second too). It
+    needs no other scale, and changes meaning as the data changes; its zero moves too, which reward centring absorbs.
+    """
+
+    name = "power"
+    unit = "1"
+    inputs = ("joint_torque", "joint_velocity")
+    target = Channel("battery_current", "A", (), "drawn from the pack, positive when discharging")
+    instrument = "battery_gauge"
+
+    def __init__(self, settings: PowerSettings | None = None) -> None:
+        self.settings = settings or PowerSettings()
+        self.weights = self.settings.weights
+        self.baseline_weights = self.settings.baseline_weights
+
+    def measurement_model(self) -> Any:
+        from hts.measurement.models import MeasurementModelConfig
+
+        return MeasurementModelConfig(
+            inputs=self.inputs, target=self.target.name, hidden=self.settings.hidden, products=self.settings.products
+        )
+
+    def reward(self, prediction: torch.Tensor) -> torch.Tensor:
+        """−ẑ, per second; with the analytic proxy, whose prediction is in W, −P."""
+        return -prediction
+
+    def score(self, segments: Segments) -> Mapping[str, np.ndarray]:
+        """gross_power W, net_power W and cost_of_transport (J per metre and newton of weight) of each segment."""
+        current, voltage = segments.values("battery_current"), segments.values("battery_voltage")
+        idle_power = segments.idle("battery_current") * segments.idle("battery_voltage")
+        gross = mean_power(current, voltage)
+        net = gross - idle_power
+        return {
+            "gross_power": gross,
+            "net_power": net,
+            "cost_of_transport": net / (segments.mass_kg * GRAVITY * segments.speed),
+        }
+
+    def compare(self, policy: Mapping[str, float], reference: Mapping[str, float]) -> Comparison:
+        """Savings as fractions of the reference's; what a candidate counts with is `settings.criterion`."""
+        metrics = {
+            "net_reduction": reduction(policy["net_power"], reference["net_power"]),
+            "gross_reduction": reduction(policy["gross_power"], reference["gross_power"]),
+            "cost_of_transport_reduction": reduction(policy["cost_of_transport"], reference["cost_of_transport"]),
+        }
+        net = metrics["net_reduction"]
+        smaller = min(net, metrics["cost_of_transport_reduction"])
+        return Comparison(net, smaller if self.settings.criterion == "smaller" else net, metrics)
+
+    def proxy(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Yang et al.'s analytic power, W; see `hts_power.proxy`."""
+        return analytic_power(channels["joint_torque"], channels["joint_velocity"], self.settings.joule_coefficient)
+
+
+def mean_power(current: np.ndarray, voltage: np.ndarray) -> np.ndarray:
+    """Mean electrical power over the last axis, W; current A and voltage V on one clock, (..., n) -> (...,)."""
+    return (current.astype(float) * voltage.astype(float)).mean(-1)
+
+
+def reduction(policy: float, reference: float) -> float:
+    """Saving as a fraction of the reference: 0.25 says a quarter less."""
+    return 1.0 - policy / reference

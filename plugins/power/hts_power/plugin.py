@@ -1,0 +1,50 @@
+"""Registers what this package offers. Imports nothing heavy: factories import what they make when they are called."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hts import hookimpl
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hts.contracts import Instrument, Objective, Robot, Settings
+
+HTS_API = 1
+
+
+def make_power(settings: Settings) -> Objective:
+    """Objective `power`: battery power, from the current that the battery's own gauge shows."""
+    from hts_power.objective import Power, PowerSettings
+
+    return Power(PowerSettings.model_validate(dict(settings)))
+
+
+def make_battery_gauge(settings: Settings, robot: Robot) -> Instrument:
+    """Instrument `battery_gauge`: drive train, shared bus, battery and gauge of a simulated robot."""
+    from hts_power.gauge import make_gauge
+
+    return make_gauge(settings, robot)
+
+
+def make_calibrate_twin() -> Callable[..., Any]:
+    """Command `calibrate-twin`: the table of the simulated robot against its calibration anchors."""
+    from hts_power.calibration import calibrate_twin
+
+    return calibrate_twin
+
+
+@hookimpl
+def hts_objectives(register):
+    register("power", make_power)
+
+
+@hookimpl
+def hts_instruments(register):
+    register("battery_gauge", make_battery_gauge)
+
+
+@hookimpl
+def hts_commands(register):
+    register("calibrate-twin", make_calibrate_twin)

@@ -1,0 +1,20 @@
+"""Registers the robot `go1`. Imports nothing heavy."""
+
+from __future__ import annotations
+
+from hts import hookimpl
+
+HTS_API = 1
+
+
+def make_go1(settings):
+    """The Go1 with `settings` of `hts_go1.robot.Go1Settings`."""
+    from hts_go1.robot import Go1, Go1Settings
+
+    return Go1(Go1Settings(**dict(settings)))
+
+
+@hookimpl
+def hts_robots(register):
+    """Offer the Go1."""
+    register("go1", make_go1)

@@ -1,0 +1,73 @@
+"""The robot `go1` as hts sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from hts.channels import Channel, standard_channels
+from hts.contracts import JointMotors, Robot, RobotSpec
+from hts_go1 import constants as c
+
+POLICIES = Path(__file__).parent / "policies"
+
+
+class Go1Settings(BaseModel):
+    """Settings of the robot `go1`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    policy: Path | None = Field(None, description="a pretrained policy (.safetensors) instead of the shipped one")
+
+
+def per_joint(values: Mapping[str, float]) -> tuple[float, ...]:
+    """One value per joint, in joint order, from one per part."""
+    return tuple(values[part] for _ in c.LEGS for part in c.PARTS)
+
+
+SPEC = RobotSpec(
+    name="go1",
+    joint_names=c.JOINT_NAMES,
+    default_pose=per_joint(c.DEFAULT_POSE),
+    kp=(c.KP,) * 12,
+    kd=(c.KD,) * 12,
+    action_scale=(c.ACTION_SCALE,) * 12,
+    torque_limit=per_joint(c.TORQUE_LIMIT),
+    velocity_limit=per_joint(c.VELOCITY_LIMIT),
+    position_limit=tuple(c.POSITION_LIMIT[part] for _ in c.LEGS for part in c.PARTS),
+    control_rate_hz=c.CONTROL_RATE_HZ,
+    physics_dt=c.PHYSICS_DT,
+    substeps=c.SUBSTEPS,
+    base_height=c.BASE_HEIGHT,
+    trunk_body="trunk",
+    foot_sites=tuple(f"{leg}_foot" for leg in c.LEGS),
+    motors=JointMotors(
+        torque_constant=per_joint(c.TORQUE_CONSTANT),
+        gear_ratio=per_joint(c.GEAR_RATIO),
+        phase_resistance_ohm=(c.PHASE_RESISTANCE_OHM,) * 12,
+    ),
+)
+
+
+class Go1(Robot):
+    """Unitree Go1: 12 joints, 13.1 kg, velocity task."""
+
+    spec = SPEC
+
+    def __init__(self, settings: Go1Settings) -> None:
+        self.settings = settings
+
+    def mjcf(self):
+        """A fresh MJCF tree of robot and floor."""
+        from hts_go1.model import build
+
+        return build()
+
+    def channels(self) -> Mapping[str, Channel]:
+        """Sim channels of a Go1: 12 joints, 4 feet."""
+        return standard_channels(num_joints=12, num_feet=4)
+
+    def pretrained_policy(self) -> Path | None:
+        """The shipped policy, or the one of the settings."""
+        return self.settings.policy or POLICIES / "pretrained.safetensors"

@@ -1,0 +1,310 @@
+"""The command line: what it lists, how it ends, and what it says when something is wrong."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import json
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+import typer
+
+from hts.cli.commands import COMMANDS
+from hts.cli.main import main
+from hts.cli.one_line import disk_fault
+from hts.errors import RunError, WaitingForRobot
+
+FAKES = """
+from hts import hookimpl
+HTS_API = 1
+
+class Thing:
+    def __init__(self, settings): self.settings = settings
+
+@hookimpl
+def hts_objectives(register): register("fake", Thing)
+
+@hookimpl
+def hts_robots(register): register("hopper", Thing)
+"""
+
+
+@pytest.fixture
+def fakes(install):
+    return install("lab", {"lab_plugin": FAKES}, {"lab": "lab_plugin"})
+
+
+@pytest.fixture
+def fake_run(monkeypatch):
+    """Stands in for hts.run, which is tested elsewhere: remembers what it was called with, and may raise."""
+    module = types.ModuleType("hts.run")
+    module.calls = []
+    module.error = None
+
+    def start_run(config, out, *, dry_run=False):
+        module.calls.append((config, out, dry_run))
+        if module.error:
+            raise module.error
+
+    module.start_run = start_run
+    module.resume_run = lambda folder: module.calls.append(folder)
+    monkeypatch.setitem(sys.modules, "hts.run", module)
+    return module
+
+
+RUN = ["run", "--objective", "fake", "--robot", "hopper"]
+
+
+def one_line_of(capsys) -> str:
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1, err
+    return err
+
+
+def test_help_lists_every_command_and_imports_none_of_them():
+    code = (
+        "import sys\nfrom hts.cli.main import main\nmain(['--help'])\n"
+        "heavy = [n for n in ('torch', 'mujoco', 'numpy', 'rich', 'pydantic') if n in sys.modules]\n"
+        "print(heavy, [n for n in sys.modules if n.startswith('hts.cli.')], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    for name, (module, line) in COMMANDS.items():
+        assert f"  {name} " in done.stdout
+        assert line[:40] in done.stdout
+        assert f"'{module}'" not in done.stderr
+    assert done.stderr.startswith("[] ")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_and_imports_nothing_heavy(name):
+    code = f"import sys\nfrom hts.cli.main import main\nmain([{name!r}, '--help'])\nassert 'torch' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"Usage: hts {name}")
+
+
+def test_no_arguments_show_the_help(capsys):
+    assert main([]) == 0
+    assert capsys.readouterr().out.startswith("Usage: hts")
+
+
+def test_the_version_is_shown(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("hts 0.")
+
+
+def test_a_misspelt_command_is_answered_with_the_closest(capsys):
+    assert main(["confg"]) == 2
+    assert one_line_of(capsys).startswith("error: No command named 'confg'. Did you mean 'config'?")
+
+
+def test_a_misspelt_option_ends_in_one_line(capsys):
+    assert main(["run", "--objectve", "x"]) == 2
+    assert "--objective" in one_line_of(capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "closest"),
+    [
+        (["--objective", "faek", "--robot", "hopper"], "fake"),
+        (["--objective", "fake", "--robot", "hoper"], "hopper"),
+        (["--objective", "fake", "--robot", "hopper", "--preset", "smoek"], "smoke"),
+        (["--objective", "fake", "--robot", "hopper", "--set", "finetune.num_env=3"], "num_envs"),
+    ],
+)
+def test_a_misspelt_name_ends_in_one_line_with_the_closest(fakes, fake_run, capsys, arguments, closest):
+    assert main(["run", *arguments]) == 2
+    assert f"Did you mean '{closest}'?" in one_line_of(capsys)
+    assert fake_run.calls == []
+
+
+def test_a_run_goes_into_a_folder_named_after_it(fakes, fake_run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([*RUN, "--seed", "3"]) == 0
+    ((config, folder, dry_run),) = fake_run.calls
+    assert (folder, dry_run) == (Path("runs/fake-hopper-quick-3"), False)
+    assert config.reward_source == "model"
+
+
+def test_the_baseline_is_a_run_with_the_proxy(fakes, fake_run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["baseline", "--objective", "fake", "--robot", "hopper"]) == 0
+    ((config, folder, _),) = fake_run.calls
+    assert (config.reward_source, folder) == ("proxy", Path("runs/fake-hopper-proxy-quick-0"))
+
+
+def test_a_folder_with_a_run_in_it_asks_for_resume_or_another(fakes, fake_run, tmp_path, capsys):
+    (tmp_path / "config.yaml").write_text("")
+    assert main([*RUN, "--out", str(tmp_path)]) == 2
+    line = one_line_of(capsys)
+    assert f"hts resume {tmp_path}" in line and "--out" in line
+    assert fake_run.calls == []
+
+
+def test_a_folder_with_anything_else_in_it_asks_for_another(fakes, fake_run, tmp_path, capsys):
+    (tmp_path / "thesis.tex").write_text("")
+    assert main([*RUN, "--out", str(tmp_path)]) == 2
+    assert "--out" in one_line_of(capsys)
+    assert fake_run.calls == []
+
+
+def test_an_empty_folder_is_taken(fakes, fake_run, tmp_path):
+    assert main([*RUN, "--out", str(tmp_path)]) == 0
+    assert len(fake_run.calls) == 1
+
+
+def test_a_dry_run_may_look_at_a_folder_that_is_taken(fakes, fake_run, tmp_path):
+    (tmp_path / "config.yaml").write_text("")
+    assert main([*RUN, "--out", str(tmp_path), "--dry-run"]) == 0
+    assert fake_run.calls[0][2] is True
+
+
+def test_resume_wants_a_run_folder(fake_run, tmp_path, capsys):
+    assert main(["resume", str(tmp_path / "nowhere")]) == 2
+    assert "there is no such folder" in one_line_of(capsys)
+    assert main(["resume", str(tmp_path)]) == 2
+    assert "no config.yaml" in one_line_of(capsys)
+    (tmp_path / "config.yaml").write_text("")
+    assert main(["resume", str(tmp_path)]) == 0
+    assert fake_run.calls == [tmp_path]
+
+
+def test_ctrl_c_says_how_to_go_on(fakes, fake_run, tmp_path, capsys):
+    def start_run(config, out, *, dry_run=False):
+        (out / "config.yaml").write_text("")
+        raise KeyboardInterrupt
+
+    fake_run.start_run = start_run
+    assert main([*RUN, "--out", str(tmp_path)]) == 130
+    assert f"`hts resume {tmp_path}` goes on" in capsys.readouterr().err
+
+
+def test_waiting_for_the_robot_is_not_an_error(fakes, fake_run, tmp_path, capsys):
+    fake_run.error = WaitingForRobot("Now walk the robot, then: hts resume here")
+    assert main([*RUN, "--out", str(tmp_path)]) == 75
+    assert one_line_of(capsys) == "Now walk the robot, then: hts resume here\n"
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.EROFS, "read-only"),
+        (errno.EACCES, "no permission"),
+        (errno.ENOSPC, "the disk is full"),
+    ],
+)
+def test_a_disk_that_cannot_be_written_names_the_file_and_what_to_do(
+    fakes, fake_run, tmp_path, capsys, number, words
+):
+    fake_run.error = OSError(number, "system text", "/somewhere/data.zarr")
+    assert main([*RUN, "--out", str(tmp_path)]) == 2
+    line = one_line_of(capsys)
+    assert line.startswith("error: /somewhere/data.zarr: ") and words in line
+    assert f"`hts resume {tmp_path}` goes on" in line
+
+
+def test_a_full_disk_that_names_no_file_names_the_run_folder(fakes, fake_run, tmp_path, capsys):
+    fake_run.error = OSError(errno.ENOSPC, "No space left on device")
+    main([*RUN, "--out", str(tmp_path)])
+    assert one_line_of(capsys).startswith(f"error: {tmp_path}: the disk is full")
+
+
+def test_a_full_disk_is_seen_through_the_error_of_a_library():
+    try:
+        try:
+            raise OSError(errno.ENOSPC, "No space left on device", "/data/file")
+        except OSError as error:
+            raise RuntimeError("could not serialise") from error
+    except RuntimeError as error:
+        assert disk_fault(error).startswith("/data/file: the disk is full")
+    assert disk_fault(RuntimeError("I/O error: No space left on device (os error 28)"), Path("run")).startswith("run: ")
+    assert disk_fault(RuntimeError("something else")) is None
+    assert disk_fault(FileNotFoundError(errno.ENOENT, "gone", "file")) is None
+
+
+def test_a_bug_keeps_its_traceback(fakes, fake_run, tmp_path):
+    fake_run.error = ZeroDivisionError("ours")
+    with pytest.raises(ZeroDivisionError):
+        main([*RUN, "--out", str(tmp_path)])
+
+
+def test_debugging_shows_the_traceback_of_a_users_error_too(fakes, fake_run, tmp_path, monkeypatch):
+    monkeypatch.setenv("HTS_DEBUG", "1")
+    fake_run.error = RunError("half-written")
+    with pytest.raises(RunError):
+        main([*RUN, "--out", str(tmp_path)])
+
+
+def test_config_show_prints_what_a_run_would_use(fakes, capsys):
+    arguments = ["config", "show", *RUN[1:], "--preset", "smoke", "--set", "world.dynamics.trunk_mass_scale=1.08"]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert "preset: smoke" in out
+    assert "trunk_mass_scale: 1.08" in out
+
+
+def test_config_schema_is_json(capsys):
+    assert main(["config", "schema"]) == 0
+    assert json.loads(capsys.readouterr().out)["properties"]["seed"]["type"] == "integer"
+
+
+def test_plugins_lists_everything_and_what_broke(fakes, install, capsys):
+    install("stranger", {"stranger": "import no_such_library"}, {"odd": "stranger"})
+    assert main(["plugins"]) == 0
+    out = capsys.readouterr().out
+    for words in ("twin", "field", "hierarchical", "csv", "hopper", "lab", "stranger (odd): ModuleNotFoundError"):
+        assert words in out
+    assert main(["plugins", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert {"name": "hopper", "package": "lab", "summary": ""} in data["robots"]
+    assert data["broken"] == [
+        {
+            "entry_point": "odd",
+            "package": "stranger",
+            "reason": "ModuleNotFoundError: No module named 'no_such_library'",
+        }
+    ]
+
+
+COMMAND = '''
+from hts import hookimpl
+HTS_API = 1
+
+@hookimpl
+def hts_commands(register): register("weigh", make)
+
+def make():
+    """Say what a robot weighs."""
+    def weigh(kilograms: float, pounds: bool = False) -> None:
+        """Say it."""
+        print(kilograms * 2 if pounds else kilograms)
+    return weigh
+'''
+
+
+def test_a_plugin_may_bring_a_command(install, capsys):
+    install("scales", {"scales": COMMAND}, {"scales": "scales"})
+    assert main(["--help"]) == 0
+    assert "Say what a robot weighs. [scales]" in capsys.readouterr().out
+    assert main(["weigh", "3.5", "--pounds"]) == 0
+    assert capsys.readouterr().out == "7.0\n"
+
+
+def test_help_works_when_two_plugins_quarrel_and_says_so(install, capsys):
+    install("scales", {"scales": COMMAND}, {"scales": "scales"})
+    install("balance", {"balance": COMMAND}, {"balance": "balance"})
+    assert main(["--help"]) == 0
+    assert "Two commands are named 'weigh'" in " ".join(capsys.readouterr().out.split())
+    assert main(["plugins"]) == 2
+    assert "balance" in one_line_of(capsys)
+
+
+def test_the_table_of_commands_and_the_modules_agree():
+    for name, (module, _) in COMMANDS.items():
+        loaded = importlib.import_module(module)
+        assert isinstance(getattr(loaded, "app", None), typer.Typer) or loaded.command.__doc__, name

@@ -1,0 +1,209 @@
+"""Presets, config files, options and --set, down to one frozen configuration."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from pydantic import ValidationError
+
+from hts.config import RunConfig
+from hts.config_loading import check_names, dump_config, load_config, merged, read_config
+from hts.errors import ConfigError
+from hts.plugins import Entry, Registry
+from hts.presets import BASELINES, PRESETS
+
+
+def fake_config(**given) -> RunConfig:
+    return load_config(**{"objectives": ["fake"], "robot": "hopper", **given})
+
+
+def refusal(**given) -> str:
+    with pytest.raises(ConfigError) as caught:
+        fake_config(**given)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def write(folder: Path, text: str) -> Path:
+    file = folder / "mine.yaml"
+    file.write_text(text)
+    return file
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_is_a_whole_configuration(preset):
+    config = fake_config(preset=preset)
+    assert config.preset == preset
+    assert config.world.name == "twin"
+    assert config.selection.selector.name == "hierarchical"
+    fake_config(preset=preset, reward_source="proxy")
+    assert preset in BASELINES
+
+
+def test_quick_is_where_a_run_starts_from():
+    assert fake_config().preset == "quick"
+
+
+def test_the_paper_preset_has_the_numbers_of_the_paper():
+    config = fake_config(preset="paper")
+    assert config.iterations == 4
+    assert config.selection.elites == 6
+    assert config.sweep.kl_bounds == (0.2, 0.5, 1.0)
+    assert len(config.sweep.anchors) == 2
+    assert config.world.settings["block_seconds"] == 80.0  # two blocks each: 160 s per policy
+    assert config.evaluation.speeds == (0.5, 0.8, 1.1)
+    assert (config.engine, config.finetune.num_envs) == ("warp", 1024)
+
+
+def test_the_baseline_of_the_paper_has_as_many_samples_and_tests_as_the_method():
+    method, baseline = fake_config(preset="paper"), fake_config(preset="paper", reward_source="proxy")
+    assert baseline.iterations * baseline.selection.elites == method.iterations * method.selection.elites == 24
+    assert baseline.finetune.steps == method.iterations * method.finetune.steps
+    assert baseline.sweep.kl_bounds == (0.1, 0.2, 0.5, 1.0, 5.0, math.inf)
+
+
+def test_later_sources_win(tmp_path):
+    file = write(tmp_path, "seed: 5\niterations: 7\nfinetune: {num_envs: 3}\n")
+    assert fake_config(file=file).seed == 5
+    assert fake_config(file=file, seed=6).seed == 6
+    assert fake_config(file=file, seed=6, overrides=["seed=8"]).seed == 8
+    config = fake_config(preset="smoke", file=file)
+    assert (config.iterations, config.finetune.num_envs) == (7, 3)
+    assert config.finetune.steps == PRESETS["smoke"]["finetune"]["steps"]  # merged key by key
+
+
+def test_the_preset_of_a_file_counts_unless_another_is_asked_for(tmp_path):
+    file = write(tmp_path, "preset: smoke\n")
+    assert fake_config(file=file).preset == "smoke"
+    assert fake_config(file=file, preset="paper").preset == "paper"
+
+
+def test_set_reaches_nested_settings_of_a_plugin():
+    config = fake_config(overrides=["world.dynamics.trunk_mass_scale=1.08", "objectives.fake.gain=2"])
+    assert config.world.settings["dynamics"] == {"trunk_mass_scale": 1.08}
+    assert config.objectives == {"fake": {"gain": 2}}
+
+
+def test_set_reads_lists_and_infinity_as_yaml():
+    assert fake_config(overrides=["sweep.kl_bounds=[0.5, .inf]"]).sweep.kl_bounds == (0.5, math.inf)
+
+
+def test_settings_of_an_objective_come_from_the_file_and_the_choice_from_the_command_line(tmp_path):
+    file = write(tmp_path, "objectives: {fake: {gain: 2}, other: {}}\n")
+    assert fake_config(file=file).objectives == {"fake": {"gain": 2}}
+    assert set(fake_config(file=file, objectives=[]).objectives) == {"fake", "other"}
+
+
+def test_another_world_drops_the_settings_of_the_first():
+    assert fake_config(world="field").world.settings == {}
+
+
+def test_the_same_world_keeps_its_settings():
+    assert fake_config(world="twin").world.settings["block_seconds"] == PRESETS["quick"]["world"]["block_seconds"]
+
+
+def test_merging_leaves_both_sides_as_they_were():
+    base, over = {"a": {"b": 1}}, {"a": {"c": 2}}
+    assert merged(base, over) == {"a": {"b": 1, "c": 2}}
+    assert (base, over) == ({"a": {"b": 1}}, {"a": {"c": 2}})
+
+
+def test_presets_are_not_changed_by_runs():
+    before = repr(PRESETS)
+    fake_config(overrides=["finetune.ppo.horizon=3", "world.dynamics.x=1"])
+    assert repr(PRESETS) == before
+
+
+def test_a_dumped_configuration_reads_back_equal(tmp_path):
+    config = fake_config(overrides=["sweep.kl_bounds=[0.5, .inf]", "world.dynamics.trunk_mass_scale=1.08"])
+    file = tmp_path / "config.yaml"
+    file.write_text(dump_config(config))
+    assert read_config(file) == config
+
+
+def test_nothing_edits_a_configuration():
+    with pytest.raises(ValidationError):
+        fake_config().seed = 3
+
+
+def test_a_misspelt_preset_is_answered_with_the_closest():
+    assert refusal(preset="smok").startswith("No preset named 'smok'. Did you mean 'smoke'?")
+
+
+def test_a_misspelt_key_of_set_is_answered_with_the_closest():
+    assert refusal(overrides=["finetune.num_env=3"]).startswith(
+        "--set finetune.num_env: there is no key 'num_env' in finetune. Did you mean 'num_envs'?"
+    )
+
+
+def test_a_misspelt_key_of_a_file_names_the_file(tmp_path):
+    file = write(tmp_path, "finetune: {ppo: {clipp: 0.3}}\n")
+    assert refusal(file=file).startswith(f"{file}: finetune.ppo.clipp: ")
+    assert "Did you mean 'clip'?" in refusal(file=file)
+
+
+def test_a_misspelt_key_inside_a_list_is_found():
+    message = refusal(overrides=["collection.schedule.commands=[{seconds: 3, vx: 0.3, yawrate: 2}]"])
+    assert "Did you mean 'yaw_rate'?" in message
+
+
+def test_a_value_of_the_wrong_kind_is_shown():
+    assert "found 'many'" in refusal(overrides=["finetune.num_envs=many"])
+    assert "found -1" in refusal(overrides=["finetune.num_envs=-1"])
+
+
+def test_a_key_inside_a_value_is_refused():
+    assert "'iterations' is a value, it has no keys inside" in refusal(overrides=["iterations.more=1"])
+
+
+def test_set_without_a_value_is_refused():
+    assert "expected KEY=VALUE" in refusal(overrides=["finetune.num_envs"])
+
+
+def test_set_for_an_objective_that_is_not_in_the_run_is_refused():
+    assert "Did you mean 'fake'?" in refusal(overrides=["objectives.fakee.gain=2"])
+
+
+def test_a_file_that_is_not_yaml_is_named_with_the_line(tmp_path):
+    file = write(tmp_path, "seed: 1\na: b: c\n")
+    assert refusal(file=file).startswith(f"{file}:2: not YAML")
+
+
+def test_a_missing_file_is_named(tmp_path):
+    assert "nowhere.yaml: cannot read this config file" in refusal(file=tmp_path / "nowhere.yaml")
+
+
+def test_a_run_needs_an_objective_and_a_robot():
+    assert "--objective NAME" in refusal(objectives=[])
+    assert "--robot NAME" in refusal(robot=None)
+
+
+def registry() -> Registry:
+    def entry(name: str) -> dict[str, Entry]:
+        return {name: Entry(name, lambda *given: SimpleNamespace(close=lambda: None), "lab")}
+
+    return Registry(
+        robots=entry("hopper"), objectives=entry("fake"), worlds=entry("twin"), selectors=entry("hierarchical")
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"objectives": ["fkae"]}, "No objective named 'fkae'. Did you mean 'fake'?"),
+        ({"robot": "hoper"}, "No robot named 'hoper'. Did you mean 'hopper'?"),
+        ({"world": "twni"}, "No world named 'twni'. Did you mean 'twin'?"),
+        ({"engine": "wrap"}, "No engine named 'wrap'. Did you mean 'warp'?"),
+        ({"executor": "locl"}, "No executor named 'locl'. Did you mean 'local'?"),
+        ({"overrides": ["selection.selector.name=hierarchic"]}, "Did you mean 'hierarchical'?"),
+        ({"overrides": ["sweep.weights={faek: [1]}"]}, "Did you mean 'fake'?"),
+    ],
+)
+def test_a_misspelt_name_is_answered_with_the_closest(given, message):
+    check_names(fake_config(), registry())
+    with pytest.raises(ConfigError) as caught:
+        check_names(fake_config(**given), registry())
+    assert message in str(caught.value)

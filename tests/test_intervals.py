@@ -1,0 +1,227 @@
+"""Head-to-heads and their intervals, on worlds with known answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hts.config import EvaluationConfig
+from hts.contracts import Comparison
+from hts.errors import EvaluationError
+from hts.evaluation.final import candidate_result, final_entry, head_to_heads, segment_scores
+from hts.evaluation.head_to_head import TooFewSegments, compare
+from hts.evaluation.intervals import interval, lag_one_correlation, variance_of_mean
+from hts.testing.known_worlds import CostObjective, known_head_to_head, known_recording
+
+OBJECTIVE = CostObjective()
+QUICK = EvaluationConfig(bootstrap=200)
+
+
+def saving(policy: np.ndarray, reference: np.ndarray) -> float:
+    return float(1 - policy[0] / reference[0])
+
+
+def coverage(worlds: int, truth: float = 0.2, **world) -> float:
+    """Share of simulated head-to-heads of an 8 against a 10 whose interval holds the true saving."""
+    hits = 0
+    for seed in range(worlds):
+        costs = [
+            recording.channels["cost"].values[20::10] for recording in known_head_to_head(8.0, 10.0, seed=seed, **world)
+        ]
+        blocks = [cost[:, None].astype(float) for cost in costs]  # after two seconds of settling, one number a second
+        low, high = interval(saving, [blocks[0], blocks[3]], [blocks[1], blocks[2]], resamples=400, seed=seed)
+        hits += low <= truth <= high
+    return hits / worlds
+
+
+def test_an_eight_against_a_ten_is_a_saving_of_twenty_percent():
+    result = compare(OBJECTIVE, known_head_to_head(8.0, 10.0), QUICK)
+    assert result.improvement == pytest.approx(0.2)
+    assert result.improvement_ci95 == pytest.approx((0.2, 0.2), abs=1e-6)
+    assert (len(result.policy_segments), result.falls, result.valid) == (76, 0, 1.0)
+    assert result.mean_speed == pytest.approx(0.8)
+
+
+def test_idle_is_subtracted_from_net_but_not_from_gross():
+    result = compare(OBJECTIVE, known_head_to_head(8.0, 10.0, idle=5.0), QUICK)
+    assert result.improvement == pytest.approx(0.2)
+    assert result.comparison.metrics["gross_reduction"] == pytest.approx(1 - 13 / 15)
+
+
+def test_a_steady_drift_cancels_in_abba_but_not_in_abab():
+    # all rises by 4 over four blocks of 40 s; in A-B-A-B the policy's blocks come 40 s earlier, which is worth 1
+    abba = compare(OBJECTIVE, known_head_to_head(10.0, 10.0, drift=4.0), QUICK)
+    abab = compare(OBJECTIVE, known_head_to_head(10.0, 10.0, drift=4.0, order="ABAB"), QUICK)
+    assert abba.improvement == pytest.approx(0.0, abs=1e-6)
+    reference = abab.reference_scores["net_cost"].mean()
+    assert abab.improvement == pytest.approx(1.0 / reference, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("block_seconds", "correlation"), [(20, 0.0), (20, 0.5), (40, 0.6), (80, 0.0), (80, 0.5), (80, 0.8)]
+)
+def test_the_interval_holds_the_truth_about_nineteen_times_in_twenty(block_seconds, correlation):
+    # 300 worlds: the standard deviation of this share is 1.3 %
+    share = coverage(300, block_seconds=block_seconds, correlation=correlation, noise=0.08)
+    assert 0.90 <= share <= 0.99
+
+
+def test_a_drift_does_not_make_the_interval_overconfident():
+    # a rise by 1 in all adds 0.5 to both means: 8.5 against 10.5
+    share = coverage(200, truth=1 - 8.5 / 10.5, block_seconds=40, correlation=0.5, noise=0.05, drift=1.0)
+    assert share >= 0.90
+
+
+def test_resampling_single_segments_would_be_overconfident():
+    # what the batches are for: were the correlation taken as zero, the interval would hold the truth far too rarely
+    hits = 0
+    for seed in range(200):
+        costs = [
+            r.channels["cost"].values[20::10]
+            for r in known_head_to_head(8.0, 10.0, seed=seed, noise=0.08, correlation=0.8)
+        ]
+        shuffled = [np.random.default_rng(seed).permutation(cost)[:, None].astype(float) for cost in costs]
+        low, high = interval(saving, [shuffled[0], shuffled[3]], [shuffled[1], shuffled[2]], resamples=200, seed=seed)
+        hits += low <= 0.2 <= high
+    assert hits / 200 < 0.75
+
+
+def test_more_alike_neighbours_give_a_wider_interval():
+    widths = []
+    for correlation in (0.0, 0.8):
+        low, high = compare(
+            OBJECTIVE, known_head_to_head(8.0, 10.0, noise=0.05, correlation=correlation), QUICK
+        ).improvement_ci95
+        widths.append(high - low)
+    assert widths[1] > 1.5 * widths[0]
+
+
+def test_the_same_seed_gives_the_same_interval_and_another_one_another():
+    recordings = known_head_to_head(8.0, 10.0, noise=0.05)
+    first, again, other = (compare(OBJECTIVE, recordings, QUICK, seed).improvement_ci95 for seed in (1, 1, 2))
+    assert first == again != other
+
+
+def test_the_order_in_which_recordings_come_does_not_matter():
+    recordings = known_head_to_head(8.0, 10.0, noise=0.05)
+    assert compare(OBJECTIVE, recordings, QUICK).entry() == compare(OBJECTIVE, recordings[::-1], QUICK).entry()
+
+
+def test_the_variance_of_a_mean_of_neighbours_is_as_on_paper():
+    assert variance_of_mean(4, 0.0) == pytest.approx(1 / 4)
+    # two neighbours with correlation 1/2: (1 + 1 + 2·1/2) / 4
+    assert variance_of_mean(2, 0.5) == pytest.approx(3 / 4)
+    # three: (3 + 2·(1/2 + 1/2 + 1/4)) / 9
+    assert variance_of_mean(3, 0.5) == pytest.approx(5.5 / 9)
+
+
+def test_the_lag_one_correlation_of_a_known_series_is_found():
+    costs = [
+        r.channels["cost"].values[::10]
+        for r in known_head_to_head(1.0, 1.0, block_seconds=500, noise=0.1, correlation=0.6)
+    ]
+    assert lag_one_correlation(costs) == pytest.approx(0.6, abs=0.05)
+    assert lag_one_correlation([np.ones(20)]) == 0.0
+
+
+def test_one_segment_each_leaves_no_interval():
+    one = [np.array([[1.0]])]
+    assert interval(saving, one, one) is None
+
+
+def test_single_segments_of_several_blocks_still_give_one():
+    low, high = interval(
+        saving, [np.array([[8.0]]), np.array([[8.4]])], [np.array([[10.0]]), np.array([[10.2]])], seed=1
+    )
+    assert low < 1 - 8.2 / 10.1 < high
+
+
+def test_too_few_valid_segments_are_refused_in_one_line():
+    recordings = known_head_to_head(8.0, 10.0)
+    slow = [r if r.role == "reference" else known_recording([8.0] * 40, speed=0.6, block=r.block) for r in recordings]
+    with pytest.raises(
+        EvaluationError, match=r"^Head-to-head at 0.8 m/s: 0 of 76 segments of the policy are valid"
+    ) as error:
+        compare(OBJECTIVE, slow, QUICK)
+    assert "\n" not in str(error.value)
+
+
+def test_a_short_head_to_head_is_refused_even_if_all_of_it_is_valid():
+    with pytest.raises(TooFewSegments, match="6 of 6 segments"):
+        compare(OBJECTIVE, known_head_to_head(8.0, 10.0, block_seconds=5), QUICK)
+
+
+def test_a_head_to_head_without_reference_is_refused():
+    with pytest.raises(EvaluationError, match="no recording has the role 'reference'"):
+        compare(OBJECTIVE, [known_recording([1.0] * 40)], QUICK)
+
+
+def test_two_commanded_speeds_at_once_are_refused():
+    recordings = known_head_to_head(8.0, 10.0) + known_head_to_head(8.0, 10.0, vx=0.5)
+    with pytest.raises(EvaluationError, match="command 0.5, 0.8 m/s"):
+        compare(OBJECTIVE, recordings, QUICK)
+
+
+def test_a_reference_that_costs_nothing_is_refused():
+    with pytest.raises(EvaluationError, match="cannot compare .* division by zero"):
+        compare(OBJECTIVE, known_head_to_head(8.0, 0.0), QUICK)
+
+
+def test_an_improvement_that_is_not_a_number_is_refused_and_named():
+    class Undefined(CostObjective):
+        def compare(self, policy, reference):
+            return Comparison(float("nan"), 0.0)
+
+    with pytest.raises(EvaluationError, match="'improvement' of the comparison is nan"):
+        compare(Undefined(), known_head_to_head(8.0, 10.0), QUICK)
+
+
+def test_falls_of_the_policy_are_counted_apart_from_the_reference_s():
+    recordings = known_head_to_head(8.0, 10.0)
+    recordings[0] = known_recording([8.0] * 40, block=0, fell_at=30.0)
+    entry = compare(OBJECTIVE, recordings, QUICK).entry()
+    assert (entry["falls"], entry["reference"]["falls"]) == (1, 0)
+    assert entry["segments"] == 38 + 27
+
+
+def test_the_final_entry_has_the_keys_of_the_summary():
+    entry = final_entry(OBJECTIVE, {0.8: known_head_to_head(8.0, 10.0)}, QUICK)
+    assert entry["unit"] == "1"
+    speed = entry["speeds"]["0.8"]
+    assert {"improvement", "improvement_ci95", "segments", "falls", "mean_speed", "metrics"} <= set(speed)
+    assert len(speed["improvement_ci95"]) == 2
+
+
+def test_several_speeds_are_compared_each_for_itself():
+    recordings = known_head_to_head(8.0, 10.0, vx=0.5) + known_head_to_head(9.0, 10.0, vx=1.0)
+    results = head_to_heads(OBJECTIVE, recordings, QUICK)
+    assert {speed: round(result.improvement, 6) for speed, result in results.items()} == {0.5: 0.2, 1.0: 0.1}
+    scores = segment_scores(results)
+    assert scores["1.0"]["policy"]["net_cost"] == pytest.approx([9.0] * 76)
+
+
+def test_a_candidate_gets_its_entry_and_its_comparison():
+    result = candidate_result("c1", {"cost": OBJECTIVE}, known_head_to_head(8.0, 10.0), QUICK)
+    assert result.entry["cost"]["0.8"]["improvement"] == pytest.approx(0.2)
+    assert result.tested.comparisons["cost"].selection_score == pytest.approx(0.2)
+    assert (result.tested.fell, result.refused) == (False, None)
+
+
+def test_a_candidate_that_does_not_walk_is_a_result_and_not_an_error():
+    recordings = known_head_to_head(8.0, 10.0)
+    recordings = [
+        r if r.role == "reference" else known_recording([8.0] * 40, speed=0.0, block=r.block) for r in recordings
+    ]
+    result = candidate_result("c1", {"cost": OBJECTIVE}, recordings, QUICK)
+    assert result.entry is None and result.tested is None
+    assert result.refused.startswith("c1: Head-to-head at 0.8 m/s: 0 of 76")
+
+
+def test_a_reference_that_does_not_walk_stops_everything():
+    recordings = known_head_to_head(8.0, 10.0)
+    recordings = [
+        r if r.role == "policy" else known_recording([8.0] * 40, speed=0.0, block=r.block, role="reference")
+        for r in recordings
+    ]
+    with pytest.raises(TooFewSegments, match="reference policy"):
+        candidate_result("c1", {"cost": OBJECTIVE}, recordings, QUICK)

@@ -1,0 +1,192 @@
+"""The registry, tried with packages made inside each test."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from hts import hookspecs
+from hts.errors import ConfigError, PluginError
+from hts.plugins import KINDS, load
+
+HEAD = "from hts import hookimpl\nHTS_API = 1\n"
+
+
+def offering(kind: str, name: str, factory: str = "lambda *given: given") -> str:
+    return f"{HEAD}\n@hookimpl\ndef hts_{kind}(register):\n    register({name!r}, {factory})\n"
+
+
+def one_of(kind: str, install, name: str = "thing"):
+    install("stranger", {"stranger": offering(kind, name)}, {"stranger": "stranger"})
+    return getattr(load(), kind)[name]
+
+
+def test_hook_objectives(install):
+    entry = one_of("objectives", install)
+    assert (entry.name, entry.package) == ("thing", "stranger")
+    assert load().make_objective("thing", {"a": 1}) == ({"a": 1},)
+
+
+def test_hook_robots(install):
+    one_of("robots", install)
+    assert load().make_robot("thing") == ({},)
+
+
+def test_hook_worlds(install):
+    one_of("worlds", install)
+    assert load().make_world("thing", {"a": 1}, "context") == ({"a": 1}, "context")
+
+
+def test_hook_instruments(install):
+    one_of("instruments", install)
+    assert load().make_instrument("thing", {}, "robot") == ({}, "robot")
+
+
+def test_hook_selectors(install):
+    one_of("selectors", install)
+    assert load().make_selector("thing", {}) == ({},)
+
+
+def test_hook_log_readers(install):
+    one_of("log_readers", install)
+    assert load().make_log_reader("thing") == ({},)
+
+
+def test_hook_commands(install):
+    assert one_of("commands", install).factory() == ()
+
+
+def test_every_hook_is_a_kind_of_the_registry_and_has_a_test():
+    hooks = {name for name in vars(hookspecs) if name.startswith("hts_")}
+    assert hooks == {f"hts_{kind}" for kind in KINDS}
+    assert hooks <= {name.replace("test_hook_", "hts_") for name in globals() if name.startswith("test_hook_")}
+
+
+def test_every_hook_has_a_manual_page():
+    for kind in KINDS:
+        text = getattr(hookspecs, f"hts_{kind}").__doc__
+        assert "register(name, factory)" in text
+
+
+def test_the_core_comes_in_by_the_same_door():
+    registry = load()
+    assert {"twin", "field"} <= set(registry.worlds)
+    assert registry.worlds["twin"].package == registry.selectors["hierarchical"].package == "hard-to-sim"
+    assert registry.log_readers["csv"].package == "hard-to-sim"
+
+
+def test_two_plugins_of_one_name_stop_with_both_packages_named(install):
+    install("first-lab", {"first_lab": offering("robots", "spot")}, {"a": "first_lab"})
+    install("second-lab", {"second_lab": offering("robots", "spot")}, {"b": "second_lab"})
+    with pytest.raises(PluginError, match=r"robots are named 'spot'.*first-lab.*second-lab"):
+        load()
+
+
+def test_one_plugin_offering_a_name_twice_is_named(install):
+    source = offering("robots", "spot") + "    register('spot', dict)\n"
+    install("first-lab", {"first_lab": source}, {"a": "first_lab"})
+    with pytest.raises(PluginError, match="first-lab offers two robots named 'spot'"):
+        load()
+
+
+def test_a_robot_and_an_objective_may_share_a_name(install):
+    source = offering("robots", "heat") + "\n@hookimpl\ndef hts_objectives(register):\n    register('heat', dict)\n"
+    install("warm", {"warm": source}, {"warm": "warm"})
+    registry = load()
+    assert "heat" in registry.robots and "heat" in registry.objectives
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        ("import no_such_library", "ModuleNotFoundError: No module named 'no_such_library'"),
+        ("def (", "SyntaxError"),
+        ("raise RuntimeError('two\\nlines')", "RuntimeError: two lines"),
+        ("x = 1", "does not say which version of the hooks"),
+        ("HTS_API = 99", "stranger was written for version 99 of the hooks, this hts has version 1"),
+        (HEAD + "@hookimpl\ndef hts_robot(register): pass", "hts_robot"),  # misspelt: pluggy alone would accept it
+        (HEAD + "@hookimpl\ndef hts_robots(registry): pass", "registry"),
+        (HEAD + "@hookimpl\ndef hts_robots(register): register('spot', 'no factory')", "something to call"),
+        (HEAD + "@hookimpl\ndef hts_robots(register): register('', dict)", "needs a name"),
+        (offering("robots", "spot") + "    1 / 0", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_broken_plugin_is_kept_with_its_reason_and_the_others_go_on(install, source, reason):
+    install("stranger", {"stranger": source}, {"odd": "stranger"})
+    registry = load()
+    (broken,) = [broken for broken in registry.broken if broken.package == "stranger"]
+    assert broken.entry_point == "odd"
+    assert reason in broken.reason
+    assert "\n" not in broken.reason
+    assert "twin" in registry.worlds
+
+
+def test_nothing_is_kept_of_what_a_broken_plugin_offered(install):
+    install("stranger", {"stranger": offering("robots", "spot") + "    1 / 0"}, {"odd": "stranger"})
+    assert "spot" not in load().robots
+
+
+def test_an_unknown_name_is_answered_with_the_closest(install):
+    install("lab", {"lab": offering("robots", "spot")}, {"lab": "lab"})
+    with pytest.raises(ConfigError, match=r"^No robot named 'spto'\. Did you mean 'spot'\?"):
+        load().make_robot("spto")
+
+
+def test_an_unknown_name_points_to_plugins_that_could_not_be_loaded(install):
+    install("stranger", {"stranger": "import no_such_library"}, {"odd": "stranger"})
+    with pytest.raises(ConfigError, match="Could not be loaded: stranger; `hts plugins` says why"):
+        load().make_objective("heat")
+
+
+SETTINGS = """
+from pydantic import BaseModel, ConfigDict, Field
+
+class Legs(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    length: float = Field(1.0, gt=0)
+
+class Settings(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    colour: str = "yellow"
+    legs: Legs = Legs()
+
+def make(settings):
+    return Settings(**settings)
+"""
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"color": "red"}, r"Settings of robot 'spot' \(from lab\): color: .*Did you mean 'colour'\?"),
+        ({"legs": {"lenght": 2.0}}, r"legs\.lenght: .*Did you mean 'length'\?"),
+        ({"legs": {"length": -2.0}}, r"legs\.length: should be greater than 0, found -2\.0"),
+    ],
+)
+def test_wrong_settings_name_the_key_the_package_and_the_closest_key(install, settings, message):
+    install("lab", {"lab": offering("robots", "spot", "make") + SETTINGS}, {"lab": "lab"})
+    registry = load()
+    assert registry.make_robot("spot", {"colour": "red"}).colour == "red"
+    with pytest.raises(ConfigError, match=message):
+        registry.make_robot("spot", settings)
+
+
+def test_loading_the_registry_imports_nothing_heavy():
+    code = (
+        "import sys\nfrom hts.plugins import load\nregistry = load()\n"
+        "print([name for name in ('torch', 'mujoco', 'matplotlib', 'zarr') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_an_entry_point_without_a_distribution_is_named_by_its_module():
+    def fail():
+        raise ImportError("gone")
+
+    point = SimpleNamespace(name="x", value="somewhere.plugin", dist=None, load=fail)
+    (broken,) = load([point]).broken
+    assert (broken.package, broken.reason) == ("somewhere.plugin", "ImportError: gone")

@@ -1,0 +1,109 @@
+"""The objective `power`: its reward, its score, what a candidate counts with, its analytic stand-in."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from pydantic import ValidationError
+
+from hts.channels import Channel
+from hts.config import Command, ScheduleConfig
+from hts.evaluation.segments import cut
+from hts.recordings.recording import Recording, Series
+from hts_power import plugin
+from hts_power.objective import Power, PowerSettings
+from hts_power.proxy import analytic_power
+
+
+def recording(current, voltage, speed: float, seconds: int = 4) -> Recording:
+    """A robot of 10 kg at a constant speed, idle at 2 A and 15 V."""
+    count = 50 * seconds
+    base = np.zeros((count, 3))
+    base[:, 0] = speed
+    series = {
+        "base_velocity": Series(Channel("base_velocity", "m/s", (3,)), base),
+        "battery_current": Series(Channel("battery_current", "A"), np.resize(current, count)),
+        "battery_voltage": Series(Channel("battery_voltage", "V"), np.resize(voltage, count)),
+    }
+    return Recording(
+        robot="r", world="w", policy_hash="p", iteration=0, joint_names=(), kp=(), kd=(), rate_hz=50.0,
+        schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=0.8),)),
+        idle={"battery_current": 2.0, "battery_voltage": 15.0}, clock="simulated",
+        time=np.arange(count) / 50, channels=series, mass_kg=10.0,
+    )  # fmt: skip
+
+
+def test_net_power_is_mean_electrical_power_minus_idle():
+    score = Power().score(cut([recording([4.0, 6.0], [20.0, 20.0], 0.8)]))
+    assert score["gross_power"] == pytest.approx([100.0, 100.0])  # (4·20 + 6·20)/2
+    assert score["net_power"] == pytest.approx([70.0, 70.0])  # less 2 A · 15 V
+
+
+def test_power_is_the_mean_of_the_product_not_the_product_of_means():
+    score = Power().score(cut([recording([4.0, 6.0], [20.0, 10.0], 0.8)]))
+    assert score["gross_power"] == pytest.approx([70.0, 70.0])  # (80 + 60)/2, not 5·15 = 75
+
+
+def test_cost_of_transport_is_net_energy_per_metre_and_newton():
+    score = Power().score(cut([recording([5.0], [20.0], 0.75)]))
+    assert score["cost_of_transport"] == pytest.approx([70.0 / (10.0 * 9.81 * 0.75)] * 2)
+
+
+def comparison(settings: PowerSettings):
+    reference = {"gross_power": 100.0, "net_power": 80.0, "cost_of_transport": 1.0}
+    return Power(settings).compare({"gross_power": 80.0, "net_power": 60.0, "cost_of_transport": 0.9}, reference)
+
+
+def test_savings_are_fractions_of_the_reference():
+    metrics = comparison(PowerSettings()).metrics
+    assert metrics == pytest.approx({"net_reduction": 0.25, "gross_reduction": 0.2, "cost_of_transport_reduction": 0.1})
+
+
+def test_a_candidate_counts_with_the_smaller_saving_unless_net_is_chosen():
+    smaller, net = comparison(PowerSettings()), comparison(PowerSettings(criterion="net"))
+    assert smaller.improvement == net.improvement == pytest.approx(0.25)
+    assert smaller.selection_score == pytest.approx(0.1)
+    assert net.selection_score == pytest.approx(0.25)
+
+
+def test_less_current_is_more_reward():
+    assert Power().reward(torch.tensor([[2.0], [-0.5]])).tolist() == [[-2.0], [0.5]]
+
+
+def test_the_proxy_adds_mechanical_power_and_copper_loss_and_clips_each_joint_at_zero():
+    torque, velocity = torch.tensor([[2.0, 10.0, 1.0]]), torch.tensor([[3.0, 0.0, -5.0]])
+    # 2·3 + 0.3·4 = 7.2; 0.3·100 = 30; 1·(−5) + 0.3 < 0 -> 0
+    assert analytic_power(torque, velocity).tolist() == pytest.approx([37.2])
+    assert Power().proxy({"joint_torque": torque, "joint_velocity": velocity}).tolist() == pytest.approx([37.2])
+
+
+def test_the_sweeps_are_those_of_the_paper():
+    assert Power().weights == (0.5, 1.0, 5.0)
+    assert Power().baseline_weights == (5e-5, 1e-4, 5e-4, 1e-3, 5e-3)
+
+
+def test_settings_reach_the_measurement_model_and_wrong_ones_are_refused():
+    config = plugin.make_power({"hidden": 32, "products": False}).measurement_model()
+    assert (config.hidden, config.products, config.target) == (32, False, "battery_current")
+    with pytest.raises(ValidationError, match="criterion"):
+        plugin.make_power({"criterion": "gross"})
+    with pytest.raises(ValidationError, match="hiden"):
+        plugin.make_power({"hiden": 32})
+
+
+def test_importing_the_plugin_does_not_import_torch():
+    code = "import sys, hts_power.plugin; assert 'torch' not in sys.modules and 'mujoco' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_plugin_offers_what_it_says():
+    offered = {}
+    for hook in (plugin.hts_objectives, plugin.hts_instruments, plugin.hts_commands):
+        hook(register=lambda name, factory: offered.update({name: factory}))
+    assert sorted(offered) == ["battery_gauge", "calibrate-twin", "power"]
+    objective = offered["power"]({})
+    assert objective.instrument in offered and objective.target.unit == "A"

@@ -1,0 +1,252 @@
+"""The report of a run, made from a run folder with known contents."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from hts.contracts import Comparison
+from hts.errors import RunError
+from hts.report import wording, write_report
+from hts.report.data import read_run
+from hts.report.table import print_evaluation, print_table
+from hts.testing.example_run import write_example_run
+from hts.testing.known_worlds import CostObjective
+
+SMALL = {"iterations": 1, "bounds": (0.5, float("inf")), "weights": (1.0,), "elites": 2, "block_seconds": 20}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    write_example_run(folder, iterations=2, weights=(0.5, 5.0), bounds=(0.2, 1.0), elites=3, block_seconds=30)
+    write_report(folder)
+    return folder
+
+
+def page(folder: Path) -> str:
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def text(folder: Path) -> str:
+    """The page without tags and styles, white space as single spaces."""
+    body = re.sub(r"<style>.*?</style>", "", page(folder), flags=re.DOTALL)
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", body))
+
+
+def changed(folder: Path, change) -> Path:
+    """A small run whose summary was changed, reported."""
+    summary = write_example_run(folder, **SMALL)
+    change(summary)
+    (folder / "summary.json").write_text(json.dumps(summary))
+    write_report(folder)
+    return folder
+
+
+def test_the_page_shows_improvement_interval_speed_falls_and_segments_of_every_speed(run):
+    summary = json.loads((run / "summary.json").read_text())
+    shown = text(run)
+    for speed, result in summary["final"]["objectives"]["cost"]["speeds"].items():
+        low, high = (f"{100 * bound:.1f}" for bound in result["improvement_ci95"])
+        gross = f"{100 * result['metrics']['gross_reduction']:.1f} %"
+        row = f"{speed} m/s {100 * result['improvement']:.1f} % {low} to {high} % {gross} {float(speed):.2f} m/s"
+        assert row in shown
+    assert "0 56 (100 %)" in shown
+
+
+def test_the_page_needs_nothing_from_outside(run):
+    sources = re.findall(r'(?:src|href)="([^"]*)"', page(run))
+    assert sources and all(source.startswith("data:image/svg+xml;base64,") for source in sources)
+
+
+def test_the_tags_of_the_page_are_balanced(run):
+    class Balance(HTMLParser):
+        void = {"meta", "img", "br", "link"}
+
+        def __init__(self):
+            super().__init__()
+            self.open = []
+
+        def handle_starttag(self, tag, attrs):
+            if tag not in self.void:
+                self.open.append(tag)
+
+        def handle_endtag(self, tag):
+            assert self.open.pop() == tag
+
+    parser = Balance()
+    parser.feed(page(run))
+    assert parser.open == []
+
+
+def test_every_figure_is_there_as_svg_and_pdf(run):
+    names = {"improvement", "distribution", "iterations", "sweep", "measurement"}
+    assert {path.stem for path in (run / "figures").glob("*.svg")} == names
+    assert {path.stem for path in (run / "figures").glob("*.pdf")} == names
+    for name in names:
+        assert ET.parse(run / "figures" / f"{name}.svg").getroot().tag.endswith("svg")
+        assert (run / "figures" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_the_same_run_gives_the_same_files(run):
+    before = {path.name: path.read_bytes() for path in (run / "figures").iterdir()} | {"page": page(run).encode()}
+    write_report(run)
+    after = {path.name: path.read_bytes() for path in (run / "figures").iterdir()} | {"page": page(run).encode()}
+    assert [name for name in before if before[name] != after[name]] == []
+
+
+def test_every_figure_and_column_is_explained(run):
+    glossary = text(run).split("What the figures and numbers mean")[1]
+    for term in ("Improvement", "95 % interval", "Mean speed", "Falls", "Segment", "KL, c", "λ", "Score in simulation"):
+        assert term in glossary
+    for term in ("Held-out R²", "Rank correlation", "Segment by segment", "Candidate, elite"):
+        assert term in glossary
+
+
+def test_a_twin_is_called_simulated_and_a_robot_real(run, tmp_path):
+    assert "Simulated reality. No robot was involved" in text(run).replace("  ", " ")
+    write_example_run(tmp_path, world="field", **SMALL)
+    write_report(tmp_path)
+    assert "A real robot." in text(tmp_path) and "Simulated reality" not in text(tmp_path)
+
+
+def test_provenance_is_shown_and_a_long_diff_only_mentioned(run):
+    shown = text(run)
+    assert "versions / torch 2.13.0" in shown
+    assert "commit 4b1c0de" in shown
+    assert "diff 5 lines, in provenance.json" in shown
+
+
+def test_every_candidate_is_listed_with_its_bound(tmp_path):
+    write_example_run(tmp_path, **SMALL)
+    write_report(tmp_path)
+    assert "1-00 pretrained 1 0.5" in text(tmp_path)
+    assert "1-01 pretrained 1 ∞" in text(tmp_path)
+
+
+def test_a_candidate_that_was_refused_says_why(tmp_path):
+    def refuse(summary):
+        summary["iterations"][0]["candidates"][0].update(real=None, refused="1-00: 2 of 36 segments are valid")
+
+    shown = text(changed(tmp_path, refuse))
+    assert "refused" in shown and "1-00: 2 of 36 segments are valid" in shown
+
+
+def test_an_interval_around_zero_is_not_called_an_improvement(tmp_path):
+    def blur(summary):
+        for result in summary["final"]["objectives"]["cost"]["speeds"].values():
+            result["improvement_ci95"] = [-0.1, 0.4]
+
+    shown = text(changed(tmp_path, blur))
+    assert "improves cost" not in shown
+    assert "not clearly either at 0.5 and 0.8 and 1.1 m/s" in shown
+
+
+def test_falls_are_told_in_the_first_sentence(tmp_path):
+    def fall(summary):
+        summary["final"]["objectives"]["cost"]["speeds"]["0.8"]["falls"] = 2
+
+    assert "It fell 2 times." in text(changed(tmp_path, fall))
+
+
+def test_a_run_in_which_nothing_improved_still_has_a_page(tmp_path):
+    def nothing(summary):
+        summary["final"] = None
+        summary["iterations"][0]["best"] = None
+        for candidate in summary["iterations"][0]["candidates"]:
+            candidate.update(real=None, elite=False)
+
+    folder = changed(tmp_path, nothing)
+    assert "ended without a final head-to-head" in text(folder)
+
+
+def test_the_summary_alone_is_enough(tmp_path):
+    summary = write_example_run(tmp_path / "whole", **SMALL)
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    (alone / "summary.json").write_text(json.dumps(summary))
+    write_report(alone)
+    assert "provenance.json not there" in text(alone)
+    assert not (alone / "figures" / "distribution.svg").exists()
+
+
+def test_an_objective_in_decibels_is_shown_in_decibels(tmp_path):
+    class Level(CostObjective):
+        name, unit = "level", "dB"
+
+        def compare(self, policy, reference):
+            return Comparison(3.0, 3.0, {"peak": 4.0})
+
+    write_example_run(tmp_path, objective=Level(), **SMALL)
+    write_report(tmp_path)
+    assert "3.00 dB" in text(tmp_path) and "3.00 to 3.00 dB" in text(tmp_path)
+
+
+def test_a_later_evaluation_is_shown_beside_the_run_s_own(tmp_path):
+    summary = write_example_run(tmp_path, **SMALL)
+    result = {"policy": "best", "world": "other", "seed": 3, "objectives": summary["final"]["objectives"]}
+    (tmp_path / "evaluation.json").write_text(json.dumps(result))
+    write_report(tmp_path)
+    assert "policy best against pretrained on world other, seed 3" in text(tmp_path)
+
+
+def test_names_from_a_run_cannot_become_markup(tmp_path):
+    def rename(summary):
+        summary["robot"] = "<script>alert(1)</script>"
+
+    assert "<script>" not in page(changed(tmp_path, rename))
+
+
+def test_an_unfinished_run_says_how_to_go_on(tmp_path):
+    (tmp_path / "config.yaml").write_text("preset: quick\n")
+    with pytest.raises(RunError, match="not finished .* `hts resume"):
+        write_report(tmp_path)
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    with pytest.raises(RunError, match="holds no run"):
+        write_report(tmp_path)
+
+
+def test_a_summary_that_was_cut_off_is_named(tmp_path):
+    (tmp_path / "summary.json").write_text('{"objectives": [')
+    with pytest.raises(RunError, match="summary.json: cannot be read as JSON"):
+        read_run(tmp_path)
+
+
+def test_the_terminal_table_has_one_row_per_speed(run):
+    summary = json.loads((run / "summary.json").read_text())
+    console = Console(record=True, width=140, file=io.StringIO())
+    print_table(summary, console)
+    shown = console.export_text()
+    for speed, result in summary["final"]["objectives"]["cost"]["speeds"].items():
+        row = next(line for line in shown.splitlines() if f"{speed} m/s" in line)
+        assert f"{100 * result['improvement']:.1f} %" in row and "56" in row
+
+
+def test_the_terminal_table_says_when_there_is_nothing():
+    console = Console(record=True, width=100, file=io.StringIO())
+    print_table({"final": None}, console)
+    print_evaluation({"policy": "best", "world": "twin", "objectives": {}}, console)
+    assert console.export_text().count("nothing was compared") == 2
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "shown"),
+    [(0.182, "1", "18.2 %"), (-0.02, "1", "−2.0 %"), (3.214, "dB", "3.21 dB"), (None, "1", "–")],
+)
+def test_quantities_are_written_in_their_unit(value, unit, shown):
+    assert wording.quantity(value, unit) == shown
+
+
+def test_durations_and_names_read_as_words():
+    assert [wording.duration(s) for s in (12, 554.2, 7380)] == ["12 s", "9 min 14 s", "2 h 3 min"]
+    assert wording.label("cost_of_transport_reduction") == "Cost of transport reduction"
+    assert wording.weights({"a": 0.5}) == "0.5" and wording.weights({"a": 0.5, "b": 1.0}) == "0.5 a + 1 b"

@@ -1,0 +1,70 @@
+"""The `hierarchical` selector."""
+
+from __future__ import annotations
+
+import pytest
+
+from hts.contracts import Comparison, SimulatedCandidate
+from hts.contracts import TestedCandidate as Elite  # under its own name pytest takes it for a test class
+from hts.errors import ConfigError
+from hts.selection.hierarchical import make
+
+SELECTOR = make({})
+
+
+def simulated(name, score, falls=0, tracked=True):
+    return SimulatedCandidate(name, score, falls, tracked)
+
+
+def elite(name, *, fell=False, **scores):
+    return Elite(name, {objective: Comparison(score, score) for objective, score in scores.items()}, fell)
+
+
+def test_elites_are_the_best_by_score():
+    assert SELECTOR.elites([simulated("a", 1), simulated("b", 3), simulated("c", 2)], 2) == ["b", "c"]
+
+
+def test_a_candidate_that_falls_or_misses_the_speed_ranks_behind_all_others():
+    candidates = [simulated("falls", 9, falls=1), simulated("slow", 8, tracked=False), simulated("walks", -1)]
+    assert SELECTOR.elites(candidates, 3) == ["walks", "slow", "falls"]
+
+
+def test_a_score_that_is_not_a_number_ranks_last_of_all():
+    candidates = [simulated("nan", float("nan")), simulated("falls", 1, falls=5)]
+    assert SELECTOR.elites(candidates, 2) == ["falls", "nan"]
+
+
+def test_fewer_candidates_than_wanted_are_all_elites_and_ties_keep_their_order():
+    assert SELECTOR.elites([simulated("a", 1), simulated("b", 1)], 6) == ["a", "b"]
+
+
+def test_the_best_has_the_highest_selection_score():
+    assert SELECTOR.best([elite("a", x=0.1), elite("b", x=0.3), elite("c", x=0.2)]) == "b"
+
+
+def test_the_best_goes_by_selection_score_and_not_by_improvement():
+    slower = Elite("slower", {"x": Comparison(improvement=0.3, selection_score=0.05)}, False)
+    assert SELECTOR.best([slower, elite("honest", x=0.1)]) == "honest"
+
+
+def test_nothing_is_best_if_nothing_improves():
+    assert SELECTOR.best([elite("a", x=-0.1), elite("b", x=0.0)]) is None
+    assert SELECTOR.best([elite("a", x=float("nan"))]) is None
+    assert SELECTOR.best([]) is None
+
+
+def test_a_candidate_that_fell_is_not_the_best_unless_allowed():
+    candidates = [elite("fell", x=0.5, fell=True), elite("walks", x=0.1)]
+    assert SELECTOR.best(candidates) == "walks"
+    assert make({"allow_falls": True}).best(candidates) == "fell"
+
+
+def test_with_several_objectives_the_first_one_decides_or_the_one_named():
+    candidates = [elite("a", x=0.3, y=0.1), elite("b", x=0.1, y=0.3)]
+    assert SELECTOR.best(candidates) == "a"
+    assert make({"objective": "y"}).best(candidates) == "b"
+
+
+def test_naming_an_objective_that_does_not_run_is_refused():
+    with pytest.raises(ConfigError, match="No objective named 'yy'. Did you mean 'y'"):
+        make({"objective": "yy"}).best([elite("a", x=0.3, y=0.1)])
