@@ -53,14 +53,14 @@ class RandomisationConfig(Config):
 
     enabled: bool = Field(True, description="false: every world is the nominal one")
     friction: tuple[float, float] = Field((0.4, 1.2), description="sliding friction of the floor, 1")
-    added_mass: tuple[float, float] = Field((-1.0, 1.5), description="added to the trunk, kg")
+    added_mass: tuple[float, float] = Field((-1.0, 2.0), description="added to the trunk, kg")
     com_shift: tuple[float, float] = Field((-0.02, 0.02), description="of the trunk's centre of mass, each axis, m")
     strength: tuple[float, float] = Field((0.9, 1.1), description="factor on kp and kd, 1")
-    joint_friction: tuple[float, float] = Field((0.7, 2.0), description="factor on dry joint friction, 1")
+    joint_friction: tuple[float, float] = Field((0.7, 2.5), description="factor on dry joint friction, 1")
     joint_offset: tuple[float, float] = Field((-0.02, 0.02), description="encoder zero error, rad")
     push_speed: float = Field(0.5, ge=0, description="horizontal velocity kick, up to, m/s; 0: none")
     push_interval: float = Field(8.0, gt=0, description="mean time between kicks, s")
-    delay_steps: tuple[int, int] = Field((0, 2), description="actuation delay in physics steps, inclusive range")
+    delay_steps: tuple[int, int] = Field((0, 3), description="actuation delay in physics steps, inclusive range")
     models: int = Field(32, ge=1, description="size of the pool of randomised models on the CPU engine")
 
 
@@ -85,6 +85,7 @@ class EnvConfig(Config):
     commands: CommandConfig = Field(default_factory=CommandConfig)
     randomisation: RandomisationConfig = Field(default_factory=RandomisationConfig)
     observation_noise: float = Field(1.0, ge=0, description="factor on the sensor noise of training, 1")
+    tracking_sigma: float = Field(0.05, gt=0, description="width of the tracking terms exp(-error^2 / sigma), (m/s)^2 and (rad/s)^2")
     reward_weights: dict[str, float] = Field(default_factory=dict, description="overrides of the task's reward weights, 1/s")
     threads: int = Field(0, ge=0, description="threads of the CPU engine; 0: one per core")
     seed: int = Field(0, ge=0, description="of everything random in the env")
@@ -128,7 +129,7 @@ class PretrainConfig(Config):
 
     engine: str = Field("warp", description="mujoco (CPU, hours) or warp (GPU, minutes)")
     num_envs: int = Field(8192, ge=1, description="worlds")
-    steps: int = Field(150_000_000, gt=0, description="control steps in all")
+    steps: int = Field(90_000_000, gt=0, description="control steps in all")
     hidden: tuple[int, ...] = Field((256, 128), min_length=1, description="hidden layers of actor and critic")
     init_std: float = Field(1.0, gt=0, description="sigma of the first policy, action units")
     seed: int = Field(0, ge=0, description="of networks, env and exploration")

@@ -11,12 +11,12 @@ import copy
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 from pydantic import ValidationError
 
-from hts.config import RunConfig
+from hts.config import Config, RunConfig
 from hts.contracts import WorldContext
 from hts.errors import ConfigError, unknown_name
 from hts.explain import Location, dotted, explain
@@ -24,6 +24,8 @@ from hts.presets import BASELINES, DEFAULT, PRESETS
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
+
+Section = TypeVar("Section", bound=Config)
 
 ENGINES = ("mujoco", "warp")
 EXECUTORS = ("local",)
@@ -73,10 +75,26 @@ def load_config(
         values = _with_override(values, override)
 
     if not values.get("objectives"):
-        raise ConfigError("No objective given. Say which quantity to improve: --objective NAME (`hts plugins` lists them).")
+        raise ConfigError(
+            "No objective given. Say which quantity to improve: --objective NAME (`hts plugins` lists them)."
+        )
     if not values.get("robot"):
         raise ConfigError("No robot given. Say which machine: --robot NAME (`hts plugins` lists them).")
     return _validated(values, _origin(file, written, overrides))
+
+
+def load_section(
+    model: type[Section], file: Path | None, given: Mapping[str, Any], overrides: Sequence[str] = ()
+) -> Section:
+    """A configuration model of its own (no presets): its defaults < file < given < overrides. Raises ConfigError."""
+    written = _read_yaml(file) if file else {}
+    values = merged(written, given)
+    for override in overrides:
+        values = _with_override(values, override)
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError(explain(error, model, _origin(file, written, overrides))) from error
 
 
 def read_config(file: Path) -> RunConfig:
@@ -89,18 +107,23 @@ def dump_config(config: RunConfig) -> str:
     return yaml.safe_dump(plain(config.model_dump()), sort_keys=False, allow_unicode=True)
 
 
+def check_engine(engine: str) -> None:
+    """Raises ConfigError for an engine nobody knows."""
+    if engine not in ENGINES:
+        raise ConfigError(unknown_name("engine", engine, ENGINES))
+
+
 def check_names(config: RunConfig, registry: Registry) -> None:
     """Every plugin that the configuration names is installed. Raises ConfigError with the closest name.
 
     Each is also made once, so that wrong settings show before anything is spent.
     """
-    if config.engine not in ENGINES:
-        raise ConfigError(unknown_name("engine", config.engine, ENGINES))
+    check_engine(config.engine)
     if config.executor not in EXECUTORS:
         raise ConfigError(unknown_name("executor", config.executor, EXECUTORS))
     for name, settings in config.objectives.items():
         registry.make_objective(name, settings)
-    registry.make_robot(config.robot.name, config.robot.settings)
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
     registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     with tempfile.TemporaryDirectory() as nowhere:
         context = WorldContext(
@@ -111,6 +134,9 @@ def check_names(config: RunConfig, registry: Registry) -> None:
             folder=Path(nowhere),
         )
         registry.make_world(config.world.name, config.world.settings, context).close()
+    instruments = config.world.settings.get("instruments", {})
+    for name, settings in instruments.items() if isinstance(instruments, Mapping) else ():
+        registry.make_instrument(name, settings, robot)
     strangers = sorted(set(config.sweep.weights) - set(config.objectives))
     if strangers:
         raise ConfigError("sweep.weights: " + unknown_name("objective of this run", strangers[0], config.objectives))
@@ -181,8 +207,7 @@ def _with_override(values: Mapping[str, Any], override: str) -> dict[str, Any]:
         raise ConfigError(f"--set {override}: a preset is where the other values start from; say --preset {value}")
     if path[0] == "objectives" and len(path) > 1 and path[1] not in (values.get("objectives") or {}):
         raise ConfigError(
-            f"--set {override}: "
-            + unknown_name("objective of this run", path[1], values.get("objectives") or {})
+            f"--set {override}: " + unknown_name("objective of this run", path[1], values.get("objectives") or {})
         )
     laid: Any = value
     for step in reversed(path):

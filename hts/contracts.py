@@ -67,6 +67,7 @@ class RobotSpec:
     base_height: float
     trunk_body: str = "trunk"
     foot_sites: tuple[str, ...] = ()
+    endurance_minutes: float | None = None  # of walking on one charge, for the estimate of `--dry-run`
     motors: JointMotors | None = None
 
     @property
@@ -284,6 +285,8 @@ class TestedCandidate:
     id: str
     comparisons: Mapping[str, Comparison]
     fell: bool
+
+    __test__ = False  # its name begins like a pytest class
 
 
 class Selector(ABC):

@@ -135,7 +135,7 @@ def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) ->
         package = _package(point)
         try:
             offered = _offers(point, package)
-        except Exception as error:  # any fault of a stranger's module: shown by `hts plugins`, never fatal to others
+        except Exception as error:  # noqa: BLE001 - any fault of a stranger's module is shown, never fatal to others
             broken.append(Broken(point.name, package, _reason(error)))
             continue
         for kind, entry in offered:

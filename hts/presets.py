@@ -18,10 +18,10 @@ def _walk(*speeds: float, seconds: float) -> dict[str, Any]:
 
 
 SMOKE: dict[str, Any] = {
-    "world": {"name": "twin", "warmup_seconds": 1.0, "block_seconds": 4.0, "unsteady_seconds": 1.0},
+    "world": {"name": "twin", "warmup_seconds": 1.0, "block_seconds": 6.0},
     "iterations": 1,
-    "collection": {"schedule": _walk(0.5, 0.8, seconds=3.0), "repeats": 2},
-    "measurement": {"epochs": 2, "max_seconds": 5.0},
+    "collection": {"schedule": _walk(0.5, 0.8, seconds=6.0), "repeats": 2},
+    "measurement": {"epochs": 2},
     "sweep": {"kl_bounds": [0.5, 1.0], "anchors": ["pretrained"]},
     "finetune": {
         "num_envs": 8,
@@ -29,7 +29,7 @@ SMOKE: dict[str, Any] = {
         "ppo": {"horizon": 24, "epochs": 2, "minibatches": 2},
         "env": {"randomisation": {"models": 4}},
     },
-    "simulation_test": {"num_envs": 4, "seconds": 2.0, "speeds": [0.8], "speed_tolerance": 0.5},
+    "simulation_test": {"num_envs": 4, "seconds": 4.0, "speeds": [0.8], "speed_tolerance": 0.5},
     "selection": {"selector": {"name": "hierarchical"}, "elites": 2},
     "evaluation": {"speeds": [0.8], "min_valid": 0.0, "min_segments": 1, "bootstrap": 200},
 }
@@ -38,7 +38,7 @@ QUICK: dict[str, Any] = {
     "world": {"name": "twin", "block_seconds": 20.0},
     "iterations": 2,
     "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0), "repeats": 5},
-    "measurement": {"epochs": 20, "max_seconds": 40.0},
+    "measurement": {"epochs": 20, "max_seconds": 120.0},
     "sweep": {"kl_bounds": [0.5, 1.0], "anchors": ["best"]},
     "finetune": {
         "num_envs": 64,

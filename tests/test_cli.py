@@ -198,9 +198,7 @@ def test_waiting_for_the_robot_is_not_an_error(fakes, fake_run, tmp_path, capsys
         (errno.ENOSPC, "the disk is full"),
     ],
 )
-def test_a_disk_that_cannot_be_written_names_the_file_and_what_to_do(
-    fakes, fake_run, tmp_path, capsys, number, words
-):
+def test_a_disk_that_cannot_be_written_names_the_file_and_what_to_do(fakes, fake_run, tmp_path, capsys, number, words):
     fake_run.error = OSError(number, "system text", "/somewhere/data.zarr")
     assert main([*RUN, "--out", str(tmp_path)]) == 2
     line = one_line_of(capsys)

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hts_power import drive_train as dt
-from hts_power.battery import Battery, open_circuit_voltage, steady_current
-from hts_power.gauge import BatteryGauge, make_gauge
-from hts_power.gauge_parameters import GaugeParameters
 from pydantic import ValidationError
 
 from hts.contracts import JointMotors, PhysicsSample, RobotSpec
 from hts.errors import WorldError
+from hts_power import drive_train as dt
+from hts_power.battery import Battery, open_circuit_voltage, steady_current
+from hts_power.gauge import BatteryGauge, make_gauge
+from hts_power.gauge_parameters import GaugeParameters
 
 STEP = 0.001
 QUIET = {"noise": 0.0, "resolution": 0.0, "gain_error": 0.0, "offset": 0.0}
 
 
-def spec(motors: JointMotors | None = JointMotors((0.5, 1.0), (6.0, 12.0), (0.13, 0.13))) -> RobotSpec:
+MOTORS = JointMotors(torque_constant=(0.5, 1.0), gear_ratio=(6.0, 12.0), phase_resistance_ohm=(0.13, 0.13))
+
+
+def spec(motors: JointMotors | None = MOTORS) -> RobotSpec:
     two = (1.0, 1.0)
     return RobotSpec(
         name="two_joints", joint_names=("a", "b"), default_pose=two, kp=two, kd=two, action_scale=two, torque_limit=two,
@@ -112,10 +115,10 @@ def test_a_source_gives_no_more_than_a_quarter_v_squared_over_r():
 
 
 def battery(**changes) -> Battery:
-    values = dict(
-        num=1, state_of_charge=0.8, cells=6, capacity_coulomb=3600.0, resistance=0.1, polarisation_resistance=0.04,
-        polarisation_seconds=30.0, bus_capacitance=5e-3, idle_power=30.0,
-    )  # fmt: skip
+    values = {
+        "num": 1, "state_of_charge": 0.8, "cells": 6, "capacity_coulomb": 3600.0, "resistance": 0.1, "polarisation_resistance": 0.04,
+        "polarisation_seconds": 30.0, "bus_capacitance": 5e-3, "idle_power": 30.0,
+    }  # fmt: skip
     return Battery(**{**values, **changes})
 
 
@@ -164,7 +167,7 @@ def test_copper_loss_of_the_gauge_uses_each_joints_own_constant():
 
 
 def test_a_motor_reaches_the_temperature_that_settle_computes():
-    fast = dict(winding_capacity=30.0, housing_capacity=200.0, start_temperature=25.0)
+    fast = {"winding_capacity": 30.0, "housing_capacity": 200.0, "start_temperature": 25.0}
     settled = gauge(**fast)
     drive(settled, [3.0, 6.0], [1.0, 1.0], 0.1)
     settled.settle()
@@ -244,7 +247,7 @@ def test_worlds_do_not_touch_each_other():
 def test_the_same_seed_gives_the_same_noise_and_another_does_not():
     readings = []
     for seed in (1, 1, 2):
-        made = gauge(seed=seed)
+        made = gauge(seed=seed, resolution=0.0)
         drive(made, [2.0, 2.0], 1.0, 0.1)
         readings.append(made.read()["battery_current"][0])
     assert readings[0] == readings[1] != readings[2]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from hts.config import EvaluationConfig
-from hts.contracts import Comparison
-from hts.errors import EvaluationError
-from hts.evaluation.final import candidate_result, final_entry, head_to_heads, segment_scores
+from hts.config_loading import dump_config, load_config
+from hts.contracts import Comparison, World
+from hts.errors import EvaluationError, PolicyError
+from hts.evaluation.final import candidate_result, evaluate_run, final_entry, head_to_heads, policy_file, segment_scores
 from hts.evaluation.head_to_head import TooFewSegments, compare
 from hts.evaluation.intervals import interval, lag_one_correlation, variance_of_mean
+from hts.plugins import Entry, Registry
+from hts.recordings.store import RecordingStore
 from hts.testing.known_worlds import CostObjective, known_head_to_head, known_recording
 
 OBJECTIVE = CostObjective()
@@ -62,13 +67,13 @@ def test_a_steady_drift_cancels_in_abba_but_not_in_abab():
 )
 def test_the_interval_holds_the_truth_about_nineteen_times_in_twenty(block_seconds, correlation):
     # 300 worlds: the standard deviation of this share is 1.3 %
-    share = coverage(300, block_seconds=block_seconds, correlation=correlation, noise=0.08)
+    share = coverage(300, block_seconds=block_seconds, correlation=correlation, scatter=0.08)
     assert 0.90 <= share <= 0.99
 
 
 def test_a_drift_does_not_make_the_interval_overconfident():
     # a rise by 1 in all adds 0.5 to both means: 8.5 against 10.5
-    share = coverage(200, truth=1 - 8.5 / 10.5, block_seconds=40, correlation=0.5, noise=0.05, drift=1.0)
+    share = coverage(200, truth=1 - 8.5 / 10.5, block_seconds=40, correlation=0.5, scatter=0.05, drift=1.0)
     assert share >= 0.90
 
 
@@ -78,7 +83,7 @@ def test_resampling_single_segments_would_be_overconfident():
     for seed in range(200):
         costs = [
             r.channels["cost"].values[20::10]
-            for r in known_head_to_head(8.0, 10.0, seed=seed, noise=0.08, correlation=0.8)
+            for r in known_head_to_head(8.0, 10.0, seed=seed, scatter=0.08, correlation=0.8)
         ]
         shuffled = [np.random.default_rng(seed).permutation(cost)[:, None].astype(float) for cost in costs]
         low, high = interval(saving, [shuffled[0], shuffled[3]], [shuffled[1], shuffled[2]], resamples=200, seed=seed)
@@ -90,20 +95,20 @@ def test_more_alike_neighbours_give_a_wider_interval():
     widths = []
     for correlation in (0.0, 0.8):
         low, high = compare(
-            OBJECTIVE, known_head_to_head(8.0, 10.0, noise=0.05, correlation=correlation), QUICK
+            OBJECTIVE, known_head_to_head(8.0, 10.0, scatter=0.05, correlation=correlation), QUICK
         ).improvement_ci95
         widths.append(high - low)
     assert widths[1] > 1.5 * widths[0]
 
 
 def test_the_same_seed_gives_the_same_interval_and_another_one_another():
-    recordings = known_head_to_head(8.0, 10.0, noise=0.05)
+    recordings = known_head_to_head(8.0, 10.0, scatter=0.05)
     first, again, other = (compare(OBJECTIVE, recordings, QUICK, seed).improvement_ci95 for seed in (1, 1, 2))
     assert first == again != other
 
 
 def test_the_order_in_which_recordings_come_does_not_matter():
-    recordings = known_head_to_head(8.0, 10.0, noise=0.05)
+    recordings = known_head_to_head(8.0, 10.0, scatter=0.05)
     assert compare(OBJECTIVE, recordings, QUICK).entry() == compare(OBJECTIVE, recordings[::-1], QUICK).entry()
 
 
@@ -118,7 +123,7 @@ def test_the_variance_of_a_mean_of_neighbours_is_as_on_paper():
 def test_the_lag_one_correlation_of_a_known_series_is_found():
     costs = [
         r.channels["cost"].values[::10]
-        for r in known_head_to_head(1.0, 1.0, block_seconds=500, noise=0.1, correlation=0.6)
+        for r in known_head_to_head(1.0, 1.0, block_seconds=500, scatter=0.1, correlation=0.6)
     ]
     assert lag_one_correlation(costs) == pytest.approx(0.6, abs=0.05)
     assert lag_one_correlation([np.ones(20)]) == 0.0
@@ -225,3 +230,74 @@ def test_a_reference_that_does_not_walk_stops_everything():
     ]
     with pytest.raises(TooFewSegments, match="reference policy"):
         candidate_result("c1", {"cost": OBJECTIVE}, recordings, QUICK)
+
+
+# ------------------------------------------------------------------------------------------ hts evaluate
+
+
+class KnownWorld(World):
+    """Saves 20 % at every speed, or falls at once."""
+
+    name = "known"
+    walks = True
+
+    def idle(self):
+        return {"cost": 0.0}
+
+    def collect(self, policies, schedule):
+        return []
+
+    def head_to_head(self, policy, reference, speeds):
+        assert (policy.name, reference.name) == ("best.onnx", "pretrained.onnx")
+        seconds = 40 if self.walks else 3
+        return [
+            r for speed in speeds for r in known_head_to_head(8.0, 10.0, vx=speed, block_seconds=seconds, scatter=1e-4)
+        ]
+
+
+@pytest.fixture
+def run_folder(tmp_path):
+    config = load_config(preset="quick", objectives=["cost"], robot="example", world="known")
+    (tmp_path / "config.yaml").write_text(dump_config(config))
+    (tmp_path / "policies").mkdir()
+    for name in ("best", "pretrained"):
+        (tmp_path / "policies" / f"{name}.onnx").write_bytes(b"")
+    return tmp_path
+
+
+def registry(walks: bool = True) -> Registry:
+    world = KnownWorld()
+    world.walks = walks
+    return Registry(
+        objectives={"cost": Entry("cost", lambda settings: CostObjective(), "tests")},
+        worlds={"known": Entry("known", lambda settings, context: world, "tests")},
+    )
+
+
+def test_hts_evaluate_writes_what_the_world_gave(run_folder):
+    result = evaluate_run(run_folder, speeds=[0.5, 0.8], registry=registry())
+    assert json.loads((run_folder / "evaluation.json").read_text()) == result
+    speeds = result["objectives"]["cost"]["speeds"]
+    assert [speeds[key]["improvement"] for key in ("0.5", "0.8")] == pytest.approx([0.2, 0.2], abs=1e-3)
+    assert len(RecordingStore(run_folder / "evaluation" / "data.zarr").ids()) == 8
+
+
+def test_hts_evaluate_writes_no_result_when_it_refuses_to_report(run_folder):
+    with pytest.raises(TooFewSegments):
+        evaluate_run(run_folder, speeds=[0.8], registry=registry(walks=False))
+    assert not (run_folder / "evaluation.json").exists()
+
+
+def test_a_policy_that_is_not_there_is_refused(run_folder):
+    with pytest.raises(PolicyError, match="No policy named 'bets'"):
+        policy_file(run_folder, "bets")
+
+
+def test_a_policy_file_of_another_kind_is_refused(run_folder):
+    with pytest.raises(PolicyError, match="ending in .onnx or .safetensors"):
+        policy_file(run_folder, "somewhere/policy.pt")
+
+
+def test_hts_evaluate_twice_with_one_seed_gives_the_same_result(run_folder):
+    first = evaluate_run(run_folder, speeds=[0.8], registry=registry())
+    assert evaluate_run(run_folder, speeds=[0.8], registry=registry()) == first

@@ -479,7 +479,7 @@ def test_memory_is_part_of_the_state_and_resumes_exactly(model):
     other.load_state_dict(saved)
     channels = TensorDict({"effort": torch.ones(2, 3, 3), "rate": torch.ones(2, 3, 3)}, [2, 3])
     steps = [
-        e.transform[0]._step(TensorDict({}, [2, 3]), TensorDict({"channels": channels}, [2, 3])) for e in (env, other)
+        e.transform._step(TensorDict({}, [2, 3]), TensorDict({"channels": channels}, [2, 3])) for e in (env, other)
     ]
     assert torch.equal(steps[0]["measured", "heat"], steps[1]["measured", "heat"])
     fresh = fake_env(model)

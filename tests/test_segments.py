@@ -49,6 +49,13 @@ def test_settling_is_dropped_after_every_change_of_command_but_not_after_a_repea
     assert segments.time == pytest.approx([2, 3, 4, 7, 8])
 
 
+def test_a_world_may_say_how_long_its_start_is_unsteady():
+    recording = known_recording([1.0] * 6).replace(notes={"unsteady_seconds": "3.0"})
+    assert cut([recording]).time == pytest.approx([3, 4, 5])
+    with pytest.raises(RecordingError, match="expected a number of seconds"):
+        cut([recording.replace(notes={"unsteady_seconds": "a while"})])
+
+
 def test_pieces_near_a_fall_are_dropped_and_count_as_invalid():
     # it walks well until it lies on its side from second 8 on; second 7 holds the stumble
     segments = cut([known_recording([1.0] * 12, fell_at=8.0)])
@@ -62,6 +69,10 @@ def test_a_fall_without_recorded_tilt_drops_the_end_and_is_counted_once():
     segments = cut([recording.replace(channels=channels, fell=True)])
     assert segments.time == pytest.approx([2, 3, 4, 5, 6, 7, 8])
     assert segments.falls == 1
+
+
+def test_falls_that_only_the_world_saw_are_counted_as_it_noted():
+    assert cut([known_recording([1.0] * 12).replace(fell=True, notes={"falls": "3"})]).falls == 3
 
 
 def test_a_world_that_falls_in_three_of_ten_recordings_reports_three_falls():

@@ -95,7 +95,8 @@ def test_the_word_list_sees(text):
 
 
 @pytest.mark.parametrize(
-    "text", ["np.power(x, 2)", "observation_noise", "current directory", "the motor's torque", "powerful", "go on", "good"]
+    "text",
+    ["np.power(x, 2)", "observation_noise", "current directory", "the motor's torque", "powerful", "go on", "good"],
 )
 def test_the_word_list_lets_pass(text):
     assert not naming(text)
@@ -103,6 +104,8 @@ def test_the_word_list_lets_pass(text):
 
 def test_the_word_list_reads_identifiers_strings_and_comments_but_lets_mathematics_pass(tmp_path):
     file = tmp_path / "module.py"
-    file.write_text("import numpy as np\nx = np.power(2, 3)  # of a battery\nnet_power = 'go1'\ny = f'{x} microphone'\n")
+    file.write_text(
+        "import numpy as np\nx = np.power(2, 3)  # of a battery\nnet_power = 'go1'\ny = f'{x} microphone'\n"
+    )
     found = [(line, what) for line, text in pieces(file) for what in naming(text)]
     assert found == [(2, "battery"), (3, "power"), (3, "go1"), (4, "microphone")]

@@ -8,7 +8,9 @@ import typer
 
 
 def command(
-    package: Annotated[str, typer.Argument(metavar="PACKAGE", help="An installed distribution. `hts plugins` lists them.")],
+    package: Annotated[
+        str, typer.Argument(metavar="PACKAGE", help="An installed distribution. `hts plugins` lists them.")
+    ],
 ) -> None:
     """Test everything that a plugin package offers against the contracts. Exit status 1 if something is not kept."""
     from hts.plugins import load

@@ -17,6 +17,10 @@ def command(
     set_: options.Overrides = None,
 ) -> None:
     """Fit one measurement model, with its checks: OUT/fit.json says how well it predicts."""
-    from hts.measurement.fit_command import fit_store
+    import json
 
-    typer.echo(str(fit_store(objective, data, out, overrides=set_ or ())))
+    from hts.measurement.fit_command import fit_store, summary_line
+
+    report = fit_store(objective, data, out, overrides=set_ or ())
+    typer.echo(summary_line(json.loads(report.read_text(encoding="utf-8"))))
+    typer.echo(str(report))

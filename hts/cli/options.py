@@ -8,12 +8,16 @@ from typing import Annotated
 import typer
 
 Objectives = Annotated[
-    list[str] | None, typer.Option("--objective", metavar="NAME", help="What to improve; repeat for several. `hts plugins` lists them."),
-
+    list[str] | None,
+    typer.Option("--objective", metavar="NAME", help="What to improve; repeat for several. `hts plugins` lists them."),
 ]
-RobotName = Annotated[str | None, typer.Option("--robot", metavar="NAME", help="The machine. `hts plugins` lists them.")]
+RobotName = Annotated[
+    str | None, typer.Option("--robot", metavar="NAME", help="The machine. `hts plugins` lists them.")
+]
 Preset = Annotated[str | None, typer.Option(help="smoke, quick (default) or paper.")]
-WorldName = Annotated[str | None, typer.Option("--world", metavar="NAME", help='Where policies run "for real": twin or field.')]
+WorldName = Annotated[
+    str | None, typer.Option("--world", metavar="NAME", help='Where policies run "for real": twin or field.')
+]
 ConfigFile = Annotated[Path | None, typer.Option("--config", help="YAML file laid over the preset.")]
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value, key dotted; repeat for several.")

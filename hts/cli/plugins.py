@@ -30,9 +30,7 @@ def as_data(registry: Registry) -> dict[str, Any]:
         {"entry_point": p.entry_point, "module": p.module, "package": p.package, "version": p.version}
         for p in registry.plugins
     ]
-    data["broken"] = [
-        {"entry_point": b.entry_point, "package": b.package, "reason": b.reason} for b in registry.broken
-    ]
+    data["broken"] = [{"entry_point": b.entry_point, "package": b.package, "reason": b.reason} for b in registry.broken]
     return data
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,14 +11,29 @@ from hts.cli import options
 
 
 def command(
-    robot: Annotated[str, typer.Option(help="The machine. `hts plugins` lists them.")],
-    out: Annotated[Path, typer.Option(help="Folder for the policy and its log.")],
+    robot: Annotated[str, typer.Option(metavar="NAME", help="The machine. `hts plugins` lists them.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the policy, its card and its learning curve.")],
     config: options.ConfigFile = None,
     set_: options.Overrides = None,
     engine: options.Engine = None,
     seed: options.Seed = None,
 ) -> None:
-    """Train the policy to start from, with the robot's own task and no measured reward."""
-    from hts.ppo.pretrain import pretrain
+    """Train the policy to start from on the task's own reward: minutes on a GPU, hours without."""
+    from hts.cli.run import refuse_existing
+    from hts.config import PretrainConfig
+    from hts.config_loading import check_engine, load_section
+    from hts.plugins import load
 
-    pretrain(robot, out, config, engine=engine, seed=seed, overrides=set_ or ())
+    given = {key: value for key, value in (("engine", engine), ("seed", seed)) if value is not None}
+    settings = load_section(PretrainConfig, config, given, set_ or ())
+    check_engine(settings.engine)
+    machine = load().make_robot(robot)
+    refuse_existing(out)
+    from hts.ppo.pretrain import pretrain_policy
+
+    typer.echo(str(pretrain_policy(machine, settings, out, progress=tell)))
+
+
+def tell(row: dict[str, Any]) -> None:
+    """One row of the learning curve, on one line."""
+    typer.echo("  ".join(f"{name} {value:,.4g}" for name, value in row.items()))

@@ -16,6 +16,7 @@ from hts.contracts import Robot, RobotSpec
 from hts.envs import rewards
 from hts.envs.commands import DRAWS, Commands
 from hts.envs.random import PopulationRandom
+from hts.errors import ConfigError
 from hts.sim.engine import Engine, make_engine
 from hts.sim.models import variants
 
@@ -96,6 +97,11 @@ class VelocityEnv(EnvBase):
     def _draw_worlds(self) -> None:
         """Constants of each world (delay, encoder zero); the same N for every candidate, whoever trains beside it."""
         r = self.config.randomisation
+        if r.enabled and r.delay_steps[1] > self.robot_spec.substeps:
+            raise ConfigError(
+                f"randomisation.delay_steps: {r.delay_steps[1]} physics steps are longer than a control step "
+                f"({self.robot_spec.substeps} of them), the longest delay the env simulates. Lower the upper end."
+            )
         rng = np.random.default_rng([self.config.seed, 5417])
         count, joints = self.shape2[1], self.robot_spec.num_joints
         delay = rng.integers(r.delay_steps[0], r.delay_steps[1], size=count, endpoint=True)
@@ -131,6 +137,7 @@ class VelocityEnv(EnvBase):
         if seed is not None:
             for index, generator in enumerate(self.random.generators):
                 generator.manual_seed(seed + index)
+            self.__dict__.pop("_draws", None)  # drawn with the old seed
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
         if self._resuming:  # the first reset after `load_full_state` starts nothing: the episodes go on
@@ -182,6 +189,9 @@ class VelocityEnv(EnvBase):
         out = TensorDict(entries, batch_size=self.batch_size, device=self.device)
         if self.channel_specs:
             values = self._channel_values()
+            if self.device.type != "cpu":  # the CPU engine's broken worlds hold finite numbers
+                broken = self.engine.diverged.view(*self.shape2, 1)
+                values = {name: values[name].masked_fill(broken, 0.0) for name in self.channel_specs}
             out["channels"] = TensorDict({name: values[name] for name in self.channel_specs}, batch_size=self.batch_size)
         return out
 
@@ -192,10 +202,10 @@ class VelocityEnv(EnvBase):
         r = self.config.randomisation
         if not r.enabled or r.push_speed == 0:
             return
-        mask = draws[..., 0] < self.dt / r.push_interval
+        mask = (draws[..., 0] < self.dt / r.push_interval).reshape(-1) & ~self.engine.diverged  # a reset would hide that
         qvel = self.engine.qvel.clone()
         qvel[:, :2] += (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed
-        self.engine.reset(mask.reshape(-1), self.engine.qpos, qvel)
+        self.engine.reset(mask, self.engine.qpos, qvel)
 
     def _start_episodes(self, mask: torch.Tensor) -> None:
         """Stand the robots of mask [P, N] up: joints near the default pose, a random heading and a small velocity."""
@@ -273,6 +283,7 @@ class VelocityEnv(EnvBase):
             last_joint_velocity=self.last_joint_velocity, pose_error=self._joint_position - self.default_pose,
             action=action, last_action=self.action, air_time=air_time, landed=landed, contact=now,
             foot_speed_squared=foot_velocity[..., :2].square().sum(-1), fell=fell, dt=self.dt,
+            tracking_sigma=self.config.tracking_sigma,
         )  # fmt: skip
         self.air_time = air_time * ~contact
         self.was_contact = now

@@ -1,0 +1,1 @@
+"""From recordings to numbers: segments, intervals, head-to-heads, and candidates judged in simulation."""

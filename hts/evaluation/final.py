@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hts.config import EvaluationConfig, Named
 from hts.contracts import Objective, TestedCandidate, WorldContext
-from hts.errors import PolicyError, RunError, unknown_name
+from hts.errors import PolicyError, RunError
 from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
 
 if TYPE_CHECKING:
@@ -168,17 +168,29 @@ def evaluate_run(
 
 
 def policy_file(folder: Path, policy: str | Path) -> Path:
-    """The exported (ONNX) policy of that name in a run folder, or the file itself. Raises PolicyError."""
+    """An exported (ONNX) policy: "best", "pretrained", a candidate's id, or a file. Raises PolicyError.
+
+    One that a run folder holds only as parameters (.safetensors), or such a file, is exported to `folder`/evaluation.
+    """
+    from hts.policies.export_command import find_policy
+
     given = Path(policy)
     if given.suffix == ".onnx" and given.is_file():
         return given
+    if given.suffix and not (given.suffix == ".safetensors" and given.is_file()):
+        raise PolicyError(f"{policy}: expected a policy file that exists, ending in .onnx or .safetensors.")
     found = sorted((folder / "policies").glob("*.onnx")) + sorted((folder / "iterations").glob("**/*.onnx"))
     by_name = {file.stem: file for file in reversed(found)}  # policies/ wins over iterations/
     if str(policy) in by_name:
         return by_name[str(policy)]
-    if given.suffix:
-        raise PolicyError(f"{policy}: expected an exported policy, a file ending in .onnx. `hts export` writes one.")
-    raise PolicyError(f"{folder}: " + unknown_name("exported policy", str(policy), by_name))
+    parameters = given if given.suffix else find_policy(folder, str(policy))
+
+    from hts.policies.export import to_onnx
+    from hts.policies.files import load_policy
+
+    to = folder / "evaluation" / f"{parameters.stem}.onnx"
+    to.parent.mkdir(exist_ok=True)
+    return to_onnx(load_policy(parameters), to)
 
 
 def _write(path: Path, result: dict[str, Any]) -> None:

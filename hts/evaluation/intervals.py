@@ -59,12 +59,12 @@ def lag_one_correlation(blocks: Sequence[np.ndarray]) -> float:
     (1 + 3φ)/m (Marriott and Pope 1954, Biometrika 41:390); this is undone. Negative values are taken as 0.
     """
     long_enough = [block - block.mean() for block in blocks if len(block) > 4]
-    power = sum(float(block @ block) for block in long_enough)
-    if power <= 0.0:
+    squares = sum(float(block @ block) for block in long_enough)
+    if squares <= 0.0:
         return 0.0
     mean_length = np.mean([len(block) for block in long_enough])
     neighbours = sum(float(block[1:] @ block[:-1]) for block in long_enough)
-    plain = neighbours / power * mean_length / (mean_length - 1)
+    plain = neighbours / squares * mean_length / (mean_length - 1)
     return float(np.clip((mean_length * plain + 1) / (mean_length - 3), 0.0, 0.95))
 
 

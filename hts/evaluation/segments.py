@@ -27,8 +27,8 @@ class Segments:
     samples: n, control steps per piece; recording (S,): index into `recordings`; start (S,): first sample;
     speed, commanded (S,): mean forward speed and commanded one, m/s; block (S,): numbers each block of each
     session, so that pieces with one number were recorded without interruption;
-    total: pieces cut before the validity test; falls: times the trunk tipped over, at least one per recording that
-    says it fell.
+    total: pieces cut before the validity test; falls: times the trunk tipped over, or as many as a recording's note
+    `falls` says, at least one per recording that says it fell.
     """
 
     recordings: tuple[Recording, ...]
@@ -101,7 +101,8 @@ def cut(
 ) -> Segments:
     """Cut recordings into pieces that do not overlap, and keep the valid ones.
 
-    The first `settle_seconds` of a recording and of every command are dropped and not counted. A piece is valid if
+    The first `settle_seconds` of a recording and of every command are dropped and not counted (a world that knows
+    better says so in the recording's note `unsteady_seconds`). A piece is valid if
     its mean forward speed is within ±speed_tolerance of the commanded one, no samples are missing in it, and it is
     not near a fall (from 1 s before the trunk tilts over to settle_seconds after it stands again).
     A command of 0 m/s has no valid pieces: ±10 % of nothing is nothing.
@@ -119,10 +120,11 @@ def cut(
     total = falls = 0
     for index, recording in enumerate(recordings):
         block = blocks.setdefault((recording.session, recording.block), len(blocks))
-        near_fall, count = _near_falls(recording, settle_seconds)
+        settle = _seconds(recording.notes.get("unsteady_seconds"), settle_seconds)
+        near_fall, count = _near_falls(recording, settle)
         falls += count
         forward = Segments._series(recording, "base_velocity")[:, 0]
-        for start, commanded in _starts(recording, settle_seconds, samples):
+        for start, commanded in _starts(recording, settle, samples):
             total += 1
             piece = slice(start, start + samples)
             speed = float(forward[piece].mean())
@@ -142,6 +144,18 @@ def cut(
         total=total,
         falls=falls,
     )
+
+
+def _seconds(noted: str | None, otherwise: float) -> float:
+    """A duration from a recording's notes, s. Raises RecordingError if it is not one."""
+    if noted is None:
+        return otherwise
+    try:
+        return float(noted)
+    except ValueError as error:
+        raise RecordingError(
+            f"A recording's note unsteady_seconds is '{noted}', expected a number of seconds."
+        ) from error
 
 
 def _starts(recording: Recording, settle_seconds: float, samples: int) -> list[tuple[int, float]]:
@@ -185,5 +199,5 @@ def _near_falls(recording: Recording, settle_seconds: float) -> tuple[np.ndarray
         falls = len(edges) // 2
     if recording.fell and falls == 0:  # it ended in a fall whose tilt was not recorded
         near[max(0, num - round((BEFORE_FALL_SECONDS + settle_seconds) * recording.rate_hz)) :] = True
-        falls = 1
-    return near, falls
+    noted = recording.notes.get("falls", "")  # a world may see falls that do not tilt the trunk
+    return near, max(falls, int(recording.fell), int(noted) if noted.isdecimal() else 0)

@@ -9,6 +9,7 @@ import torch
 from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig
+from hts.errors import ConfigError
 from hts.policies.networks import Population
 from hts.ppo.actor import Explorer
 
@@ -50,6 +51,8 @@ def simulate(
 
     env: of batch size [P, N], made with `test_config`, writing the channel base_velocity; tolerance: relative speed error of a valid segment.
     """
+    if seconds < SETTLE_SECONDS + 1.0:
+        raise ConfigError(f"A trial of {seconds} s has no segment to judge: {SETTLE_SECONDS} s to settle and 1 s at least. Make it longer.")
     act = Explorer(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
     state = env.reset()

@@ -225,9 +225,12 @@ def _start(
 
 
 def _batch_size(training: Sequence[_Piece], config: MeasurementModelConfig) -> int:
-    """Streams side by side: fewer with little data, so that an epoch still has some tens of updates."""
-    streams = sum(len(piece.target) for piece in training) / config.stream
-    return max(1, min(config.batch, math.ceil(streams / 4)))
+    """Streams side by side: fewer with little data, so that an epoch still has some tens of updates.
+
+    Not below 8 where there are as many: the time of an update hardly depends on its width there.
+    """
+    streams = math.ceil(sum(len(piece.target) for piece in training) / config.stream)
+    return min(config.batch, streams, max(8, math.ceil(streams / 4)))
 
 
 def _updates(training: Sequence[_Piece], config: MeasurementModelConfig) -> int:

@@ -67,7 +67,7 @@ class _Measured(Transform):
 class MeasurementTransform(_Measured):
     """Predicts the objective's target in every world at every step, and turns it into r_real.
 
-    model: one for all candidates, on the env's device; reward: z-scored prediction -> r_real, any shape.
+    model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape.
     The memory, (layers, 2, hidden, P·N), is emptied where an episode begins; it is part of `state_dict()`, so a
     run resumes in mid-episode. The model's weights are not: they have their own file (`measurement.files`).
     """
@@ -79,6 +79,7 @@ class MeasurementTransform(_Measured):
         # In a tuple, so that the model is not a submodule: its weights would be saved with every checkpoint.
         self._model = (model,)
         self.reward = reward
+        self.memory: Tensor | None
         self.register_buffer("memory", None)
 
     @property
@@ -95,8 +96,12 @@ class MeasurementTransform(_Measured):
         worlds = shape.numel()
         model = self._model[0]
         inputs = gather(next_tensordict.get("channels"), self.inputs, worlds)
+        if model.feature_mean.device != inputs.device:  # only before the first step: models are fitted on the CPU
+            model.to(inputs.device)
         if self.memory is None:
-            self.memory = model.initial_state(worlds, inputs.device)
+            self.memory = model.initial_state(worlds)
+        elif self.memory.device != inputs.device:  # only after loading a state saved on another device
+            self.memory = self.memory.to(inputs.device)
         prediction, self.memory = model.step(inputs, self.memory)
         prediction = prediction.view(*shape, 1)
         measured, real_reward, outside = self.out_keys
@@ -116,7 +121,7 @@ class MeasurementTransform(_Measured):
 
     def _load_from_state_dict(self, state_dict, prefix, *args, **kwargs) -> None:
         saved = state_dict.get(prefix + "memory")
-        self.memory = None if saved is None else torch.empty_like(saved, device=self.model.feature_mean.device)
+        self.memory = None if saved is None else torch.empty_like(saved)
         super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
 
 

@@ -79,6 +79,7 @@ def to_torchscript(policy: Policy, path: Path) -> Path:
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=FutureWarning)
         traced = torch.jit.trace(_Actor(policy), torch.zeros(1, policy.card.observation_size))
         temporary = Path(path).with_name(f".{Path(path).name}.tmp")
+        temporary.parent.mkdir(parents=True, exist_ok=True)
         torch.jit.save(traced, str(temporary), _extra_files={f"{CARD_KEY}.json": json.dumps(asdict(policy.card))})
     os.replace(temporary, path)
     return Path(path)

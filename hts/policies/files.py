@@ -82,9 +82,15 @@ def make_card(
     )  # fmt: skip
 
 
+def tensor_path(path: Path) -> Path:
+    """The .safetensors of a policy named with or without it; dots in the name are part of it (`best-0.5`)."""
+    path = Path(path)
+    return path.with_suffix(".safetensors") if path.suffix in (".safetensors", ".json") else path.with_name(f"{path.name}.safetensors")
+
+
 def save_policy(path: Path, policy: Policy) -> Path:
     """Write `path` (.safetensors) and its .json, each in one move: no reader ever sees half a file."""
-    path = Path(path).with_suffix(".safetensors")
+    path = tensor_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     card = json.dumps(asdict(policy.card), indent=1)
     with_tensors = path.with_name(f".{path.name}.tmp")
@@ -98,12 +104,14 @@ def save_policy(path: Path, policy: Policy) -> Path:
 
 def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
     """Read a policy back. Raises PolicyError if a file is missing, damaged, or made for another robot."""
-    path = Path(path).with_suffix(".safetensors")
+    path = tensor_path(path)
     try:
         card = read_card(path.with_suffix(".json"))
         tensors = load_file(path)
     except FileNotFoundError as error:
         raise PolicyError(f"{error.filename or path}: no such file; a policy is a .safetensors and a .json of one name.") from error
+    except OSError as error:
+        raise PolicyError(f"{error.filename or path}: cannot be read ({error.strerror or error}). Check the file and its rights.") from error
     except SafetensorError as error:
         raise PolicyError(f"{path}: not a whole safetensors file ({error}). Copy or export it again.") from error
     expected = card.sizes().shapes()

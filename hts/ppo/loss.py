@@ -49,7 +49,7 @@ def anchored_ppo_loss(
     clipped = old + (value - old).clamp(-clip, clip)
     value_loss = row_mean(torch.maximum((value - target).square(), (clipped - target).square()))
     entropy = log_std.sum(-1).squeeze(1)  # up to a constant
-    total = policy_on * policy + value_coef * value_loss - entropy_coef * entropy
+    total = policy_on * (policy - entropy_coef * entropy) + value_coef * value_loss
     if "anchor_mean" in batch:
         kl_anchor = row_mean(gaussian_kl(mean, log_std, batch["anchor_mean"], batch["anchor_log_std"]))
         total = total + multipliers * kl_anchor

@@ -65,10 +65,14 @@ class PopulationTrainer:
         if resume is not None:
             self._load(resume)
         per_batch = count * env.batch_size[1] * config.horizon
+        self.actor = Explorer(population, self.noise)
         self.collector = Collector(
-            env, Explorer(population, self.noise), frames_per_batch=per_batch, total_frames=-1, device=device,
-            track_traj_ids=False, trust_policy=True, use_buffers=False, track_policy_version=False,
+            env, self.actor, frames_per_batch=per_batch, total_frames=-1, device=device, track_traj_ids=False,
+            trust_policy=True, use_buffers=False, track_policy_version=False,
+            auto_register_policy_transforms=False,  # nothing here is recurrent: the memory is the transform's own
         )  # fmt: skip
+        if resume is not None and list(resume.get("transform", {}).keys()):  # now: making the collector resets the env
+            self.env.transform.load_state_dict(dict(resume["transform"].items()))
         self._stream = iter(self.collector)
         self.steps_per_batch = per_batch
 
@@ -122,13 +126,15 @@ class PopulationTrainer:
         return total, stats
 
     def _stop_if_bad(self, parts: Mapping[str, torch.Tensor]) -> None:
-        """Stop candidates with a non-finite value; parts: name -> [P, ...]."""
+        """Stop candidates with a non-finite value; parts: name -> [P, N, T]."""
         for what, value in parts.items():
-            finite = torch.isfinite(value.flatten(1)).all(1)
-            if bool(finite.all()):
+            bad = ~torch.isfinite(value)
+            if not bool(bad.any()):
                 continue
-            for index in (~finite).nonzero().flatten().tolist():
-                self._stop(index, f"{what} is not finite in batch {self.batches} (control step {self.batches * self.config.horizon} and on)")
+            for index in bad.flatten(1).any(1).nonzero().flatten().tolist():
+                first = int(bad[index].any(0).nonzero()[0])
+                step = self.batches * self.config.horizon + first
+                self._stop(index, f"{what} is not finite at control step {step} (batch {self.batches}) in {int(bad[index, :, first].sum())} of its worlds")
 
     def _stop(self, index: int, reason: str) -> None:
         if index in self.stopped:
@@ -241,9 +247,14 @@ class PopulationTrainer:
             "normaliser": {name: value.clone() for name, value in self.population.named_buffers()}, "multipliers": self.multipliers.state_dict(),
             "centres": {name: centre.state_dict() for name, centre in self.centres.items()}, "kl": self.kl.clone(),
             "batches": torch.tensor(self.batches), "stopped": torch.tensor(sorted(self.stopped), dtype=torch.int64),
-            "env": self.env.full_state(),
+            "env": self.env.full_state(), "transform": self._transform_state(),
         }  # fmt: skip
         return TensorDict(parts, batch_size=[])
+
+    def _transform_state(self) -> dict[str, torch.Tensor]:
+        """The memory of measurement models inside the env, world by world."""
+        transform = getattr(self.env, "transform", None)
+        return {name: value.clone() for name, value in transform.state_dict().items()} if transform is not None else {}
 
     def _load(self, state: TensorDictBase) -> None:
         with torch.no_grad():

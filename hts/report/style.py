@@ -62,6 +62,7 @@ def save(drawing: Figure, folder: Path, name: str) -> Path:
     """`name`.svg and `name`.pdf in the folder; returns the SVG's path. No date inside: same data, same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     drawing.savefig(folder / f"{name}.svg", metadata={"Date": None})
+    drawing.set_layout_engine("none")  # the layout is found; finding it again for the PDF takes as long as drawing
     drawing.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None, "ModDate": None})
     return folder / f"{name}.svg"
 

@@ -35,26 +35,30 @@ def _print(objectives: Mapping[str, Any], title: str, console: Console | None) -
 
 
 def _table(result: Mapping[str, Any], title: str) -> Table:
+    """Narrow enough for 80 columns with two metrics; one that is the improvement itself is left out."""
+    from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     unit, speeds = result["unit"], result["speeds"]
-    metrics = list(dict.fromkeys(name for speed in speeds.values() for name in speed.get("metrics") or {}))
-    table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column("commanded", justify="right")
-    for column in ("improvement", "95 % interval", *(wording.label(name).lower() for name in metrics)):
+    rows = [(key, speeds[key], speeds[key].get("metrics") or {}) for key in sorted(speeds, key=float)]
+    names = dict.fromkeys(name for _, _, metrics in rows for name in metrics)
+    shown = [name for name in names if any(metrics.get(name) != row["improvement"] for _, row, metrics in rows)]
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=0)
+    table.add_column("speed", justify="right", no_wrap=True)
+    for column in ("improvement", "95 % interval"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for name in shown:
+        table.add_column(wording.label(name).lower(), justify="right")
+    for column in ("mean m/s", "falls", "segments"):
         table.add_column(column, justify="right")
-    for column in ("mean speed", "falls", "segments"):
-        table.add_column(column, justify="right")
-    for key in sorted(speeds, key=float):
-        row = speeds[key]
-        found = row.get("metrics") or {}
+    for key, row, metrics in rows:
         falls = row.get("falls")
         table.add_row(
             f"{key} m/s",
             wording.quantity(row["improvement"], unit),
             wording.interval(row.get("improvement_ci95"), unit),
-            *(wording.metric(name, found.get(name)) for name in metrics),
-            f"{wording.number(row.get('mean_speed'))} m/s",
+            *(wording.metric(name, metrics.get(name)) for name in shown),
+            wording.number(row.get("mean_speed")),
             f"[red]{falls}[/red]" if falls else wording.count(falls),
             wording.count(row.get("segments")),
         )

@@ -1,0 +1,1 @@
+"""Which candidates are tried in reality, and which of them goes on."""

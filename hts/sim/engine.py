@@ -48,6 +48,18 @@ class Engine(ABC):
     def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
         """Go on from a saved state."""
 
+    def snapshot(self, ctrl: torch.Tensor) -> Any:
+        """What a control step with these inputs starts from here; for `replay`."""
+        return self.state_dict(), ctrl.clone()
+
+    def replay(self, steps: Sequence[Any]) -> None:
+        """The physics of remembered control steps, one after the other; afterwards the engine is where it was."""
+        here = self.state_dict()
+        for state, ctrl in steps:
+            self.load_state_dict(state)
+            self.step(ctrl)
+        self.load_state_dict(here)
+
     def check(self) -> None:  # noqa: B027
         """Raise SimulationError if a buffer overflowed since the start. May wait for the device: call it rarely."""
 

@@ -61,12 +61,9 @@ class MujocoEngine(Engine):
         self.step_raw()
 
     def step_raw(self) -> None:
-        """Physics alone, from the buffers as they are: what `hts bench` calls bare."""
+        """Physics from the buffers as they are, and back into the tensors."""
         before = self._state[:, 0].copy()
-        self._pool.rollout(
-            self.models, self._datas, self._state, self._ctrl, control_spec=CTRL, skip_checks=True, nstep=self.substeps,
-            initial_warmstart=self._warmstart, state=self._states, sensordata=self._sensors, chunk_size=self._chunk,
-        )  # fmt: skip
+        self._rollout(self._state, self._ctrl)
         self._state[:] = self._states[:, -1]
         nq = self._nq
         self.qpos[:] = torch.from_numpy(self._state[:, 1 : 1 + nq])
@@ -75,6 +72,20 @@ class MujocoEngine(Engine):
         # A world that MuJoCo gave up on comes back finite with its clock frozen: only the clock tells.
         frozen = self._state[:, 0] - before < (self.substeps - 0.5) * self._dt
         self.diverged[:] = torch.from_numpy(frozen)
+
+    def _rollout(self, state: np.ndarray, ctrl: np.ndarray) -> None:
+        """All worlds from state (W, size) with ctrl (W, substeps, nu), into `_states` and `_sensors`."""
+        self._pool.rollout(
+            self.models, self._datas, state, ctrl, control_spec=CTRL, skip_checks=True, nstep=self.substeps,
+            initial_warmstart=self._warmstart, state=self._states, sensordata=self._sensors, chunk_size=self._chunk,
+        )  # fmt: skip
+
+    def snapshot(self, ctrl: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+        return self._state.copy(), ctrl.transpose(0, 1).double().numpy().copy()
+
+    def replay(self, steps: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+        for state, ctrl in steps:
+            self._rollout(state, ctrl)
 
     def reset(self, mask: torch.Tensor, qpos: torch.Tensor, qvel: torch.Tensor) -> None:
         rows = mask.nonzero().squeeze(-1)

@@ -55,7 +55,7 @@ def _tried(subject: str, check: Callable[..., None], *given: Any) -> Finding:
     demand = " ".join((check.__doc__ or check.__name__).split())
     try:
         check(*given)
-    except Exception as error:  # whatever a stranger's code does is a finding, not the end of the check
+    except Exception as error:  # noqa: BLE001 - whatever a stranger's code does is a finding, not the end of the check
         text = " ".join(str(error).split())
         known = isinstance(error, (AssertionError, PluginError)) and text
         return Finding(subject, demand, text if known else f"{type(error).__name__}: {text}")

@@ -51,7 +51,9 @@ def objective_has_a_model(entry: Entry, registry: Registry) -> None:
     objective = entry.factory({})
     model = objective.measurement_model()
     ensure(tuple(model.inputs) == tuple(objective.inputs), f"model reads {model.inputs}, inputs are {objective.inputs}")
-    ensure(model.target == objective.target.name, f"model predicts '{model.target}', target is '{objective.target.name}'")
+    ensure(
+        model.target == objective.target.name, f"model predicts '{model.target}', target is '{objective.target.name}'"
+    )
 
 
 def objective_reward_keeps_shape(entry: Entry, registry: Registry) -> None:
@@ -71,7 +73,9 @@ def objective_scores_segments(entry: Entry, registry: Registry) -> None:
     segments = _segments(objective, registry)
     scores = objective.score(segments)
     for name, values in scores.items():
-        ensure(np.shape(values) == (len(segments),), f"score '{name}' has shape {np.shape(values)}, not ({len(segments)},)")
+        ensure(
+            np.shape(values) == (len(segments),), f"score '{name}' has shape {np.shape(values)}, not ({len(segments)},)"
+        )
         ensure(bool(np.isfinite(values).all()), f"score '{name}' is not finite")
     means = {name: float(np.mean(values)) for name, values in scores.items()}
     comparison = objective.compare(means, means)
@@ -93,7 +97,9 @@ def objective_proxy_keeps_shape(entry: Entry, registry: Registry) -> None:
 
     channels = {name: torch.rand(2, 5, *channel.shape) for name, channel in TinyRobot().channels().items()}
     proxy = entry.factory({}).proxy(channels)
-    ensure(proxy is None or tuple(proxy.shape) == (2, 5), f"channels of [2, 5] worlds give {getattr(proxy, 'shape', None)}")
+    ensure(
+        proxy is None or tuple(proxy.shape) == (2, 5), f"channels of [2, 5] worlds give {getattr(proxy, 'shape', None)}"
+    )
 
 
 def _segments(objective: Objective, registry: Registry) -> Any:
@@ -106,13 +112,13 @@ def _segments(objective: Objective, registry: Registry) -> Any:
     if objective.instrument is not None:
         instrument = registry.make_instrument(objective.instrument, {}, robot)
         real |= {channel.name: channel for channel in instrument.channels}
+    known = {**robot.channels(), **real}
     samples = 10 * round(robot.spec.control_rate_hz)
     values: dict[str, np.ndarray] = {
-        name: 1.0 + rng.random((samples, *channel.shape)) for name, channel in (robot.channels() | real).items()
+        name: 1.0 + rng.random((samples, *channel.shape)) for name, channel in known.items()
     }
     values["base_velocity"] = np.tile([0.8, 0.0, 0.0], (samples, 1))
     values["projected_gravity"] = np.tile([0.0, 0.0, -1.0], (samples, 1))
-    known = {**robot.channels(), **real}
     recording = Recording(
         robot="tiny", world="made-up", policy_hash="", iteration=0,
         joint_names=robot.spec.joint_names, kp=robot.spec.kp, kd=robot.spec.kd, rate_hz=robot.spec.control_rate_hz,
@@ -137,7 +143,9 @@ def robot_spec_is_consistent(entry: Entry, registry: Registry) -> None:
     for joint, pose, (low, high) in zip(spec.joint_names, spec.default_pose, spec.position_limit, strict=True):
         ensure(low < pose < high, f"default pose of '{joint}' is {pose} rad, outside its limits {low} to {high}")
     period = spec.physics_dt * spec.substeps
-    ensure(abs(period * spec.control_rate_hz - 1) < 1e-6, f"physics_dt · substeps = {period} s is not 1 / control_rate_hz")
+    ensure(
+        abs(period * spec.control_rate_hz - 1) < 1e-6, f"physics_dt · substeps = {period} s is not 1 / control_rate_hz"
+    )
 
 
 def robot_model_matches(entry: Entry, registry: Registry) -> None:

@@ -94,7 +94,7 @@ def _iteration(
     evaluation: EvaluationConfig,
     rng: np.random.Generator,
 ) -> dict[str, Any]:
-    """One iteration: more weight and a wider bound save more, later iterations too, and some of it is noise."""
+    """One iteration: more weight and a wider bound save more, later iterations too, and some of it is chance."""
     name = next(iter(objectives))
     candidates: list[dict[str, Any]] = []
     savings: dict[str, float] = {}
@@ -121,16 +121,16 @@ def _iteration(
                 )
     ranked = sorted(candidates, key=lambda c: (c["falls"], -c["sim_score"]))[:elites]
     measured = {}
-    for candidate in ranked:
-        candidate["elite"] = True
-        recordings = _recordings(savings[candidate["id"]], 0.8, block_seconds // 2, int(rng.integers(1 << 30)))
-        result = candidate_result(candidate["id"], objectives, recordings, evaluation)
-        candidate["real"] = result.entry
+    for elite in ranked:
+        elite["elite"] = True
+        recordings = _recordings(savings[elite["id"]], 0.8, block_seconds // 2, int(rng.integers(1 << 30)))
+        result = candidate_result(elite["id"], objectives, recordings, evaluation)
+        elite["real"] = result.entry
         if result.tested is not None:
-            measured[candidate["id"]] = result.tested.comparisons[name].selection_score
+            measured[elite["id"]] = result.tested.comparisons[name].selection_score
     place = folder / "iterations" / f"{index:02d}"
     place.mkdir(parents=True, exist_ok=True)
-    truth = [110.0 * (1 - savings[candidate["id"]]) for candidate in ranked] if index > 1 else [110.0]
+    truth = [110.0 * (1 - savings[elite["id"]]) for elite in ranked] if index > 1 else [110.0]
     policies = [
         {"policy": f"policy-{i}", "measured": m, "predicted": m + rng.normal(0, 1.2)} for i, m in enumerate(truth)
     ]
@@ -151,7 +151,7 @@ def _recordings(saving: float, speed: float, block_seconds: int, seed: int) -> l
         reference * (1 - saving),
         reference,
         block_seconds=block_seconds,
-        noise=0.06,
+        scatter=0.06,
         correlation=0.5,
         drift=3.0,
         idle=30.0,

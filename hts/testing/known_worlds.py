@@ -98,7 +98,7 @@ def known_head_to_head(
     *,
     block_seconds: int = 40,
     order: str = "ABBA",
-    noise: float = 0.0,
+    scatter: float = 0.0,
     correlation: float = 0.0,
     drift: float = 0.0,
     seed: int = 0,
@@ -107,7 +107,7 @@ def known_head_to_head(
 ) -> list[Recording]:
     """Blocks of policy (A) and reference (B) in the given order, one after the other on one clock.
 
-    The cost is the policy's own, times 1 + an AR(1) series of standard deviation `noise` and lag-one `correlation`
+    The cost is the policy's own, times 1 + an AR(1) series of standard deviation `scatter` and lag-one `correlation`
     (per second, running on through all blocks), plus a linear drift of `drift` in all from first to last second.
     """
     rng = np.random.default_rng(seed)
@@ -121,7 +121,7 @@ def known_head_to_head(
     recordings = []
     for block, letter in enumerate(order):
         part = slice(block * block_seconds, (block + 1) * block_seconds)
-        cost = (policy_cost if letter == "A" else reference_cost) * (1 + noise * series[part]) + drifting[part] + idle
+        cost = (policy_cost if letter == "A" else reference_cost) * (1 + scatter * series[part]) + drifting[part] + idle
         role = "policy" if letter == "A" else "reference"
         start = float(block * block_seconds)
         recordings.append(known_recording(cost, role=role, block=block, vx=vx, speed=vx, start=start, idle=idle))

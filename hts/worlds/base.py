@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -42,21 +43,25 @@ class Operator:
     """
 
     def __init__(self, num_worlds: int) -> None:
-        self._wanted = np.full(num_worlds, np.nan)
+        self._wanted = np.zeros(num_worlds)
+        self._keeping = np.zeros(num_worlds, dtype=bool)
 
     def command(self, told: np.ndarray, heading: np.ndarray) -> np.ndarray:
         """What is sent to the robots, (W, 3). told: of the schedule (W, 3) or (3,); heading: rad (W,)."""
-        sent = np.array(np.broadcast_to(told, (len(heading), 3)), dtype=float)
-        straight = (sent[:, 2] == 0) & (np.abs(sent[:, :2]).max(axis=1) > 0)
-        self._wanted = np.where(straight, np.where(np.isnan(self._wanted), heading, self._wanted), np.nan)
-        error = (np.nan_to_num(self._wanted) - heading + np.pi) % (2 * np.pi) - np.pi
-        correction = np.clip(HEADING_GAIN * error, -LARGEST_YAW_RATE, LARGEST_YAW_RATE)
+        sent = np.empty((len(heading), 3))
+        sent[:] = told
+        straight = (sent[:, 2] == 0) & ((sent[:, 0] != 0) | (sent[:, 1] != 0))
+        begins = straight & ~self._keeping
+        self._wanted[begins] = heading[begins]
+        self._keeping = straight
+        error = (self._wanted - heading + np.pi) % (2 * np.pi) - np.pi
+        correction = np.minimum(np.maximum(HEADING_GAIN * error, -LARGEST_YAW_RATE), LARGEST_YAW_RATE)
         sent[straight, 2] = correction[straight]
         return sent
 
     def forget(self, mask: np.ndarray) -> None:
         """A new heading to keep for the robots of the mask (W,)."""
-        self._wanted[mask] = np.nan
+        self._keeping[mask] = False
 
 
 def request_id(*parts: Any) -> str:
@@ -70,10 +75,13 @@ def seed_sequence(seed: int, request: str, group: int = 0) -> np.random.SeedSequ
 
 
 def in_groups(count: int, largest: int) -> list[range]:
-    """0..count-1 cut into as few groups of nearly equal size as `largest` allows."""
-    number = -(-count // largest)
+    """0..count-1 cut into groups of nearly equal size, at most `largest`, and at least two groups where possible.
+
+    It must not depend on the machine: which robots share a group decides which noise they get.
+    """
+    number = min(count, max(2, -(-count // largest)))
     edges = [round(i * count / number) for i in range(number + 1)] if number else [0]
-    return [range(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [range(a, b) for a, b in itertools.pairwise(edges)]
 
 
 def file_hash(path: Any) -> str:

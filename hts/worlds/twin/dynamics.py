@@ -1,7 +1,7 @@
 """W robots at 1 kHz: actuation delay, position control, motor limits, gear friction, physics, instruments.
 
-    tau_c   = kp (target - q) - kd q'                      what the firmware asks of the motor
-    tau_m   = (1 + e) clip(tau_c, +-limit(q'))             what the current makes, seen at the joint
+    tau_c   = clip(kp (target - q) - kd q', +-limit(q'))   what the firmware asks of the motor
+    tau_m   = (1 + e) tau_c                                what the current makes, seen at the joint
     tau     = tau_m - clip(s q', +-mu |tau_m|)             after load-dependent gear friction; dry and viscous
                                                            friction and armature are in the MuJoCo model
 
@@ -11,7 +11,6 @@ overshoot with, so it saturates below 0.3 rad/s at full load. All arrays are (W,
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 
 import mujoco
@@ -28,15 +27,13 @@ FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
 class Dynamics:
     """The bodies and drives of W equal robots, each on its own floor."""
 
-    def __init__(self, machine: Machine, parameters: DynamicsParameters, num_worlds: int, threads: int = 0) -> None:
+    def __init__(self, machine: Machine, parameters: DynamicsParameters, num_worlds: int) -> None:
         self.machine, self.num_worlds = machine, num_worlds
         model, spec = machine.model, machine.spec
         self.dt = parameters.physics_dt
         self.delay_steps = round(parameters.actuation_delay / self.dt)
-        self._threads = min(threads or os.cpu_count() or 1, num_worlds)
-        self._pool = rollout.Rollout(nthread=self._threads if self._threads > 1 else 0)
-        self._models = [model] * num_worlds
-        self._data = [mujoco.MjData(model) for _ in range(self._threads)]
+        self._rollout = rollout.Rollout(nthread=0)  # on the calling thread; batches run in threads of their own
+        self._models, self._data = [model] * num_worlds, [mujoco.MjData(model)]
 
         size = mujoco.mj_stateSize(model, FULL)
         self._state = np.zeros((num_worlds, 1, size))
@@ -52,23 +49,23 @@ class Dynamics:
         self.foot_force, self._foot_velocity = sensors[:, machine.touch], sensors[:, machine.foot_velocity]
 
         joints = (num_worlds, spec.num_joints)
-        self._gain_scale = parameters.gain_scale
-        self.set_gains(np.array(spec.kp), np.array(spec.kd))
-        limit, no_load = np.array(spec.torque_limit), np.array(spec.velocity_limit)
-        # Motoring torque falls linearly from the knee speed to nothing at no-load speed: limit = a - b |q'|.
-        self._limit = limit
-        fall = no_load * (1 - parameters.full_torque_speed)
-        self._sloped = parameters.full_torque_speed < 1
-        self._limit_slope = limit / np.where(fall > 0, fall, 1)
-        self._limit_start = limit * np.where(fall > 0, no_load / np.where(fall > 0, fall, 1), 1)
+        # The motor's torque constant is off by a factor that the firmware does not know of: everything it commands,
+        # gains and limits alike, comes out so much larger.
         self._strength = 1 + parameters.torque_constant_error
-        self._offset = machine.encoder_offset
+        self._gain_scale = parameters.gain_scale
+        limit, no_load = self._strength * np.array(spec.torque_limit), np.array(spec.velocity_limit)
+        # Motoring torque falls linearly from the knee speed to nothing at no-load speed: a - b q' forwards,
+        # a + b q' backwards, at most the limit. Braking torque stays full.
+        fall = np.maximum(1 - parameters.full_torque_speed, 1e-6)
+        self._limit = limit
+        self._limit_start = limit / fall
+        self._limit_slope = np.stack([limit / (fall * no_load), -limit / (fall * no_load)])[:, None]  # (2, 1, J)
+        self._limits = np.zeros((2, *joints))
         self._loss = machine.gear_loss
         self._loss_slope = 0.5 * model.dof_armature[machine.joint_dof] / self.dt
-        self.commanded_torque = np.zeros(joints)  # what the firmware believes to make, N·m
-        self._motor, self._friction = np.zeros(joints), np.zeros(joints)
-        self._upper, self._lower, self._scratch = np.zeros(joints), np.zeros(joints), np.zeros(joints)
+        self._motor, self._friction, self._scratch = np.zeros(joints), np.zeros(joints), np.zeros(joints)
         self._target = np.tile(np.array(spec.default_pose), (num_worlds, 1))
+        self.set_gains(np.array(spec.kp), np.array(spec.kd))
         self._clock = 0.0
         self._arriving: list[tuple[int, np.ndarray]] = []
         self._sample = PhysicsSample(
@@ -83,8 +80,19 @@ class Dynamics:
 
     def set_gains(self, kp: np.ndarray, kd: np.ndarray) -> None:
         """Gains of the position control, N·m/rad and N·m·s/rad, (J,) or (W, J)."""
+        scale = self._strength * self._gain_scale
         shape = (self.num_worlds, self.machine.spec.num_joints)
-        self._kp, self._kd = (np.array(np.broadcast_to(gain * self._gain_scale, shape)) for gain in (kp, kd))
+        self._kp, self._kd = (np.array(np.broadcast_to(gain * scale, shape)) for gain in (kp, kd))
+        self._aim()
+
+    def _aim(self) -> None:
+        """kp (target - encoder offset), which changes with the target only."""
+        self._pull = self._kp * (self._target - self.machine.encoder_offset)
+
+    @property
+    def commanded_torque(self) -> np.ndarray:
+        """What the firmware believes that its motors make, N·m."""
+        return self._motor / self._strength
 
     def stand(self, mask: np.ndarray) -> None:
         """Stand the robots of the mask (W,) up in the default pose, keeping place and heading."""
@@ -95,10 +103,11 @@ class Dynamics:
         self.qvel[mask] = 0
         self.time[mask] = self._clock
         self._acceleration[mask] = 0
-        self.commanded_torque[mask] = 0
+        self._motor[mask] = 0
         self._target[mask] = self.machine.spec.default_pose
         for _, target in self._arriving:
             target[mask] = self.machine.spec.default_pose
+        self._aim()
 
     def heading(self) -> np.ndarray:
         """Direction of the trunk's x axis seen from above, rad (W,)."""
@@ -107,20 +116,20 @@ class Dynamics:
 
     def joint_position(self) -> np.ndarray:
         """As the encoders have it, with their zero error, rad."""
-        return self.qpos[:, self.machine.joint_qpos] + self._offset
+        return self.qpos[:, self.machine.joint_qpos] + self.machine.encoder_offset
 
     def joint_velocity(self) -> np.ndarray:
         return self.qvel[:, self.machine.joint_dof]
 
-    def to_trunk(self, vectors: np.ndarray) -> np.ndarray:
-        """World-frame vectors (W, 3) in the trunk frame."""
+    def rotation(self) -> np.ndarray:
+        """World to trunk, (W, 3, 3)."""
         w, x, y, z = self.qpos[:, 3:7].T
-        rotation = np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+        rows = np.array([
+            1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
+            2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x),
+            2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y),
         ])  # fmt: skip
-        return np.einsum("ijw,wj->wi", rotation, vectors)
+        return rows.T.reshape(-1, 3, 3)
 
     def advance(self, targets: np.ndarray, steps: int, instruments: Sequence[Instrument]) -> None:
         """Send joint targets (W, J), rad, and let `steps` physics steps pass; targets act after the delay.
@@ -131,6 +140,7 @@ class Dynamics:
         for _ in range(steps):
             while self._arriving and self._arriving[0][0] <= 0:
                 self._target[:] = self._arriving.pop(0)[1]
+                self._aim()
             self._arriving = [(left - 1, target) for left, target in self._arriving]
             self._step(instruments)
         self._clock += steps * self.dt
@@ -140,40 +150,38 @@ class Dynamics:
         return self.time < self._clock - 0.5 * self.dt
 
     def close(self) -> None:
-        self._pool.close()
+        """Let go of the engine's memory."""
+        self._rollout.close()
 
     def _step(self, instruments: Sequence[Instrument]) -> None:
         """One physics step. Written for speed: every line costs about a microsecond for W = 6."""
         m = self.machine
         self._before[:] = self.qvel
-        velocity, torque, scratch = self._before[:, m.joint_dof], self.commanded_torque, self._scratch
-        np.subtract(self._target, self.qpos[:, m.joint_qpos], out=torque)
-        torque -= self._offset
-        torque *= self._kp
+        velocity, torque, scratch, limits = self._before[:, m.joint_dof], self._motor, self._scratch, self._limits
+        np.multiply(self.qpos[:, m.joint_qpos], self._kp, out=torque)
+        np.subtract(self._pull, torque, out=torque)
         np.multiply(velocity, self._kd, out=scratch)
-        torque -= scratch
-        if self._sloped:
-            np.multiply(velocity, self._limit_slope, out=scratch)
-            np.subtract(self._limit_start, scratch, out=self._upper)
-            np.add(self._limit_start, scratch, out=self._lower)
-            np.negative(self._lower, out=self._lower)
-            # Braking torque stays full; past no-load speed motoring torque is nothing, never a brake.
-            np.minimum(torque, np.maximum(self._upper, 0, out=self._upper), out=torque)
-            np.maximum(torque, np.minimum(self._lower, 0, out=self._lower), out=torque)
-        np.minimum(torque, self._limit, out=torque)
-        np.maximum(torque, -self._limit, out=torque)
-        np.multiply(torque, self._strength, out=self._motor)
+        np.subtract(torque, scratch, out=torque)
+        np.multiply(velocity, self._limit_slope, out=limits)
+        np.subtract(self._limit_start, limits, out=limits)
+        np.minimum(limits, self._limit, out=limits)
+        np.maximum(
+            limits, 0, out=limits
+        )  # past no-load speed a motor has no torque forwards; it does not brake by itself
+        np.minimum(torque, limits[0], out=torque)
+        np.negative(limits[1], out=scratch)
+        np.maximum(torque, scratch, out=torque)
 
-        np.abs(self._motor, out=scratch)
-        scratch *= self._loss
+        np.abs(torque, out=scratch)
+        np.multiply(scratch, self._loss, out=scratch)
         np.multiply(velocity, self._loss_slope, out=self._friction)
         np.minimum(self._friction, scratch, out=self._friction)
         np.negative(scratch, out=scratch)
         np.maximum(self._friction, scratch, out=self._friction)
-        np.subtract(self._motor, self._friction, out=self._control[:, 0])
+        np.subtract(torque, self._friction, out=self._control[:, 0])
 
         flat = self._state[:, 0]
-        self._pool.rollout(
+        self._rollout.rollout(
             self._models, self._data, flat, self._control, skip_checks=True, nstep=1,
             initial_warmstart=self._acceleration, state=self._state, sensordata=self._sensordata,
         )  # fmt: skip

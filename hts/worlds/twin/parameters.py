@@ -36,12 +36,19 @@ class DynamicsParameters(Config):
         "factor on the trunk's mass and inertia",
     )  # fmt: skip
     com_shift_x: float = parameter(
-        0.008, -0.03, 0.03, "m", "E: battery and computer a little forward", "shift of the trunk's centre of mass forward"
+        0.008,
+        -0.03,
+        0.03,
+        "m",
+        "E: battery and computer a little forward",
+        "shift of the trunk's centre of mass forward",
     )
     com_shift_y: float = parameter(
         -0.003, -0.03, 0.03, "m", "E: side-loaded battery", "shift of the trunk's centre of mass to the left"
     )
-    com_shift_z: float = parameter(0.006, -0.03, 0.03, "m", "E: cables on top", "shift of the trunk's centre of mass up")
+    com_shift_z: float = parameter(
+        0.006, -0.03, 0.03, "m", "E: cables on top", "shift of the trunk's centre of mass up"
+    )
     armature_scale: float = parameter(
         1.15, 0.9, 1.5, "1", "E: rotor inertia in the model leaves the gears out; planet and carrier add 10-20 %",
         "factor on reflected rotor inertia",
@@ -51,9 +58,16 @@ class DynamicsParameters(Config):
         "tau_c: dry friction of joints with the smallest gear ratio",
     )  # fmt: skip
     joint_friction_extra_stage: float = parameter(
-        0.6, 0.3, 1.0, "N*m", "playground 1.0 (A), else E", "tau_c of joints with a larger gear ratio (a further stage or linkage)"
+        0.6,
+        0.3,
+        1.0,
+        "N*m",
+        "playground 1.0 (A), else E",
+        "tau_c of joints with a larger gear ratio (a further stage or linkage)",
     )
-    joint_damping: float = parameter(0.02, 0.01, 0.05, "N*m*s/rad", "Mini Cheetah 0.01 (A), E", "b: viscous joint friction")
+    joint_damping: float = parameter(
+        0.02, 0.01, 0.05, "N*m*s/rad", "Mini Cheetah 0.01 (A), E", "b: viscous joint friction"
+    )
     gear_loss: float = parameter(
         0.05, 0.0, 0.10, "1", "planetary stage 92-97 % (trade page, A weak); 0.03-0.10, 0 switches it off",
         "mu: share of the motor torque lost as friction, joints with the smallest gear ratio",
@@ -75,13 +89,20 @@ class DynamicsParameters(Config):
         "from reading the sensors to the drives following the new target",
     )  # fmt: skip
     gain_scale: float = parameter(1.0, 0.8, 1.2, "1", "E: position gains are exact in firmware", "factor on kp and kd")
-    floor_friction: float = parameter(0.8, 0.3, 1.3, "1", "menagerie foot friction 0.8 (A)", "sliding friction of the floor")
+    floor_friction: float = parameter(
+        0.8, 0.3, 1.3, "1", "menagerie foot friction 0.8 (A)", "sliding friction of the floor"
+    )
     contact_time: float = parameter(
         0.008, 0.004, 0.03, "s", "E: a rubber foot rings down in under 10 ms; training uses MuJoCo's 0.02",
         "time constant of contact (MuJoCo solref)",
     )  # fmt: skip
     contact_impratio: float = parameter(
-        10.0, 1.0, 100.0, "1", "menagerie uses 100 (A); 10 keeps slip small at 1 ms", "ratio of friction to normal impedance"
+        10.0,
+        1.0,
+        100.0,
+        "1",
+        "menagerie uses 100 (A); 10 keeps slip small at 1 ms",
+        "ratio of friction to normal impedance",
     )
     encoder_offset: float = parameter(
         0.008, 0.0, 0.03, "rad", "E: half a degree of calibration error; walk-these-ways trains with 0.02 (A)",
@@ -97,19 +118,37 @@ class DynamicsParameters(Config):
 class SensorParameters(Config):
     """How the robot's own sensors, the camera beside it and the scale see it."""
 
-    position_noise: float = parameter(0.001, 0, 0.02, "rad", "E: encoder noise seen through gear play", "joint angle, sigma")
-    velocity_noise: float = parameter(0.05, 0, 1.0, "rad/s", "E: differentiated encoder, filtered", "joint speed, sigma")
+    position_noise: float = parameter(
+        0.001, 0, 0.02, "rad", "E: encoder noise seen through gear play", "joint angle, sigma"
+    )
+    velocity_noise: float = parameter(
+        0.05, 0, 1.0, "rad/s", "E: differentiated encoder, filtered", "joint speed, sigma"
+    )
     velocity_word: float = parameter(
-        0.00123, 0, 0.1, "rad/s", "Q7 word at the rotor / 6.33 (actuator_sdk, B)", "step of the joint speed word; 0: none"
+        0.00123,
+        0,
+        0.1,
+        "rad/s",
+        "Q7 word at the rotor / 6.33 (actuator_sdk, B)",
+        "step of the joint speed word; 0: none",
     )
     torque_noise: float = parameter(
-        0.15, 0, 2.0, "N*m", "E: torque estimates from motor current are noisy (walk-these-ways issue 34, A)", "torque estimate, sigma"
+        0.15,
+        0,
+        2.0,
+        "N*m",
+        "E: torque estimates from motor current are noisy (walk-these-ways issue 34, A)",
+        "torque estimate, sigma",
     )
     torque_word: float = parameter(
         0.0247, 0, 0.5, "N*m", "Q8 word at the rotor x 6.33 (actuator_sdk, B)", "step of the torque word; 0: none"
     )
-    gyro_noise: float = parameter(0.02, 0, 0.5, "rad/s", "E: consumer MEMS at 50 Hz with body vibration", "angular velocity, sigma")
-    gravity_noise: float = parameter(0.005, 0, 0.1, "1", "E: attitude filter, 0.3 degrees", "projected gravity, sigma per axis")
+    gyro_noise: float = parameter(
+        0.02, 0, 0.5, "rad/s", "E: consumer MEMS at 50 Hz with body vibration", "angular velocity, sigma"
+    )
+    gravity_noise: float = parameter(
+        0.005, 0, 0.1, "1", "E: attitude filter, 0.3 degrees", "projected gravity, sigma per axis"
+    )
     tilt_error: float = parameter(
         0.008, 0, 0.05, "rad", "E: mounting and attitude drift of half a degree (comm.h notes drift, A)",
         "constant roll and pitch error, uniform within +- this, fixed per machine",
@@ -118,12 +157,23 @@ class SensorParameters(Config):
     foot_force_drift: float = parameter(
         0.3, 0, 5, "N/sqrt(s)", "E; drift is reported (legged_sdk issue 86, A)", "foot force, random walk"
     )
-    foot_force_gain: float = parameter(0.05, 0, 0.3, "1", "E", "gain error of each foot sensor, uniform within +-, fixed per machine")
-    camera_speed_noise: float = parameter(
-        0.03, 0, 0.3, "m/s", "E: motion capture, 0.4 mm between frames of 20 ms (sqrt 2 x 0.4 mm / 20 ms)", "base velocity, sigma per axis"
+    foot_force_gain: float = parameter(
+        0.05, 0, 0.3, "1", "E", "gain error of each foot sensor, uniform within +-, fixed per machine"
     )
-    camera_scale_error: float = parameter(0.0, -0.02, 0.02, "1", "E: calibrated volume", "relative error of the base velocity")
-    scale_resolution: float = parameter(0.05, 0.001, 1.0, "kg", "E: a floor scale", "step of the weight someone reads off")
+    camera_speed_noise: float = parameter(
+        0.03,
+        0,
+        0.3,
+        "m/s",
+        "E: motion capture, 0.4 mm between frames of 20 ms (sqrt 2 x 0.4 mm / 20 ms)",
+        "base velocity, sigma per axis",
+    )
+    camera_scale_error: float = parameter(
+        0.0, -0.02, 0.02, "1", "E: calibrated volume", "relative error of the base velocity"
+    )
+    scale_resolution: float = parameter(
+        0.05, 0.001, 1.0, "kg", "E: a floor scale", "step of the weight someone reads off"
+    )
 
 
 class TwinSettings(Config):
@@ -134,11 +184,13 @@ class TwinSettings(Config):
     instruments: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="name of an instrument -> its settings, validated by its own plugin"
     )
-    warmup_seconds: float = Field(20.0, ge=1, description="walking with the reference before a head-to-head, s; heat then settles")
+    warmup_seconds: float = Field(
+        20.0, ge=1, description="walking with the reference before a head-to-head, s; heat then settles"
+    )
     block_seconds: float = Field(80.0, gt=0, description="length of each of the four blocks of a head-to-head, s")
     unsteady_seconds: float = Field(2.0, ge=0, description="start of each block that evaluation should leave out, s")
-    max_worlds: int = Field(12, ge=1, description="robots simulated side by side at most")
-    threads: int = Field(0, ge=0, description="threads of the physics; 0: one per core")
+    max_worlds: int = Field(6, ge=1, description="robots that one process simulates together, at most")
+    processes: int = Field(0, ge=0, description="processes side by side; 0: one per core")
 
 
 def parameters_hash(settings: TwinSettings, instruments: Mapping[str, Mapping[str, Any]]) -> str:

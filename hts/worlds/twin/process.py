@@ -1,4 +1,4 @@
-"""`python -m hts.worlds.twin.process`: the twin's own process.
+"""`python -m hts.worlds.twin.process`: the twin's own process. A world starts one per core.
 
 It reads JSON lines from stdin and answers each by JSON lines on stdout; recordings go to a spool store that the
 parent names. The first line says which twin it is, and is answered once the twin is ready:
@@ -8,8 +8,7 @@ parent names. The first line says which twin it is, and is answered once the twi
 Then any of
 
     {"do": "idle"}
-    {"do": "collect", "policies": [PATH | null, ...], "schedule": {...}}
-    {"do": "head_to_heads", "policies": [PATH, ...], "reference": PATH, "speeds": [...]}
+    {"do": "run", "sessions": [...], "request": "hex", "group": 0}      sessions as in programme.py
 
 Answers: {"progress": 0.25} any number of times, then {"done": ...} or {"error": "one line", "kind": "WorldError"}.
 The process ends when stdin does, even in the midst of work, so a killed parent leaves nothing running.
@@ -24,14 +23,14 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
-from hts.config import ScheduleConfig
 from hts.errors import HtsError
-from hts.worlds.base import file_hash, in_groups, request_id, seed_sequence
+from hts.worlds.base import seed_sequence
 from hts.worlds.twin.parameters import TwinSettings
+from hts.worlds.twin.programme import Session
 
 PROGRESS_SECONDS = 0.5
 
@@ -59,52 +58,18 @@ class Twin:
             levels |= instrument.idle()
         return levels
 
-    def collect(self, request: dict[str, Any], progress: Callable[[float], None]) -> list[str]:
-        """Ids of one recording per policy."""
-        from hts.worlds.twin.programme import collection
-
-        schedule = ScheduleConfig.model_validate(request["schedule"])
-        policies = request["policies"]
-        name = request_id("collect", self.seed, [path and file_hash(path) for path in policies], request["schedule"])
-        sessions = collection(policies, schedule, name)
-        return [ids[0] for ids in self._run(sessions, name, progress)]
-
-    def head_to_heads(self, request: dict[str, Any], progress: Callable[[float], None]) -> list[list[str]]:
-        """Ids of each policy's recordings: at each speed in turn, its four blocks."""
-        from hts.worlds.twin.programme import head_to_head
-
-        reference, speeds, settings = request["reference"], request["speeds"], self.settings
-        policies = request["policies"]
-        known = file_hash(reference)
-        names = [
-            [request_id("head_to_head", self.seed, number, file_hash(path), known, speed) for speed in speeds]
-            for number, path in enumerate(policies)
-        ]
-        sessions = [
-            head_to_head(path, reference, speed, settings.warmup_seconds, settings.block_seconds, session)
-            for path, row in zip(policies, names, strict=True)
-            for speed, session in zip(speeds, row, strict=True)
-        ]
-        ids = self._run(sessions, request_id(*names, settings.block_seconds), progress)
-        width = len(speeds)
-        return [sum(ids[i * width : (i + 1) * width], []) for i in range(len(policies))]
-
-    def _run(self, sessions: Sequence[Any], request: str, progress: Callable[[float], None]) -> list[list[str]]:
+    def run(self, request: dict[str, Any], progress: Callable[[float], None]) -> list[list[str]]:
+        """Ids of each session's recordings."""
         from hts.worlds.twin.session import Batch
 
-        ids: list[list[str]] = []
-        groups = in_groups(len(sessions), self.settings.max_worlds)
-        for number, group in enumerate(groups):
-            seeds = seed_sequence(self.seed, request, number)
-            batch = Batch(self.robot, self.settings, self._make(), len(group), seeds)
-            try:
-                recordings = batch.run(
-                    [sessions[i] for i in group], self.name, lambda x, n=number: progress((n + x) / len(groups))
-                )
-            finally:
-                batch.close()
-            ids += [[self.spool.write(recording) for recording in row] for row in recordings]
-        return ids
+        sessions = [Session.model_validate(session) for session in request["sessions"]]
+        seeds = seed_sequence(self.seed, request["request"], request["group"])
+        batch = Batch(self.robot, self.settings, self._make(), len(sessions), seeds)
+        try:
+            rows = batch.run(sessions, self.name, progress)
+        finally:
+            batch.close()
+        return [[self.spool.write(recording) for recording in row] for row in rows]
 
 
 def requests() -> Callable[[], str]:
@@ -152,10 +117,8 @@ def main() -> None:
                 answer({"done": "ready"})
             elif request["do"] == "idle":
                 answer({"done": twin.idle()})
-            elif request["do"] == "collect":
-                answer({"done": twin.collect(request, progress)})
             else:
-                answer({"done": twin.head_to_heads(request, progress)})
+                answer({"done": twin.run(request, progress)})
         except HtsError as error:
             answer({"error": str(error), "kind": type(error).__name__})
 

@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Literal
 
-from hts.config import ScheduleConfig
+from pydantic import Field
+
+from hts.config import Config, ScheduleConfig
 from hts.worlds.base import ORDER, request_id, walking
 
 SETTLING_SECONDS = 3.0  # of the warm-up, before heat is averaged: the start from standing is not like walking
 STANDING_SECONDS = 1.0  # before anything else
 
 
-@dataclass(frozen=True)
-class Block:
-    """A stretch with one policy (path of its ONNX file; None: stand in the default pose) under one schedule.
+class Block(Config):
+    """A stretch with one policy under one schedule."""
 
-    recorded: whether it becomes a recording; settle: bring the instruments' heat to the steady state of what went
-    before, when this block ends; index: number of a recorded block in its session; role: as `Recording.role`.
-    """
-
-    policy: str | None
+    policy: str | None = Field(description="path of its ONNX file; null: stand in the default pose")
     schedule: ScheduleConfig
-    recorded: bool = True
-    settle: bool = False
-    index: int = 0
-    role: str = "collection"
+    recorded: bool = Field(True, description="whether it becomes a recording")
+    settle: bool = Field(
+        False, description="when it ends, bring the instruments' heat to the steady state of what went before"
+    )
+    index: int = Field(0, ge=0, description="number of a recorded block in its session")
+    role: Literal["collection", "policy", "reference"] = "collection"
 
 
-@dataclass(frozen=True)
-class Session:
-    """All that happens on one robot, from switching it on; `id` names it."""
+class Session(Config):
+    """All that happens on one robot, from switching it on."""
 
     id: str
     blocks: tuple[Block, ...]
@@ -42,29 +40,31 @@ class Session:
 
 def standing_up() -> Block:
     """Stand in the default pose, before anything else."""
-    return Block(None, walking(0.0, STANDING_SECONDS), recorded=False)
+    return Block(policy=None, schedule=walking(0.0, STANDING_SECONDS), recorded=False)
 
 
 def collection(policies: Sequence[str | None], schedule: ScheduleConfig, request: str) -> list[Session]:
     """One session a policy: stand up, then the schedule. Motors start at the instruments' stated temperature."""
     return [
-        Session(request_id(request, number), (standing_up(), Block(policy, schedule)))
+        Session(id=request_id(request, number), blocks=(standing_up(), Block(policy=policy, schedule=schedule)))
         for number, policy in enumerate(policies)
     ]
 
 
-def head_to_head(policy: str, reference: str, speed: float, warmup: float, block: float, session: str) -> Session:
-    """Stand up, warm up with the reference, settle the heat, then reference - policy - policy - reference.
+def warm_up(policy: str | None, speed: float, seconds: float) -> tuple[Block, ...]:
+    """Stand up, walk, and bring heat to the steady state of that.
 
-    The warm-up settles twice: once after its first seconds, so that windings are warm while heat is averaged,
-    and once at its end.
+    It settles twice: once after the first seconds, so that windings are warm while heat is averaged, and at the end.
     """
-    first = min(SETTLING_SECONDS, warmup / 2)
-    blocks = [
-        standing_up(),
-        Block(reference, walking(speed, first), recorded=False, settle=True),
-        Block(reference, walking(speed, warmup - first), recorded=False, settle=True),
-    ]
+    first = min(SETTLING_SECONDS, seconds / 2)
+    parts = (first, seconds - first)
+    walks = [Block(policy=policy, schedule=walking(speed, part), recorded=False, settle=True) for part in parts]
+    return (standing_up(), *walks)
+
+
+def head_to_head(policy: str, reference: str, speed: float, warmup: float, block: float, session: str) -> Session:
+    """Warm up with the reference, then reference - policy - policy - reference, without a pause."""
     paths = {"policy": policy, "reference": reference}
-    blocks += [Block(paths[role], walking(speed, block), index=i, role=role) for i, role in enumerate(ORDER)]
-    return Session(session, tuple(blocks))
+    walk = walking(speed, block)
+    blocks = [Block(policy=paths[role], schedule=walk, index=i, role=role) for i, role in enumerate(ORDER)]
+    return Session(id=session, blocks=(*warm_up(reference, speed, warmup), *blocks))

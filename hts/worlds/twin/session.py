@@ -18,7 +18,7 @@ from hts.worlds.twin.programme import Block, Session
 from hts.worlds.twin.sensors import Sensors
 
 FALLEN_TILT = -0.5  # projected gravity z: 60 degrees
-FALLEN_HEIGHT = 0.4  # of the trunk, as a share of its height in the default pose
+FALLEN_HEIGHT, FALLEN_SECONDS = 0.4, 0.5  # trunk below this share of its height in the default pose, for so long
 
 Progress = Callable[[float], None]
 
@@ -53,14 +53,17 @@ class Batch:
     ) -> None:
         self.robot, self.spec, self.settings, self.instruments = robot, robot.spec, settings, instruments
         self.machine = build(robot, settings.dynamics)
-        self.body = Dynamics(self.machine, settings.dynamics, num_worlds, settings.threads)
+        self.body = Dynamics(self.machine, settings.dynamics, num_worlds)
         sensor_seed, *instrument_seeds = seeds.spawn(1 + len(instruments))
-        self.sensors = Sensors(settings.sensors, self.body, settings.dynamics.machine, np.random.default_rng(sensor_seed))
+        self.sensors = Sensors(
+            settings.sensors, self.body, settings.dynamics.machine, np.random.default_rng(sensor_seed)
+        )
         for instrument, seed in zip(instruments.values(), instrument_seeds, strict=True):
             instrument.reset(num_worlds, np.random.default_rng(seed))
         self.operator = Operator(num_worlds)
         self.period = 1 / self.spec.control_rate_hz
         self.steps = round(self.period / settings.dynamics.physics_dt)
+        self._low_seconds = np.zeros(num_worlds)
         self._ticks = 0  # control steps since switching on
         step = settings.sensors.scale_resolution
         self.mass_kg = round(round(self.machine.total_mass / step) * step, 4)
@@ -97,6 +100,7 @@ class Batch:
             if fell.any():  # picked up and set down again, and the show goes on
                 self.body.stand(fell)
                 self.operator.forget(fell)
+                self._low_seconds[fell] = 0
                 crew.reset(fell)
                 readings["joint_target"][fell] = self.spec.default_pose
             self.body.advance(readings["joint_target"], self.steps, tuple(self.instruments.values()))
@@ -108,7 +112,9 @@ class Batch:
     def _fallen(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
         """Robots (W,) that lie on their side, have collapsed, or whose physics broke down."""
         low = self.body.qpos[:, 2] < FALLEN_HEIGHT * self.spec.base_height
-        return low | (readings["projected_gravity"][:, 2] > FALLEN_TILT) | self.body.diverged()
+        self._low_seconds = np.where(low, self._low_seconds + self.period, 0.0)
+        collapsed = self._low_seconds > FALLEN_SECONDS
+        return collapsed | (readings["projected_gravity"][:, 2] > FALLEN_TILT) | self.body.diverged()
 
     def close(self) -> None:
         self.body.close()
@@ -132,11 +138,15 @@ class Crew:
         """Joint targets of all robots (W, J), rad. Raises PolicyError for a policy that gives something not finite."""
         targets = np.empty_like(readings["joint_position"])
         for path, worlds in self._members.items():
-            own = readings if len(worlds) == len(targets) else {name: values[worlds] for name, values in readings.items()}
+            own = (
+                readings if len(worlds) == len(targets) else {name: values[worlds] for name, values in readings.items()}
+            )
             targets[worlds] = self._controllers[path].targets(own)
         if not np.isfinite(targets).all():
             bad = next(p for p, worlds in self._members.items() if not np.isfinite(targets[worlds]).all())
-            raise PolicyError(f"{bad}: gives a joint target that is not a finite number. Nothing was recorded; export it again.")
+            raise PolicyError(
+                f"{bad}: gives a joint target that is not a finite number. Nothing was recorded; export it again."
+            )
         return targets
 
     def reset(self, mask: np.ndarray) -> None:

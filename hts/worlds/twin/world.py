@@ -1,31 +1,31 @@
-"""The side of the twin that a run talks to. The twin itself runs in another process, so nothing can look into it."""
+"""The side of the twin that a run talks to. The twin itself runs in other processes, so nothing can look into it."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-import subprocess
-import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from hts import errors
 from hts.config import ScheduleConfig
 from hts.contracts import Settings, World, WorldContext
-from hts.errors import HtsError, WorldError
+from hts.errors import WorldError
 from hts.recordings.recording import Recording
 from hts.recordings.store import RecordingStore
-from hts.worlds.base import ORDER
+from hts.worlds.base import ORDER, file_hash, in_groups, request_id
+from hts.worlds.twin.child import Child
 from hts.worlds.twin.parameters import TwinSettings
+from hts.worlds.twin.programme import Session, collection, head_to_head
 
-STEPS_PER_SECOND = 35_000.0  # physics steps of a twin on two cores, for the estimate of `cost`
-TAIL_LINES = 3  # of the twin's stderr, in the message about its end
+STEPS_PER_SECOND = 18_000.0  # physics steps of a twin on one core, for the estimate of `cost`
 
 
 def make_twin(settings: Settings, context: WorldContext) -> TwinWorld:
-    """The world `twin`. Its process starts with the first request."""
+    """The world `twin`. Its processes start with the first request."""
     return TwinWorld(TwinSettings.model_validate(dict(settings)), context)
 
 
@@ -40,18 +40,18 @@ class TwinWorld(World):
 
     def __init__(self, settings: TwinSettings, context: WorldContext) -> None:
         self.settings, self._context = settings, context
-        self._process: subprocess.Popen[str] | None = None
-        self._log: IO[str] | None = None
         self._folder = Path(context.folder) / "twin"
+        self._children: list[Child] = []
         self.on_progress: Callable[[float], None] | None = None
 
     def idle(self) -> Mapping[str, float]:
-        return self._ask({"do": "idle"})
+        return self._guarded(lambda: self._staff(1)[0].ask({"do": "idle"}))
 
     def collect(self, policies: Sequence[Path | None], schedule: ScheduleConfig) -> list[Recording]:
         """As `World.collect`; a policy None stands in the default pose by the robot's own stand mode."""
-        request = {"do": "collect", "policies": [_path(p) for p in policies], "schedule": schedule.model_dump(mode="json")}
-        return [self._fetch(name) for name in self._ask(request)] if policies else []
+        paths = [None if policy is None else _path(policy) for policy in policies]
+        request = self._request("collect", paths, schedule.model_dump(mode="json"))
+        return [row[0] for row in self._run(collection(paths, schedule, request), request)]
 
     def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
         return self.head_to_heads([policy], reference, speeds)[0]
@@ -60,13 +60,20 @@ class TwinWorld(World):
         self, policies: Sequence[Path], reference: Path, speeds: Sequence[float]
     ) -> list[list[Recording]]:
         """All policies at all speeds side by side, each pair on a twin of its own."""
-        if not policies or not speeds:
-            return [[] for _ in policies]
-        request = {
-            "do": "head_to_heads", "policies": [_path(p) for p in policies], "reference": _path(reference),
-            "speeds": [float(speed) for speed in speeds],
-        }  # fmt: skip
-        return [[self._fetch(name) for name in names] for names in self._ask(request)]
+        paths, against, settings = [_path(policy) for policy in policies], _path(reference), self.settings
+        lengths = (settings.warmup_seconds, settings.block_seconds)
+        request = self._request("head to head", [*paths, against], [list(speeds), *lengths])
+        sessions = [
+            head_to_head(
+                path, against, float(speed), *lengths,
+                request_id(request, number, float(speed)),
+            )
+            for number, path in enumerate(paths)
+            for speed in speeds
+        ]  # fmt: skip
+        rows = self._run(sessions, request)
+        width = len(speeds)
+        return [[r for row in rows[i * width : (i + 1) * width] for r in row] for i in range(len(paths))]
 
     def head_to_head_seconds(self) -> float:
         """Robot time of one head-to-head at one speed, s."""
@@ -74,89 +81,93 @@ class TwinWorld(World):
 
     def cost(self, robot_seconds: float) -> Mapping[str, float]:
         steps = robot_seconds / self.settings.dynamics.physics_dt
-        return {"robot_minutes": robot_seconds / 60.0, "wall_seconds": steps / STEPS_PER_SECOND}
+        return {"robot_minutes": robot_seconds / 60.0, "wall_seconds": steps / (STEPS_PER_SECOND * self._processes())}
 
     def close(self) -> None:
-        """End the process and remove the spool."""
-        process, self._process = self._process, None
-        if process is not None:
-            for pipe in (process.stdin, process.stdout):
-                if pipe is not None:
-                    _close_quietly(pipe)
-            process.kill()
-            process.wait()
-        if self._log is not None:
-            self._log.close()
-            self._log = None
+        """End the processes and remove the spool."""
+        children, self._children = self._children, []
+        for child in children:
+            child.close()
+        if children:
             shutil.rmtree(self._folder / "spool", ignore_errors=True)
 
     # ------------------------------------------------------------------------------------------ inside
 
-    def _start(self) -> subprocess.Popen[str]:
-        """Start the process and wait until the twin is ready."""
-        context = self._context
-        try:
+    def _request(self, what: str, policies: Sequence[str | None], rest: Any) -> str:
+        """A request's name, from its content."""
+        return request_id(what, self._context.seed, [path and file_hash(path) for path in policies], rest)
+
+    def _processes(self) -> int:
+        return self.settings.processes or os.cpu_count() or 1
+
+    def _staff(self, number: int) -> list[Child]:
+        """At least so many processes, started as needed."""
+        if not self._children:
             shutil.rmtree(self._folder / "spool", ignore_errors=True)  # left by a run that was killed
-            self._folder.mkdir(parents=True, exist_ok=True)
-            self._log = open(self._folder / "stderr.txt", "w", encoding="utf-8")  # noqa: SIM115: closed in `close`
-        except OSError as error:
-            raise WorldError(f"{self._folder}: the twin cannot write here ({error.strerror}). Choose another --out.") from error
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "hts.worlds.twin.process"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, text=True, encoding="utf-8", env=environment,
-        )  # fmt: skip
-        self._exchange(self._process, {
+        context = self._context
+        start = {
             "settings": self.settings.model_dump(mode="json"), "robot": context.robot,
             "robot_settings": json.loads(json.dumps(dict(context.robot_settings), default=str)),
             "objectives": {name: dict(values) for name, values in context.objectives.items()},
             "seed": context.seed, "name": self.name, "spool": str(self._folder / "spool"),
-        })  # fmt: skip
-        return self._process
+        }  # fmt: skip
+        while len(self._children) < number:
+            self._children.append(Child(self._folder / f"stderr-{len(self._children)}.txt", start))
+        return self._children
 
-    def _ask(self, request: Mapping[str, Any]) -> Any:
+    def _run(self, sessions: Sequence[Session], request: str) -> list[list[Recording]]:
+        """Recordings of each session; groups of sessions run in several processes side by side."""
+        groups = in_groups(len(sessions), self.settings.max_worlds)
+        if not groups:
+            return []
+        return self._guarded(lambda: self._share_out([[sessions[i] for i in group] for group in groups], request))
+
+    def _share_out(self, groups: Sequence[Sequence[Session]], request: str) -> list[list[Recording]]:
+        children = list(self._staff(min(len(groups), self._processes())))
+        done, lock = [0.0] * len(groups), threading.Lock()
+
+        def ask(number: int) -> list[list[str]]:
+            def progress(share: float) -> None:
+                with lock:
+                    done[number] = share
+                    if self.on_progress is not None:
+                        self.on_progress(sum(done) / len(done))
+
+            with lock:
+                child = children.pop()
+            content = [session.model_dump(mode="json") for session in groups[number]]
+            ids = child.ask({"do": "run", "sessions": content, "request": request, "group": number}, progress)
+            progress(1.0)
+            with lock:
+                children.append(child)
+            return ids
+
+        with ThreadPoolExecutor(len(children)) as pool:
+            futures = [pool.submit(ask, number) for number in range(len(groups))]
+            try:
+                for future in as_completed(futures):
+                    future.result()
+            except BaseException:
+                for future in futures:
+                    future.cancel()
+                self.close()  # ends the other processes, or leaving the pool would wait for them
+                raise
+        spool = RecordingStore(self._folder / "spool")
+        return [[spool.read(name) for name in row] for future in futures for row in future.result()]
+
+    def _guarded(self, work: Callable[[], Any]) -> Any:
+        """Do it; if it fails, end the processes: an answer that nobody waits for must not meet the next request."""
         try:
-            return self._exchange(self._process or self._start(), request)
+            return work()
         except BaseException:
-            self.close()  # an answer that nobody waits for must not meet the next request
+            self.close()
             raise
 
-    def _exchange(self, process: subprocess.Popen[str], request: Mapping[str, Any]) -> Any:
-        assert process.stdin is not None and process.stdout is not None
-        try:
-            process.stdin.write(json.dumps(request) + "\n")
-            process.stdin.flush()
-        except (BrokenPipeError, OSError):
-            raise self._crashed(process) from None
-        for line in process.stdout:
-            answer = json.loads(line)
-            if "done" in answer:
-                return answer["done"]
-            if "error" in answer:
-                kind = getattr(errors, answer["kind"], WorldError)
-                raise (kind if issubclass(kind, HtsError) else WorldError)(answer["error"])
-            if self.on_progress is not None:
-                self.on_progress(answer["progress"])
-        raise self._crashed(process)
 
-    def _crashed(self, process: subprocess.Popen[str]) -> WorldError:
-        """One line about a process that ended by itself, with the end of what it said."""
-        code, log = process.wait(), self._folder / "stderr.txt"
-        lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-        said = " | ".join(lines[-TAIL_LINES:]) or "nothing"
-        how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
-        return WorldError(f"The twin's process ended {how}; it said: {said} (all of it in {log}). `hts resume` tries again.")
-
-    def _fetch(self, name: str) -> Recording:
-        return RecordingStore(self._folder / "spool").read(name)
-
-
-def _path(policy: Path | None) -> str | None:
-    return None if policy is None else str(Path(policy).resolve())
-
-
-def _close_quietly(pipe: IO[str]) -> None:
-    try:
-        pipe.close()
-    except BrokenPipeError:
-        return  # what was still in the buffer has nobody to read it
+def _path(policy: Path) -> str:
+    path = Path(policy).resolve()
+    if not path.is_file():
+        raise WorldError(
+            f"{path}: no such policy. Export one: `hts export DIR --policy best --format onnx --to {path.name}`."
+        )
+    return str(path)

@@ -1,5 +1,36 @@
-"""Registers what this package offers. Imports nothing heavy."""
+"""Registers what this package offers. Imports nothing heavy: factories import what they make when they are called."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+from hts import hookimpl
+
+if TYPE_CHECKING:
+    from hts.contracts import Instrument, Objective, Robot, Settings
+
 HTS_API = 1
+
+
+def make_noise(settings: Settings) -> Objective:
+    """Objective `noise`: walk more quietly, as a microphone beside the track hears it."""
+    from hts_noise.objective import Noise, NoiseSettings
+
+    return Noise(NoiseSettings.model_validate(dict(settings)))
+
+
+def make_microphone(settings: Settings, robot: Robot) -> Instrument:
+    """Instrument `microphone`: A-weighted sound level at 1 m of a simulated robot."""
+    from hts_noise.microphone import Microphone, MicrophoneParameters
+
+    return Microphone(MicrophoneParameters.model_validate(dict(settings)), robot.spec)
+
+
+@hookimpl
+def hts_objectives(register):
+    register("noise", make_noise)
+
+
+@hookimpl
+def hts_instruments(register):
+    register("microphone", make_microphone)

@@ -45,6 +45,7 @@ class Battery:
         self.cells, self.capacity, self.resistance = cells, capacity_coulomb, resistance
         self.polarisation_resistance, self.polarisation_seconds = polarisation_resistance, polarisation_seconds
         self.bus_capacitance = bus_capacitance
+        self._response_of: tuple[int, float] | None = None
         self.state_of_charge = np.full(num, state_of_charge)
         source = open_circuit_voltage(self.state_of_charge, cells)
         # Has been on for a while: polarised by the idle current.
@@ -61,13 +62,11 @@ class Battery:
         """
         source = open_circuit_voltage(self.state_of_charge, self.cells) - self.polarisation
         settled = source - self.resistance * steady_current(source, self.resistance, power)
-        decay = np.exp(-dt / (self.resistance * self.bus_capacitance))
-        voltage, voltages = self.voltage, np.empty_like(power)
-        for step, target in enumerate(settled):
-            # mean of the exponential over the step is what drives the mean current
-            voltages[step] = target + (voltage - target) * ((1 - decay) * self.resistance * self.bus_capacitance / dt)
-            voltage = target + (voltage - target) * decay
-        self.voltage = voltage
+        decay, weights, powers = self._response(len(power), dt)
+        before = weights @ settled + powers[:, None] * self.voltage  # at the start of each step
+        mean = (1 - decay) * self.resistance * self.bus_capacitance / dt
+        voltages = settled + mean * (before - settled)  # means over each step, which drive the mean current
+        self.voltage = decay * before[-1] + (1 - decay) * settled[-1]
         currents = (source - voltages) / self.resistance
         self.current = currents.mean(axis=0)
         seconds = len(power) * dt
@@ -75,6 +74,17 @@ class Battery:
         self.polarisation = self.polarisation * keep + self.polarisation_resistance * self.current * (1 - keep)
         self.state_of_charge = self.state_of_charge - self.current * seconds / self.capacity
         return currents
+
+    def _response(self, steps: int, dt: float) -> tuple[float, np.ndarray, np.ndarray]:
+        """d = exp(-dt / R C) and the recursion V' = d V + (1 - d) V* over K steps, written out: the voltage at the
+        start of step k is sum_{i<k} (1 - d) d^(k-1-i) V*_i + d^k V_0, so weights (K, K) and powers of d (K,)."""
+        if (steps, dt) != self._response_of:
+            decay = float(np.exp(-dt / (self.resistance * self.bus_capacitance)))
+            powers = decay ** np.arange(steps)
+            lag = np.subtract.outer(np.arange(steps), np.arange(steps)) - 1
+            weights = np.where(lag >= 0, (1 - decay) * decay ** np.maximum(lag, 0), 0.0)
+            self._response_of, self._response_is = (steps, dt), (decay, weights, powers)
+        return self._response_is
 
     def settle(self, current: np.ndarray) -> None:
         """As polarised as after minutes of a mean current (W,), A. The charge stays."""

@@ -34,11 +34,15 @@ INSTRUMENT = "battery_gauge"
 
 def calibrate_twin(
     robot: Annotated[str, typer.Option(metavar="NAME", help="The machine.")] = "go1",
-    policy: Annotated[Path | None, typer.Option(help="Exported policy (.onnx) or .safetensors; default: the robot's own.")] = None,
+    policy: Annotated[
+        Path | None, typer.Option(help="Exported policy (.onnx) or .safetensors; default: the robot's own.")
+    ] = None,
     seconds: Annotated[float, typer.Option(min=5, help="Measured at each speed, after the warm-up, s.")] = 20.0,
     robots: Annotated[int, typer.Option(min=1, help="Twins at each speed.")] = 1,
     gap: Annotated[bool, typer.Option("--gap", help="Also: how far training simulation and twin are apart.")] = False,
-    set_: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="e.g. world.dynamics.gear_loss=0.04")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="e.g. world.dynamics.gear_loss=0.04")
+    ] = None,
     write: Annotated[Path | None, typer.Option(help="Write parameters, their hash and the table as JSON.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
@@ -76,7 +80,9 @@ def exported(policy: Path | None, folder: Path) -> Path:
     from hts.errors import PolicyError
 
     if policy is None or not Path(policy).exists():
-        raise PolicyError(f"{policy}: there is no policy to calibrate with. Make one: `hts pretrain --robot NAME --out DIR`.")
+        raise PolicyError(
+            f"{policy}: there is no policy to calibrate with. Make one: `hts pretrain --robot NAME --out DIR`."
+        )
     if Path(policy).suffix == ".onnx":
         return Path(policy)
     from hts.policies.export import to_onnx
@@ -91,20 +97,17 @@ def measure(
 ) -> dict[str, Any]:  # fmt: skip
     """Standing and walking on twins side by side, warmed up to steady state first."""
     from hts.worlds.base import request_id, seed_sequence, walking
-    from hts.worlds.twin.programme import SETTLING_SECONDS, Block, Session, standing_up
+    from hts.worlds.twin.programme import Block, Session, warm_up
     from hts.worlds.twin.session import Batch
 
     cases = [(None, 0.0)] + [(str(policy), speed) for speed in speeds for _ in range(robots)]
     batch = Batch(robot, settings, {INSTRUMENT: gauge}, len(cases), seed_sequence(seed, request_id("calibrate")))
     try:
-        first = min(SETTLING_SECONDS, settings.warmup_seconds / 2)
-        warm = (first, settings.warmup_seconds - first)
-        batch.run([
-            Session("", (standing_up(), *(Block(p, walking(v, s), recorded=False, settle=True) for s in warm)))
-            for p, v in cases
-        ], "twin")  # fmt: skip
+        batch.run([Session(id="", blocks=warm_up(p, v, settings.warmup_seconds)) for p, v in cases], "twin")
         before, started = {name: joules.copy() for name, joules in gauge.energy.items()}, gauge.seconds
-        rows = batch.run([Session("", (Block(p, walking(v, seconds)),)) for p, v in cases], "twin")
+        rows = batch.run(
+            [Session(id="", blocks=(Block(policy=p, schedule=walking(v, seconds)),)) for p, v in cases], "twin"
+        )
         gauge.read()
         watts = {name: (gauge.energy[name] - before[name]) / (gauge.seconds - started) for name in gauge.energy}
         mass = batch.mass_kg
@@ -115,7 +118,9 @@ def measure(
     walks = {}
     for index, speed in enumerate(speeds):
         members = range(1 + index * robots, 1 + (index + 1) * robots)
-        walks[f"{speed:g}"] = _walk(speed, [recordings[i] for i in members], {n: w[list(members)].mean() for n, w in watts.items()})
+        walks[f"{speed:g}"] = _walk(
+            speed, [recordings[i] for i in members], {n: w[list(members)].mean() for n, w in watts.items()}
+        )
     return {
         "standing_watts": standing,
         "standing_ok": STANDING_WATTS[0] <= standing <= STANDING_WATTS[1],
@@ -156,7 +161,9 @@ def _walk(speed: float, recordings: Sequence[Recording], watts: Mapping[str, flo
 def power(recording: Recording, skip_seconds: float = 2.0) -> float:
     """Mean of current times voltage as the gauge shows them, W, without the unsteady start."""
     skip = round(skip_seconds * recording.rate_hz)
-    return float((recording.values("battery_current")[skip:].astype(float) * recording.values("battery_voltage")[skip:]).mean())
+    return float(
+        (recording.values("battery_current")[skip:].astype(float) * recording.values("battery_voltage")[skip:]).mean()
+    )
 
 
 def idle_power(recording: Recording) -> float:
@@ -176,8 +183,10 @@ def text(result: Mapping[str, Any]) -> str:
     """The tables, as GitHub-flavoured markdown."""
     mark = {True: "ok", False: "OUTSIDE"}
     lines = [
-        f"standing {result['standing_watts']:.1f} W (53 to 65: {mark[result['standing_ok']]}), "
-        f"idle {result['idle_watts']:.1f} W, mass {result['mass_kg']:.2f} kg",
+        (
+            f"standing {result['standing_watts']:.1f} W (53 to 65: {mark[result['standing_ok']]}), "
+            f"idle {result['idle_watts']:.1f} W, mass {result['mass_kg']:.2f} kg"
+        ),
         "",
         "| told m/s | walks m/s | valid | falls | gross W | net W | net CoT | idle share | anchor | copper of net |",
         "|---|---|---|---|---|---|---|---|---|---|",

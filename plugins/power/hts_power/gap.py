@@ -6,7 +6,7 @@ without randomisation. The same drive train and battery are put on both, so that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,12 @@ if TYPE_CHECKING:
     from hts_power.gauge import BatteryGauge
 
 SKIP_SECONDS = 2.0  # of walking, before anything is measured
-ROWS = (("net_watts", "net power, W"), ("torque_rms", "joint torque RMS, N m"), ("velocity_rms", "joint velocity RMS, rad/s"), ("mean_speed", "mean speed, m/s"))
+ROWS = (
+    ("net_watts", "net power, W"),
+    ("torque_rms", "joint torque RMS, N m"),
+    ("velocity_rms", "joint velocity RMS, rad/s"),
+    ("mean_speed", "mean speed, m/s"),
+)
 
 
 def compare(
@@ -77,7 +82,9 @@ def train(robot: Robot, gauge: BatteryGauge, policy: Path, speed: float, seconds
         for _ in range(spec.substeps):
             velocity = data.qvel[None, dof].copy()
             mujoco.mj_step(model, data)
-            gauge.step(PhysicsSample(data.actuator_force[None, actuators], velocity, none, none, none, model.opt.timestep))
+            gauge.step(
+                PhysicsSample(data.actuator_force[None, actuators], velocity, none, none, none, model.opt.timestep)
+            )
         if step >= skip:
             rows.append((data.actuator_force[actuators].copy(), data.qvel[dof].copy(), float(turn[0] @ data.qvel[:3])))
     gauge.read()
@@ -108,7 +115,10 @@ def machines(robot: Robot, settings: TwinSettings) -> dict[str, list[str]]:
         "actuation delay, ms": ["0", f"{1000 * p.actuation_delay:g}"],
         "joint friction, mean, N m": [f"{nominal.dof_frictionloss[dof].mean():.2f}", f"{twin.friction.mean():.2f}"],
         "load-dependent gear loss, mean": ["0", f"{twin.gear_loss.mean():.3f}"],
-        "armature, mean, kg m^2": [f"{nominal.dof_armature[dof].mean():.4f}", f"{twin.model.dof_armature[twin.joint_dof].mean():.4f}"],
+        "armature, mean, kg m^2": [
+            f"{nominal.dof_armature[dof].mean():.4f}",
+            f"{twin.model.dof_armature[twin.joint_dof].mean():.4f}",
+        ],
         "floor friction": [f"{floor[0]:.2f}", f"{p.floor_friction:.2f}"],
         "physics step, ms": [f"{1000 * nominal.opt.timestep:g}", f"{1000 * p.physics_dt:g}"],
         "friction cone": [cone[int(nominal.opt.cone)], cone[int(twin.model.opt.cone)]],

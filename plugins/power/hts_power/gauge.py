@@ -1,4 +1,4 @@
-"""The instrument `gauge`: what the battery management of a simulated robot shows, from the physics of its drives.
+"""The instrument `battery_gauge`: what the battery management of a simulated robot shows, from the physics of its drives.
 
 Per step and joint: copper, iron and inverter losses on top of tau * q'; all joints share a bus, whose sum the
 battery delivers; windings and housings warm up and stay warm when policies are swapped; the gauge averages, delays,
@@ -27,7 +27,7 @@ CHUNK = 64  # steps worked through together at most
 
 
 def make_gauge(settings: Settings, robot: Robot) -> BatteryGauge:
-    """The factory of instrument `gauge`. Raises WorldError for a robot whose motors are unknown."""
+    """The factory of instrument `battery_gauge`. Raises WorldError for a robot whose motors are unknown."""
     return BatteryGauge(GaugeParameters.model_validate(dict(settings)), robot.spec)
 
 
@@ -40,7 +40,7 @@ class BatteryGauge(Instrument):
     def __init__(self, parameters: GaugeParameters, spec: RobotSpec) -> None:
         if spec.motors is None:
             raise WorldError(
-                f"Robot '{spec.name}' gives no motor constants (RobotSpec.motors), which the instrument 'gauge' needs "
+                f"Robot '{spec.name}' gives no motor constants (RobotSpec.motors), which the instrument 'battery_gauge' needs "
                 "to turn torque into current. Add them, or use another instrument."
             )
         self.p, self.spec = parameters, spec
@@ -66,7 +66,7 @@ class BatteryGauge(Instrument):
         self._history = np.empty((0, num_worlds))
         self._steps = 0
         self._shown = self._register(self._battery.current)
-        self._shown_voltage = self._battery.voltage
+        self._shown_voltage = self._cells(self._battery.voltage)
         self.energy = {name: np.zeros(num_worlds) for name in ENERGIES}
         """J since reset, (W,): what only a simulator knows. For calibration, never recorded."""
         self.seconds = 0.0
@@ -84,8 +84,7 @@ class BatteryGauge(Instrument):
         self._work()
         return {
             "battery_current": self._shown,
-            # cells are reported in whole millivolts
-            "battery_voltage": np.round(1000 * self._shown_voltage / self.p.cells) * self.p.cells / 1000,
+            "battery_voltage": self._shown_voltage,
             "state_of_charge": np.round(100 * self._battery.state_of_charge),
             "motor_temperature": np.round(self.housing),
         }
@@ -144,9 +143,8 @@ class BatteryGauge(Instrument):
             return
         p, dt = self.p, self._dt
         torque, speed = self._torque[:count], self._speed[:count]  # (K, W, J)
-        squared = np.square(torque)
         mechanical = torque * speed
-        copper = self._coefficient * (1 + drive_train.COPPER_TEMPERATURE * (self.winding - 25.0)) * squared
+        copper = drive_train.copper_power(torque, self._coefficient, self.winding)
         iron = drive_train.iron_power(self._ratio * speed, p.hysteresis, p.eddy)
         inverter = drive_train.inverter_power(
             np.abs(torque) / self._constant, self._battery.voltage[:, None], p.switch_resistance,
@@ -156,13 +154,24 @@ class BatteryGauge(Instrument):
         current = self._battery.deliver(bus, dt)
 
         seconds = count * dt
-        mean_copper, mean_iron = copper.mean(axis=0), iron.mean(axis=0)
-        self._warm(mean_copper, mean_iron, seconds)
-        self._torque_squared += squared.sum(axis=0) * dt
-        self._iron += mean_iron * seconds
-        self._charge += current.sum(axis=0) * dt
+        copper, iron = np.add.reduce(copper) * dt, np.add.reduce(iron) * dt  # J of each motor from here on
+        self._warm(copper / seconds, iron / seconds, seconds)
+        self._torque_squared += np.einsum("kwj,kwj->wj", torque, torque) * dt
+        self._iron += iron
+        charge = np.add.reduce(current) * dt
+        self._charge += charge
         self._settle_seconds += seconds
-        self._account(mechanical, mean_copper, mean_iron, inverter, bus, current, seconds)
+        for name, joules in (
+            ("idle", p.idle_power * seconds),
+            ("mechanical", np.einsum("kwj->w", mechanical) * dt),
+            ("copper", np.add.reduce(copper, axis=1)),
+            ("iron", np.add.reduce(iron, axis=1)),
+            ("inverter", np.einsum("kwj->w", inverter) * dt),
+            ("bus", np.add.reduce(bus) * dt),
+            ("battery", charge * self._battery.voltage),
+        ):
+            self.energy[name] += joules
+        self.seconds += seconds
         self._sense(current, dt)
 
     def _warm(self, copper: np.ndarray, iron: np.ndarray, seconds: float) -> None:
@@ -173,16 +182,6 @@ class BatteryGauge(Instrument):
         self.winding = self.winding + seconds / p.winding_capacity * (copper + 0.5 * iron - inner)
         self.housing = self.housing + seconds / p.housing_capacity * (inner - outer)
 
-    def _account(self, mechanical, copper, iron, inverter, bus, current, seconds) -> None:
-        self.energy["idle"] += self.p.idle_power * seconds
-        self.energy["mechanical"] += mechanical.mean(axis=0).sum(axis=-1) * seconds
-        self.energy["copper"] += copper.sum(axis=-1) * seconds
-        self.energy["iron"] += iron.sum(axis=-1) * seconds
-        self.energy["inverter"] += inverter.mean(axis=0).sum(axis=-1) * seconds
-        self.energy["bus"] += bus.mean(axis=0) * seconds
-        self.energy["battery"] += (current.mean(axis=0) * self._battery.voltage) * seconds
-        self.seconds += seconds
-
     def _sense(self, current: np.ndarray, dt: float) -> None:
         """(11) The register: mean over the window, as it was `delay` ago, at each update since the last look."""
         p = self.p
@@ -191,15 +190,21 @@ class BatteryGauge(Instrument):
             self._history = np.tile(self._new_battery(current.shape[1]).current, (window + late, 1))
         self._history = np.concatenate([self._history[-(window + late) :], current])
         every = max(1, round(1 / (p.update_rate * dt)))
-        for step in range(len(current)):
-            if (self._steps + step + 1) % every == 0:
-                end = window + step + 1  # counted back by `late` from the newest
-                self._shown = self._register(self._history[end - window : end].mean(axis=0))
-                self._shown_voltage = self._battery.voltage
+        first = -(self._steps + 1) % every  # steps until the register changes; counted back by `late` from the newest
+        for step in range(first, len(current), every):
+            self._shown = self._register(self._history[step + 1 : step + 1 + window].mean(axis=0))
+            self._shown_voltage = self._cells(self._battery.voltage)
         self._steps += len(current)
 
     def _register(self, current: np.ndarray) -> np.ndarray:
         """A reading of a true current (W,), A, turned positive for discharge."""
         p = self.p
         reading = -(1 + p.gain_error) * current + p.offset + p.noise * self._rng.standard_normal(current.shape)
-        return -(np.round(reading / p.resolution) * p.resolution if p.resolution > 0 else reading)
+        return -(np.rint(reading / p.resolution) * p.resolution if p.resolution > 0 else reading)
+
+    def _cells(self, voltage: np.ndarray) -> np.ndarray:
+        """Sum of the cell voltages as read, each in whole millivolts, (W,)."""
+        cells = voltage[:, None] / self.p.cells + self.p.cell_noise * self._rng.standard_normal(
+            (len(voltage), self.p.cells)
+        )
+        return np.rint(1000 * cells).sum(axis=1) / 1000

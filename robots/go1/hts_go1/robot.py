@@ -42,6 +42,7 @@ SPEC = RobotSpec(
     base_height=c.BASE_HEIGHT,
     trunk_body="trunk",
     foot_sites=tuple(f"{leg}_foot" for leg in c.LEGS),
+    endurance_minutes=60.0,  # GO1 User Manual V1.4, battery table: "about 1 h"
     motors=JointMotors(
         torque_constant=per_joint(c.TORQUE_CONSTANT),
         gear_ratio=per_joint(c.GEAR_RATIO),

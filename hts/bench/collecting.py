@@ -1,0 +1,96 @@
+"""`hts bench env`: collection with policy, env and measurement model, against bare physics."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+from hts.bench.bare import Replay, synchronise
+from hts.bench.setup import conditions, find, make_trainer
+from hts.ppo.trainer import PopulationTrainer
+
+WARM_UP, LEAST_ROUNDS = 3, 3  # batches
+
+
+def bench_env(
+    robot: str | None, objective: str | None, engine: str = "mujoco", candidates: int = 6, envs: int = 64,
+    seconds: float = 10.0,
+) -> dict[str, Any]:  # fmt: skip
+    """Collection by the collector, exploring policies, env and measurement model of a real run, in control steps per
+    second over all worlds; `profile` is where the time of a step goes. Keys: steps_per_s, bare_steps_per_s, ratio, …"""
+    machine, chosen = find(robot, objective)
+    trainer = make_trainer(machine, chosen, engine, candidates, envs)
+    try:
+        result = measure(trainer, trainer.collect, seconds)
+        return {"bench": "env", **result, "profile": profile(trainer), **conditions(trainer, machine, chosen, engine)}
+    finally:
+        trainer.close()
+
+
+def measure(trainer: PopulationTrainer, work: Callable[[], Any], seconds: float) -> dict[str, Any]:
+    """Alternate `work`, which collects one batch (and may do more), with the bare replay of what it collected."""
+    device, replay = trainer.population.device, Replay(trainer.env.engine)
+    for _ in range(WARM_UP):
+        work()
+    fast, bare, until = [], [], time.perf_counter() + seconds
+    while len(fast) < LEAST_ROUNDS or time.perf_counter() < until:
+        replay.start()
+        synchronise(device)
+        start = time.perf_counter()
+        work()
+        synchronise(device)
+        fast.append(time.perf_counter() - start - replay.overhead)
+        bare.append(replay.seconds())
+    steps = trainer.steps_per_batch
+    return {
+        "steps_per_s": steps / statistics.median(fast), "bare_steps_per_s": steps / statistics.median(bare),
+        "ratio": statistics.median(b / f for b, f in zip(bare, fast, strict=True)), "rounds": len(fast),
+        "steps_per_round": steps,
+    }  # fmt: skip
+
+
+def profile(trainer: PopulationTrainer, batches: int = 3) -> dict[str, float]:
+    """Shares of collection: physics, policy, measurement, env (reward, observation, resets), collector (the rest)."""
+    env, population = trainer.env, trainer.population
+    clocks = {
+        "physics": Clock(env.engine, "step"), "policy": Clock(trainer.actor, "forward"),
+        "measurement": Clock(env.transform, "_step"), "env": Clock(env.base_env, "_step"),
+        "reset": Clock(env.base_env, "_reset"),
+    }  # fmt: skip
+    synchronise(population.device)
+    start = time.perf_counter()
+    for _ in range(batches):
+        trainer.collect()
+    synchronise(population.device)
+    total = time.perf_counter() - start
+    spent = {name: clock.stop() for name, clock in clocks.items()}
+    spent["env"] += spent.pop("reset") - spent["physics"]
+    spent["collector"] = total - sum(spent.values())
+    return {name: round(value / total, 4) for name, value in spent.items()}
+
+
+class Clock:
+    """Sums the time inside one method of one object. On a GPU that is launching, not computing."""
+
+    def __init__(self, owner: Any, method: str) -> None:
+        self.owner, self.method, self.seconds = owner, method, 0.0
+        self._kept = getattr(owner, method)
+        self._own = method in vars(owner)
+        object.__setattr__(owner, method, self._timed)
+
+    def _timed(self, *args: Any, **kwargs: Any) -> Any:
+        start = time.perf_counter()
+        try:
+            return self._kept(*args, **kwargs)
+        finally:
+            self.seconds += time.perf_counter() - start
+
+    def stop(self) -> float:
+        """Put the method back; seconds so far."""
+        if self._own:
+            object.__setattr__(self.owner, self.method, self._kept)
+        else:
+            object.__delattr__(self.owner, self.method)
+        return self.seconds

@@ -1,0 +1,110 @@
+"""What the benches run: the shipped policy, a measurement model in the loop, and the trainer of a real run."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase, TransformedEnv
+
+from hts.config import EnvConfig, PPOConfig
+from hts.errors import ConfigError
+from hts.measurement.models import MeasurementModel, gather
+from hts.measurement.transform import MeasurementTransform
+from hts.plugins import load
+from hts.policies.files import load_policy
+from hts.policies.networks import Population
+from hts.ppo.actor import Explorer
+from hts.ppo.trainer import PopulationTrainer
+
+if TYPE_CHECKING:
+    from hts.contracts import Objective, Robot
+
+KL_BOUND, WEIGHT = 0.5, 1.0
+SAMPLE_STEPS = 50  # control steps from which an unfitted model takes its input statistics
+
+
+def find(robot: str | None, objective: str | None) -> tuple[Robot, Objective]:
+    """The robot and objective of a bench. Without a name: the first robot installed, and the objective whose
+    measurement model is largest. Raises ConfigError where there is none."""
+    registry = load()
+    if robot is None and not registry.robots:
+        raise ConfigError("No robot is installed. Install one, then `hts bench` again; `hts plugins` lists them.")
+    machine = registry.make_robot(robot or min(registry.robots))
+    if machine.pretrained_policy() is None:
+        raise ConfigError(f"Robot '{machine.spec.name}' is log-only: it has no policy to collect with.")
+    if objective is not None:
+        return machine, registry.make_objective(objective)
+    offered = [registry.make_objective(name) for name in sorted(registry.objectives)]
+    fitting = [one for one in offered if set(one.inputs) <= set(machine.channels())]
+    if not fitting:
+        raise ConfigError(f"No objective is installed whose inputs robot '{machine.spec.name}' gives.")
+    return machine, max(fitting, key=lambda one: new_model(one, machine).num_features)
+
+
+def new_model(objective: Objective, robot: Robot) -> MeasurementModel:
+    """The objective's network of its default configuration, unfitted: it costs what a fitted one costs."""
+    channels = robot.channels()
+    sizes = [max(1, torch.Size(channels[name].shape).numel()) for name in objective.inputs]
+    return MeasurementModel(objective.measurement_model(), sizes, robot.spec.control_rate_hz)
+
+
+def make_population(robot: Robot, count: int) -> Population:
+    """Candidates that all start as the robot's shipped policy, sigma included."""
+    path = robot.pretrained_policy()
+    assert path is not None
+    policy = load_policy(path)
+    return Population.from_candidates(policy.card.sizes(), [policy.tensors] * count)
+
+
+def make_trainer(
+    robot: Robot, objective: Objective, engine: str, candidates: int, envs: int, seed: int = 0, ppo: PPOConfig | None = None
+) -> PopulationTrainer:  # fmt: skip
+    """A trainer as fine-tuning makes it: anchored, bounded, with the measurement model's reward, already walking."""
+    seeds = [seed + index for index in range(candidates)]
+    env = robot.make_env(engine, candidates, envs, EnvConfig(), channels=objective.inputs, seeds=seeds)
+    population = make_population(robot, candidates).to(env.device)
+    population.refresh()
+    model = new_model(objective, robot)
+    _take_statistics(env, population, model)
+    env = TransformedEnv(env, MeasurementTransform.of(objective, model))
+    return PopulationTrainer(
+        env, population, ppo or PPOConfig(), seeds=seeds, names=[str(seed) for seed in seeds], anchor=population.frozen(),
+        bounds=torch.full((candidates,), KL_BOUND), weights={objective.name: torch.full((candidates,), WEIGHT)},
+    )  # fmt: skip
+
+
+@torch.no_grad()
+def _take_statistics(env: EnvBase, population: Population, model: MeasurementModel) -> None:
+    """Walk for a second; normalise the model by what was seen, its target by a made-up one."""
+    act: TensorDictModuleBase = Explorer(population, None)
+    seen: list[torch.Tensor] = []
+    state = env.reset()
+    for _ in range(SAMPLE_STEPS):
+        data, state = env.step_and_maybe_reset(act(state))
+        seen.append(gather(data["next", "channels"], model.config.inputs, env.batch_size.numel()).cpu())
+    inputs = torch.cat(seen)
+    model.set_normaliser(inputs, inputs.square().mean(1))
+
+
+def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective, engine: str) -> dict[str, Any]:
+    """What was measured where, for the JSON."""
+    shape: Sequence[int] = trainer.env.batch_size
+    return {
+        "robot": robot.spec.name, "engine": engine, "candidates": shape[0], "envs": shape[1],
+        "horizon": trainer.config.horizon, "substeps": robot.spec.substeps,
+        "measurement": f"{objective.name}: unfitted model of the default size, statistics from the collected channels",
+        "device": _device(trainer.population.device), "cores": os.cpu_count() or 1,
+        "engine_threads": getattr(trainer.env.engine, "threads", 0), "torch_threads": torch.get_num_threads(),
+        "torch": str(torch.__version__),
+    }  # fmt: skip
+
+
+def _device(device: torch.device) -> str:
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return platform.processor() or platform.machine()

@@ -1,0 +1,20 @@
+"""`hts new`: a package to start from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="objective, robot or selector.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="What it is called on the command line.")],
+    to: Annotated[Path, typer.Option(metavar="DIR", help="Where the package's folder goes.")] = Path("."),
+) -> None:
+    """Write a package that installs, passes `hts check`, and says what to change."""
+    from hts.testing.starters import write_starter
+
+    folder = write_starter(kind, name, to)
+    typer.echo(f"{folder}\nnext: pip install -e {folder} && hts check {folder.name}")

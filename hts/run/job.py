@@ -1,0 +1,118 @@
+"""What every stage of a run needs: configuration, folder, plugins, store, world, policies."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from hts.config import RunConfig
+from hts.contracts import Objective, Robot, World, WorldContext
+from hts.errors import ConfigError
+from hts.plugins import Registry
+from hts.policies.export import to_onnx
+from hts.policies.files import Policy, load_policy, save_policy
+from hts.recordings.recording import Recording
+from hts.recordings.store import RecordingStore
+from hts.run.provenance import collect as collect_provenance
+from hts.run.stages import Stages, read_json, write_json
+
+
+class Job:
+    """One run in one folder. Objects that cost time are made when a stage first needs them."""
+
+    def __init__(self, config: RunConfig, folder: Path, registry: Registry, stages: Stages):
+        self.config, self.folder, self.registry, self.stages = config, folder, registry, stages
+        self.robot: Robot = registry.make_robot(config.robot.name, config.robot.settings)
+        self.objectives: dict[str, Objective] = {
+            name: registry.make_objective(name, settings) for name, settings in config.objectives.items()
+        }
+
+    # ------------------------------------------------------------------------------------------------- stages
+
+    def do(self, name: str, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
+        """See `Stages.do`."""
+        return self.stages.do(name, title, work)
+
+    def read(self, name: str) -> Any:
+        """Result of a finished stage."""
+        return read_json(self.folder / f"{name}.json")
+
+    def prepare(self) -> None:
+        """The pretrained policy and the provenance, before anything is spent."""
+        source = self.robot.pretrained_policy()
+        if source is None:
+            raise ConfigError(f"Robot '{self.robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
+        if not self.policy_path("pretrained").with_suffix(".onnx").exists():
+            self.save("pretrained", load_policy(source, self.robot.spec))
+        if not (self.folder / "provenance.json").exists():
+            plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}
+            write_json(self.folder / "provenance.json", collect_provenance(self.config.seed, self.config.engine, plugins))
+
+    def seed(self, *what: object) -> int:
+        """A seed for one purpose, from the run's seed."""
+        text = "/".join(str(part) for part in (self.config.seed, *what))
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "little")
+
+    # ----------------------------------------------------------------------------------------------- policies
+
+    def policy_path(self, name: str) -> Path:
+        """Where a policy lies: pretrained and best in policies/, candidate 01-03 in iterations/01/candidates/."""
+        if name in ("pretrained", "best"):
+            return self.folder / "policies" / f"{name}.safetensors"
+        return self.folder / "iterations" / name.split("-")[0] / "candidates" / f"{name}.safetensors"
+
+    def save(self, name: str, policy: Policy) -> Path:
+        """Write a policy and, beside it, the ONNX file that worlds get; returns the latter."""
+        path = save_policy(self.policy_path(name), policy)
+        return to_onnx(policy, path.with_suffix(".onnx"))
+
+    def policy(self, name: str) -> Policy:
+        """Read a policy of this run."""
+        return load_policy(self.policy_path(name), self.robot.spec)
+
+    def exported(self, name: str) -> Path:
+        """The ONNX file of a policy of this run."""
+        return self.policy_path(name).with_suffix(".onnx")
+
+    # ---------------------------------------------------------------------------------------- world and recordings
+
+    @cached_property
+    def world(self) -> World:
+        """Where policies run "for real"."""
+        context = WorldContext(
+            robot=self.config.robot.name, robot_settings=self.config.robot.settings, objectives=self.config.objectives,
+            seed=self.config.seed, folder=self.folder / "world",
+        )  # fmt: skip
+        return self.registry.make_world(self.config.world.name, self.config.world.settings, context)
+
+    @cached_property
+    def store(self) -> RecordingStore:
+        """The run's real data."""
+        return RecordingStore(self.folder / "data.zarr", create=True)
+
+    def keep(self, recordings: Sequence[Recording], iteration: int) -> list[str]:
+        """Store recordings; writing one twice is harmless. Returns their ids."""
+        return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
+
+    def recordings(self, ids: Sequence[str]) -> list[Recording]:
+        """Read recordings back."""
+        return [self.store.read(name) for name in ids]
+
+    def known(self, iteration: int) -> list[str]:
+        """Ids of all recordings made before the fine-tuning of this iteration: D_i."""
+        ids = list(self.read("collect")["recordings"])
+        for earlier in range(iteration):
+            ids += self.read(f"iterations/{earlier:02d}/test")["recordings"]
+        return ids
+
+    def watch(self, report: Callable[[float], None]) -> None:
+        """Let the world report its progress, if it can."""
+        if hasattr(self.world, "on_progress"):
+            self.world.on_progress = report
+
+    def close(self) -> None:
+        if "world" in self.__dict__:
+            self.world.close()

@@ -1,0 +1,155 @@
+"""The stages that happen in simulation: fit measurement models, fine-tune the sweep, judge the candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from torch.utils.tensorboard import SummaryWriter
+from torchrl.envs.transforms import Transform
+
+from hts.contracts import SimulatedCandidate
+from hts.evaluation.simulation import simulate as trials
+from hts.evaluation.simulation import test_config
+from hts.measurement import files
+from hts.measurement.fit_command import fit_and_check
+from hts.measurement.transform import MeasurementTransform, ProxyTransform
+from hts.policies.files import Policy, make_card
+from hts.policies.networks import Population
+from hts.ppo.finetune import finetune as finetune_candidates
+from hts.ppo.finetune import measured_env
+from hts.ppo.sweep import Candidate, candidates
+from hts.run.job import Job
+
+Report = Callable[[float], None]
+
+
+def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
+    """f_i <- A(D_i) for each objective: models in iterations/NN/models, their checks as the result."""
+    ids = job.known(iteration)
+    dataset = job.store.dataset(ids)
+    recordings = job.recordings(ids)
+    keep = {job.policy("pretrained").card.policy_hash}
+    result = {}
+    for number, (name, objective) in enumerate(job.objectives.items()):
+
+        def share(epoch: int, epochs: int, error: float, number: int = number) -> None:
+            report((number + epoch / epochs) / len(job.objectives))
+
+        fitted = fit_and_check(objective, recordings, job.config.measurement, keep=keep, progress=share)
+        notes = {"dataset": dataset.sha256, "iteration": iteration}
+        files.save(fitted.model, model_path(job, iteration, name), notes)
+        result[name] = {**fitted.report, "dataset": dataset.sha256, "recordings": list(dataset.ids)}
+    return result
+
+
+def model_path(job: Job, iteration: int, objective: str):
+    """Where a measurement model lies."""
+    return job.folder / "iterations" / f"{iteration:02d}" / "models" / f"{objective}.safetensors"
+
+
+def transforms(job: Job, iteration: int) -> list[Transform]:
+    """Fresh measurement models (or analytic proxies) to put into an env."""
+    if job.config.reward_source == "proxy":
+        return [ProxyTransform(objective) for objective in job.objectives.values()]
+    return [
+        MeasurementTransform.of(objective, files.load(model_path(job, iteration, name)))
+        for name, objective in job.objectives.items()
+    ]
+
+
+def inputs(job: Job) -> tuple[str, ...]:
+    """Sim channels that the objectives' models read."""
+    return tuple(dict.fromkeys(name for objective in job.objectives.values() for name in objective.inputs))
+
+
+def sweep(job: Job, iteration: int, best: str) -> list[Candidate]:
+    """The candidates of an iteration."""
+    hashes = {
+        anchor: job.policy(best if anchor == "best" else "pretrained").card.policy_hash
+        for anchor in job.config.sweep.anchors
+    }
+    weights = {
+        name: job.config.sweep.weights.get(name)
+        or (objective.baseline_weights if job.config.reward_source == "proxy" else objective.weights)
+        for name, objective in job.objectives.items()
+    }
+    return candidates(iteration, hashes, weights, job.config.sweep.kl_bounds)
+
+
+def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
+    """Fine-tune every candidate; policies in iterations/NN/candidates, training curves in log/ (TensorBoard)."""
+    config = job.config
+    group = sweep(job, iteration, best)
+    anchors = {"best": job.policy(best), "pretrained": job.policy("pretrained")}
+    checkpoint = job.folder / "iterations" / f"{iteration:02d}" / "checkpoint"
+    checkpoint.parent.mkdir(parents=True, exist_ok=True)
+    writer = SummaryWriter(str(job.folder / "log" / f"iteration-{iteration:02d}"))
+
+    def log(stats, members) -> None:
+        for name, values in stats.values.items():
+            for member, value in zip(members, values, strict=True):
+                writer.add_scalar(f"{name}/{member.id}", value, stats.steps // len(members))
+
+    key = f"{iteration}/{anchors['best'].card.policy_hash}/{config.seed}"
+    tuned, steps = finetune_candidates(
+        job.robot, config.engine, config.finetune, group, anchors, lambda: transforms(job, iteration), inputs(job),
+        seed=job.seed("finetune", iteration), checkpoint=checkpoint, key=key, progress=report, log=log,
+    )  # fmt: skip
+    writer.close()
+    rows = []
+    for one in tuned:
+        c, anchor = one.candidate, anchors[one.candidate.anchor]
+        made = {"anchor": anchor.card.policy_hash, "weights": dict(c.weights), "kl_bound": str(c.kl_bound), "kl": one.kl, "iteration": iteration}
+        card = make_card(job.robot.spec, one.tensors, [dict(part) for part in anchor.card.observation], anchor.card.sizes(), **made)
+        job.save(c.id, Policy(one.tensors, card))
+        rows.append(
+            {
+                "id": c.id, "anchor": c.anchor, "weights": dict(c.weights), "kl_bound": c.kl_bound, "kl": one.kl,
+                "std": one.std, "anchor_std": one.anchor_std, "stopped": one.stopped, "policy_hash": card.policy_hash,
+                "curve": one.history[:: max(1, len(one.history) // 50)],
+            }
+        )  # fmt: skip
+    for left in checkpoint.parent.glob("checkpoint-*"):
+        left.unlink()
+    return {"candidates": rows, "steps": steps}
+
+
+def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
+    """Judge candidates by their mean action in the training simulation; Π_{i+1} <- top K."""
+    config = job.config
+    test = config.simulation_test
+    rows = job.read(f"iterations/{iteration:02d}/finetune")["candidates"]
+    names = ["pretrained", *(row["id"] for row in rows)]
+    policies = [job.policy(name) for name in names]
+    worlds = test.num_envs * len(test.speeds)
+    seed = job.seed("simulate")  # the same worlds in every iteration
+    env_config = test_config(config.finetune.env, test.speeds, test.seconds, seed)
+    channels = tuple(dict.fromkeys((*inputs(job), "base_velocity")))
+    bare = job.robot.make_env(config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names))
+    env = measured_env(bare, transforms(job, iteration))
+    population = Population.from_candidates(policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device)
+    results = dict(zip(names, trials(env, population, test.speeds, test.seconds, test.speed_tolerance), strict=True))
+    env.close()
+    judged = [_judge(row, results[row["id"]], test.speed_tolerance) for row in rows]
+    selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
+    elites = selector.elites(judged, config.selection.elites)
+    details = {
+        name: [{"speed": t.speed, "falls": t.falls, "mean_speed": t.mean_speed, "valid": t.valid, "rewards": t.rewards} for t in row]
+        for name, row in results.items()
+    }
+    return {
+        "scores": {c.id: c.score for c in judged}, "falls": {c.id: c.falls for c in judged},
+        "tracked": {c.id: c.tracked for c in judged}, "elites": elites, "trials": details,
+        "steps": round(test.seconds * job.robot.spec.control_rate_hz) * worlds * len(names),
+    }  # fmt: skip
+
+
+def _judge(row: dict[str, Any], results, tolerance: float) -> SimulatedCandidate:
+    """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations)."""
+    falls = sum(trial.falls for trial in results)
+    tracked = all(abs(trial.mean_speed - trial.speed) <= tolerance * trial.speed for trial in results)
+    score = sum(sum(trial.rewards.values()) for trial in results) / len(results)
+    stopped = row["stopped"] is not None
+    return SimulatedCandidate(row["id"], float("-inf") if stopped else score, falls, tracked and not stopped)
+

@@ -1,0 +1,86 @@
+"""Stages of a run: each does one thing once, and its result file is the proof that it is done."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hts.errors import RunError
+from hts.run.progress import Progress
+
+TIMES = "log/stages.json"
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write in one move, infinity as null; a reader sees the old file or the new one, never half of one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.tmp")
+    with temporary.open("w") as file:
+        file.write(json.dumps(_finite(value), indent=1, allow_nan=False) + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def read_json(path: Path) -> Any:
+    """Raises RunError for a file that is damaged."""
+    try:
+        return json.loads(path.read_text())
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise RunError(
+            f"{path}: damaged ({error}). It is the result of a finished stage; delete it and resume: that stage and the later ones run again."
+        ) from error
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+class Stages:
+    """The stages of one run folder. `do` skips what is done, so that a run killed anywhere goes on by calling it again.
+
+    Only one process may work in a folder: RunError if another one does.
+    """
+
+    def __init__(self, folder: Path, progress: Progress):
+        self.folder, self.progress = folder, progress
+        self._lock = (folder / ".lock").open("w")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise RunError(f"{folder}: another process is working in it. Wait for it, or stop it first.") from error
+
+    def do(self, name: str, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
+        """Result of a stage: from `name`.json if it is done, else of work(report share done), stored there.
+
+        What `work` leaves behind beside its result must be harmless to write twice.
+        """
+        path = self.folder / f"{name}.json"
+        if path.exists():
+            return read_json(path)
+        started = time.perf_counter()
+        with self.progress.stage(title) as report:
+            result = work(report)
+        write_json(path, result)
+        times = read_json(self.folder / TIMES) if (self.folder / TIMES).exists() else {}
+        write_json(self.folder / TIMES, {**times, name: round(time.perf_counter() - started, 3)})
+        return read_json(path)
+
+    def seconds(self) -> dict[str, float]:
+        """How long each finished stage took, s."""
+        return read_json(self.folder / TIMES) if (self.folder / TIMES).exists() else {}
+
+    def close(self) -> None:
+        self._lock.close()

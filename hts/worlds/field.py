@@ -1,0 +1,184 @@
+"""The world `field`: a person with a robot.
+
+A request for recordings writes a deploy bundle and ends the process (WaitingForRobot, exit code 75) with the one
+command to type next. When the logs lie in the bundle, the same request reads them and goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from hts.channels import Channel
+from hts.config import Config, ScheduleConfig
+from hts.contracts import Settings, World, WorldContext
+from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
+from hts.recordings.recording import Recording
+from hts.worlds.base import ORDER, file_hash, request_id, walking
+from hts.worlds.field_bundle import Order, mapping_template, write_bundle
+
+
+class FieldSettings(Config):
+    """Settings of the world `field`."""
+
+    mapping: Path | None = Field(
+        None, description="which column of the logs is which channel; left out: one to fill in is written"
+    )
+    block_seconds: float = Field(80.0, gt=0, description="length of each of the four blocks of a head-to-head, s")
+
+
+def make_field(settings: Settings, context: WorldContext) -> FieldWorld:
+    """The world `field`."""
+    return FieldWorld(FieldSettings.model_validate(dict(settings)), context)
+
+
+class FieldWorld(World):
+    """Deploy bundles out, logs in. A request is known by its content, so asking again after a restart finds its logs."""
+
+    name = "field"
+
+    def __init__(self, settings: FieldSettings, context: WorldContext) -> None:
+        self.settings, self._context = settings, context
+        self._folder = Path(context.folder) / "field"
+
+    def idle(self) -> Mapping[str, float]:
+        """From the mapping, where the person wrote it."""
+        levels = self._idle_levels(self._mapping())
+        missing = [name for name, level in levels.items() if level is None]
+        if missing or not levels:
+            raise WaitingForRobot(
+                f"The idle level of {', '.join(missing) or 'every measured channel'} is not known. With electronics on and "
+                f"motors idle, read it off and write it into {self._mapping_path()}; then type: {self._command()}"
+            )
+        return {name: float(level) for name, level in levels.items() if level is not None}
+
+    def collect(self, policies: Sequence[Path], schedule: ScheduleConfig) -> list[Recording]:
+        request = self._request("collect", policies, schedule.model_dump(mode="json"))
+        orders = [
+            Order(f"{number:02d}", Path(policy), schedule, request_id(request, number), 0, "collection")
+            for number, policy in enumerate(policies)
+        ]
+        return self._recordings(request, orders)
+
+    def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
+        return self.head_to_heads([policy], reference, speeds)[0]
+
+    def head_to_heads(
+        self, policies: Sequence[Path], reference: Path, speeds: Sequence[float]
+    ) -> list[list[Recording]]:
+        """All of them in one bundle, so that one visit to the robot is enough."""
+        request = self._request(
+            "head to head", [*policies, reference], [*map(float, speeds), self.settings.block_seconds]
+        )
+        orders: list[Order] = []
+        for number, policy in enumerate(policies):
+            for speed in speeds:
+                session = request_id(request, number, float(speed))
+                schedule = walking(float(speed), self.settings.block_seconds)
+                for block, role in enumerate(ORDER):
+                    path = Path(policy if role == "policy" else reference)
+                    orders.append(Order(f"{len(orders):02d}", path, schedule, session, block, role))
+        recordings = self._recordings(request, orders)
+        width = len(ORDER) * len(speeds)
+        return [recordings[i * width : (i + 1) * width] for i in range(len(policies))]
+
+    # ------------------------------------------------------------------------------------------ inside
+
+    def _recordings(self, request: str, orders: Sequence[Order]) -> list[Recording]:
+        """What the logs of a bundle hold, in order; writes the bundle and waits if any is missing."""
+        if not orders:
+            return []
+        bundle = self._folder / request
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._mapping()
+            write_bundle(bundle, orders, self._mapping_path(), self._command())
+        except OSError as error:
+            raise WorldError(f"{bundle}: the deploy bundle cannot be written ({error.strerror}).") from error
+        files = {order.name: _log_files(bundle / "logs", order.name) for order in orders}
+        missing = [name for name, found in files.items() if not found]
+        if missing:
+            raise WaitingForRobot(
+                f"Waiting for {len(missing)} of {len(orders)} logs from the robot ({bundle}/logs/{missing[0]}.csv and so on). "
+                f"What to record is in {bundle}/README.md; then type: {self._command()}"
+            )
+        return [self._read(files[order.name], order) for order in orders]
+
+    def _read(self, files: Sequence[Path], order: Order) -> Recording:
+        from hts import plugins
+        from hts.policies.deploy import DeployedPolicy
+
+        registry, mapping = plugins.load(), self._mapping()
+        facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
+        facts |= {
+            "world": self.name, "policy_hash": DeployedPolicy(order.policy).card.policy_hash, "session": order.session,
+            "schedule": order.schedule.model_dump(mode="json"), "block": order.block, "role": order.role,
+        }  # fmt: skip
+        reader = registry.make_log_reader(str(mapping.get("reader", "csv")), {})
+        robot = registry.make_robot(self._context.robot, self._context.robot_settings)
+        try:
+            recording = reader.read(files, {**mapping, "recording": facts}, robot)
+        except ConfigError as error:
+            raise ConfigError(f"{self._mapping_path()}: {error}") from error
+        if abs(recording.seconds - order.schedule.seconds) > 0.1 * order.schedule.seconds:
+            raise RecordingError(
+                f"{files[0]}: {recording.seconds:.1f} s long, but {order.schedule.seconds:g} s were to be recorded. "
+                "Cut the log to the block it belongs to, or record it again."
+            )
+        return recording
+
+    def _mapping_path(self) -> Path:
+        return self.settings.mapping or self._folder / "mapping.yaml"
+
+    def _mapping(self) -> dict[str, Any]:
+        """The mapping; if it is the run's own and not there yet, one to fill in."""
+        from hts.recordings.mapping import load_mapping
+
+        path = self._mapping_path()
+        if self.settings.mapping is None and not path.exists():
+            from hts import plugins
+
+            registry = plugins.load()
+            robot = registry.make_robot(self._context.robot, self._context.robot_settings)
+            real: dict[str, Channel] = {}
+            for name, settings in self._context.objectives.items():
+                objective = registry.make_objective(name, settings)
+                real[objective.target.name] = objective.target
+                if objective.instrument is not None:  # it tells what else the score needs beside the target
+                    instrument = registry.make_instrument(objective.instrument, {}, robot)
+                    levels = instrument.idle()
+                    real |= {channel.name: channel for channel in instrument.channels if channel.name in levels}
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(mapping_template(robot.spec, robot.channels(), list(real.values())), encoding="utf-8")
+        return load_mapping(path)
+
+    @staticmethod
+    def _idle_levels(mapping: Mapping[str, Any]) -> dict[str, float | None]:
+        """Level per measured channel, None where it is still to be written."""
+        channels = mapping.get("channels") or {}
+        return {name: one["idle"] for name, one in channels.items() if isinstance(one, Mapping) and "idle" in one}
+
+    def _request(self, what: str, policies: Sequence[Path], rest: Any) -> str:
+        try:
+            return request_id(what, [file_hash(policy) for policy in policies], rest)
+        except OSError as error:
+            raise WorldError(f"{error.filename}: this policy cannot be read ({error.strerror}).") from error
+
+    def _command(self) -> str:
+        """What to type next: the run that this world's folder belongs to goes on."""
+        folder = Path(self._context.folder)
+        run = next((place for place in (folder, *folder.parents) if (place / "config.yaml").exists()), folder)
+        return f"hts evaluate {run}" if (run / "summary.json").exists() else f"hts resume {run}"
+
+
+def _log_files(folder: Path, name: str) -> list[Path]:
+    """Files of one log: NAME.something, or everything in a folder NAME."""
+    try:
+        inside = folder / name
+        found = inside.iterdir() if inside.is_dir() else folder.glob(f"{name}.*")
+        return sorted(path for path in found if path.is_file())
+    except OSError as error:
+        raise WorldError(f"{folder}: cannot be read ({error.strerror}).") from error

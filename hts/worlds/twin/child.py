@@ -1,0 +1,95 @@
+"""One process of the twin, seen from the run: start it, ask it, tell how it ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+from hts import errors
+from hts.errors import HtsError, WorldError
+
+TAIL_LINES = 3  # of stderr, in the message about its end
+
+
+class Child:
+    """A twin's process, ready when made. log: where its stderr goes; start: first line of process.py's protocol.
+
+    Raises WorldError if the log cannot be written or the process does not come up; what the twin itself refuses
+    (a wrong setting, a broken policy) arrives as the error that it raised over there.
+    """
+
+    def __init__(self, log: Path, start: Mapping[str, Any]) -> None:
+        self._log_path = log
+        try:
+            log.parent.mkdir(parents=True, exist_ok=True)
+            self._log = log.open("w", encoding="utf-8")
+        except OSError as error:
+            raise WorldError(
+                f"{log}: the twin cannot write here ({error.strerror}). Choose a folder with --out that can be written."
+            ) from error
+        # One core each: that is what several processes are for.
+        environment = {
+            **os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(part for part in sys.path if part),
+        }  # fmt: skip
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "hts.worlds.twin.process"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, text=True, encoding="utf-8", env=environment,
+        )  # fmt: skip
+        try:
+            self.ask(start)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def ask(self, request: Mapping[str, Any], progress: Callable[[float], None] | None = None) -> Any:
+        """The answer to one request. Raises the HtsError that the twin raised, or WorldError if the process ended."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        try:
+            self._process.stdin.write(json.dumps(request) + "\n")
+            self._process.stdin.flush()
+        except OSError:
+            raise self._ended() from None
+        for line in self._process.stdout:
+            answer = json.loads(line)
+            if "done" in answer:
+                return answer["done"]
+            if "error" in answer:
+                kind = getattr(errors, answer["kind"], WorldError)
+                raise (kind if issubclass(kind, HtsError) else WorldError)(answer["error"])
+            if progress is not None:
+                progress(answer["progress"])
+        raise self._ended()
+
+    def close(self) -> None:
+        """End the process, whatever it is doing. May be called from another thread than `ask`."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout, self._log):
+            if pipe is not None:
+                _close(pipe)
+
+    def _ended(self) -> WorldError:
+        """One line about a process that ended by itself, with the end of what it said."""
+        code = self._process.wait()
+        text = self._log_path.read_text(encoding="utf-8", errors="replace")
+        said = " | ".join([line.strip() for line in text.splitlines() if line.strip()][-TAIL_LINES:]) or "nothing"
+        how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
+        return WorldError(
+            f"The twin's process ended {how}; it said: {said} (all of it in {self._log_path}). `hts resume` tries again."
+        )
+
+
+def _close(pipe: IO[str]) -> None:
+    try:
+        pipe.close()
+    except BrokenPipeError:
+        return  # what was still in the buffer has nobody to read it

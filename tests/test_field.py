@@ -1,0 +1,145 @@
+"""The world `field`: bundles out, logs in."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hts import plugins
+from hts.config import ScheduleConfig
+from hts.contracts import WorldContext
+from hts.errors import ConfigError, RecordingError, WaitingForRobot
+from hts.worlds.base import walking
+from hts.worlds.field import make_field
+
+SECONDS = 3.0
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return plugins.load().make_robot("go1")
+
+
+@pytest.fixture
+def run(tmp_path) -> Path:
+    (tmp_path / "config.yaml").write_text("preset: smoke\n")
+    return tmp_path
+
+
+@pytest.fixture
+def policy(tmp_path, robot) -> Path:
+    from hts.policies.export import to_onnx
+    from hts.policies.files import load_policy
+
+    return to_onnx(load_policy(robot.pretrained_policy()), tmp_path / "walk.onnx")
+
+
+def field(run: Path, **settings):
+    context = WorldContext("go1", {}, {"power": {}}, 0, run)
+    return make_field({"block_seconds": SECONDS, **settings}, context)
+
+
+def write_log(path: Path, robot, seconds: float = SECONDS) -> None:
+    """A log whose columns are named as the template names them."""
+    rng, steps = np.random.default_rng(0), round(seconds * 50)
+    columns: dict[str, np.ndarray] = {"time": np.arange(steps) / 50}
+    for name, channel in robot.channels().items():
+        for i in range(channel.shape[0]):
+            centre = robot.spec.default_pose[i] if name in ("joint_position", "joint_target") else 0.0
+            label = (
+                f"{robot.spec.joint_names[i]}_{name.removeprefix('joint_')}"
+                if name.startswith("joint_")
+                else f"{name}_{i}"
+            )
+            columns[label] = centre + 0.05 * rng.standard_normal(steps)
+    gravity = [columns[f"projected_gravity_{i}"] for i in range(3)]
+    gravity[2] -= 1.0
+    length = np.sqrt(sum(part**2 for part in gravity))
+    for i, part in enumerate(gravity):
+        columns[f"projected_gravity_{i}"] = part / length
+    columns["battery_voltage"] = 22.0 + 0.1 * rng.standard_normal(steps)
+    columns["battery_current"] = 5.0 + 0.1 * rng.standard_normal(steps)
+    rows = np.stack(list(columns.values()), axis=1)
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+
+
+def bundle(run: Path) -> Path:
+    return next(path for path in (run / "field").iterdir() if path.is_dir())
+
+
+def fill_in(run: Path) -> None:
+    path = run / "field" / "mapping.yaml"
+    mapping = yaml.safe_load(path.read_text())
+    mapping["channels"]["battery_current"]["idle"] = 1.3
+    mapping["channels"]["battery_voltage"]["idle"] = 23.0
+    mapping["recording"]["mass_kg"] = 13.2
+    path.write_text(yaml.safe_dump(mapping))
+
+
+def test_a_request_writes_a_bundle_and_waits_with_the_command_to_type(run, policy):
+    with pytest.raises(WaitingForRobot, match=f"hts resume {run}$") as waiting:
+        field(run).collect([policy, policy], walking(0.5, SECONDS))
+    assert waiting.value.exit_code == 75
+    found = bundle(run)
+    card = json.loads((found / "policies" / "00-walk.json").read_text())
+    assert {"joint_names", "default_pose", "kp", "kd", "action_scale", "observation"} <= set(card)
+    assert [row["log"] for row in json.loads((found / "plan.json").read_text())] == ["00", "01"]
+    assert "0.5 m/s for 3 s" in (found / "README.md").read_text()
+    assert yaml.safe_load((run / "field" / "mapping.yaml").read_text())["channels"]["battery_current"]["idle"] is None
+
+
+def test_when_the_logs_are_in_the_same_request_goes_on(run, policy, robot):
+    schedule: ScheduleConfig = walking(0.5, SECONDS)
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy, policy], schedule)
+    fill_in(run)
+    write_log(bundle(run) / "logs" / "00.csv", robot)
+    with pytest.raises(WaitingForRobot, match="1 of 2 logs"):
+        field(run).collect([policy, policy], schedule)
+    write_log(bundle(run) / "logs" / "01.csv", robot)
+    first, second = field(run).collect([policy, policy], schedule)
+    assert (first.world, first.role, first.mass_kg, first.schedule) == ("field", "collection", 13.2, schedule)
+    assert first.idle == {"battery_current": 1.3, "battery_voltage": 23.0}
+    assert first.session != second.session
+    assert field(run).idle() == {"battery_current": 1.3, "battery_voltage": 23.0}
+
+
+def test_a_head_to_head_asks_for_its_blocks_in_the_order_that_cancels_drift(run, policy, robot):
+    with pytest.raises(WaitingForRobot, match="4 of 4 logs"):
+        field(run).head_to_head(policy, policy, [0.8])
+    fill_in(run)
+    for number in range(4):
+        write_log(bundle(run) / "logs" / f"{number:02d}.csv", robot)
+    recordings = field(run).head_to_head(policy, policy, [0.8])
+    assert [recording.role for recording in recordings] == ["reference", "policy", "policy", "reference"]
+    assert [recording.block for recording in recordings] == [0, 1, 2, 3]
+    assert len({recording.session for recording in recordings}) == 1
+
+
+def test_idle_levels_are_waited_for_until_somebody_has_read_them_off(run):
+    with pytest.raises(WaitingForRobot, match="idle level of battery_current, battery_voltage"):
+        field(run).idle()
+
+
+def test_a_log_of_the_wrong_length_is_refused(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    fill_in(run)
+    write_log(bundle(run) / "logs" / "00.csv", robot, seconds=5.0)
+    with pytest.raises(RecordingError, match=r"00.csv: 5.0 s long, but 3 s"):
+        field(run).collect([policy], walking(0.5, SECONDS))
+
+
+def test_a_mapping_with_a_misspelt_key_is_named_with_its_file(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    fill_in(run)
+    path = run / "field" / "mapping.yaml"
+    path.write_text(path.read_text().replace("rate_hz", "rate_herz"))
+    write_log(bundle(run) / "logs" / "00.csv", robot)
+    with pytest.raises(ConfigError, match=r"mapping.yaml: .*rate_h"):
+        field(run).collect([policy], walking(0.5, SECONDS))
