@@ -35,18 +35,18 @@ SMOKE: dict[str, Any] = {
 }
 
 QUICK: dict[str, Any] = {
-    "world": {"name": "twin", "block_seconds": 20.0},
+    "world": {"name": "twin", "block_seconds": 80.0},
     "iterations": 2,
-    "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0), "repeats": 5},
-    "measurement": {"epochs": 20, "max_seconds": 120.0},
+    "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0), "repeats": 6},
+    "measurement": {"epochs": 12},
     "sweep": {"kl_bounds": [0.5, 1.0], "anchors": ["best"]},
     "finetune": {
         "num_envs": 64,
-        "steps": 150_000,
+        "steps": 200_000,
         "ppo": {"horizon": 24, "epochs": 5, "minibatches": 4},
     },
     "simulation_test": {"num_envs": 16, "seconds": 8.0, "speeds": [0.8]},
-    "selection": {"selector": {"name": "hierarchical"}, "elites": 3},
+    "selection": {"selector": {"name": "hierarchical"}, "elites": 4},
     "evaluation": {"speeds": [0.5, 0.8, 1.1]},
 }
 

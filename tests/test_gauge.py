@@ -167,7 +167,14 @@ def test_copper_loss_of_the_gauge_uses_each_joints_own_constant():
 
 
 def test_a_motor_reaches_the_temperature_that_settle_computes():
-    fast = {"winding_capacity": 30.0, "housing_capacity": 200.0, "start_temperature": 25.0}
+    fast = {
+        "phase_resistance": 0.13,
+        "hysteresis": 0.008,
+        "eddy": 4e-5,
+        "winding_capacity": 30.0,
+        "housing_capacity": 200.0,
+        "start_temperature": 25.0,
+    }
     settled = gauge(**fast)
     drive(settled, [3.0, 6.0], [1.0, 1.0], 0.1)
     settled.settle()

@@ -29,7 +29,16 @@ from hts.worlds.twin.session import Batch, Standing
 from hts.worlds.twin.world import make_twin
 
 ROOT = Path(__file__).parents[1]
-PLAIN = DynamicsParameters(encoder_offset=0.0, friction_spread=0.0, torque_constant_error=0.0)
+PLAIN = DynamicsParameters(
+    encoder_offset=0.0,
+    friction_spread=0.0,
+    torque_constant_error=0.0,
+    joint_friction=0.3,
+    joint_friction_extra_stage=0.6,
+    gear_loss=0.05,
+    gear_loss_extra_stage=0.07,
+    full_torque_speed=0.5,
+)
 
 
 @pytest.fixture(scope="module")

@@ -34,6 +34,11 @@ def observation_layout(num_joints: int) -> list[dict[str, int | str]]:
     return [{"name": name, "size": sizes.get(name, num_joints)} for name in OBSERVATION]
 
 
+def critic_observation_size(num_joints: int, num_feet: int) -> int:
+    """What the critic sees: the observation without noise, trunk velocity (3), height and foot contacts."""
+    return 9 + 3 * num_joints + 4 + num_feet
+
+
 class VelocityEnv(EnvBase):
     """Follow a commanded velocity; see `hts.envs.rewards` for r_sim.
 
@@ -120,7 +125,7 @@ class VelocityEnv(EnvBase):
 
         channels = {name: unbounded(*channel.shape) for name, channel in self.channel_specs.items()}
         self.observation_spec = Composite(
-            observation=unbounded(9 + 3 * joints), critic_observation=unbounded(9 + 3 * joints + 4 + feet),
+            observation=unbounded(9 + 3 * joints), critic_observation=unbounded(critic_observation_size(joints, feet)),
             **({"channels": Composite(channels, shape=shape, device=device)} if channels else {}),
             shape=shape, device=device,
         )  # fmt: skip

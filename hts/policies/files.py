@@ -114,7 +114,7 @@ def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
         raise PolicyError(f"{error.filename or path}: cannot be read ({error.strerror or error}). Check the file and its rights.") from error
     except SafetensorError as error:
         raise PolicyError(f"{path}: not a whole safetensors file ({error}). Copy or export it again.") from error
-    expected = card.sizes().shapes()
+    expected = {**card.sizes().shapes(), **card.sizes().normalisers()}
     for name, shape in expected.items():
         found = tuple(tensors[name].shape) if name in tensors else None
         if found != shape:
@@ -130,12 +130,21 @@ def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
 def read_card(path: Path) -> PolicyCard:
     """A policy's JSON card. Raises PolicyError if it is damaged or of an unknown format."""
     try:
-        data = json.loads(Path(path).read_text())
+        text = Path(path).read_text()
+    except UnicodeDecodeError as error:
+        raise PolicyError(f"{path}: not a policy card ({error}). Copy or export the policy again.") from error
+    return parse_card(text, path)
+
+
+def parse_card(text: str, path: Path) -> PolicyCard:
+    """A card from its JSON; `path` is named in errors. Raises PolicyError."""
+    try:
+        data = json.loads(text)
         if data.get("format") != FORMAT:
             raise PolicyError(f"{path}: policy format {data.get('format')}, this version reads {FORMAT}. Export the policy again.")
         lists = {key: tuple(value) for key, value in data.items() if isinstance(value, list)}
         return PolicyCard(**{**data, **lists})
-    except (json.JSONDecodeError, UnicodeDecodeError, TypeError, AttributeError) as error:
+    except (json.JSONDecodeError, TypeError, AttributeError) as error:
         raise PolicyError(f"{path}: not a policy card ({error}). Copy or export the policy again.") from error
 
 

@@ -34,6 +34,12 @@ class Sizes:
         shapes["log_std"] = (self.action,)
         return shapes
 
+    def normalisers(self) -> dict[str, tuple[int, ...]]:
+        """Name and shape of what one candidate's two normalisers hold."""
+        sizes = {"observation": self.observation, "critic_observation": self.critic_observation}
+        shapes: dict[str, tuple[int, ...]] = {f"{name}_{what}": (size,) for name, size in sizes.items() for what in ("mean", "std")}
+        return shapes | {f"{name}_count": () for name in sizes}
+
 
 class Population(nn.Module):
     """P actor-critics: a = N(mean(o), diag sigma^2), v = V(o_critic), both on normalised observations.
@@ -83,16 +89,23 @@ class Population(nn.Module):
         lead = vector.shape[:-1]
         return {name: part.view(*lead, *shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)}
 
-    def named(self) -> list[dict[str, torch.Tensor]] | dict[str, torch.Tensor]:
+    def named(self, members: slice = slice(None)) -> list[dict[str, torch.Tensor]] | dict[str, torch.Tensor]:
         """Parameters as the forward pass wants them: a list of P dicts on the CPU, one stacked dict on a GPU."""
+        vectors = list(self.vectors)[members]
         if self.device.type == "cpu":
-            return [self.split(vector) for vector in self.vectors]
-        return self.split(torch.stack(list(self.vectors)))
+            return [self.split(vector) for vector in vectors]
+        return self.split(torch.stack(vectors))
 
     def refresh(self) -> None:
-        """Renew what `act` and `value` use without gradients; call after every change of parameters."""
+        """Renew what `mean` and `value` use without gradients; call after every change of parameters.
+
+        On the CPU weights are copied, laid out by column: a product with few observations is then twice as fast.
+        """
         with torch.no_grad():
-            self._cache = self.named()
+            named = self.named()
+            if isinstance(named, list):
+                named = [{name: v.t().contiguous().t() if v.ndim == 2 else v.clone() for name, v in one.items()} for one in named]
+            self._cache = named
 
     # ------------------------------------------------------------------------------------------------ forward
 
@@ -105,7 +118,7 @@ class Population(nn.Module):
                 for index in range(last + 1):
                     row = F.linear(row, one[f"{part}.{index}.weight"], one[f"{part}.{index}.bias"])
                     if index < last:
-                        row = F.elu(row)
+                        row = F.elu_(row)
                 rows.append(row)
             return torch.stack(rows)
         for index in range(last + 1):
@@ -115,13 +128,14 @@ class Population(nn.Module):
         return x
 
     def normalised(self, name: str, x: torch.Tensor) -> torch.Tensor:
-        return ((x - getattr(self, f"{name}_mean")) / getattr(self, f"{name}_std")).clamp(-10.0, 10.0)
+        """Observations or critic observations [P, B, size] as the networks see them."""
+        return (x - getattr(self, f"{name}_mean")).div_(getattr(self, f"{name}_std")).clamp_(-10.0, 10.0)
 
-    def mean(self, observation: torch.Tensor, named=None) -> torch.Tensor:
-        """Mean action [P, B, J] of observations [P, B, O]."""
+    def mean(self, observation: torch.Tensor, named=None, normalised: bool = False) -> torch.Tensor:
+        """Mean action [P, B, J] of observations [P, B, O]; normalised: they are already."""
         if named is None:
             named = self._ready()
-        return self._mlp("actor", self.normalised("observation", observation), named)
+        return self._mlp("actor", observation if normalised else self.normalised("observation", observation), named)
 
     def log_std(self, named=None) -> torch.Tensor:
         """log sigma [P, 1, J]."""
@@ -131,11 +145,12 @@ class Population(nn.Module):
             return torch.stack([one["log_std"] for one in named]).unsqueeze(1)
         return named["log_std"].unsqueeze(1)
 
-    def value(self, critic_observation: torch.Tensor, named=None) -> torch.Tensor:
-        """V [P, B] of critic observations [P, B, O_c]."""
+    def value(self, critic_observation: torch.Tensor, named=None, normalised: bool = False) -> torch.Tensor:
+        """V [P, B] of critic observations [P, B, O_c]; normalised: they are already."""
         if named is None:
             named = self._ready()
-        return self._mlp("critic", self.normalised("critic_observation", critic_observation), named).squeeze(-1)
+        x = critic_observation if normalised else self.normalised("critic_observation", critic_observation)
+        return self._mlp("critic", x, named).squeeze(-1)
 
     def _ready(self):
         if self._cache is None:
@@ -150,7 +165,12 @@ class Population(nn.Module):
         fine-tuning keeps the anchor's normaliser, else the anchor would drift with it."""
         mean, std, count = (getattr(self, f"{name}_{what}") for what in ("mean", "std", "count"))
         batch = x.shape[1]
-        new_mean, new_var = x.mean(1, keepdim=True), x.var(1, keepdim=True, unbiased=False)
+        if x.device.type == "cpu":  # row by row: torch may order the sums of [P, B, size] differently for different P
+            new_var, new_mean = (
+                torch.stack(parts) for parts in zip(*(torch.var_mean(row, 0, correction=0, keepdim=True) for row in x), strict=True)
+            )
+        else:
+            new_var, new_mean = torch.var_mean(x, 1, correction=0, keepdim=True)
         total = count + batch
         share = (batch / total).view(-1, 1, 1)
         delta = new_mean - mean

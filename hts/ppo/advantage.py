@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torchrl.objectives.value.functional import vec_generalized_advantage_estimate
+from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 
 def advantages(
@@ -20,7 +20,8 @@ def advantages(
     reward = reward + gamma * value * truncated
     next_value = torch.cat((value[..., 1:], last_value.unsqueeze(-1)), -1)
     column = (..., None)
-    advantage, target = vec_generalized_advantage_estimate(
+    # Step by step and not TorchRL's vectorised form, whose sums depend a little on the number of candidates.
+    advantage, target = generalized_advantage_estimate(
         gamma, lam, value[column], next_value[column], reward[column], done[column], done[column]
     )
     return advantage.squeeze(-1), target.squeeze(-1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -20,6 +21,7 @@ from hts.ppo.anchor import Multipliers, gaussian_kl
 from hts.ppo.centring import Centre
 from hts.ppo.loss import anchored_ppo_loss
 from hts.ppo.rows import row_mean, row_standardised
+from hts.ppo.threads import one_thread, pool
 
 
 @dataclass
@@ -37,6 +39,9 @@ class PopulationTrainer:
     bounds [P]: c per candidate, nats; weights: objective -> lambda [P]; seeds: one per candidate;
     names: what candidates are called in errors.
 
+    On the CPU each candidate takes its gradient steps alone, as many side by side as there are cores; on a GPU all
+    of them take each step together.
+
     A candidate whose numbers stop being finite is stopped, named in `stopped`, and put back to its anchor; the
     others go on. If none is left, SimulationError.
     """
@@ -52,8 +57,10 @@ class PopulationTrainer:
         self.dt = env.dt
         self.noise = PopulationRandom([seed + 101 for seed in seeds], device)
         self.order = PopulationRandom([seed + 202 for seed in seeds], device)
-        groups = [{"params": [vector], "lr": config.learning_rate} for vector in population.vectors]
-        self.optimiser = torch.optim.Adam(groups, eps=1e-8, fused=True)
+        alone = device.type == "cpu"
+        self.parts = [slice(i, i + 1) for i in range(count)] if alone else [slice(0, count)]
+        self.optimisers = [self._make_optimiser(part) for part in self.parts]
+        self._pool = pool(len(self.parts))
         bounds = bounds if bounds is not None else torch.full((count,), torch.inf)
         self.multipliers = Multipliers(bounds.to(device), config.multiplier_rate)
         self.weights = {name: value.to(device) for name, value in (weights or {}).items()}
@@ -76,11 +83,22 @@ class PopulationTrainer:
         self._stream = iter(self.collector)
         self.steps_per_batch = per_batch
 
+    def _make_optimiser(self, part: slice) -> torch.optim.Optimizer:
+        """Adam for the candidates of a part, a group each, so that learning rates are their own."""
+        groups = [{"params": [vector], "lr": self.config.learning_rate} for vector in list(self.population.vectors)[part]]
+        return torch.optim.Adam(groups, eps=1e-8, fused=True)
+
+    @property
+    def param_groups(self) -> list[dict[str, Any]]:
+        """The optimisers' groups, one per candidate."""
+        return [group for optimiser in self.optimisers for group in optimiser.param_groups]
+
     # --------------------------------------------------------------------------------------------------- a batch
 
     def collect(self) -> TensorDictBase:
         """One batch [P, N, T] from the env."""
-        return next(self._stream)
+        with one_thread():
+            return next(self._stream)
 
     def batch(self) -> BatchStats:
         """Collect, then learn from it."""
@@ -88,6 +106,10 @@ class PopulationTrainer:
 
     def learn(self, data: TensorDictBase) -> BatchStats:
         """Update every candidate from a batch [P, N, T]."""
+        with one_thread():
+            return self._learn(data)
+
+    def _learn(self, data: TensorDictBase) -> BatchStats:
         with torch.no_grad():
             rewards, stats = self._rewards(data)
             samples = self._prepare(data, rewards)
@@ -103,7 +125,7 @@ class PopulationTrainer:
         std = self.population.log_std().exp().mean((1, 2))
         stats |= {**losses, "kl": self.kl, "multiplier": self.multipliers.value, "falls": falls, "std": std}
         values = {name: value.tolist() for name, value in stats.items()}
-        values["learning_rate"] = [group["lr"] for group in self.optimiser.param_groups]
+        values["learning_rate"] = [group["lr"] for group in self.param_groups]
         return BatchStats(self.batches * self.steps_per_batch, values)
 
     def _rewards(self, data: TensorDictBase) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
@@ -173,53 +195,67 @@ class PopulationTrainer:
         return samples
 
     def _epochs(self, samples: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        config, count = self.config, self.population.count
+        """All gradient steps of all candidates on this batch; mean losses, each [P]."""
         size = samples["advantage"].shape[1]
-        rows = torch.arange(count, device=self.population.device).unsqueeze(1)
-        sums: dict[str, torch.Tensor] = {}
+        orders = [self.order.permutation(size) for _ in range(self.config.epochs)]
+        used = dict(samples)
+        for name in ("observation", "critic_observation"):
+            used[name] = self.population.normalised(name, samples[name])
         constant = {"old_log_std": self._old_log_std}
         if self.anchor is not None:
             constant["anchor_log_std"] = self.anchor.log_std()
-        policy_on = 0.0 if self.batches < config.warmup_batches else 1.0
-        updates = 0
-        for _ in range(config.epochs):
-            order = self.order.permutation(size)
-            for part in order.chunk(config.minibatches, dim=1):
-                batch = {name: value[rows, part] for name, value in samples.items()} | constant
-                loss = anchored_ppo_loss(
-                    self.population, batch, self.multipliers.value, clip=config.clip, value_coef=config.value_coef,
-                    entropy_coef=config.entropy_coef, policy_on=policy_on,
-                )  # fmt: skip
-                self._step(loss.total)
-                if config.adaptive_rate:
-                    self._adapt(loss.kl_old)
-                updates += 1
-                for name in ("policy", "value", "kl_old"):
-                    sums[name] = sums.get(name, 0.0) + getattr(loss, name)
+        rows = list(self._pool.map(lambda index: self._train(index, used, constant, orders), range(len(self.parts))))
         if self.update_normaliser:
             # The observation normaliser moves only between batches: the samples' log-probabilities were made with it.
             self.population.update_normaliser("observation", samples["observation"])
-        return {f"loss/{name}": value / updates for name, value in sums.items()}
+        return {f"loss/{name}": torch.cat([row[name] for row in rows]) for name in rows[0]}
 
-    def _step(self, loss: torch.Tensor) -> None:
-        """One Adam step of every candidate that is still running, its gradient clipped by its own norm. loss [P]."""
-        self.optimiser.zero_grad(set_to_none=True)
+    def _train(
+        self, index: int, samples: Mapping[str, torch.Tensor], constant: Mapping[str, torch.Tensor], orders: Sequence[torch.Tensor]
+    ) -> dict[str, torch.Tensor]:  # fmt: skip
+        """The gradient steps of one part of the population, which shares nothing with the other parts."""
+        config, part = self.config, self.parts[index]
+        constant = {name: value[part] for name, value in constant.items()}
+        multipliers = self.multipliers.value[part]
+        policy_on = 0.0 if self.batches < config.warmup_batches else 1.0
+        sums: dict[str, torch.Tensor] = {}
+        updates = 0
+        for order in orders:
+            for rows in order[part].chunk(config.minibatches, dim=1):
+                batch = {name: _take(value[part], rows) for name, value in samples.items()} | constant
+                loss = anchored_ppo_loss(
+                    self.population, batch, multipliers, clip=config.clip, value_coef=config.value_coef,
+                    entropy_coef=config.entropy_coef, policy_on=policy_on, members=part, normalised=True,
+                )  # fmt: skip
+                self._step(index, loss.total)
+                if config.adaptive_rate:
+                    self._adapt(index, loss.kl_old)
+                updates += 1
+                for name in ("policy", "value", "kl_old"):
+                    sums[name] = sums.get(name, 0.0) + getattr(loss, name)
+        return {name: value / updates for name, value in sums.items()}
+
+    def _step(self, index: int, loss: torch.Tensor) -> None:
+        """One Adam step of every candidate of a part that is still running, its gradient clipped by its own norm. loss [part]."""
+        part, optimiser = self.parts[index], self.optimisers[index]
+        optimiser.zero_grad(set_to_none=True)
         loss.sum().backward()
-        vectors = list(self.population.vectors)
+        vectors = list(self.population.vectors)[part]
         norms = torch.stack(torch._foreach_norm([vector.grad for vector in vectors]))
         scale = (self.config.max_grad_norm / (norms + 1e-6)).clamp(max=1.0)
         torch._foreach_mul_([vector.grad for vector in vectors], list(scale.unbind()))
         if not bool(torch.isfinite(norms).all()):
-            for index in (~torch.isfinite(norms)).nonzero().flatten().tolist():
-                self._stop(index, f"the gradient is not finite in batch {self.batches}")
-        for index in self.stopped:
-            vectors[index].grad = None
-        self.optimiser.step()
+            for row in (~torch.isfinite(norms)).nonzero().flatten().tolist():
+                self._stop(part.start + row, f"the gradient is not finite in batch {self.batches}")
+        for row, vector in enumerate(vectors):
+            if part.start + row in self.stopped:
+                vector.grad = None
+        optimiser.step()
 
-    def _adapt(self, kl_old: torch.Tensor) -> None:
+    def _adapt(self, index: int, kl_old: torch.Tensor) -> None:
         """Rate / 1.5 above twice the desired KL, x 1.5 below half of it, per candidate (rsl_rl)."""
         desired = self.config.desired_kl
-        for group, kl in zip(self.optimiser.param_groups, kl_old.tolist(), strict=True):
+        for group, kl in zip(self.optimisers[index].param_groups, kl_old.tolist(), strict=True):
             if kl > 2 * desired:
                 group["lr"] = max(1e-5, group["lr"] / 1.5)
             elif 0 < kl < desired / 2:
@@ -238,10 +274,10 @@ class PopulationTrainer:
         vectors = {str(index): vector.detach().clone() for index, vector in enumerate(self.population.vectors)}
         optimiser = {}
         for index, vector in enumerate(self.population.vectors):
-            state = self.optimiser.state.get(vector)
+            state = self._optimiser_of(index).state.get(vector)
             if state:
                 optimiser[str(index)] = {name: state[name].clone() for name in ("step", "exp_avg", "exp_avg_sq")}
-        rates = torch.tensor([group["lr"] for group in self.optimiser.param_groups], dtype=torch.float64)
+        rates = torch.tensor([group["lr"] for group in self.param_groups], dtype=torch.float64)
         parts = {
             "vectors": vectors, "optimiser": optimiser, "rates": rates, "noise": self.noise.state_dict(), "order": self.order.state_dict(),
             "normaliser": {name: value.clone() for name, value in self.population.named_buffers()}, "multipliers": self.multipliers.state_dict(),
@@ -256,16 +292,19 @@ class PopulationTrainer:
         transform = getattr(self.env, "transform", None)
         return {name: value.clone() for name, value in transform.state_dict().items()} if transform is not None else {}
 
+    def _optimiser_of(self, index: int) -> torch.optim.Optimizer:
+        return self.optimisers[min(index, len(self.optimisers) - 1)]
+
     def _load(self, state: TensorDictBase) -> None:
         with torch.no_grad():
             for index, vector in enumerate(self.population.vectors):
                 vector.copy_(state["vectors", str(index)])
                 if str(index) in state["optimiser"].keys():
                     saved = state["optimiser", str(index)]
-                    self.optimiser.state[vector] = {name: saved[name].to(vector.device if name != "step" else saved[name].device).clone() for name in ("step", "exp_avg", "exp_avg_sq")}
+                    self._optimiser_of(index).state[vector] = {name: saved[name].to(vector.device if name != "step" else saved[name].device).clone() for name in ("step", "exp_avg", "exp_avg_sq")}
             for name, buffer in self.population.named_buffers():
                 buffer.copy_(state["normaliser", name])
-        for group, rate in zip(self.optimiser.param_groups, state["rates"].tolist(), strict=True):
+        for group, rate in zip(self.param_groups, state["rates"].tolist(), strict=True):
             group["lr"] = rate
         self.noise.load_state_dict(state["noise"])
         self.order.load_state_dict(state["order"])
@@ -281,3 +320,11 @@ class PopulationTrainer:
     def close(self) -> None:
         """Shut the collector (and its env) down."""
         self.collector.shutdown()
+        self._pool.shutdown()
+
+
+def _take(value: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+    """value [P, S, ...], rows [P, B] -> [P, B, ...]."""
+    if len(value) == 1:
+        return value[0].index_select(0, rows[0]).unsqueeze(0)
+    return value[torch.arange(len(value), device=value.device).unsqueeze(1), rows]

@@ -32,9 +32,10 @@ class Child:
             raise WorldError(
                 f"{log}: the twin cannot write here ({error.strerror}). Choose a folder with --out that can be written."
             ) from error
-        # One core each: that is what several processes are for.
+        # One core each: that is what several processes are for. Nothing is drawn, so no library need look for a display.
         environment = {
-            **os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(part for part in sys.path if part),
+            **os.environ, "OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable",
+            "PYTHONPATH": os.pathsep.join(part for part in sys.path if part),
         }  # fmt: skip
         self._process = subprocess.Popen(
             [sys.executable, "-m", "hts.worlds.twin.process"],
@@ -76,6 +77,8 @@ class Child:
         for pipe in (self._process.stdin, self._process.stdout, self._log):
             if pipe is not None:
                 _close(pipe)
+        if self._log_path.exists() and self._log_path.stat().st_size == 0:
+            self._log_path.unlink()
 
     def _ended(self) -> WorldError:
         """One line about a process that ended by itself, with the end of what it said."""

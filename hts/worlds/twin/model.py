@@ -1,4 +1,4 @@
-"""The robot's MJCF made into another machine: other masses, frictions, contact and time step, motors instead of servos."""
+"""The robot's MJCF made into another machine: other masses, friction, contact and step, motors instead of servos."""
 
 from __future__ import annotations
 

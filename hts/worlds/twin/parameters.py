@@ -1,4 +1,6 @@
-"""Every number of the twin, with unit, source and range: `--set world.dynamics.trunk_mass_scale=1.08` makes another robot.
+"""Every number of the twin, with unit, source and range.
+
+`--set world.dynamics.trunk_mass_scale=1.08` makes another robot.
 
 Nothing here was chosen by looking at what a fine-tuned policy saves. Tags in the sources:
 A read in the named source, B arithmetic on A, C recalled from the literature, E estimate (how is stated).
@@ -20,7 +22,7 @@ from hts.config import Config
 def parameter(default: float, low: float, high: float, unit: str, source: str, meaning: str) -> Any:
     """A field with meaning, unit, range and source; a value outside the range is refused."""
     text = f"{meaning}, {unit}. Range {low:g} to {high:g}. Source: {source}"
-    extra = {"unit": unit, "source": source, "range": [low, high]}
+    extra: dict[str, Any] = {"unit": unit, "source": source, "range": [low, high]}
     return Field(default, ge=low, le=high, description=text, json_schema_extra=extra)
 
 
@@ -40,11 +42,11 @@ class DynamicsParameters(Config):
         -0.03,
         0.03,
         "m",
-        "E: battery and computer a little forward",
+        "E: heavy parts and computer a little forward",
         "shift of the trunk's centre of mass forward",
     )
     com_shift_y: float = parameter(
-        -0.003, -0.03, 0.03, "m", "E: side-loaded battery", "shift of the trunk's centre of mass to the left"
+        -0.003, -0.03, 0.03, "m", "E: parts loaded from the side", "shift of the trunk's centre of mass to the left"
     )
     com_shift_z: float = parameter(
         0.006, -0.03, 0.03, "m", "E: cables on top", "shift of the trunk's centre of mass up"

@@ -3,7 +3,8 @@
 It reads JSON lines from stdin and answers each by JSON lines on stdout; recordings go to a spool store that the
 parent names. The first line says which twin it is, and is answered once the twin is ready:
 
-    {"settings": {...}, "robot": "...", "robot_settings": {...}, "objectives": {...}, "seed": 0, "name": "twin", "spool": "DIR"}
+    {"settings": {...}, "robot": "...", "robot_settings": {...}, "objectives": {...}, "seed": 0, "name": "twin",
+     "spool": "DIR"}
 
 Then any of
 

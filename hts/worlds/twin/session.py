@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -74,7 +75,7 @@ class Batch:
         done, total = 0.0, sessions[0].seconds
         for blocks in zip(*(session.blocks for session in sessions), strict=True):
             share = blocks[0].schedule.seconds / total
-            tape = self._run_block(blocks, lambda x, d=done, s=share: progress(d + s * x) if progress else None)
+            tape = self._run_block(blocks, _part_of(progress, done, share))
             done += share
             if blocks[0].settle:
                 for instrument in self.instruments.values():
@@ -120,6 +121,16 @@ class Batch:
         self.body.close()
 
 
+def _part_of(progress: Progress | None, done: float, share: float) -> Progress:
+    """Progress of a part that begins at `done` and makes up `share` of the whole."""
+
+    def tell(part: float) -> None:
+        if progress is not None:
+            progress(done + share * part)
+
+    return tell
+
+
 class Crew:
     """The controllers of a block: robots with the same policy share one. hashes: of each robot's policy; kp, kd (W, J)."""
 
@@ -160,7 +171,7 @@ class Crew:
             return Standing(self._machine)
         from hts.policies.deploy import DeployedPolicy
 
-        policy = DeployedPolicy(path)
+        policy = DeployedPolicy(Path(path))
         if tuple(policy.card.joint_names) != tuple(self._spec.joint_names):
             raise PolicyError(f"{path}: made for robot '{policy.card.robot}', this twin is a '{self._spec.name}'.")
         return policy

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import threading
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hts.config import ScheduleConfig
+from hts.config_loading import plain
 from hts.contracts import Settings, World, WorldContext
 from hts.errors import WorldError
 from hts.recordings.recording import Recording
@@ -21,7 +21,7 @@ from hts.worlds.twin.child import Child
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.programme import Session, collection, head_to_head
 
-STEPS_PER_SECOND = 18_000.0  # physics steps of a twin on one core, for the estimate of `cost`
+STEPS_PER_SECOND = 12_000.0  # physics steps of a twin on one core, for the estimate of `cost`
 
 
 def make_twin(settings: Settings, context: WorldContext) -> TwinWorld:
@@ -90,6 +90,8 @@ class TwinWorld(World):
             child.close()
         if children:
             shutil.rmtree(self._folder / "spool", ignore_errors=True)
+            if self._folder.is_dir() and not any(self._folder.iterdir()):
+                self._folder.rmdir()  # what remains otherwise is what a process said before it ended
 
     # ------------------------------------------------------------------------------------------ inside
 
@@ -107,8 +109,7 @@ class TwinWorld(World):
         context = self._context
         start = {
             "settings": self.settings.model_dump(mode="json"), "robot": context.robot,
-            "robot_settings": json.loads(json.dumps(dict(context.robot_settings), default=str)),
-            "objectives": {name: dict(values) for name, values in context.objectives.items()},
+            "robot_settings": plain(context.robot_settings), "objectives": plain(context.objectives),
             "seed": context.seed, "name": self.name, "spool": str(self._folder / "spool"),
         }  # fmt: skip
         while len(self._children) < number:

@@ -34,7 +34,8 @@ def make_gauge(settings: Settings, robot: Robot) -> BatteryGauge:
 class BatteryGauge(Instrument):
     """Battery current, voltage, charge and motor temperatures of W robots.
 
-    battery_current is positive when discharging; the register of a real gauge is negative then, readers turn it round.
+    battery_current is positive when discharging; the register of a real gauge is negative then, and log readers
+    turn it round.
     """
 
     def __init__(self, parameters: GaugeParameters, spec: RobotSpec) -> None:

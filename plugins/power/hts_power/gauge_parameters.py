@@ -1,4 +1,6 @@
-"""Every number of the battery gauge, with unit, source and range: `--set world.instruments.battery_gauge.phase_resistance=0.15`.
+"""Every number of the battery gauge, with unit, source and range.
+
+`--set world.instruments.battery_gauge.phase_resistance=0.15` makes another one.
 
 Tags in the sources: A read in the named source, B arithmetic on A, C recalled from the literature, E estimate.
 """
@@ -24,15 +26,15 @@ class GaugeParameters(BaseModel):
 
     # ---- drives
     idle_power: float = number(
-        30.0, 22.0, 45.0, "W", "E: sum of parts (computers 10-21, drives 6-12, rest 5-10) and standing minus copper loss",
+        34.0, 22.0, 45.0, "W", "calibrated on standing and the pretrained policy; E: sum of parts (computers 10-21, drives 6-12, rest 5-10) and standing minus copper loss",
         "P_idle: electronics on, motors idle",
     )  # fmt: skip
     phase_resistance: float = number(
-        0.13,
+        0.102,
         0.10,
         0.19,
         "ohm",
-        "E: a Go2's standing log, and Mini Cheetah scaled by rotor mass",
+        "calibrated on standing and the pretrained policy; E: a Go2's standing log, and Mini Cheetah scaled by rotor mass",
         "R: per phase at 25 degC",
     )
     hysteresis: float = number(

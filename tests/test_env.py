@@ -1,0 +1,421 @@
+"""The velocity task as a TorchRL env: specs, frames, episodes, delay, randomisation, broken physics, saving."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import check_env_specs
+
+from hts.config import CommandConfig, EnvConfig, RandomisationConfig
+from hts.envs.velocity import NOISE, observation_layout
+from hts.errors import ConfigError, SimulationError
+
+pytest.importorskip("hts_go1", reason="the robot of these tests is not installed")
+from hts_go1.robot import Go1, Go1Settings
+
+CALM = RandomisationConfig(enabled=False)
+MIXED = RandomisationConfig(models=3)
+STRAIGHT = CommandConfig(fixed=(0.5, 0.8))
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return Go1(Go1Settings())
+
+
+@pytest.fixture
+def make(robot):
+    """make(P, N, **EnvConfig) -> env; closed afterwards."""
+    made = []
+
+    def make(candidates=1, worlds=2, channels=(), seeds=None, **config):
+        config = {"randomisation": CALM, "observation_noise": 0.0, "threads": 1, **config}
+        env = robot.make_env("mujoco", candidates, worlds, EnvConfig(**config), channels, seeds)
+        made.append(env)
+        return env
+
+    yield make
+    for env in made:
+        env.close()
+
+
+def still(env) -> torch.Tensor:
+    return torch.zeros(*env.batch_size, 12)
+
+
+def step(env, action=None) -> TensorDict:
+    """One step without the reset that may follow."""
+    data = TensorDict({"action": still(env) if action is None else action}, batch_size=env.batch_size)
+    return env.step(data)["next"]
+
+
+def roll(env, actions, state=None):
+    """Steps and resets, as a collector does; every "next" on the way."""
+    state = env.reset() if state is None else state
+    seen = []
+    for action in actions:
+        state["action"] = action
+        data, state = env.step_and_maybe_reset(state)
+        seen.append(data["next"].clone())
+    return seen, state
+
+
+def put(env, world: int, quaternion=(1.0, 0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), height=2.0) -> None:
+    """A world of the flat list into the air, in a given attitude, with a given velocity in the world frame."""
+    mask = torch.zeros(env.engine.num_worlds, dtype=torch.bool)
+    mask[world] = True
+    qpos, qvel = env.engine.qpos.clone(), torch.zeros_like(env.engine.qvel)
+    qpos[world, 2] = height
+    qpos[world, 3:7] = torch.tensor(quaternion)
+    qpos[world, 7:] = env.default_pose
+    qvel[world, :3] = torch.tensor(velocity)
+    env.engine.reset(mask, qpos, qvel)
+
+
+# -------------------------------------------------------------------------------------- specs and channels
+
+
+@pytest.mark.parametrize("randomisation", [CALM, MIXED], ids=["nominal", "randomised"])
+def test_the_env_keeps_its_specs(make, randomisation):
+    env = make(2, 3, randomisation=randomisation, observation_noise=1.0)
+    check_env_specs(env)
+    assert env.batch_size == (2, 3)
+
+
+def test_channels_have_the_shapes_the_robot_promises(make, robot):
+    env = make(2, 3)
+    written = step(env, env.reset()["observation"].new_zeros(2, 3, 12))["channels"]
+    assert set(written.keys()) == set(robot.channels())
+    for name, channel in robot.channels().items():
+        assert written[name].shape == (2, 3, *channel.shape), name
+
+
+def test_only_the_channels_asked_for_are_written(make):
+    env = make(channels=("joint_torque", "base_velocity"))
+    assert set(env.reset()["channels"].keys()) == {"joint_torque", "base_velocity"}
+
+
+def test_the_observation_is_made_of_what_its_layout_says(make):
+    env = make(1, 2, commands=STRAIGHT)
+    env.reset()
+    action = 0.2 * torch.ones(1, 2, 12)
+    after = step(env, action)
+    parts = [part["size"] for part in observation_layout(12)]
+    rate, gravity, command, offset, speed, last = after["observation"].split(parts, -1)
+    channels = after["channels"]
+    torch.testing.assert_close(rate, channels["angular_velocity"])
+    torch.testing.assert_close(gravity, channels["projected_gravity"])
+    torch.testing.assert_close(command, channels["command"])
+    torch.testing.assert_close(offset, channels["joint_position"] - env.default_pose)
+    torch.testing.assert_close(speed, channels["joint_velocity"])
+    assert torch.equal(last, action)
+    torch.testing.assert_close(channels["joint_target"], env.default_pose + 0.35 * action)
+
+
+def test_the_critic_sees_the_observation_without_noise_then_velocity_height_and_contacts(make):
+    env = make(1, 4, observation_noise=1.0)
+    env.reset()
+    after = step(env)
+    clean, noisy = after["critic_observation"][..., :45], after["observation"]
+    allowed = torch.cat([torch.full((part["size"],), NOISE.get(part["name"], 0.0)) for part in observation_layout(12)])
+    difference = (noisy - clean).abs()
+    assert (difference <= allowed + 1e-6).all() and (difference.amax((0, 1))[allowed > 0] > 0).all()
+    rest = after["critic_observation"][..., 45:]
+    torch.testing.assert_close(rest[..., :3], after["channels", "base_velocity"])
+    assert torch.equal(rest[..., 4:], (after["channels", "foot_force"] > 1.0).float())
+
+
+def test_the_torque_channel_is_the_controllers_at_the_last_physics_step(make):
+    env = make(1, 1)
+    env.reset()
+    put(env, 0)
+    action = torch.full((1, 1, 12), 0.5)
+    after = step(env, action)
+    # The engine keeps the state after each physics step (time, qpos, qvel); sensors belong to the start of the last.
+    before_last = env.engine._states[0, -2]
+    q, qd = before_last[1 + 7 : 1 + 19], before_last[1 + 19 + 6 :]
+    target = env.default_pose.double().numpy() + 0.35 * 0.5
+    expected = torch.from_numpy(30.0 * (target - q) - 0.6 * qd)
+    limit = torch.tensor([23.7, 23.7, 35.55] * 4, dtype=torch.float64)
+    torch.testing.assert_close(
+        after["channels", "joint_torque"][0, 0].double(), expected.clamp(-limit, limit), atol=1e-4, rtol=1e-5
+    )
+
+
+# ------------------------------------------------------------------------------------------------- frames
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "gravity"),
+    [
+        ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
+        ((math.cos(0.15), math.sin(0.15), 0.0, 0.0), (0.0, -math.sin(0.3), -math.cos(0.3))),  # rolled by 0.3 rad
+        ((math.cos(0.15), 0.0, math.sin(0.15), 0.0), (math.sin(0.3), 0.0, -math.cos(0.3))),  # nose down by 0.3 rad
+        ((math.cos(0.5), 0.0, 0.0, math.sin(0.5)), (0.0, 0.0, -1.0)),  # turned: gravity does not see it
+    ],
+)
+def test_gravity_is_seen_from_the_trunk(make, quaternion, gravity):
+    env = make(1, 1)
+    env.reset()
+    put(env, 0, quaternion)
+    env._read_pose()
+    torch.testing.assert_close(env._gravity[0, 0], torch.tensor(gravity), atol=1e-6, rtol=0)
+
+
+def test_velocity_is_seen_from_the_trunk(make):
+    env = make(1, 1)
+    env.reset()
+    put(env, 0, (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)), velocity=(0.0, 1.0, 0.0))  # facing left, moving left
+    env._read_pose()
+    torch.testing.assert_close(env._velocity[0, 0], torch.tensor([1.0, 0.0, 0.0]), atol=1e-6, rtol=0)
+    assert float(env._yaw) == pytest.approx(math.pi / 2)
+
+
+# ----------------------------------------------------------------------------------------------- episodes
+
+
+def test_a_time_out_is_no_fall(make):
+    env = make(1, 2, episode_seconds=0.2)
+    seen, _ = roll(env, [still(env)] * 12)
+    for index, after in enumerate(seen):
+        assert not after["terminated"].any()
+        assert after["truncated"].all() == (index == 9)  # 0.2 s at 50 Hz
+        assert torch.equal(after["done"], after["truncated"])
+    assert not env.falls.any()
+
+
+def test_lying_on_its_back_is_a_fall_and_no_time_out(make):
+    env = make(1, 2, episode_seconds=0.02)  # it times out in the same step
+    env.reset()
+    put(env, 1, (0.0, 1.0, 0.0, 0.0))
+    after = step(env)
+    assert after["terminated"].flatten().tolist() == [False, True]
+    assert after["truncated"].flatten().tolist() == [True, False]
+    assert env.falls.flatten().tolist() == [0.0, 1.0]
+
+
+def test_a_trunk_near_the_floor_has_fallen(make):
+    env = make(1, 2)
+    env.reset()
+    put(env, 0, height=0.15)  # below 0.55 x 0.29 m
+    assert step(env)["terminated"].flatten().tolist() == [True, False]
+
+
+def test_resetting_one_world_leaves_the_others_alone(make):
+    env = make(2, 2)
+    _, state = roll(env, torch.rand(5, 2, 2, 12) - 0.5)
+    before, engine = env.full_state(), env.engine.state_dict()["state"].clone()
+    mask = torch.tensor([[False, True], [False, False]])
+    reset = env.reset(state.clone().set("_reset", mask.unsqueeze(-1)))
+    for name in ("observation", "critic_observation"):
+        assert torch.equal(reset[name][~mask], state[name][~mask]), name
+        assert not torch.equal(reset[name][mask], state[name][mask]), name
+    after = env.full_state()
+    for name in ("action", "last_joint_velocity", "target", "air_time", "was_contact", "steps"):
+        assert torch.equal(after["buffers", name][~mask], before["buffers", name][~mask]), name
+    for name in ("value", "heading", "keeps_heading", "steps_left"):
+        assert torch.equal(after["commands", name][~mask], before["commands", name][~mask]), name
+    assert torch.equal(env.engine.state_dict()["state"][[0, 2, 3]], engine[[0, 2, 3]])
+    assert after["buffers", "steps"][mask] == 0 and not after["buffers", "action"][mask].any()
+
+
+def test_episodes_begin_near_the_default_pose(make):
+    env = make(1, 64)
+    env.reset()
+    ratio = env.engine.qpos[:, 7:].view(64, 4, 3)[..., 1:] / torch.tensor([0.9, -1.8])
+    assert ratio.min() >= 0.9 - 1e-5 and ratio.max() <= 1.1 + 1e-5 and ratio.std() > 0.03
+    assert (env.engine.qvel[:, :6].abs() <= 0.5).all() and not env.engine.qvel[:, 6:].any()
+    torch.testing.assert_close(env._gravity, torch.tensor([0.0, 0.0, -1.0]).expand(1, 64, 3), atol=1e-6, rtol=0)
+
+
+# ---------------------------------------------------------------------------------------- delay and offsets
+
+
+def test_a_delay_of_d_physics_steps_applies_the_old_target_for_d_of_them(make, monkeypatch):
+    env = make(1, 4)
+    env.reset()
+    env.delay = torch.tensor([0, 1, 2, 3]).view(1, 1, 4, 1)
+    step(env, torch.full((1, 4, 12), 1.0))
+    sent = []
+    monkeypatch.setattr(env.engine, "step", lambda ctrl: sent.append(ctrl.clone()))
+    step(env, torch.full((1, 4, 12), -1.0))
+    old, new = env.default_pose + 0.35, env.default_pose - 0.35
+    for world, delay in enumerate((0, 1, 2, 3)):
+        for substep in range(4):
+            torch.testing.assert_close(sent[0][substep, world], old if substep < delay else new)
+
+
+def test_a_delay_longer_than_a_control_step_is_refused(make):
+    with pytest.raises(ConfigError, match="delay_steps: 5 physics steps"):
+        make(randomisation=RandomisationConfig(models=1, delay_steps=(0, 5)))
+
+
+def test_an_encoder_offset_shifts_what_is_read_and_what_is_held(make, monkeypatch):
+    env = make(1, 1)
+    env.reset()
+    env.joint_offset = torch.full((1, 12), 0.01)
+    sent = []
+    monkeypatch.setattr(env.engine, "step", lambda ctrl: sent.append(ctrl.clone()))
+    after = step(env)
+    torch.testing.assert_close(after["channels", "joint_position"][0, 0], env.engine.qpos[0, 7:] + 0.01)
+    torch.testing.assert_close(sent[0][0, 0], env.default_pose - 0.01)
+    torch.testing.assert_close(after["channels", "joint_target"][0, 0], env.default_pose)
+
+
+# --------------------------------------------------------------------------------------------- randomisation
+
+
+def numbers(model):
+    return (model.body_mass[1], *model.body_ipos[1], model.geom("floor").friction[0], *model.actuator_gainprm[:, 0])
+
+
+def test_a_candidate_meets_the_same_worlds_whoever_trains_beside_it(make):
+    alone, crowd = make(1, 5, randomisation=MIXED), make(3, 5, randomisation=MIXED)
+    for world in range(15):
+        assert numbers(alone.engine.models[world % 5]) == numbers(crowd.engine.models[world])
+    assert torch.equal(alone.delay, crowd.delay) and torch.equal(alone.joint_offset, crowd.joint_offset)
+
+
+def test_worlds_differ_within_the_ranges_of_the_configuration(make):
+    ranges = RandomisationConfig(models=24)
+    env = make(1, 24, randomisation=ranges)
+    models = env.engine.models
+    masses = [model.body_mass[1] - 5.56 for model in models]
+    frictions = [model.geom("floor").friction[0] for model in models]
+    losses = [model.dof_frictionloss[6] / 0.2 for model in models]
+    for values, (low, high) in ((masses, ranges.added_mass), (frictions, ranges.friction), (losses, ranges.joint_friction)):
+        assert low <= min(values) and max(values) <= high
+        assert max(values) - min(values) > 0.6 * (high - low)
+    assert set(env.delay.flatten().tolist()) == {0, 1, 2, 3}
+
+
+def test_without_randomisation_every_world_is_the_nominal_robot(make):
+    env = make(1, 3)
+    assert all(model.body_mass.sum() == pytest.approx(13.0994, abs=1e-4) for model in env.engine.models)
+    assert not env.delay.any() and not env.joint_offset.any()
+
+
+def test_kicks_come_as_often_and_as_hard_as_configured(make):
+    push = RandomisationConfig(models=1, push_speed=0.5, push_interval=0.2)  # one step in ten
+    env = make(1, 400, randomisation=push)
+    env.reset()
+    before = env.engine.qvel.clone()
+    draws = torch.rand(1, 400, 3, generator=torch.Generator().manual_seed(0))
+    env._push(draws)
+    change = (env.engine.qvel - before)[:, :3]
+    kicked = change.any(-1)
+    assert torch.equal(kicked, draws[0, :, 0] < 0.1)
+    assert change[kicked].abs().max() <= 0.5 and not change[:, 2].any()
+
+
+# ------------------------------------------------------------------------------------------- broken physics
+
+
+def test_a_world_whose_physics_breaks_has_fallen_and_shows_no_bad_number(make):
+    env = make(1, 3)
+    actions = [still(env)] * 4
+    healthy, _ = roll(env, actions)
+    env.set_seed(0)
+    other = make(1, 3)
+    state = other.reset()
+    other.engine._state[1, 1 + 19 :] = 1e12  # rad/s: MuJoCo gives up on this world
+    seen, _ = roll(other, actions, state)
+    first = seen[0]
+    assert first["terminated"].flatten().tolist() == [False, True, False]
+    assert float(first["reward"][0, 1]) == -1.0  # termination, -50 x 0.02
+    for after in seen:
+        for value in after.flatten_keys().values():
+            assert torch.isfinite(value.float()).all()
+    for after, undisturbed in zip(seen, healthy, strict=True):
+        assert torch.equal(after["observation"][0, ::2], undisturbed["observation"][0, ::2])
+    assert other.breakdowns.flatten().tolist() == [0.0, 1.0, 0.0]
+    assert not seen[-1]["terminated"].any()
+
+
+def test_a_kick_does_not_hide_broken_physics(make):
+    env = make(1, 2, randomisation=RandomisationConfig(models=1, push_interval=1e-6))  # always
+    env.reset()
+    env.engine._state[1, 1 + 19 :] = 1e12
+    assert step(env)["terminated"].flatten().tolist() == [False, True]
+
+
+def test_an_action_that_is_not_finite_stops_before_the_physics(make):
+    env = make(1, 2)
+    env.reset()
+    action = still(env)
+    action[0, 1, 3] = float("nan")
+    with pytest.raises(SimulationError, match=r"non-finite actuator input.*\[1\]"):
+        step(env, action)
+
+
+# ------------------------------------------------------------------------------------- streams and saving
+
+
+def wild(candidates: int, seed: int = 0) -> torch.Tensor:
+    """Actions that make robots fall, (40, candidates, 3, 12), equal for every candidate."""
+    return 3 * torch.randn(40, 1, 3, 12, generator=torch.Generator().manual_seed(seed)).expand(40, candidates, 3, 12)
+
+
+def test_a_candidate_sees_the_same_alone_and_in_a_crowd(make):
+    settings = {"randomisation": MIXED, "observation_noise": 1.0, "episode_seconds": 0.5}
+    alone, _ = roll(make(1, 3, seeds=[7], **settings), wild(1))
+    crowd, _ = roll(make(3, 3, seeds=[1, 7, 2], **settings), wild(3))
+    assert sum(int(after["terminated"].sum()) for after in alone) > 0  # robots fell, episodes began anew
+    for one, many in zip(alone, crowd, strict=True):
+        many = many[1:2]
+        for key, value in one.items(True, True):
+            assert torch.equal(value, many[key]), key
+    assert not torch.equal(crowd[-1]["observation"][0], crowd[-1]["observation"][1])
+
+
+def test_an_env_goes_on_exactly_from_its_saved_state(make):
+    settings = {"randomisation": MIXED, "observation_noise": 1.0, "episode_seconds": 0.5}
+    env = make(2, 3, **settings)
+    _, state = roll(env, wild(2)[:15])
+    saved = env.full_state().clone()
+    expected, _ = roll(env, wild(2)[15:], state)
+    other = make(2, 3, **settings)
+    other.reset()
+    step(other, wild(2)[0])
+    other.load_full_state(saved)
+    went_on, _ = roll(other, wild(2)[15:])  # begins with a reset, as a collector does
+    for one, two in zip(expected, went_on, strict=True):
+        for key, value in one.items(True, True):
+            assert torch.equal(value, two[key]), key
+
+
+def test_a_state_of_another_number_of_worlds_is_refused(make):
+    small, large = make(1, 2), make(1, 3)
+    for env in (small, large):
+        env.reset()
+    with pytest.raises(SimulationError, match="another number of worlds"):
+        large.load_full_state(small.full_state())
+
+
+def test_a_seed_decides_the_next_reset(make):
+    env = make(1, 2)
+    seen = []
+    for seed in (3, 3, 4):
+        env.set_seed(seed)
+        seen.append(env.reset()["observation"].clone())
+    assert torch.equal(seen[0], seen[1]) and not torch.equal(seen[0], seen[2])
+
+
+# ----------------------------------------------------------------------------------------------- mistakes
+
+
+def test_an_unknown_engine_is_named_with_the_known_ones(robot):
+    with pytest.raises(ConfigError, match="No engine named 'mujuco'. Did you mean 'mujoco'"):
+        robot.make_env("mujuco", 1, 1, EnvConfig(randomisation=CALM))
+
+
+def test_a_robot_without_a_model_cannot_be_simulated(robot):
+    class LogOnly(type(robot)):
+        def mjcf(self):
+            return None
+
+    with pytest.raises(ConfigError, match="log-only"):
+        LogOnly(Go1Settings()).make_env("mujoco", 1, 1, EnvConfig(randomisation=CALM))
