@@ -165,10 +165,16 @@ class SimulationTestConfig(Config):
 
 
 class CollectionConfig(Config):
-    """Real data from the pretrained policy, before the first fit."""
+    """Real data from the pretrained policy, before the first fit.
+
+    A model fitted to the mean action alone has seen one walk; in training it meets the policy's own exploration, and
+    then candidates that walk differently. Recordings with exploration noise show it what such changes cost.
+    """
 
     schedule: ScheduleConfig
-    repeats: int = Field(2, ge=1, description="recordings of the schedule; held-out recordings are chosen among them")
+    repeats: int = Field(2, ge=1, description="recordings of the schedule with the mean action, as policies are tested")
+    exploring: int = Field(6, ge=0, description="recordings of the schedule with exploration noise")
+    exploration: float = Field(1.0, gt=0, description="sigma of that noise, as a share of the policy's own sigma")
 
 
 class MeasurementConfig(Config):

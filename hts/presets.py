@@ -20,7 +20,7 @@ def _walk(*speeds: float, seconds: float) -> dict[str, Any]:
 SMOKE: dict[str, Any] = {
     "world": {"name": "twin", "warmup_seconds": 1.0, "block_seconds": 6.0},
     "iterations": 1,
-    "collection": {"schedule": _walk(0.5, 0.8, seconds=6.0), "repeats": 2},
+    "collection": {"schedule": _walk(0.5, 0.8, seconds=6.0), "repeats": 1, "exploring": 2},
     "measurement": {"epochs": 2},
     "sweep": {"kl_bounds": [0.5, 1.0], "anchors": ["pretrained"]},
     "finetune": {
@@ -34,19 +34,23 @@ SMOKE: dict[str, Any] = {
     "evaluation": {"speeds": [0.8], "min_valid": 0.0, "min_segments": 1, "bootstrap": 200},
 }
 
+# Commands of fine-tuning: mostly straight ahead at the speeds that are measured, some turning so that it is not forgotten.
+FORWARD: dict[str, Any] = {"vx": [0.4, 1.2], "vy": [-0.2, 0.2], "straight": 0.8, "stand": 0.0}
+
 QUICK: dict[str, Any] = {
     "world": {"name": "twin", "block_seconds": 80.0},
-    "iterations": 2,
-    "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0), "repeats": 6},
+    "iterations": 3,
+    "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0), "repeats": 2, "exploring": 6},
     "measurement": {"epochs": 12},
-    "sweep": {"kl_bounds": [0.5, 1.0], "anchors": ["best"]},
+    "sweep": {"kl_bounds": [1.0], "anchors": ["best"]},
     "finetune": {
-        "num_envs": 64,
-        "steps": 200_000,
-        "ppo": {"horizon": 24, "epochs": 5, "minibatches": 4},
+        "num_envs": 128,
+        "steps": 270_000,
+        "ppo": {"horizon": 24, "epochs": 5, "minibatches": 2, "learning_rate": 1e-4},
+        "env": {"commands": FORWARD},
     },
     "simulation_test": {"num_envs": 16, "seconds": 8.0, "speeds": [0.8]},
-    "selection": {"selector": {"name": "hierarchical"}, "elites": 4},
+    "selection": {"selector": {"name": "hierarchical"}, "elites": 3},
     "evaluation": {"speeds": [0.5, 0.8, 1.1]},
 }
 
@@ -56,10 +60,10 @@ PAPER: dict[str, Any] = {
     "world": {"name": "twin", "block_seconds": 80.0},
     "engine": "warp",
     "iterations": 4,
-    "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=32.0), "repeats": 6},
+    "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=32.0), "repeats": 2, "exploring": 6},
     "measurement": {"epochs": 60, "max_seconds": 1800.0},
     "sweep": {"kl_bounds": [0.2, 0.5, 1.0], "anchors": ["best", "pretrained"]},
-    "finetune": {"num_envs": 1024, "steps": 4_000_000},
+    "finetune": {"num_envs": 1024, "steps": 4_000_000, "ppo": {"learning_rate": 1e-4}, "env": {"commands": FORWARD}},
     "simulation_test": {"num_envs": 256, "seconds": 20.0, "speeds": [0.5, 0.8, 1.1]},
     "selection": {"selector": {"name": "hierarchical"}, "elites": 6},
     "evaluation": {"speeds": [0.5, 0.8, 1.1], "bootstrap": 10_000},

@@ -287,9 +287,8 @@ def test_a_stopped_candidate_stays_stopped_after_resuming():
 def walking(seeds, resume=None) -> PopulationTrainer:
     """The shipped policy, fine-tuned with a measurement model in the loop and episodes that end."""
     pytest.importorskip("hts_go1", reason="the robot of this test is not installed")
-    from hts_go1.robot import Go1, Go1Settings
-
     from hts.policies.files import load_policy
+    from hts_go1.robot import Go1, Go1Settings
 
     robot = Go1(Go1Settings())
     config = EnvConfig(randomisation=RandomisationConfig(models=2), threads=1, episode_seconds=0.24)

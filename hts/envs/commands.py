@@ -54,7 +54,9 @@ class Commands:
     def advance(self, draws: torch.Tensor, yaw: torch.Tensor) -> None:
         """One control step passes: resample where due, then steer towards the heading."""
         self.steps_left = self.steps_left - 1
-        self.resample(self.steps_left <= 0, draws, yaw)
+        due = self.steps_left <= 0
+        if due.device.type != "cpu" or bool(due.any()):  # asking a GPU would wait for it
+            self.resample(due, draws, yaw)
         self.steer(yaw)
 
     def steer(self, yaw: torch.Tensor) -> None:

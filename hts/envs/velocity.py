@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -84,11 +85,19 @@ class VelocityEnv(EnvBase):
         noise = [torch.full((int(part["size"]),), NOISE.get(str(part["name"]), 0.0)) for part in observation_layout(joints)]
         self._noise = torch.cat(noise).to(device) * config.observation_noise
         self._noisy = bool(self._noise.any())
+        self._down = torch.tensor((0.0, 0.0, -1.0), device=device).expand(*shape, 3)
         self._fixed_draws = DRAWS + 3 + 2 + 6 + joints + 1
         self._observation = zeros(*shape, 9 + 3 * joints, device=device)
         self._critic_observation = zeros(*shape, 9 + 3 * joints + 4 + feet, device=device)
         self._resuming = False
         self._make_specs(joints, feet)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        # A step replaces some twenty tensors; for each of them EnvBase looks at length whether it is a submodule or a spec.
+        if isinstance(value, torch.Tensor):
+            object.__setattr__(self, name, value)
+        else:
+            super().__setattr__(name, value)
 
     # ---------------------------------------------------------------------------------------- construction
 
@@ -161,9 +170,10 @@ class VelocityEnv(EnvBase):
         action = tensordict["action"]
         draws = self.random.uniform(self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0))
         self._draws = draws
-        target = self.default_pose + self.action_scale * action
+        target = torch.addcmul(self.default_pose, self.action_scale, action)
         # A world with delay d applies the previous target in its first d physics steps.
-        ctrl = torch.where(self._substep < self.delay, self.target, target) - self.joint_offset
+        late = self._substep < self.delay
+        ctrl = torch.where(late, self.target - self.joint_offset, target - self.joint_offset)
         self.engine.step(ctrl.view(self.robot_spec.substeps, -1, ctrl.shape[-1]))
         self.target = target
         self.steps = self.steps + 1
@@ -172,33 +182,40 @@ class VelocityEnv(EnvBase):
         reward = rewards.total(motion, self.weights)
         # A world whose physics broke has fallen: its episode ends there, and none of its numbers is used.
         broken = self.engine.diverged.view(self.shape2)
-        reward = torch.where(broken, self.weights["termination"] * self.dt, reward)
-        self.breakdowns = self.breakdowns + broken
+        any_broken = self._maybe(broken)
+        if any_broken:
+            reward = torch.where(broken, self.weights["termination"] * self.dt, reward)
+            self.breakdowns = self.breakdowns + broken
         self.action, self.last_joint_velocity = action, motion.joint_velocity
         terminated = motion.fell
         truncated = (self.steps >= self.max_steps) & ~terminated
         self.falls = self.falls + terminated
         self.commands.advance(draws[..., :DRAWS], self._yaw)
         self._observe(draws[..., self._fixed_draws :])
-        self._observation = self._observation.masked_fill(broken.unsqueeze(-1), 0.0)
-        self._critic_observation = self._critic_observation.masked_fill(broken.unsqueeze(-1), 0.0)
+        if any_broken:
+            self._observation = self._observation.masked_fill(broken.unsqueeze(-1), 0.0)
+            self._critic_observation = self._critic_observation.masked_fill(broken.unsqueeze(-1), 0.0)
         out = {
             "reward": reward.unsqueeze(-1), "terminated": terminated.unsqueeze(-1), "truncated": truncated.unsqueeze(-1),
             "done": (terminated | truncated).unsqueeze(-1),
         }  # fmt: skip
         return self._result(out)
 
-    def _result(self, entries: dict[str, torch.Tensor]) -> TensorDict:
+    @staticmethod
+    def _maybe(mask: torch.Tensor) -> bool:
+        """Whether anything is to be done for mask: on a GPU always, since asking would wait for it."""
+        return mask.device.type != "cpu" or bool(mask.any())
+
+    def _result(self, entries: dict[str, Any]) -> TensorDict:
         entries["observation"] = self._observation
         entries["critic_observation"] = self._critic_observation
-        out = TensorDict(entries, batch_size=self.batch_size, device=self.device)
         if self.channel_specs:
-            values = self._channel_values()
+            values = {name: self._channel_value(name) for name in self.channel_specs}
             if self.device.type != "cpu":  # the CPU engine's broken worlds hold finite numbers
                 broken = self.engine.diverged.view(*self.shape2, 1)
-                values = {name: values[name].masked_fill(broken, 0.0) for name in self.channel_specs}
-            out["channels"] = TensorDict({name: values[name] for name in self.channel_specs}, batch_size=self.batch_size)
-        return out
+                values = {name: value.masked_fill(broken, 0.0) for name, value in values.items()}
+            entries["channels"] = TensorDict(values, batch_size=self.batch_size, device=self.device)
+        return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
     # ---------------------------------------------------------------------------------------------- physics
 
@@ -208,6 +225,8 @@ class VelocityEnv(EnvBase):
         if not r.enabled or r.push_speed == 0:
             return
         mask = (draws[..., 0] < self.dt / r.push_interval).reshape(-1) & ~self.engine.diverged  # a reset would hide that
+        if not self._maybe(mask):
+            return
         qvel = self.engine.qvel.clone()
         qvel[:, :2] += (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed
         self.engine.reset(mask, self.engine.qpos, qvel)
@@ -250,17 +269,16 @@ class VelocityEnv(EnvBase):
     def _read_pose(self) -> None:
         """Trunk pose and velocities in the trunk frame, from the engine's state."""
         qpos, qvel = self.engine.qpos.view(*self.shape2, -1), self.engine.qvel.view(*self.shape2, -1)
-        w, x, y, z = qpos[..., 3:7].unbind(-1)
-        # Rows of the rotation matrix that turn world vectors into the trunk frame.
-        xx, yy, zz = x * x, y * y, z * z
-        xy, xz, yz, wx, wy, wz = x * y, x * z, y * z, w * x, w * y, w * z
-        rows = torch.stack(
-            (1 - 2 * (yy + zz), 2 * (xy + wz), 2 * (xz - wy), 2 * (xy - wz), 1 - 2 * (xx + zz), 2 * (yz + wx),
-             2 * (xz + wy), 2 * (yz - wx), 1 - 2 * (xx + yy)), -1,
-        ).unflatten(-1, (3, 3))  # fmt: skip
-        self._velocity = (rows * qvel[..., None, :3]).sum(-1)
-        self._gravity = -rows[..., 2]
-        self._yaw = torch.atan2(2 * (wz + xy), 1 - 2 * (yy + zz))
+        w, axis = qpos[..., 3:4], qpos[..., 4:7]
+        # v' = v - 2 w (q x v) + 2 q x (q x v) turns world vectors into the trunk frame, (w, q) being its orientation.
+        world = torch.stack((qvel[..., :3], self._down), -2)
+        axes = axis.unsqueeze(-2).expand_as(world)
+        across = torch.linalg.cross(axes, world)
+        turned = torch.linalg.cross(axes, across).addcmul_(w.unsqueeze(-1), across, value=-1.0)
+        self._velocity, self._gravity = turned.mul_(2.0).add_(world).unbind(-2)
+        (x, y, z), w = axis.unbind(-1), w[..., 0]
+        # In double precision: torch's single one differs in the last bit between the bulk of a tensor and its end.
+        self._yaw = torch.atan2((w * z + x * y).double(), (0.5 - (y * y + z * z)).double()).float()
         self._height = qpos[..., 2:3]
         self._angular_velocity = qvel[..., 3:6]
         self._joint_position = qpos[..., 7:] + self.joint_offset  # as the encoders say
@@ -303,14 +321,27 @@ class VelocityEnv(EnvBase):
         self._observation = torch.addcmul(clean, draws * 2 - 1, self._noise) if self._noisy else clean
         self._critic_observation = torch.cat((clean, self._velocity, self._height, self._contact.to(clean.dtype)), -1)
 
-    def _channel_values(self) -> dict[str, torch.Tensor]:
-        sensors = self.engine.sensordata.view(*self.shape2, -1)
-        return {
-            "joint_position": self._joint_position, "joint_velocity": self._joint_velocity,
-            "joint_torque": sensors[..., self._torques].clone(), "joint_target": self.target,
-            "angular_velocity": self._angular_velocity.clone(), "projected_gravity": self._gravity,
-            "base_velocity": self._velocity, "command": self.commands.value.clone(), "foot_force": sensors[..., self._touch].clone(),
-        }  # fmt: skip
+    def _channel_value(self, name: str) -> torch.Tensor:
+        """One channel now; a tensor of its own where the engine or the commands rewrite theirs in place."""
+        match name:
+            case "joint_torque":
+                return self._sensors(self._torques).clone()
+            case "foot_force":
+                return self._sensors(self._touch).clone()
+            case "command":
+                return self.commands.value.clone()
+            case "angular_velocity":
+                return self._angular_velocity.clone()
+        return getattr(self, self._CHANNELS[name])
+
+    _CHANNELS = {
+        "joint_position": "_joint_position", "joint_velocity": "_joint_velocity", "joint_target": "target",
+        "projected_gravity": "_gravity", "base_velocity": "_velocity",
+    }  # fmt: skip
+
+    def _sensors(self, columns: slice) -> torch.Tensor:
+        """Some of the engine's sensors, a view [P, N, ...] that the next step rewrites."""
+        return self.engine.sensordata.view(*self.shape2, -1)[..., columns]
 
     # ------------------------------------------------------------------------------------- saving the whole state
 

@@ -34,11 +34,13 @@ class DeployedPolicy:
         self.card = SimpleNamespace(**card)
         self._pose = np.asarray(card["default_pose"], np.float32)
         self._scale = np.asarray(card["action_scale"], np.float32)
+        self._noise = np.asarray(card.get("exploration_std", ()), np.float32)
         self._parts = [part["name"] for part in card["observation"]]
         self.start(1)
 
-    def start(self, num: int) -> None:
-        """Begin with `num` robots, no past."""
+    def start(self, num: int, seed: int | None = None) -> None:
+        """Begin with `num` robots, no past. seed: of the exploration noise, for policies exported with some."""
+        self._random = np.random.default_rng(seed)
         self._last_action = np.zeros((num, self._pose.size), np.float32)
         size = sum(part["size"] for part in self.card.observation)
         self._history = np.zeros((num, self.card.history, size), np.float32)
@@ -60,4 +62,7 @@ class DeployedPolicy:
             self._history[:, -1] = observation
             observation = self._history.reshape(len(observation), -1)
         self._last_action = self._session.run(["action"], {"observation": observation})[0]
+        if len(self._noise):
+            noise = self._random.standard_normal(self._last_action.shape, np.float32)
+            self._last_action = self._last_action + self._noise * noise
         return self._pose + self._scale * self._last_action

@@ -26,7 +26,8 @@ class PolicyCard:
     """What a computer on a robot must know of a policy beside its numbers.
 
     joint target (rad) = default_pose + action_scale x action; observation: parts in order, [{name, size}];
-    history: how many observations are stacked, newest last (1: none).
+    history: how many observations are stacked, newest last (1: none);
+    exploration_std: normal noise added to each action when it runs, action units (empty: none, the mean action).
     """
 
     robot: str
@@ -41,6 +42,7 @@ class PolicyCard:
     hidden: tuple[int, ...]
     history: int = 1
     policy_hash: str = ""
+    exploration_std: tuple[float, ...] = ()
     made: Mapping[str, Any] = field(default_factory=dict)
     format: int = FORMAT
 

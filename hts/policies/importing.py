@@ -29,7 +29,7 @@ from hts.policies.networks import Population, Sizes
 
 # rsl_rl's EmpiricalNormalization divides by std + 0.01 (rsl_rl/modules/normalization.py).
 RSL_RL_EPSILON = 0.01
-# Without a normaliser, ours would clip raw observations at 10. A power of two moves that to 80 and changes no result.
+# Without a normaliser, ours would clip raw observations at 10. This factor, exact in binary, moves that to 80 and changes no result.
 HEADROOM = 8.0
 NEW_CRITIC = "new"
 
@@ -173,6 +173,7 @@ def _rsl_rl_parts(
     rsl_rl up to 3 keeps one model_state_dict (actor.N.*, std or log_std, actor_obs_normalizer.*; before 3 the normaliser
     lies beside it, obs_norm_state_dict); from 4 on an actor_state_dict (mlp.N.*, distribution.*, obs_normalizer.*).
     """
+    extra: tuple[str, ...]
     if "actor_state_dict" in data:
         state, prefix, extra = data["actor_state_dict"], "mlp.", ("obs_normalizer.", "distribution.")
     elif "model_state_dict" in data:

@@ -76,6 +76,7 @@ class PopulationTrainer:
         self.collector = Collector(
             env, self.actor, frames_per_batch=per_batch, total_frames=-1, device=device, track_traj_ids=False,
             trust_policy=True, use_buffers=False, track_policy_version=False,
+            return_same_td=device.type == "cpu",  # each batch is a fresh one, so there is nothing to copy it for
             auto_register_policy_transforms=False,  # nothing here is recurrent: the memory is the transform's own
         )  # fmt: skip
         if resume is not None and list(resume.get("transform", {}).keys()):  # now: making the collector resets the env

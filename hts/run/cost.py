@@ -32,7 +32,7 @@ def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
     world = registry.make_world(config.world.name, config.world.settings, context)
     per_test = world.head_to_head_seconds() if hasattr(world, "head_to_head_seconds") else 320.0
     elites = sum(min(config.selection.elites, count) for count in counts)
-    robot_seconds = 0.0 if proxy else config.collection.schedule.seconds * config.collection.repeats
+    robot_seconds = 0.0 if proxy else config.collection.schedule.seconds * (config.collection.repeats + config.collection.exploring)
     robot_seconds += per_test * (elites + len(config.evaluation.speeds))
     steps = sum(counts) * config.finetune.steps
     test_steps = config.simulation_test.num_envs * len(config.simulation_test.speeds) * config.simulation_test.seconds * robot.spec.control_rate_hz

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -68,6 +69,14 @@ class Job:
         """Write a policy and, beside it, the ONNX file that worlds get; returns the latter."""
         path = save_policy(self.policy_path(name), policy)
         return to_onnx(policy, path.with_suffix(".onnx"))
+
+    def save_exploring(self, name: str, share: float) -> Path:
+        """The ONNX file of a policy that adds `share` of its own sigma as noise; another policy to a model, with its own hash."""
+        policy = self.policy(name)
+        std = tuple((policy.tensors["log_std"].exp() * share).tolist())
+        own = hashlib.sha256(f"{policy.card.policy_hash}{std}".encode()).hexdigest()
+        card = dataclasses.replace(policy.card, exploration_std=std, policy_hash=own)
+        return to_onnx(Policy(policy.tensors, card), self.policy_path(name).with_name(f"{name}-exploring.onnx"))
 
     def policy(self, name: str) -> Policy:
         """Read a policy of this run."""

@@ -29,7 +29,7 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     ids = job.known(iteration)
     dataset = job.store.dataset(ids)
     recordings = job.recordings(ids)
-    keep = {job.policy("pretrained").card.policy_hash}
+    keep = {recording.policy_hash for recording in recordings if recording.role in ("collection", "reference")}
     result = {}
     for number, (name, objective) in enumerate(job.objectives.items()):
 

@@ -20,7 +20,9 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
     """Roll the pretrained policy out under the schedule: D_0."""
     config = job.config.collection
     job.watch(report)
-    recordings = job.world.collect([job.exported("pretrained")] * config.repeats, config.schedule)
+    exploring = job.save_exploring("pretrained", config.exploration)
+    policies = [job.exported("pretrained")] * config.repeats + [exploring] * config.exploring
+    recordings = job.world.collect(policies, config.schedule)
     ids = job.keep(recordings, 0)
     return {"recordings": ids, "samples": sum(recording.num_samples for recording in recordings)}
 

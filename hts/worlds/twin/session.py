@@ -30,7 +30,7 @@ class Standing:
     def __init__(self, machine: Machine) -> None:
         self._targets = np.array(machine.spec.default_pose) + machine.standing_torque / np.array(machine.spec.kp)
 
-    def start(self, num: int) -> None:
+    def start(self, num: int, seed: int | None = None) -> None:
         self._num = num
 
     def reset(self, mask: np.ndarray) -> None:
@@ -55,7 +55,8 @@ class Batch:
         self.robot, self.spec, self.settings, self.instruments = robot, robot.spec, settings, instruments
         self.machine = build(robot, settings.dynamics)
         self.body = Dynamics(self.machine, settings.dynamics, num_worlds)
-        sensor_seed, *instrument_seeds = seeds.spawn(1 + len(instruments))
+        sensor_seed, policy_seed, *instrument_seeds = seeds.spawn(2 + len(instruments))
+        self._policy_random = np.random.default_rng(policy_seed)  # of policies that are run with exploration noise
         self.sensors = Sensors(
             settings.sensors, self.body, settings.dynamics.machine, np.random.default_rng(sensor_seed)
         )
@@ -87,7 +88,7 @@ class Batch:
 
     def _run_block(self, blocks: Sequence[Block], progress: Progress) -> Tape:
         told = np.stack([commands(block.schedule, self.spec.control_rate_hz) for block in blocks])  # (W, T, 3)
-        crew = Crew(self.machine, [block.policy for block in blocks])
+        crew = Crew(self.machine, [block.policy for block in blocks], int(self._policy_random.integers(2**31)))
         self.body.set_gains(crew.kp, crew.kd)
         tape = Tape(self, told.shape[1], crew)
         for step in range(told.shape[1]):
@@ -134,12 +135,12 @@ def _part_of(progress: Progress | None, done: float, share: float) -> Progress:
 class Crew:
     """The controllers of a block: robots with the same policy share one. hashes: of each robot's policy; kp, kd (W, J)."""
 
-    def __init__(self, machine: Machine, policies: Sequence[str | None]) -> None:
+    def __init__(self, machine: Machine, policies: Sequence[str | None], seed: int = 0) -> None:
         self._machine, self._spec = machine, machine.spec
         self._members = {p: np.flatnonzero([q == p for q in policies]) for p in dict.fromkeys(policies)}
         self._controllers = {path: self._controller(path) for path in self._members}
         for path, worlds in self._members.items():
-            self._controllers[path].start(len(worlds))
+            self._controllers[path].start(len(worlds), seed)
         cards = [None if path is None else self._controllers[path].card for path in policies]
         self.hashes = [card.policy_hash if card else "" for card in cards]
         self.kp = np.array([card.kp if card else self._spec.kp for card in cards], dtype=float)

@@ -1,0 +1,122 @@
+"""The commands from Python: `run`, `fit`, `evaluate`, and `load` for what a run left behind.
+
+    from hts import api
+
+    folder = api.run("OBJECTIVE", robot="ROBOT", preset="smoke", out="runs/first")
+    print(api.load(folder).summary["final"])
+
+Every function raises the errors of `hts.errors`, whose text is what the command line prints.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hts.errors import RunError
+
+if TYPE_CHECKING:
+    from hts.config import RunConfig
+    from hts.policies.files import Policy
+
+
+def run(
+    objectives: str | Sequence[str], robot: str, *, out: Path | str, preset: str | None = None, world: str | None = None,
+    engine: str | None = None, seed: int | None = None, config: Path | str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Path:  # fmt: skip
+    """Algorithm 1 into the new folder `out`; returns it. Like `hts run`.
+
+    objectives: one name or several; config: a YAML file; settings: dotted key -> value, as --set takes them.
+
+        api.run("OBJECTIVE", "ROBOT", out="runs/first", preset="smoke", settings={"finetune.num_envs": 16})
+
+    A run that was interrupted goes on with `resume(folder)`.
+    """
+    from hts.config_loading import load_config
+    from hts.run import start_run
+
+    names = [objectives] if isinstance(objectives, str) else list(objectives)
+    overrides = [f"{key}={json.dumps(value)}" for key, value in (settings or {}).items()]
+    resolved = load_config(
+        preset=preset, file=Path(config) if config else None, objectives=names, robot=robot, world=world, engine=engine,
+        seed=seed, overrides=overrides,
+    )  # fmt: skip
+    return start_run(resolved, Path(out))
+
+
+def resume(folder: Path | str) -> Path:
+    """Go on with a run where it stopped; returns its folder. Like `hts resume`.
+
+        api.resume("runs/first")
+    """
+    from hts.run import resume_run
+
+    return resume_run(_run_folder(folder))
+
+
+def fit(objective: str, data: Path | str, out: Path | str, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Fit one measurement model to a recording store; returns what OUT/fit.json holds. Like `hts fit`.
+
+        report = api.fit("OBJECTIVE", "walks.zarr", "fits/first", {"measurement.epochs": 40})
+        report["held_out_r2"]
+    """
+    from hts.measurement.fit_command import fit_store
+
+    overrides = [f"{key}={json.dumps(value)}" for key, value in (settings or {}).items()]
+    return json.loads(fit_store(objective, Path(data), Path(out), overrides=overrides).read_text(encoding="utf-8"))
+
+
+def evaluate(
+    folder: Path | str, speeds: Sequence[float] | None = None, *, policy: str | Path = "best", world: str | None = None,
+    seed: int | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Head-to-head of a run's policy against its pretrained one; returns what evaluation.json holds. Like `hts evaluate`.
+
+        api.evaluate("runs/first", [0.8])["objectives"]["OBJECTIVE"]["speeds"]["0.8"]["improvement"]
+    """
+    from hts.evaluation.final import evaluate_run
+
+    return evaluate_run(_run_folder(folder), speeds=speeds, policy=policy, world=world, seed=seed)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run left behind: its folder, resolved configuration, and `summary.json` (None if it is not finished)."""
+
+    folder: Path
+    config: RunConfig
+    summary: dict[str, Any] | None
+
+    def policy(self, name: str = "best") -> Policy:
+        """Tensors and card of "best", "pretrained" or a candidate. Raises PolicyError with the names there are."""
+        from hts.policies.export_command import find_policy
+        from hts.policies.files import load_policy
+
+        return load_policy(find_policy(self.folder, name))
+
+
+def load(folder: Path | str) -> Run:
+    """A run, finished or not. Raises RunError where there is none.
+
+        api.load("runs/first").policy("best").card.policy_hash
+    """
+    from hts.config_loading import read_config
+
+    place = _run_folder(folder)
+    summary = place / "summary.json"
+    try:
+        found = json.loads(summary.read_text(encoding="utf-8")) if summary.exists() else None
+    except ValueError as error:
+        raise RunError(f"{summary}: is not JSON ({error}). Delete it and write it again: `hts resume {place}`.") from error
+    return Run(place, read_config(place / "config.yaml"), found)
+
+
+def _run_folder(folder: Path | str) -> Path:
+    place = Path(folder)
+    if not (place / "config.yaml").is_file():
+        raise RunError(f"{place}: holds no run (no config.yaml). Give the folder of a run.")
+    return place
