@@ -1,4 +1,4 @@
-# make run | test | check; each installs first where needed, into .venv, from constraints.txt.
+# make run | test | check (lint and test); each installs first where needed, into .venv, from constraints.txt.
 
 # The first Python that really starts (a pyenv shim may exist and fail), is 3.11 or 3.12, and can make environments.
 SUPPORTED := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))
@@ -12,7 +12,7 @@ PINS := constraints.txt pyproject.toml $(wildcard plugins/*/pyproject.toml robot
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 WORKERS ?= 2
 
-.PHONY: install install-dev run test check format clean
+.PHONY: install install-dev run test lint check format clean
 .DEFAULT_GOAL := install
 
 install: .venv/installed
@@ -24,12 +24,13 @@ run: install
 test: install-dev
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-check: install-dev
+check: lint test
+
+lint: install-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n $(WORKERS)
 
 format: install-dev
 	$(BIN)/ruff check --fix .

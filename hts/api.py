@@ -51,7 +51,7 @@ def run(
 def resume(folder: Path | str) -> Path:
     """Go on with a run where it stopped; returns its folder. Like `hts resume`.
 
-        api.resume("runs/first")
+    For example `api.resume("runs/first")`.
     """
     from hts.run import resume_run
 
@@ -61,8 +61,7 @@ def resume(folder: Path | str) -> Path:
 def fit(objective: str, data: Path | str, out: Path | str, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Fit one measurement model to a recording store; returns what OUT/fit.json holds. Like `hts fit`.
 
-        report = api.fit("OBJECTIVE", "walks.zarr", "fits/first", {"measurement.epochs": 40})
-        report["held_out_r2"]
+    For example `api.fit("OBJECTIVE", "walks.zarr", "fits/first", {"measurement.epochs": 40})["held_out_r2"]`.
     """
     from hts.measurement.fit_command import fit_store
 
@@ -76,7 +75,7 @@ def evaluate(
 ) -> dict[str, Any]:  # fmt: skip
     """Head-to-head of a run's policy against its pretrained one; returns what evaluation.json holds. Like `hts evaluate`.
 
-        api.evaluate("runs/first", [0.8])["objectives"]["OBJECTIVE"]["speeds"]["0.8"]["improvement"]
+    For example `api.evaluate("runs/first", [0.8])["objectives"]["OBJECTIVE"]["speeds"]["0.8"]["improvement"]`.
     """
     from hts.evaluation.final import evaluate_run
 
@@ -102,7 +101,7 @@ class Run:
 def load(folder: Path | str) -> Run:
     """A run, finished or not. Raises RunError where there is none.
 
-        api.load("runs/first").policy("best").card.policy_hash
+    For example `api.load("runs/first").policy("best").card.policy_hash`.
     """
     from hts.config_loading import read_config
 
@@ -111,7 +110,9 @@ def load(folder: Path | str) -> Run:
     try:
         found = json.loads(summary.read_text(encoding="utf-8")) if summary.exists() else None
     except ValueError as error:
-        raise RunError(f"{summary}: is not JSON ({error}). Delete it and write it again: `hts resume {place}`.") from error
+        raise RunError(
+            f"{summary}: is not JSON ({error}). Delete it and write it again: `hts resume {place}`."
+        ) from error
     return Run(place, read_config(place / "config.yaml"), found)
 
 

@@ -74,7 +74,9 @@ class CommandConfig(Config):
     heading_gain: float = Field(0.5, description="rad/s per rad")
     resample_seconds: float = Field(10.0, gt=0, description="a new command every so often, s")
     straight: float = Field(0.3, ge=0, le=1, description="share of worlds told vy = 0 and to keep their heading")
-    fixed: tuple[float, ...] = Field((), description="test speeds, m/s: world n walks straight at fixed[n mod len], for good")
+    fixed: tuple[float, ...] = Field(
+        (), description="test speeds, m/s: world n walks straight at fixed[n mod len], for good"
+    )
     stand: float = Field(0.05, ge=0, le=1, description="share of worlds told to stand still")
 
 
@@ -85,8 +87,12 @@ class EnvConfig(Config):
     commands: CommandConfig = Field(default_factory=CommandConfig)
     randomisation: RandomisationConfig = Field(default_factory=RandomisationConfig)
     observation_noise: float = Field(1.0, ge=0, description="factor on the sensor noise of training, 1")
-    tracking_sigma: float = Field(0.05, gt=0, description="width of the tracking terms exp(-error^2 / sigma), (m/s)^2 and (rad/s)^2")
-    reward_weights: dict[str, float] = Field(default_factory=dict, description="overrides of the task's reward weights, 1/s")
+    tracking_sigma: float = Field(
+        0.05, gt=0, description="width of the tracking terms exp(-error^2 / sigma), (m/s)^2 and (rad/s)^2"
+    )
+    reward_weights: dict[str, float] = Field(
+        default_factory=dict, description="overrides of the task's reward weights, 1/s"
+    )
     threads: int = Field(0, ge=0, description="threads of the CPU engine; 0: one per core")
     seed: int = Field(0, ge=0, description="of everything random in the env")
     contacts_per_world: int = Field(0, ge=0, description="contact buffer of the warp engine; 0: the robot's worst case")
@@ -143,7 +149,9 @@ class PretrainConfig(Config):
 class SweepConfig(Config):
     """Anchors × weights λ × KL bounds c."""
 
-    weights: dict[str, tuple[float, ...]] = Field(default_factory=dict, description="λ per objective; missing: the objective's own")
+    weights: dict[str, tuple[float, ...]] = Field(
+        default_factory=dict, description="λ per objective; missing: the objective's own"
+    )
     kl_bounds: tuple[float, ...] = Field((0.2, 0.5, 1.0), min_length=1, description="c, nats; .inf: no bound")
     anchors: tuple[str, ...] = Field(("best", "pretrained"), description="which policies to start from")
 
@@ -159,7 +167,7 @@ class SimulationTestConfig(Config):
     """How candidates are judged in simulation: mean action, no exploration noise, no pushes."""
 
     num_envs: int = Field(32, ge=1, description="worlds per candidate and speed")
-    seconds: float = Field(8.0, gt=0, description="length of each trial, s")
+    seconds: float = Field(8.0, ge=3.0, description="length of each trial, s; its first 2 s are not judged")
     speeds: tuple[float, ...] = Field((0.8,), min_length=1, description="m/s")
     speed_tolerance: float = Field(0.1, gt=0, description="largest relative error of the mean speed")
 

@@ -207,7 +207,7 @@ class Instrument(ABC):
     def idle(self) -> Mapping[str, float]:
         """Level of each channel with electronics on and motors idle, as someone would read it off."""
 
-    def settle(self) -> None:
+    def settle(self) -> None:  # noqa: B027 - most have nothing slow
         """Bring slow hidden state (heat) to the steady state of the steps since the last reset or settle."""
 
     def describe(self) -> Mapping[str, Any]:
@@ -250,7 +250,9 @@ class World(ABC):
     def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
         """Policy against reference on one machine at each speed, blocks in the order A-B-B-A."""
 
-    def head_to_heads(self, policies: Sequence[Path], reference: Path, speeds: Sequence[float]) -> list[list[Recording]]:
+    def head_to_heads(
+        self, policies: Sequence[Path], reference: Path, speeds: Sequence[float]
+    ) -> list[list[Recording]]:
         """`head_to_head` of several policies; a simulated world may run them side by side."""
         return [self.head_to_head(policy, reference, speeds) for policy in policies]
 
@@ -258,7 +260,7 @@ class World(ABC):
         """What so many seconds of walking will cost here, e.g. {"robot_minutes": 5.3, "wall_seconds": 12.0}."""
         return {"robot_minutes": robot_seconds / 60.0}
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - most hold nothing
         """Let go of processes and files."""
 
 

@@ -50,7 +50,7 @@ def play(
     folder = Path(folder)
     if video is not None:
         video = _free(Path(video))
-        _choose_backend()
+        _prepare_drawing()
     elif sys.platform.startswith("linux") and not _display():
         raise SimulationError(
             "There is no display to open a window on (DISPLAY and WAYLAND_DISPLAY are not set). "
@@ -63,7 +63,9 @@ def play(
     config = read_config(folder / "config.yaml")
     robot = load().make_robot(config.robot.name, config.robot.settings)
     walk = Walk(robot, policy_file(folder, policy), speed)
-    print(f"Simulation, not the real robot: '{robot.spec.name}', nominal training model, policy {policy}, {speed:g} m/s.")
+    print(
+        f"Simulation, not the real robot: '{robot.spec.name}', nominal training model, policy {policy}, {speed:g} m/s."
+    )
     played = _window(walk) if video is None else _film(walk, video, seconds)
     print(f"Walked {played.seconds:.1f} s at {played.mean_speed:.2f} m/s{', then fell' if played.fell else ''}.")
     if video is not None:
@@ -169,8 +171,7 @@ def _film(walk: Walk, video: Path, seconds: float) -> Played:
             writer.close()
         except OSError as error:
             partial.unlink(missing_ok=True)
-            reason = str(error).strip().splitlines()[-1]
-            raise SimulationError(f"{video}: the video cannot be written ({reason}). Name a file that ends in .mp4.") from error
+            raise SimulationError(f"{video}: the video cannot be written; ffmpeg's reason is above.") from error
     partial.replace(video)
     return walk.result()
 
@@ -180,12 +181,13 @@ def _renderer(walk: Walk) -> Iterator[Any]:
     """A function that draws the robot as it is now, (HEIGHT, WIDTH, 3) uint8."""
     import mujoco
 
+    walk.model.vis.quality.offsamples = 1  # smoothed edges and shadows take most of the time where there is no GPU
     try:
         renderer = mujoco.Renderer(walk.model, HEIGHT, WIDTH)
     except Exception as error:  # each OpenGL backend fails with errors of its own
-        raise SimulationError(
-            f"MuJoCo cannot draw here (MUJOCO_GL={os.environ.get('MUJOCO_GL', 'not set')}: {type(error).__name__}). {NO_OPENGL}"
-        ) from error
+        raise _cannot_draw(error) from error
+    for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+        renderer.scene.flags[flag] = 0
     try:
         camera = mujoco.MjvCamera()
         _follow(walk, camera)
@@ -205,6 +207,11 @@ NO_OPENGL = (
 )
 
 
+def _cannot_draw(error: Exception) -> SimulationError:
+    backend = os.environ.get("MUJOCO_GL", "not set")
+    return SimulationError(f"MuJoCo cannot draw here (MUJOCO_GL={backend}: {type(error).__name__}). {NO_OPENGL}")
+
+
 def _follow(walk: Walk, camera: mujoco.MjvCamera) -> None:
     """Walk beside the robot."""
     import mujoco
@@ -215,6 +222,9 @@ def _follow(walk: Walk, camera: mujoco.MjvCamera) -> None:
 
 
 def _free(video: Path) -> Path:
+    """A place where a video can be written."""
+    if video.suffix != ".mp4":
+        raise ConfigError(f"--video {video}: expected a file that ends in .mp4.")
     if video.exists():
         raise RunError(f"{video}: exists already. Choose another file with --video.")
     if not video.parent.is_dir():
@@ -226,12 +236,18 @@ def _display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _choose_backend() -> None:
-    """Without a display MuJoCo must be told to draw off screen, before it is imported. Raises SimulationError."""
-    if os.environ.get("MUJOCO_GL") or not sys.platform.startswith("linux") or _display():
-        return
-    for library, backend in (("EGL", "egl"), ("OSMesa", "osmesa")):
-        if ctypes.util.find_library(library):
-            os.environ["MUJOCO_GL"] = backend
-            return
-    raise SimulationError(f"There is nothing to draw a video with: no display, EGL or OSMesa was found. {NO_OPENGL}")
+def _prepare_drawing() -> None:
+    """Load MuJoCo; without a display it must be told before to draw off screen. Raises SimulationError."""
+    if not os.environ.get("MUJOCO_GL") and sys.platform.startswith("linux") and not _display():
+        backends = [
+            backend for library, backend in (("EGL", "egl"), ("OSMesa", "osmesa")) if ctypes.util.find_library(library)
+        ]
+        if not backends:
+            raise SimulationError(
+                f"There is nothing to draw with: no display, no EGL, no OSMesa was found. {NO_OPENGL}"
+            )
+        os.environ["MUJOCO_GL"] = backends[0]
+    try:
+        import mujoco  # noqa: F401
+    except (ImportError, AttributeError, RuntimeError) as error:  # so it says that MUJOCO_GL's library is missing
+        raise _cannot_draw(error) from error

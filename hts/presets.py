@@ -39,13 +39,13 @@ FORWARD: dict[str, Any] = {"vx": [0.4, 1.2], "vy": [-0.2, 0.2], "straight": 0.8,
 
 QUICK: dict[str, Any] = {
     "world": {"name": "twin", "block_seconds": 80.0},
-    "iterations": 3,
+    "iterations": 2,
     "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0), "repeats": 2, "exploring": 6},
     "measurement": {"epochs": 12},
     "sweep": {"kl_bounds": [1.0], "anchors": ["best"]},
     "finetune": {
         "num_envs": 128,
-        "steps": 270_000,
+        "steps": 300_000,
         "ppo": {"horizon": 24, "epochs": 5, "minibatches": 2, "learning_rate": 1e-4},
         "env": {"commands": FORWARD},
     },

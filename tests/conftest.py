@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
+import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -33,6 +38,64 @@ def install(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monkey
     for name in set(sys.modules) - before:
         if getattr(sys.modules[name], "__file__", None) and str(folder) in str(sys.modules[name].__file__):
             del sys.modules[name]
+
+
+@dataclass(frozen=True)
+class SmallRun:
+    """A finished run of the smallest size, made once per test session; nobody may write into its folder."""
+
+    folder: Path
+    command: tuple[str, ...]  # what made it, but for --out
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        return summary_of(self.folder)
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """summary.json without the one number that two equal runs do not share."""
+    summary = json.loads((folder / "summary.json").read_text())
+    del summary["wall_seconds"]
+    return summary
+
+
+SMALL_RUN = (
+    *("run", "--objective", "power", "--robot", "go1", "--preset", "smoke"),
+    *("--set", "world.block_seconds=3", "--set", "world.warmup_seconds=1", "--set", "world.unsteady_seconds=1"),
+    *("--set", "collection.exploring=1", "--set", "measurement.epochs=1"),
+    *("--set", "sweep.kl_bounds=[1.0]", "--set", "sweep.weights.power=[1.0, 5.0]", "--set", "finetune.num_envs=2"),
+    *("--set", "simulation_test.num_envs=2", "--set", "simulation_test.seconds=3"),
+    *("--set", "selection.elites=1", "--set", "evaluation.bootstrap=100"),
+)
+"""A run that does everything once, in seconds: 2 candidates, 1 elite, head-to-heads of 12 s."""
+
+
+@pytest.fixture(scope="session")
+def small_run(tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
+    """The run that tests copy and break. Workers of one session wait for each other and share it."""
+    pytest.importorskip("hts_go1", reason="the robot of this run is not installed")
+    pytest.importorskip("hts_power", reason="the objective of this run is not installed")
+    workers = "PYTEST_XDIST_WORKER" in os.environ
+    place = tmp_path_factory.getbasetemp().parent if workers else tmp_path_factory.getbasetemp()
+    folder = place / "small-run"
+    with (place / "small-run.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "report.html").exists():
+            done = subprocess.run(
+                [sys.executable, "-m", "hts.cli.main", *SMALL_RUN, "--out", str(folder)],
+                capture_output=True,
+                text=True,
+                timeout=280,
+                check=False,
+            )
+            assert done.returncode == 0, done.stderr
+    return SmallRun(folder, SMALL_RUN)
+
+
+@pytest.fixture
+def broken_run(small_run: SmallRun, tmp_path: Path) -> Path:
+    """A copy of the small run, to be broken."""
+    return Path(shutil.copytree(small_run.folder, tmp_path / "run"))
 
 
 @pytest.fixture

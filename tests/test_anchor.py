@@ -23,7 +23,9 @@ def test_a_policy_has_zero_kl_to_itself():
 
 
 def test_a_shift_by_one_sigma_costs_half_a_nat_per_action():
-    kl = gaussian_kl(torch.tensor([0.3, 0.3]), torch.tensor([0.3, 0.3]).log(), torch.zeros(2), torch.tensor([0.3, 0.3]).log())
+    kl = gaussian_kl(
+        torch.tensor([0.3, 0.3]), torch.tensor([0.3, 0.3]).log(), torch.zeros(2), torch.tensor([0.3, 0.3]).log()
+    )
     assert float(kl) == pytest.approx(1.0)
 
 

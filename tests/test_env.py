@@ -286,7 +286,11 @@ def test_worlds_differ_within_the_ranges_of_the_configuration(make):
     masses = [model.body_mass[1] - 5.56 for model in models]
     frictions = [model.geom("floor").friction[0] for model in models]
     losses = [model.dof_frictionloss[6] / 0.2 for model in models]
-    for values, (low, high) in ((masses, ranges.added_mass), (frictions, ranges.friction), (losses, ranges.joint_friction)):
+    for values, (low, high) in (
+        (masses, ranges.added_mass),
+        (frictions, ranges.friction),
+        (losses, ranges.joint_friction),
+    ):
         assert low <= min(values) and max(values) <= high
         assert max(values) - min(values) > 0.6 * (high - low)
     assert set(env.delay.flatten().tolist()) == {0, 1, 2, 3}

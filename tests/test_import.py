@@ -224,8 +224,10 @@ def bad_logs() -> dict[str, tuple[list[str] | None, dict[str, Any], str]]:
         "too strong": (
             [f"{20 * i},{30 + i % 2},{31 + i % 2},{-1000 * i}" for i in range(20)],
             {},
-            "'joint_torque' of hip runs from 31 to 32 N*m, beyond its limit (20), and 1 more joint likewise; "
-            "whole numbers that hardly change, as temperatures do",
+            (
+                "'joint_torque' of hip runs from 31 to 32 N*m, beyond its limit (20), and 1 more joint likewise; "
+                "whole numbers that hardly change, as temperatures do"
+            ),
         ),
     }
 

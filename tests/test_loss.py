@@ -152,7 +152,11 @@ def test_advantages_agree_with_a_plain_loop_over_falls_and_time_outs():
 def test_a_fall_ends_all_hope_and_a_time_out_does_not():
     one = torch.ones(1, 1, 1)
     no, yes = torch.zeros(1, 1, 1, dtype=torch.bool), torch.ones(1, 1, 1, dtype=torch.bool)
-    for terminated, truncated, expected in ((yes, no, 1.0 - 5.0), (no, yes, 1.0 + 0.9 * 5.0 - 5.0), (no, no, 1.0 + 0.9 * 7.0 - 5.0)):
+    for terminated, truncated, expected in (
+        (yes, no, 1.0 - 5.0),
+        (no, yes, 1.0 + 0.9 * 5.0 - 5.0),
+        (no, no, 1.0 + 0.9 * 7.0 - 5.0),
+    ):
         advantage, _ = advantages(one, 5 * one, torch.full((1, 1), 7.0), terminated, truncated, 0.9, 0.95)
         assert float(advantage) == pytest.approx(expected, rel=1e-5)
 

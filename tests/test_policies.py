@@ -218,14 +218,27 @@ def prefixed(prefix: str, module: nn.Module) -> dict[str, torch.Tensor]:
 def checkpoint(kind: str, net: nn.Sequential, normalise: nn.Module) -> dict:
     """As rsl_rl of that generation saves it."""
     if kind == "plain":
-        return {"model_state_dict": {"std": torch.full((2,), 0.3), **prefixed("actor", net)}, "optimizer_state_dict": {}, "iter": 300, "infos": None}
+        return {
+            "model_state_dict": {"std": torch.full((2,), 0.3), **prefixed("actor", net)},
+            "optimizer_state_dict": {},
+            "iter": 300,
+            "infos": None,
+        }
     if kind == "beside":
         model = {"std": torch.full((2,), 0.3), **prefixed("actor", net), **prefixed("critic", actor(20, 1))}
         return {"model_state_dict": model, "iter": 300, "obs_norm_state_dict": normalise.state_dict()}
     if kind == "inside":
-        model = {"log_std": torch.full((2,), 0.3).log(), **prefixed("actor", net), **prefixed("actor_obs_normalizer", normalise)}
+        model = {
+            "log_std": torch.full((2,), 0.3).log(),
+            **prefixed("actor", net),
+            **prefixed("actor_obs_normalizer", normalise),
+        }
         return {"model_state_dict": model, "iter": 300}
-    model = {"distribution.std_param": torch.full((2,), 0.3), **prefixed("mlp", net), **prefixed("obs_normalizer", normalise)}
+    model = {
+        "distribution.std_param": torch.full((2,), 0.3),
+        **prefixed("mlp", net),
+        **prefixed("obs_normalizer", normalise),
+    }
     return {"actor_state_dict": model, "critic_state_dict": {}, "iter": 300}
 
 

@@ -38,11 +38,15 @@ def test_standing_still_when_told_to_earns_both_tracking_terms_and_nothing_else(
 def test_tracking_pays_by_the_square_of_the_error():
     # An error of (0.3, 0.4) m/s is 0.5 m/s: exp(-0.25 / 0.05).
     assert term("track_velocity", command=[0.8, 0.4, 0.0], velocity=[0.5, 0.0, 9.0]) == pytest.approx(math.exp(-5))
-    assert term("track_yaw_rate", command=[0.0, 0.0, 0.5], angular_velocity=[9.0, 9.0, 0.3]) == pytest.approx(math.exp(-0.8))
+    assert term("track_yaw_rate", command=[0.0, 0.0, 0.5], angular_velocity=[9.0, 9.0, 0.3]) == pytest.approx(
+        math.exp(-0.8)
+    )
 
 
 def test_at_half_a_metre_per_second_the_papers_tolerance_costs_five_per_cent():
-    assert 1 - term("track_velocity", command=[0.5, 0.0, 0.0], velocity=[0.45, 0.0, 0.0]) == pytest.approx(0.05, abs=0.002)
+    assert 1 - term("track_velocity", command=[0.5, 0.0, 0.0], velocity=[0.45, 0.0, 0.0]) == pytest.approx(
+        0.05, abs=0.002
+    )
 
 
 @pytest.mark.parametrize(
@@ -52,7 +56,11 @@ def test_at_half_a_metre_per_second_the_papers_tolerance_costs_five_per_cent():
         ("roll_pitch_rate", {"angular_velocity": [1.0, 2.0, 7.0]}, 5.0),
         ("orientation", {"gravity": [0.6, 0.0, -0.8]}, 0.36),
         ("torque", {"torque": [3.0, -4.0]}, 25.0),
-        ("joint_acceleration", {"joint_velocity": [0.1, 0.0], "last_joint_velocity": [0.0, -0.1]}, 2 * (0.1 / 0.02) ** 2),
+        (
+            "joint_acceleration",
+            {"joint_velocity": [0.1, 0.0], "last_joint_velocity": [0.0, -0.1]},
+            2 * (0.1 / 0.02) ** 2,
+        ),
         ("action_rate", {"action": [1.0, 0.0], "last_action": [0.5, 0.5]}, 0.5),
         ("pose", {"pose_error": [0.1, -0.2]}, 0.05),
         ("stand_still", {"pose_error": [0.1, -0.2]}, 0.3),

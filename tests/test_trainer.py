@@ -62,7 +62,9 @@ class Target(EnvBase):
         if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118
             self.age = self.age * ~tensordict["_reset"].squeeze(-1)
         no = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
-        return self._write({"done": no, "terminated": no.clone(), "truncated": no.clone()}, torch.zeros(self.batch_size))
+        return self._write(
+            {"done": no, "terminated": no.clone(), "truncated": no.clone()}, torch.zeros(self.batch_size)
+        )
 
     def _step(self, tensordict):
         action = tensordict["action"]
@@ -203,7 +205,17 @@ def test_a_batch_reports_every_candidate():
     made = trainer()
     stats = made.batch()
     assert stats.steps == made.steps_per_batch == 2 * 4 * 6
-    for name in ("r_sim", "r_real/calm", "kl", "multiplier", "falls", "std", "learning_rate", "loss/policy", "loss/value"):
+    for name in (
+        "r_sim",
+        "r_real/calm",
+        "kl",
+        "multiplier",
+        "falls",
+        "std",
+        "learning_rate",
+        "loss/policy",
+        "loss/value",
+    ):
         assert len(stats.values[name]) == 2, name
 
 
@@ -217,7 +229,9 @@ def test_a_candidate_whose_measured_reward_is_not_a_number_is_stopped_by_name_an
         made.batch()
         undisturbed.batch()
     assert list(made.stopped) == [1]
-    assert made.stopped[1] == "candidate c2: r_real of calm is not finite at control step 9 (batch 1) in 1 of its worlds"
+    assert (
+        made.stopped[1] == "candidate c2: r_real of calm is not finite at control step 9 (batch 1) in 1 of its worlds"
+    )
     assert torch.equal(vectors(made)[[0, 2]], vectors(undisturbed)[[0, 2]])
     assert torch.equal(vectors(made)[1], made.anchor.vectors[1])  # put back, not trained on
 
@@ -242,7 +256,9 @@ def test_training_ends_with_an_error_when_no_candidate_is_left():
     made = trainer((1, 2))
     made.env.poison = {(0, 1), (1, 8)}
     made.batch()
-    with pytest.raises(SimulationError, match=r"no candidate is left: candidate c1: .*step 1 .*; candidate c2: .*step 8"):
+    with pytest.raises(
+        SimulationError, match=r"no candidate is left: candidate c1: .*step 1 .*; candidate c2: .*step 8"
+    ):
         made.batch()
 
 

@@ -34,6 +34,7 @@ def measure(trainer: PopulationTrainer, work: Callable[[], Any], seconds: float)
     device, replay = trainer.population.device, Replay(trainer.env.engine)
     for _ in range(WARM_UP):
         work()
+    fast: list[float]
     fast, bare, until = [], [], time.perf_counter() + seconds
     while len(fast) < LEAST_ROUNDS or time.perf_counter() < until:
         replay.start()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict.nn import TensorDictModuleBase
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig, PPOConfig
 from hts.errors import ConfigError
@@ -19,6 +19,7 @@ from hts.plugins import load
 from hts.policies.files import load_policy
 from hts.policies.networks import Population
 from hts.ppo.actor import Explorer
+from hts.ppo.finetune import measured_env
 from hts.ppo.trainer import PopulationTrainer
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def make_trainer(
     population.refresh()
     model = new_model(objective, robot)
     _take_statistics(env, population, model)
-    env = TransformedEnv(env, MeasurementTransform.of(objective, model))
+    env = measured_env(env, [MeasurementTransform.of(objective, model)])
     return PopulationTrainer(
         env, population, ppo or PPOConfig(), seeds=seeds, names=[str(seed) for seed in seeds], anchor=population.frozen(),
         bounds=torch.full((candidates,), KL_BOUND), weights={objective.name: torch.full((candidates,), WEIGHT)},

@@ -44,6 +44,7 @@ def bench_sweep(
     try:
         for _ in range(WARM_UP):
             together.batch(), alone.batch()
+        all_at_once: list[float]
         all_at_once, one_by_one, until = [], [], time.perf_counter() + seconds
         while len(all_at_once) < 3 or time.perf_counter() < until:
             all_at_once.append(_batch_seconds(together))

@@ -65,7 +65,8 @@ def refuse_existing(folder: Path) -> None:
     """Raises RunError if something is there already: nothing is ever overwritten."""
     from hts.errors import RunError
 
-    if folder.is_dir() and not any(folder.iterdir()):
+    # The part of a configuration is what a run leaves that was killed before it began.
+    if folder.is_dir() and all(entry.name == ".config.yaml.tmp" for entry in folder.iterdir()):
         return
     if (folder / "config.yaml").exists():
         raise RunError(

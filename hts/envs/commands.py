@@ -36,8 +36,7 @@ class Commands:
             self.steps_left = torch.where(mask, math.inf, self.steps_left)
         else:
             vx, vy, yaw_rate = (
-                low + (high - low) * draws[..., index]
-                for index, (low, high) in ((0, c.vx), (1, c.vy), (3, c.yaw_rate))
+                low + (high - low) * draws[..., index] for index, (low, high) in ((0, c.vx), (1, c.vy), (3, c.yaw_rate))
             )
             straight = draws[..., 4] < c.straight
             vy = torch.where(straight, 0.0, vy)
@@ -45,7 +44,9 @@ class Commands:
             heading = torch.where(straight | stand, yaw, (2 * draws[..., 2] - 1) * math.pi)
             keeps = torch.full_like(mask, c.heading) | straight
             new = torch.stack((vx, vy, yaw_rate), -1) * (~stand).unsqueeze(-1)
-            steps = c.resample_seconds / self.dt * (0.5 + draws[..., 6])  # spread, so that worlds do not resample together
+            steps = (
+                c.resample_seconds / self.dt * (0.5 + draws[..., 6])
+            )  # spread, so that worlds do not resample together
             self.steps_left = torch.where(mask, steps, self.steps_left)
         self.value = torch.where(mask.unsqueeze(-1), new, self.value)
         self.heading = torch.where(mask, heading, self.heading)

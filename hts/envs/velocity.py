@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,11 +23,19 @@ from hts.sim.engine import Engine, make_engine
 from hts.sim.models import variants
 
 # What the policy sees, in this order, all of it measurable on a robot. joint_position_offset = q - default pose.
-OBSERVATION = ("angular_velocity", "projected_gravity", "command", "joint_position_offset", "joint_velocity", "last_action")
+OBSERVATION = (
+    "angular_velocity", "projected_gravity", "command", "joint_position_offset", "joint_velocity", "last_action",
+)  # fmt: skip
 # Uniform sensor noise of training, +-, per observation entry (Rudin et al. 2022): rad/s, 1, rad, rad/s.
 NOISE = {"angular_velocity": 0.2, "projected_gravity": 0.05, "joint_position_offset": 0.01, "joint_velocity": 1.5}
 # An episode ends below this share of the standing height or beyond this tilt (gravity's z in the trunk frame: -1 is upright).
 FALL_HEIGHT, FALL_GRAVITY_Z = 0.55, -0.5
+
+# Channel -> where the env keeps it, for those that it makes anew at every step.
+CHANNEL_FIELDS = {
+    "joint_position": "_joint_position", "joint_velocity": "_joint_velocity", "joint_target": "target",
+    "projected_gravity": "_gravity", "base_velocity": "_velocity",
+}  # fmt: skip
 
 
 def observation_layout(num_joints: int) -> list[dict[str, int | str]]:
@@ -82,7 +91,9 @@ class VelocityEnv(EnvBase):
         self.falls = zeros(shape, device=device)  # since the env was made
         self.breakdowns = zeros(shape, device=device)  # of the physics, since the env was made
         self._substep = torch.arange(spec.substeps, device=device).view(-1, 1, 1, 1)
-        noise = [torch.full((int(part["size"]),), NOISE.get(str(part["name"]), 0.0)) for part in observation_layout(joints)]
+        noise = [
+            torch.full((int(part["size"]),), NOISE.get(str(part["name"]), 0.0)) for part in observation_layout(joints)
+        ]
         self._noise = torch.cat(noise).to(device) * config.observation_noise
         self._noisy = bool(self._noise.any())
         self._down = torch.tensor((0.0, 0.0, -1.0), device=device).expand(*shape, 3)
@@ -104,7 +115,7 @@ class VelocityEnv(EnvBase):
     def _sensor_block(self, names: list[str]) -> slice:
         """One slice over sensors that lie side by side."""
         slices = [self.engine.sensor(name) for name in names]
-        for left, right in zip(slices, slices[1:], strict=False):
+        for left, right in itertools.pairwise(slices):
             assert left.stop == right.start, names  # a robot's author keeps them together; see docs
         return slice(slices[0].start, slices[-1].stop)
 
@@ -157,7 +168,7 @@ class VelocityEnv(EnvBase):
         if self._resuming:  # the first reset after `load_full_state` starts nothing: the episodes go on
             self._resuming = False
             mask = torch.zeros(self.shape2, dtype=torch.bool, device=self.device)
-        elif tensordict is not None and "_reset" in tensordict.keys():
+        elif tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118 - a TensorDict
             mask = tensordict["_reset"].view(self.shape2)
         else:
             mask = torch.ones(self.shape2, dtype=torch.bool, device=self.device)
@@ -224,7 +235,8 @@ class VelocityEnv(EnvBase):
         r = self.config.randomisation
         if not r.enabled or r.push_speed == 0:
             return
-        mask = (draws[..., 0] < self.dt / r.push_interval).reshape(-1) & ~self.engine.diverged  # a reset would hide that
+        pushed = (draws[..., 0] < self.dt / r.push_interval).reshape(-1)
+        mask = pushed & ~self.engine.diverged  # a reset would hide that
         if not self._maybe(mask):
             return
         qvel = self.engine.qvel.clone()
@@ -234,7 +246,9 @@ class VelocityEnv(EnvBase):
     def _start_episodes(self, mask: torch.Tensor) -> None:
         """Stand the robots of mask [P, N] up: joints near the default pose, a random heading and a small velocity."""
         if not hasattr(self, "_draws"):
-            self._draws = self.random.uniform(self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0))
+            self._draws = self.random.uniform(
+                self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0)
+            )
         joints = self.robot_spec.num_joints
         draws = self._draws[..., DRAWS + 5 : self._fixed_draws]
         velocity, scale, yaw = draws[..., :6] - 0.5, 0.9 + 0.2 * draws[..., 6 : 6 + joints], draws[..., -1]
@@ -318,7 +332,8 @@ class VelocityEnv(EnvBase):
             (self._angular_velocity, self._gravity, self.commands.value, self._joint_position - self.default_pose,
              self._joint_velocity, self.action), -1,
         )  # fmt: skip
-        self._observation = torch.addcmul(clean, draws * 2 - 1, self._noise) if self._noisy else clean
+        # Uniform in +-noise: clean - noise + 2 noise u.
+        self._observation = torch.addcmul(clean - self._noise, draws, 2 * self._noise) if self._noisy else clean
         self._critic_observation = torch.cat((clean, self._velocity, self._height, self._contact.to(clean.dtype)), -1)
 
     def _channel_value(self, name: str) -> torch.Tensor:
@@ -332,12 +347,7 @@ class VelocityEnv(EnvBase):
                 return self.commands.value.clone()
             case "angular_velocity":
                 return self._angular_velocity.clone()
-        return getattr(self, self._CHANNELS[name])
-
-    _CHANNELS = {
-        "joint_position": "_joint_position", "joint_velocity": "_joint_velocity", "joint_target": "target",
-        "projected_gravity": "_gravity", "base_velocity": "_velocity",
-    }  # fmt: skip
+        return getattr(self, CHANNEL_FIELDS[name])
 
     def _sensors(self, columns: slice) -> torch.Tensor:
         """Some of the engine's sensors, a view [P, N, ...] that the next step rewrites."""
@@ -345,12 +355,18 @@ class VelocityEnv(EnvBase):
 
     # ------------------------------------------------------------------------------------- saving the whole state
 
-    _STATE = ("action", "last_joint_velocity", "target", "air_time", "was_contact", "steps", "falls", "breakdowns", "_draws", "_observation", "_critic_observation")
+    _STATE = (
+        "action", "last_joint_velocity", "target", "air_time", "was_contact", "steps", "falls", "breakdowns", "_draws",
+        "_observation", "_critic_observation",
+    )  # fmt: skip
 
     def full_state(self) -> TensorDict:
         """Physics, commands, buffers and random generators: everything to go on exactly from here."""
         buffers = {name: getattr(self, name).clone() for name in self._STATE}
-        parts = {"buffers": buffers, "engine": self.engine.state_dict(), "commands": self.commands.state_dict(), "random": self.random.state_dict()}
+        parts = {
+            "buffers": buffers, "engine": self.engine.state_dict(), "commands": self.commands.state_dict(),
+            "random": self.random.state_dict(),
+        }  # fmt: skip
         return TensorDict(parts, batch_size=[])
 
     def load_full_state(self, state: TensorDictBase) -> None:

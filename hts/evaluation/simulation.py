@@ -52,7 +52,9 @@ def simulate(
     env: of batch size [P, N], made with `test_config`, writing the channel base_velocity; tolerance: relative speed error of a valid segment.
     """
     if seconds < SETTLE_SECONDS + 1.0:
-        raise ConfigError(f"A trial of {seconds} s has no segment to judge: {SETTLE_SECONDS} s to settle and 1 s at least. Make it longer.")
+        raise ConfigError(
+            f"A trial of {seconds} s has no segment to judge: {SETTLE_SECONDS} s to settle and 1 s at least. Make it longer."
+        )
     act = Explorer(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
     state = env.reset()
@@ -72,7 +74,7 @@ def simulate(
         if counted % per_segment == 0:
             segments.append(speed_sum / per_segment)
             speed_sum = torch.zeros_like(speed_sum)
-        if "real_reward" in after.keys():
+        if "real_reward" in after.keys():  # noqa: SIM118 - a TensorDict
             for name, value in after["real_reward"].items():
                 sums[name] = sums.get(name, 0.0) + value.squeeze(-1)
     told = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
@@ -88,11 +90,16 @@ def simulate(
             some = bool(stood.any())
             row.append(
                 SimulatedTrial(
-                    speed=float(speed), worlds=int(worlds.sum()), falls=int((worlds & fallen[candidate]).sum()),
+                    speed=float(speed),
+                    worlds=int(worlds.sum()),
+                    falls=int((worlds & fallen[candidate]).sum()),
                     mean_speed=float(mean_speed[candidate][stood].mean()) if some else float("nan"),
                     valid=float(good[candidate][worlds].mean()),
-                    rewards={name: float((total[candidate][stood] / counted).mean()) if some else float("-inf") for name, total in sums.items()},
-                )  # fmt: skip
+                    rewards={
+                        name: float((total[candidate][stood] / counted).mean()) if some else float("-inf")
+                        for name, total in sums.items()
+                    },
+                )
             )
         results.append(row)
     return results

@@ -174,24 +174,23 @@ class MeasurementModel(nn.Module):
         A NaN or infinite input makes that world's prediction NaN, never a plausible number.
         """
         hidden = self.config.hidden
-        below, states = inputs.t(), []
-        if self._pairs:
-            below = torch.cat((below, *(below[a] * below[b] for a, b in self._pairs)))
+        first, states = inputs.t(), []
+        below = (first, *(first[a] * first[b] for a, b in self._pairs))
         for (weight, bias), (h, c) in zip(self._weights(), state, strict=True):
-            gates = torch.addmm(bias, weight, torch.cat((below, h)))
+            gates = torch.addmm(bias, weight, torch.cat((*below, h)))
             write, forget, show = gates[: 3 * hidden].sigmoid_().view(3, hidden, -1)
             cell = torch.addcmul(forget * c, write, gates[3 * hidden :].tanh_())
-            below = torch.tanh(cell).mul_(show)
-            states.append(torch.stack((below, cell)))
+            below = (torch.tanh(cell).mul_(show),)
+            states.append(torch.stack((*below, cell)))
         # Saturating gates turn an infinite input into a finite prediction; 0·inf = NaN puts the truth back.
-        prediction = torch.addmm(self.head.bias, below.t(), self.head.weight.t()).squeeze(1)
+        prediction = torch.addmm(self.head.bias, below[0].t(), self.head.weight.t()).squeeze(1)
         prediction = prediction.add_(inputs.sum(1).mul_(0.0))
         return prediction, torch.stack(states)
 
     def outside(self, inputs: Tensor) -> Tensor:
         """Share of the inputs (..., F) outside the range of the data it was fitted on, (...,); NaN is outside."""
-        inside = (inputs >= self.input_low) & (inputs <= self.input_high)
-        return 1.0 - inside.float().mean(-1)
+        outside = inputs.clamp(self.input_low, self.input_high) != inputs
+        return outside.mean(-1, dtype=torch.float32)
 
     def _weights(self) -> list[tuple[Tensor, Tensor]]:
         """Per layer: one matrix (4·hidden, inputs + hidden) over [x; h], one bias (4·hidden, 1).

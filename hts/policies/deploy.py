@@ -30,7 +30,9 @@ class DeployedPolicy:
             meta = self._session.get_modelmeta().custom_metadata_map
             card: dict[str, Any] = json.loads(meta[CARD_KEY])
         except Exception as error:  # onnxruntime raises its own classes for each way a file can be broken
-            raise PolicyError(f"{path}: not an exported policy ({type(error).__name__}: {str(error)[:120]}). Export it again with `hts export`.") from error
+            raise PolicyError(
+                f"{path}: not an exported policy ({type(error).__name__}: {str(error)[:120]}). Export it again with `hts export`."
+            ) from error
         self.card = SimpleNamespace(**card)
         self._pose = np.asarray(card["default_pose"], np.float32)
         self._scale = np.asarray(card["action_scale"], np.float32)

@@ -66,7 +66,9 @@ class _Actor(torch.nn.Module):
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         x = ((observation - self.observation_mean) / self.observation_std).clamp(-CLIP, CLIP)
         for index in range(self.layers):
-            x = torch.nn.functional.linear(x, getattr(self, f"actor_{index}_weight"), getattr(self, f"actor_{index}_bias"))
+            x = torch.nn.functional.linear(
+                x, getattr(self, f"actor_{index}_weight"), getattr(self, f"actor_{index}_bias")
+            )
             if index < self.layers - 1:
                 x = torch.nn.functional.elu(x)
         return x

@@ -87,7 +87,11 @@ def make_card(
 def tensor_path(path: Path) -> Path:
     """The .safetensors of a policy named with or without it; dots in the name are part of it (`best-0.5`)."""
     path = Path(path)
-    return path.with_suffix(".safetensors") if path.suffix in (".safetensors", ".json") else path.with_name(f"{path.name}.safetensors")
+    return (
+        path.with_suffix(".safetensors")
+        if path.suffix in (".safetensors", ".json")
+        else path.with_name(f"{path.name}.safetensors")
+    )
 
 
 def save_policy(path: Path, policy: Policy) -> Path:
@@ -111,9 +115,13 @@ def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
         card = read_card(path.with_suffix(".json"))
         tensors = load_file(path)
     except FileNotFoundError as error:
-        raise PolicyError(f"{error.filename or path}: no such file; a policy is a .safetensors and a .json of one name.") from error
+        raise PolicyError(
+            f"{error.filename or path}: no such file; a policy is a .safetensors and a .json of one name."
+        ) from error
     except OSError as error:
-        raise PolicyError(f"{error.filename or path}: cannot be read ({error.strerror or error}). Check the file and its rights.") from error
+        raise PolicyError(
+            f"{error.filename or path}: cannot be read ({error.strerror or error}). Check the file and its rights."
+        ) from error
     except SafetensorError as error:
         raise PolicyError(f"{path}: not a whole safetensors file ({error}). Copy or export it again.") from error
     expected = {**card.sizes().shapes(), **card.sizes().normalisers()}
@@ -121,9 +129,13 @@ def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
         found = tuple(tensors[name].shape) if name in tensors else None
         if found != shape:
             what = f"has shape {found}" if found else "is missing"
-            raise PolicyError(f"{path}: tensor '{name}' {what}, its card says {shape}. File and card belong to different policies.")
+            raise PolicyError(
+                f"{path}: tensor '{name}' {what}, its card says {shape}. File and card belong to different policies."
+            )
     if hash_tensors(tensors) != card.policy_hash:
-        raise PolicyError(f"{path}: its numbers do not match the hash in {path.with_suffix('.json').name}. Copy both files again.")
+        raise PolicyError(
+            f"{path}: its numbers do not match the hash in {path.with_suffix('.json').name}. Copy both files again."
+        )
     if robot is not None:
         check_robot(path, card, robot)
     return Policy(tensors, card)
@@ -143,7 +155,9 @@ def parse_card(text: str, path: Path) -> PolicyCard:
     try:
         data = json.loads(text)
         if data.get("format") != FORMAT:
-            raise PolicyError(f"{path}: policy format {data.get('format')}, this version reads {FORMAT}. Export the policy again.")
+            raise PolicyError(
+                f"{path}: policy format {data.get('format')}, this version reads {FORMAT}. Export the policy again."
+            )
         lists = {key: tuple(value) for key, value in data.items() if isinstance(value, list)}
         return PolicyCard(**{**data, **lists})
     except (json.JSONDecodeError, TypeError, AttributeError) as error:

@@ -60,7 +60,9 @@ def import_policy(path: Path, robot: RobotSpec, layout: Layout | None = None, st
         return _from_onnx(path, robot, std)
     if path.suffix in (".pt", ".pth", ".jit", ".ts", ".torchscript"):
         return _from_rsl_rl(path, robot, layout, std)
-    raise PolicyError(f"{path}: policies are read from .safetensors (with its .json), .onnx and .pt (rsl_rl), not '{path.suffix}'.")
+    raise PolicyError(
+        f"{path}: policies are read from .safetensors (with its .json), .onnx and .pt (rsl_rl), not '{path.suffix}'."
+    )
 
 
 # ------------------------------------------------------------------------------------------------------ ONNX
@@ -78,14 +80,18 @@ def _from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy:
         raise PolicyError(f"{path}: not a whole ONNX file ({error}). Copy or export it again.") from error
     properties = {entry.key: entry.value for entry in model.metadata_props}
     if CARD_KEY not in properties:
-        raise PolicyError(f"{path}: an ONNX file without our card (metadata '{CARD_KEY}'). Only files written by `hts export` can be read back.")
+        raise PolicyError(
+            f"{path}: an ONNX file without our card (metadata '{CARD_KEY}'). Only files written by `hts export` can be read back."
+        )
     card = parse_card(properties[CARD_KEY], path)
     check_robot(path, card, robot)
     layers = len(card.hidden) + 1
     graph = ["Sub", "Div", "Clip"] + ["Gemm", "Elu"] * (layers - 1) + ["Gemm"]
     found = [node.op_type for node in model.graph.node]
     if found != graph:
-        raise PolicyError(f"{path}: its graph is {'-'.join(found)}, its card describes {'-'.join(graph)}. Export it again.")
+        raise PolicyError(
+            f"{path}: its graph is {'-'.join(found)}, its card describes {'-'.join(graph)}. Export it again."
+        )
     try:
         limits = float(arrays["low"]), float(arrays["high"])
         tensors = {"observation_mean": arrays["mean"], "observation_std": arrays["std"]}
@@ -95,7 +101,9 @@ def _from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy:
     except (KeyError, TypeError) as error:
         raise PolicyError(f"{path}: its graph lacks the constant {error}. Export it again.") from error
     if limits != (-CLIP, CLIP):
-        raise PolicyError(f"{path}: it clips observations to {limits}, this version to {(-CLIP, CLIP)}. Export the policy again.")
+        raise PolicyError(
+            f"{path}: it clips observations to {limits}, this version to {(-CLIP, CLIP)}. Export the policy again."
+        )
     actor = {name: torch.from_numpy(value).float() for name, value in tensors.items()}
     whole = _with_new_critic(path, actor, card.sizes(), std)
     made = {**card.made, "imported_from": path.name, "imported_hash": card.policy_hash, "critic": NEW_CRITIC}
@@ -140,7 +148,12 @@ def _from_rsl_rl(path: Path, robot: RobotSpec, layout: Layout | None, std: float
     critic_size = critic_observation_size(robot.num_joints, len(robot.foot_sites))
     sizes = Sizes(len(columns), critic_size, outputs, hidden)
     whole = _with_new_critic(path, tensors, sizes, std)
-    made = {"imported_from": path.name, "kind": "rsl_rl", "iteration": int(data.get("iter", 0) or 0), "critic": NEW_CRITIC}
+    made = {
+        "imported_from": path.name,
+        "kind": "rsl_rl",
+        "iteration": int(data.get("iter", 0) or 0),
+        "critic": NEW_CRITIC,
+    }
     return Policy(whole, make_card(robot, whole, ours, sizes, **made))
 
 
@@ -159,9 +172,13 @@ def _weights(path: Path) -> Mapping[str, Any]:
         data = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many classes, one for each way a file can be broken or unsafe
         why = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise PolicyError(f"{path}: cannot be read as weights only ({why[:160]}). Save its state_dicts as plain tensors.") from error
+        raise PolicyError(
+            f"{path}: cannot be read as weights only ({why[:160]}). Save its state_dicts as plain tensors."
+        ) from error
     if not isinstance(data, Mapping):
-        raise PolicyError(f"{path}: holds a {type(data).__name__}, expected an rsl_rl checkpoint with 'model_state_dict'.")
+        raise PolicyError(
+            f"{path}: holds a {type(data).__name__}, expected an rsl_rl checkpoint with 'model_state_dict'."
+        )
     return data
 
 
@@ -179,10 +196,14 @@ def _rsl_rl_parts(
     elif "model_state_dict" in data:
         state, prefix, extra = data["model_state_dict"], "actor.", ("actor_obs_normalizer.", "std", "log_std", "critic")
     else:
-        raise PolicyError(f"{path}: has the parts {sorted(map(str, data))[:8]}, expected 'model_state_dict' or 'actor_state_dict' of rsl_rl.")
+        raise PolicyError(
+            f"{path}: has the parts {sorted(map(str, data))[:8]}, expected 'model_state_dict' or 'actor_state_dict' of rsl_rl."
+        )
     strange = [name for name in state if not name.startswith((prefix, *extra))]
     if strange:
-        raise PolicyError(f"{path}: its actor is more than layers and a normaliser (it has '{strange[0]}'): only plain rsl_rl actors can be read.")
+        raise PolicyError(
+            f"{path}: its actor is more than layers and a normaliser (it has '{strange[0]}'): only plain rsl_rl actors can be read."
+        )
     layers = {name.removeprefix(prefix): value.float() for name, value in state.items() if name.startswith(prefix)}
     inside = {name.split(".")[-1]: value for name, value in state.items() if name.startswith(extra[0])}
     found = inside or data.get("obs_norm_state_dict") or {}
@@ -203,7 +224,9 @@ def _layers(path: Path, state: Mapping[str, torch.Tensor]) -> list[tuple[torch.T
     count = len(state) // 2
     expected = {f"{2 * index}.{what}" for index in range(count) for what in ("weight", "bias")}
     if not state or set(state) != expected:
-        raise PolicyError(f"{path}: its actor has {sorted(state)[:6]}, expected linear layers 0, 2, 4, ... with weight and bias.")
+        raise PolicyError(
+            f"{path}: its actor has {sorted(state)[:6]}, expected linear layers 0, 2, 4, ... with weight and bias."
+        )
     layers = [(state[f"{2 * index}.weight"], state[f"{2 * index}.bias"]) for index in range(count)]
     if any(weight.ndim != 2 for weight, _ in layers) or count < 2:
         raise PolicyError(f"{path}: its actor is not a plain network with at least one hidden layer.")
@@ -225,7 +248,9 @@ def _order(
     known = {str(part["name"]) for part in ours}
     for name in starts:
         if name not in known:
-            raise PolicyError(f"{path}: it observes what this task does not give. " + unknown_name("observation", name, known))
+            raise PolicyError(
+                f"{path}: it observes what this task does not give. " + unknown_name("observation", name, known)
+            )
     columns, scales = [], []
     for part in ours:
         if part["name"] not in starts or int(starts[part["name"]][1]["size"]) != part["size"]:
@@ -240,7 +265,9 @@ def _order(
 # ---------------------------------------------------------------------------------------------------- common
 
 
-def _with_new_critic(path: Path, actor: Mapping[str, torch.Tensor], sizes: Sizes, std: float) -> dict[str, torch.Tensor]:
+def _with_new_critic(
+    path: Path, actor: Mapping[str, torch.Tensor], sizes: Sizes, std: float
+) -> dict[str, torch.Tensor]:
     """All tensors of a policy: those given, the rest new. The critic's observation begins with the actor's, so it
     starts with the actor's normaliser there."""
     whole = Population(sizes, 1, init_std=std).candidate(0)

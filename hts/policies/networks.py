@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -22,7 +23,7 @@ class Sizes:
     def layers(self, first: int, last: int) -> list[tuple[int, int]]:
         """(inputs, outputs) of each linear layer."""
         widths = (first, *self.hidden, last)
-        return list(zip(widths[:-1], widths[1:], strict=True))
+        return list(itertools.pairwise(widths))
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Name and shape of every parameter of one candidate, in the order in which they lie in its vector."""
@@ -37,7 +38,9 @@ class Sizes:
     def normalisers(self) -> dict[str, tuple[int, ...]]:
         """Name and shape of what one candidate's two normalisers hold."""
         sizes = {"observation": self.observation, "critic_observation": self.critic_observation}
-        shapes: dict[str, tuple[int, ...]] = {f"{name}_{what}": (size,) for name, size in sizes.items() for what in ("mean", "std")}
+        shapes: dict[str, tuple[int, ...]] = {
+            f"{name}_{what}": (size,) for name, size in sizes.items() for what in ("mean", "std")
+        }
         return shapes | {f"{name}_count": () for name in sizes}
 
 
@@ -49,7 +52,9 @@ class Population(nn.Module):
     candidate's numbers do not change in a crowd by as much as a rounding. On a GPU they are one batched product.
     """
 
-    def __init__(self, sizes: Sizes, count: int, init_std: float = 1.0, seed: int = 0, device: torch.device | str = "cpu"):
+    def __init__(
+        self, sizes: Sizes, count: int, init_std: float = 1.0, seed: int = 0, device: torch.device | str = "cpu"
+    ):
         super().__init__()
         self.sizes, self.count = sizes, count
         self._shapes = sizes.shapes()
@@ -104,7 +109,10 @@ class Population(nn.Module):
         with torch.no_grad():
             named = self.named()
             if isinstance(named, list):
-                named = [{name: v.t().contiguous().t() if v.ndim == 2 else v.clone() for name, v in one.items()} for one in named]
+                named = [
+                    {name: v.t().contiguous().t() if v.ndim == 2 else v.clone() for name, v in one.items()}
+                    for one in named
+                ]
             self._cache = named
 
     # ------------------------------------------------------------------------------------------------ forward
@@ -167,7 +175,8 @@ class Population(nn.Module):
         batch = x.shape[1]
         if x.device.type == "cpu":  # row by row: torch may order the sums of [P, B, size] differently for different P
             new_var, new_mean = (
-                torch.stack(parts) for parts in zip(*(torch.var_mean(row, 0, correction=0, keepdim=True) for row in x), strict=True)
+                torch.stack(parts)
+                for parts in zip(*(torch.var_mean(row, 0, correction=0, keepdim=True) for row in x), strict=True)
             )
         else:
             new_var, new_mean = torch.var_mean(x, 1, correction=0, keepdim=True)
@@ -183,7 +192,9 @@ class Population(nn.Module):
 
     def candidate(self, index: int) -> dict[str, torch.Tensor]:
         """Everything of one candidate, by name, on the CPU; what a policy file holds."""
-        state = {name: value.detach().cpu().clone().contiguous() for name, value in self.split(self.vectors[index]).items()}
+        state = {
+            name: value.detach().cpu().clone().contiguous() for name, value in self.split(self.vectors[index]).items()
+        }
         for name in ("observation", "critic_observation"):
             for what in ("mean", "std"):
                 state[f"{name}_{what}"] = getattr(self, f"{name}_{what}")[index, 0].cpu().clone()
@@ -191,7 +202,9 @@ class Population(nn.Module):
         return state
 
     @classmethod
-    def from_candidates(cls, sizes: Sizes, candidates: Sequence[Mapping[str, torch.Tensor]], device="cpu") -> Population:
+    def from_candidates(
+        cls, sizes: Sizes, candidates: Sequence[Mapping[str, torch.Tensor]], device="cpu"
+    ) -> Population:
         """A population whose members start as these."""
         population = cls(sizes, len(candidates), device=device)
         with torch.no_grad():

@@ -26,8 +26,8 @@ class Explorer(TensorDictModuleBase):
     The noise comes from a generator per candidate; with `random=None` the mean action is taken.
     """
 
-    in_keys = ["observation"]
-    out_keys = ["action", "action_mean"]
+    in_keys = ["observation"]  # noqa: RUF012 - what TensorDictModuleBase asks for
+    out_keys = ["action", "action_mean"]  # noqa: RUF012
 
     def __init__(self, population: Population, random: PopulationRandom | None):
         super().__init__()

@@ -5,7 +5,9 @@ from __future__ import annotations
 import torch
 
 
-def gaussian_kl(mean: torch.Tensor, log_std: torch.Tensor, anchor_mean: torch.Tensor, anchor_log_std: torch.Tensor) -> torch.Tensor:
+def gaussian_kl(
+    mean: torch.Tensor, log_std: torch.Tensor, anchor_mean: torch.Tensor, anchor_log_std: torch.Tensor
+) -> torch.Tensor:
     """KL(pi || anchor) of diagonal Gaussians, summed over actions; [..., J] -> [...], nats.
 
     KL(p||q) = sum_j ln(s_q / s_p) + (s_p^2 + (m_p - m_q)^2) / (2 s_q^2) - 1/2.

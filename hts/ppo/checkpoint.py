@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from torchrl.checkpoint import Checkpoint, CheckpointError
 
 from hts.errors import PolicyError
+
+NOTES = "notes"
+REMEDY = "Delete it and resume: the fine-tuning of this iteration starts again, nothing else is lost."
 
 
 class _Holder:
@@ -26,22 +30,42 @@ class _Holder:
         self.state = state
 
 
-def save_checkpoint(path: Path, state: Mapping[str, Any], metadata: Mapping[str, Any]) -> None:
-    """Write a nested mapping of tensors; metadata: JSON values that say what it belongs to."""
-    Checkpoint(format="archive", training=_Holder(state)).save(path, metadata=dict(metadata))
+def save_checkpoint(
+    path: Path, state: Mapping[str, Any], metadata: Mapping[str, Any], notes: Mapping[str, Any] | None = None
+) -> None:
+    """Write a nested mapping of tensors; metadata: JSON values that say what it belongs to; notes: any others.
+
+    Raises OSError if the disk refuses; an older checkpoint of that name is whole afterwards all the same.
+    """
+    Checkpoint(format="archive", training=_Holder(state)).save(path, metadata={**metadata, NOTES: dict(notes or {})})
 
 
 def load_checkpoint(path: Path, metadata: Mapping[str, Any]) -> Mapping[str, Any]:
     """Read it back. Raises PolicyError if the file is damaged or belongs to something else."""
     holder = _Holder()
-    remedy = "Delete it and resume: the fine-tuning of this iteration starts again, nothing else is lost."
-    try:
+    with _damage(path):
         found = Checkpoint.manifest(path).get("metadata", {})
         for key, expected in metadata.items():
             if found.get(key) != expected:
-                raise PolicyError(f"{path}: a checkpoint of {key} {found.get(key)!r}, this run has {expected!r}. {remedy}")
+                raise PolicyError(
+                    f"{path}: a checkpoint of {key} {found.get(key)!r}, this run has {expected!r}. {REMEDY}"
+                )
         Checkpoint(format="archive", training=holder).load(path)
-    except (CheckpointError, zipfile.BadZipFile, OSError, ValueError, KeyError, RuntimeError) as error:
-        raise PolicyError(f"{path}: not a whole checkpoint ({type(error).__name__}: {str(error)[:100]}). {remedy}") from error
     assert holder.state is not None
     return holder.state
+
+
+def load_notes(path: Path) -> dict[str, Any]:
+    """What `save_checkpoint` was given as notes. Raises PolicyError if the file is damaged."""
+    with _damage(path):
+        return dict(Checkpoint.manifest(path)["metadata"][NOTES])
+
+
+@contextmanager
+def _damage(path: Path) -> Iterator[None]:
+    """Whatever a damaged archive makes the libraries say, as one line."""
+    try:
+        yield
+    except (CheckpointError, zipfile.BadZipFile, OSError, ValueError, KeyError, RuntimeError) as error:
+        what = f"{type(error).__name__}: {str(error)[:100]}"
+        raise PolicyError(f"{path}: not a whole checkpoint ({what}). {REMEDY}") from error

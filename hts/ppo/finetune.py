@@ -18,7 +18,7 @@ from hts.contracts import Robot
 from hts.policies.files import Policy
 from hts.policies.networks import Population
 from hts.ppo.bound import mean_kl, pull_inside
-from hts.ppo.checkpoint import load_checkpoint, save_checkpoint
+from hts.ppo.checkpoint import load_checkpoint, load_notes, save_checkpoint
 from hts.ppo.sweep import Candidate
 from hts.ppo.trainer import BatchStats, PopulationTrainer
 
@@ -91,14 +91,18 @@ def _finetune_group(
     weights = {name: torch.tensor([candidate.weights[name] for candidate in group]) for name in group[0].weights}
     metadata = {"robot": robot.spec.name, "key": key, "worlds": count * config.num_envs}
     resume = TensorDict(dict(load_checkpoint(checkpoint, metadata))) if checkpoint and checkpoint.exists() else None
+    anchor = population.frozen()
     trainer = PopulationTrainer(
         env, population, config.ppo, seeds=[seed] * count, names=[candidate.id for candidate in group],
-        anchor=population.frozen(),
-        bounds=bounds, weights=weights, resume=resume,
+        anchor=anchor, bounds=bounds, weights=weights, resume=resume,
     )  # fmt: skip
     batches = max(1, round(config.steps * count / trainer.steps_per_batch))
     saved = time.monotonic()
     history: list[dict[str, Any]] = []
+    if checkpoint is not None and resume is not None:  # what was before it, as if the process had never ended
+        notes = load_notes(checkpoint)
+        history = notes["history"]
+        trainer.stopped.update({int(index): reason for index, reason in notes["stopped"].items()})
     while trainer.batches < batches:
         stats = trainer.batch()
         history.append({"steps": stats.steps // count, **stats.values})
@@ -106,12 +110,13 @@ def _finetune_group(
             log(stats, group)
         progress(trainer.batches / batches)
         if checkpoint is not None and time.monotonic() - saved > CHECKPOINT_SECONDS and trainer.batches < batches:
-            save_checkpoint(checkpoint, trainer.full_state().to_dict(), metadata)
+            notes = {"history": history, "stopped": {str(index): why for index, why in trainer.stopped.items()}}
+            save_checkpoint(checkpoint, trainer.full_state().to_dict(), metadata, notes)
             saved = time.monotonic()
     kl, extra = _settle(trainer, bounds.to(bare.device))
     bare.engine.check()
     std = population.log_std().exp().mean((1, 2)).tolist()
-    anchor_std = trainer.anchor.log_std().exp().mean((1, 2)).tolist()
+    anchor_std = anchor.log_std().exp().mean((1, 2)).tolist()
     tuned = [
         Finetuned(
             candidate, population.candidate(index), kl[index], std[index], anchor_std[index], trainer.stopped.get(index),

@@ -27,7 +27,9 @@ def pretrain_policy(
     env_config = config.env.model_copy(update={"seed": config.seed})
     env = robot.make_env(config.engine, 1, config.num_envs, env_config, channels=("joint_torque",), seeds=[config.seed])
     spaces = env.observation_spec
-    sizes = Sizes(spaces["observation"].shape[-1], spaces["critic_observation"].shape[-1], robot.spec.num_joints, config.hidden)
+    sizes = Sizes(
+        spaces["observation"].shape[-1], spaces["critic_observation"].shape[-1], robot.spec.num_joints, config.hidden
+    )
     population = Population(sizes, 1, config.init_std, config.seed, env.device)
     trainer = PopulationTrainer(
         env, population, config.ppo, seeds=[config.seed], names=["pretrained"], update_normaliser=True

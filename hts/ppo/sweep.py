@@ -29,11 +29,9 @@ def candidates(
     for name, policy_hash in anchors.items():
         if policy_hash not in distinct.values():
             distinct[name] = policy_hash
-    grid = itertools.product(distinct, *(weights[name] for name in weights), bounds)
+    combinations = [dict(zip(weights, values, strict=True)) for values in itertools.product(*weights.values())]
+    grid = itertools.product(distinct, combinations, bounds)
     return [
-        Candidate(
-            id=f"{iteration:02d}-{index:02d}", anchor=anchor,
-            weights=dict(zip(weights, values, strict=True)), kl_bound=bound,
-        )
-        for index, (anchor, *values, bound) in enumerate(grid)
-    ]  # fmt: skip
+        Candidate(id=f"{iteration:02d}-{index:02d}", anchor=anchor, weights=chosen, kl_bound=bound)
+        for index, (anchor, chosen, bound) in enumerate(grid)
+    ]

@@ -86,7 +86,9 @@ class PopulationTrainer:
 
     def _make_optimiser(self, part: slice) -> torch.optim.Optimizer:
         """Adam for the candidates of a part, a group each, so that learning rates are their own."""
-        groups = [{"params": [vector], "lr": self.config.learning_rate} for vector in list(self.population.vectors)[part]]
+        groups = [
+            {"params": [vector], "lr": self.config.learning_rate} for vector in list(self.population.vectors)[part]
+        ]
         return torch.optim.Adam(groups, eps=1e-8, fused=True)
 
     @property
@@ -157,7 +159,10 @@ class PopulationTrainer:
             for index in bad.flatten(1).any(1).nonzero().flatten().tolist():
                 first = int(bad[index].any(0).nonzero()[0])
                 step = self.batches * self.config.horizon + first
-                self._stop(index, f"{what} is not finite at control step {step} (batch {self.batches}) in {int(bad[index, :, first].sum())} of its worlds")
+                self._stop(
+                    index,
+                    f"{what} is not finite at control step {step} (batch {self.batches}) in {int(bad[index, :, first].sum())} of its worlds",
+                )
 
     def _stop(self, index: int, reason: str) -> None:
         if index in self.stopped:
@@ -300,9 +305,12 @@ class PopulationTrainer:
         with torch.no_grad():
             for index, vector in enumerate(self.population.vectors):
                 vector.copy_(state["vectors", str(index)])
-                if str(index) in state["optimiser"].keys():
+                if str(index) in state["optimiser"].keys():  # noqa: SIM118 - a TensorDict
                     saved = state["optimiser", str(index)]
-                    self._optimiser_of(index).state[vector] = {name: saved[name].to(vector.device if name != "step" else saved[name].device).clone() for name in ("step", "exp_avg", "exp_avg_sq")}
+                    self._optimiser_of(index).state[vector] = {
+                        name: saved[name].to(vector.device if name != "step" else saved[name].device).clone()
+                        for name in ("step", "exp_avg", "exp_avg_sq")
+                    }
             for name, buffer in self.population.named_buffers():
                 buffer.copy_(state["normaliser", name])
         for group, rate in zip(self.param_groups, state["rates"].tolist(), strict=True):
@@ -314,7 +322,10 @@ class PopulationTrainer:
             centre.load_state_dict(state["centres", name])
         self.kl = state["kl"].to(self.kl.device)
         self.batches = int(state["batches"])
-        self.stopped = {index: f"candidate {self.names[index]}: stopped before the checkpoint" for index in state["stopped"].tolist()}
+        self.stopped = {
+            index: f"candidate {self.names[index]}: stopped before the checkpoint"
+            for index in state["stopped"].tolist()
+        }
         self.env.load_full_state(state["env"])
         self.population.refresh()
 

@@ -49,8 +49,10 @@ def outside(name: str, series: Series, limits: tuple[float, float]) -> list[str]
     if not wrong.any():
         return []
     return [
-        f"'{name}' runs from {values.min():g} to {values.max():g} {series.channel.unit}, "
-        f"the mapping allows {low:g} to {high:g}"
+        (
+            f"'{name}' runs from {values.min():g} to {values.max():g} {series.channel.unit}, "
+            f"the mapping allows {low:g} to {high:g}"
+        )
     ]
 
 

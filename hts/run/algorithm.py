@@ -1,17 +1,18 @@
 """Algorithm 1 (arXiv 2502.10956), stage by stage. Killed anywhere, it goes on from the last finished stage.
 
-    Π_0 = {π_pretrained}
-    for i = 0, 1, 2, …
-        roll out π ∈ Π_i in the real world, D_i ← all recordings so far    collect (i = 0), later the tests of i - 1
-        f_i ← 𝒜(D_i)                                                       fit
-        for π_anchor, w, c ∈ {π_best, π_pretrained} × W × C: fine-tune     finetune
-        Π_{i+1} ← top K in simulation                                      simulate
-        π_best ← best of Π_{i+1} in the real world                         test
-    π_best against π_pretrained at every speed                             final, summary
+Π_0 = {π_pretrained}
+for i = 0, 1, 2, …
+    roll out π ∈ Π_i in the real world, D_i ← all recordings so far    collect (i = 0), later the tests of i - 1
+    f_i ← 𝒜(D_i)                                                       fit
+    for π_anchor, w, c ∈ {π_best, π_pretrained} × W × C: fine-tune     finetune
+    Π_{i+1} ← top K in simulation                                      simulate
+    π_best ← best of Π_{i+1} in the real world                         test
+π_best against π_pretrained at every speed                             final, summary
 """
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,37 +30,29 @@ from hts.run.stages import Stages
 from hts.run.summary import summarise
 
 STAGES_PER_ITERATION = 4
+STAGES_AROUND = 4  # collect, final, summary, report
+CONFIG_PART = ".config.yaml.tmp"
 
 
-def start_run(config: RunConfig, out: Path, *, dry_run: bool = False) -> Path:
-    """Run into the new folder `out`; returns it. dry_run: only say what it would cost.
-
-    Raises RunError if the folder holds something already; nothing is ever overwritten.
-    """
-    registry = load()
-    check_names(config, registry)
-    if dry_run:
-        from hts.run.cost import estimate, print_estimate
-
-        print_estimate(estimate(config, registry))
-        return out
-    out = Path(out)
-    if out.exists() and any(out.iterdir()):
+def start(config: RunConfig, out: Path) -> Path:
+    """Run into the new folder `out`; returns it. See `hts.run.start_run`."""
+    check_names(config, load())
+    if out.exists() and any(entry.name != CONFIG_PART for entry in out.iterdir()):
         raise RunError(f"{out}: is not empty. Go on with `hts resume {out}`, or choose another --out.")
     out.mkdir(parents=True, exist_ok=True)
-    temporary = out / ".config.yaml.tmp"
-    temporary.write_text(dump_config(config))
+    temporary = out / CONFIG_PART
+    temporary.write_text(dump_config(config), encoding="utf-8")
     temporary.replace(out / "config.yaml")
     return _run(config, out)
 
 
-def resume_run(folder: Path) -> Path:
-    """Go on where a run stopped; a finished run only prints its table again."""
-    return _run(read_config(Path(folder) / "config.yaml"), Path(folder))
+def resume(folder: Path) -> Path:
+    """Go on where a run stopped. See `hts.run.resume_run`."""
+    return _run(read_config(folder / "config.yaml"), folder)
 
 
 def _run(config: RunConfig, folder: Path) -> Path:
-    progress = Progress(total=5 + STAGES_PER_ITERATION * config.iterations)
+    progress = Progress(total=STAGES_AROUND + STAGES_PER_ITERATION * config.iterations)
     stages = Stages(folder, progress)
     job = Job(config, folder, load(), stages)
     try:
@@ -77,7 +70,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
     config = job.config
     job.prepare()
     if config.reward_source == "model":
-        job.do("collect", "collect real data of the pretrained policy", lambda report: collect(job, report))
+        job.do("collect", "collect real data of the pretrained policy", partial(collect, job))
     else:
         job.stages.progress.skip(1)
     best = "pretrained"
@@ -85,14 +78,15 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         name = f"iterations/{i:02d}"
         about = f"iteration {i + 1} of {config.iterations}"
         if config.reward_source == "model":
-            job.do(f"{name}/fit", f"{about}: fit measurement models", lambda report, i=i: fit(job, i, report))
+            job.do(f"{name}/fit", f"{about}: fit measurement models", partial(fit, job, i))
         else:
             job.stages.progress.skip(1)
-        job.do(f"{name}/finetune", f"{about}: fine-tune candidates", lambda report, i=i, b=best: finetune(job, i, b, report))
-        job.do(f"{name}/simulate", f"{about}: judge candidates in simulation", lambda report, i=i: simulate(job, i, report))
-        tested = job.do(f"{name}/test", f"{about}: try elites in world '{config.world.name}'", lambda report, i=i, b=best: test(job, i, b, report))
+        job.do(f"{name}/finetune", f"{about}: fine-tune candidates", partial(finetune, job, i, best))
+        job.do(f"{name}/simulate", f"{about}: judge candidates in simulation", partial(simulate, job, i))
+        trying = f"{about}: try elites in world '{config.world.name}'"
+        tested = job.do(f"{name}/test", trying, partial(test, job, i, best))
         best = tested["best_so_far"]
-    job.do("final", f"final head-to-head in world '{config.world.name}'", lambda report: final(job, best, report))
+    job.do("final", f"final head-to-head in world '{config.world.name}'", partial(final, job, best))
     return finish(job)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig
@@ -9,10 +11,19 @@ from hts.contracts import WorldContext
 from hts.plugins import Registry
 from hts.ppo.sweep import candidates
 
-# Control steps per second from collection to update, measured by `hts bench train` (two cores, one H200).
 STEPS_PER_SECOND = {"mujoco": 4_500.0, "warp": 500_000.0}
-BYTES_PER_SAMPLE = 4 * 600  # of a batch while it is learned from, all tensors
-BASE_MEMORY_GB = 1.2  # torch, mujoco and the plugins, with the twin's processes
+"""Control steps per second from collection to update: what `hts bench train` shows on two cores and on one H200.
+Another machine differs; the estimate of time is meant to tell minutes from hours."""
+
+BYTES_PER_SAMPLE = 4 * 600
+"""Of a batch while it is learned from: about 600 float32 numbers per control step (observations of actor and critic,
+raw and normalised, channels, actions, and their gradients' working copies)."""
+
+BASE_MEMORY_GB = 1.2
+"""The libraries in the run's own process and in two processes of a twin, before anything is trained."""
+
+HEAD_TO_HEAD_SECONDS = 320.0
+"""Of a world that does not say: four blocks of 80 s, as in the paper."""
 
 
 def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
@@ -28,15 +39,20 @@ def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
     for iteration in range(config.iterations):
         hashes = {anchor: anchor if iteration else "one" for anchor in config.sweep.anchors}
         counts.append(len(candidates(iteration, hashes, weights, config.sweep.kl_bounds)))
-    context = WorldContext(config.robot.name, config.robot.settings, config.objectives, config.seed, folder=_nowhere())
+    nowhere = Path(tempfile.gettempdir()) / "hts-dry-run"  # a name only: worlds write with their first request
+    context = WorldContext(config.robot.name, config.robot.settings, config.objectives, config.seed, folder=nowhere)
     world = registry.make_world(config.world.name, config.world.settings, context)
-    per_test = world.head_to_head_seconds() if hasattr(world, "head_to_head_seconds") else 320.0
+    per_test = world.head_to_head_seconds() if hasattr(world, "head_to_head_seconds") else HEAD_TO_HEAD_SECONDS
     elites = sum(min(config.selection.elites, count) for count in counts)
-    robot_seconds = 0.0 if proxy else config.collection.schedule.seconds * (config.collection.repeats + config.collection.exploring)
+    collected = config.collection.repeats + config.collection.exploring
+    robot_seconds = 0.0 if proxy else config.collection.schedule.seconds * collected
     robot_seconds += per_test * (elites + len(config.evaluation.speeds))
     steps = sum(counts) * config.finetune.steps
-    test_steps = config.simulation_test.num_envs * len(config.simulation_test.speeds) * config.simulation_test.seconds * robot.spec.control_rate_hz
-    steps += int((sum(counts) + config.iterations) * test_steps)
+    test = config.simulation_test
+    test_steps = test.num_envs * len(test.speeds) * test.seconds * robot.spec.control_rate_hz
+    steps += round(
+        (sum(counts) + config.iterations) * test_steps
+    )  # every candidate, and the pretrained policy beside them
     together = min(max(counts), config.finetune.max_candidates)
     samples = together * config.finetune.num_envs * config.finetune.ppo.horizon
     cost = dict(world.cost(robot_seconds))
@@ -48,14 +64,6 @@ def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
         "wall_minutes": (steps / STEPS_PER_SECOND.get(config.engine, 4_500.0) + cost.get("wall_seconds", robot_seconds)) / 60.0,
         "memory_gb": BASE_MEMORY_GB + samples * BYTES_PER_SAMPLE / 1e9,
     }  # fmt: skip
-
-
-def _nowhere():
-    """A folder name that is only made if a world insists on writing there."""
-    import tempfile
-    from pathlib import Path
-
-    return Path(tempfile.gettempdir()) / "hts-dry-run"
 
 
 def print_estimate(cost: dict[str, Any]) -> None:

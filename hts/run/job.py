@@ -11,12 +11,12 @@ from typing import Any
 
 from hts.config import RunConfig
 from hts.contracts import Objective, Robot, World, WorldContext
-from hts.errors import ConfigError
+from hts.errors import ConfigError, PolicyError, RecordingError
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
 from hts.recordings.recording import Recording
-from hts.recordings.store import RecordingStore
+from hts.recordings.store import Dataset, RecordingStore
 from hts.run.provenance import collect as collect_provenance
 from hts.run.stages import Stages, read_json, write_json
 
@@ -50,7 +50,9 @@ class Job:
             self.save("pretrained", load_policy(source, self.robot.spec))
         if not (self.folder / "provenance.json").exists():
             plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}
-            write_json(self.folder / "provenance.json", collect_provenance(self.config.seed, self.config.engine, plugins))
+            write_json(
+                self.folder / "provenance.json", collect_provenance(self.config.seed, self.config.engine, plugins)
+            )
 
     def seed(self, *what: object) -> int:
         """A seed for one purpose, from the run's seed."""
@@ -79,8 +81,15 @@ class Job:
         return to_onnx(Policy(policy.tensors, card), self.policy_path(name).with_name(f"{name}-exploring.onnx"))
 
     def policy(self, name: str) -> Policy:
-        """Read a policy of this run."""
-        return load_policy(self.policy_path(name), self.robot.spec)
+        """Read a policy of this run. Raises PolicyError, which says how to get it back, if a file is damaged."""
+        try:
+            return load_policy(self.policy_path(name), self.robot.spec)
+        except PolicyError as error:
+            maker = {
+                "pretrained": self.exported("pretrained"),  # `prepare` writes all of it again
+                "best": self.folder / "final.json",
+            }.get(name, self.policy_path(name).parent.with_name("finetune.json"))
+            raise PolicyError(f"{error} Or delete {maker} and `hts resume {self.folder}` makes it anew.") from error
 
     def exported(self, name: str) -> Path:
         """The ONNX file of a policy of this run."""
@@ -107,8 +116,29 @@ class Job:
         return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
 
     def recordings(self, ids: Sequence[str]) -> list[Recording]:
-        """Read recordings back."""
-        return [self.store.read(name) for name in ids]
+        """Read recordings back. Raises RecordingError, which says how to get it back, if one is damaged."""
+        return [self._from_store(name, self.store.read) for name in ids]
+
+    def dataset(self, ids: Sequence[str]) -> Dataset:
+        """What a model is fitted to; reads and hashes every recording. Raises RecordingError as `recordings` does."""
+        try:
+            return self.store.dataset(ids)
+        except RecordingError:
+            for name in ids:
+                self._from_store(name, lambda one: self.store.dataset([one]))
+            raise
+
+    def _from_store(self, name: str, read: Callable[[str], Any]) -> Any:
+        try:
+            return read(name)
+        except RecordingError as error:
+            stages = [self.folder / "collect.json", *sorted(self.folder.glob("iterations/*/test.json"))]
+            maker = next((stage for stage in stages if stage.exists() and name in read_json(stage)["recordings"]), None)
+            if maker is None:
+                raise
+            raise RecordingError(
+                f"{error} In this run: then delete {maker} too, and `hts resume {self.folder}` makes it anew."
+            ) from error
 
     def known(self, iteration: int) -> list[str]:
         """Ids of all recordings made before the fine-tuning of this iteration: D_i."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
@@ -27,7 +29,7 @@ Report = Callable[[float], None]
 def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     """f_i <- A(D_i) for each objective: models in iterations/NN/models, their checks as the result."""
     ids = job.known(iteration)
-    dataset = job.store.dataset(ids)
+    dataset = job.dataset(ids)
     recordings = job.recordings(ids)
     keep = {recording.policy_hash for recording in recordings if recording.role in ("collection", "reference")}
     result = {}
@@ -43,7 +45,7 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     return result
 
 
-def model_path(job: Job, iteration: int, objective: str):
+def model_path(job: Job, iteration: int, objective: str) -> Path:
     """Where a measurement model lies."""
     return job.folder / "iterations" / f"{iteration:02d}" / "models" / f"{objective}.safetensors"
 
@@ -84,7 +86,12 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     anchors = {"best": job.policy(best), "pretrained": job.policy("pretrained")}
     checkpoint = job.folder / "iterations" / f"{iteration:02d}" / "checkpoint"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
-    writer = SummaryWriter(str(job.folder / "log" / f"iteration-{iteration:02d}"))
+    curves = job.folder / "log" / f"iteration-{iteration:02d}"
+    if not list(
+        checkpoint.parent.glob(f"{checkpoint.name}-*")
+    ):  # from the start: what a killed process logged comes again
+        shutil.rmtree(curves, ignore_errors=True)
+    writer = SummaryWriter(str(curves))
 
     def log(stats, members) -> None:
         for name, values in stats.values.items():
@@ -100,8 +107,16 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     rows = []
     for one in tuned:
         c, anchor = one.candidate, anchors[one.candidate.anchor]
-        made = {"anchor": anchor.card.policy_hash, "weights": dict(c.weights), "kl_bound": str(c.kl_bound), "kl": one.kl, "iteration": iteration}
-        card = make_card(job.robot.spec, one.tensors, [dict(part) for part in anchor.card.observation], anchor.card.sizes(), **made)
+        made = {
+            "anchor": anchor.card.policy_hash,
+            "weights": dict(c.weights),
+            "kl_bound": str(c.kl_bound),
+            "kl": one.kl,
+            "iteration": iteration,
+        }
+        card = make_card(
+            job.robot.spec, one.tensors, [dict(part) for part in anchor.card.observation], anchor.card.sizes(), **made
+        )
         job.save(c.id, Policy(one.tensors, card))
         rows.append(
             {
@@ -110,9 +125,17 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
                 "curve": one.history[:: max(1, len(one.history) // 50)],
             }
         )  # fmt: skip
-    for left in checkpoint.parent.glob("checkpoint-*"):
-        left.unlink()
+    _remove_checkpoints(checkpoint)
     return {"candidates": rows, "steps": steps}
+
+
+def _remove_checkpoints(checkpoint: Path) -> None:
+    """Those of this stage, and what a killed process left of writing one."""
+    for left in [*checkpoint.parent.glob(f"{checkpoint.name}-*"), *checkpoint.parent.glob(f".{checkpoint.name}-*")]:
+        if left.is_dir():
+            shutil.rmtree(left)
+        else:
+            left.unlink()
 
 
 def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
@@ -126,16 +149,23 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     seed = job.seed("simulate")  # the same worlds in every iteration
     env_config = test_config(config.finetune.env, test.speeds, test.seconds, seed)
     channels = tuple(dict.fromkeys((*inputs(job), "base_velocity")))
-    bare = job.robot.make_env(config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names))
+    bare = job.robot.make_env(
+        config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
+    )
     env = measured_env(bare, transforms(job, iteration))
-    population = Population.from_candidates(policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device)
+    population = Population.from_candidates(
+        policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device
+    )
     results = dict(zip(names, trials(env, population, test.speeds, test.seconds, test.speed_tolerance), strict=True))
     env.close()
     judged = [_judge(row, results[row["id"]], test.speed_tolerance) for row in rows]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     elites = selector.elites(judged, config.selection.elites)
     details = {
-        name: [{"speed": t.speed, "falls": t.falls, "mean_speed": t.mean_speed, "valid": t.valid, "rewards": t.rewards} for t in row]
+        name: [
+            {"speed": t.speed, "falls": t.falls, "mean_speed": t.mean_speed, "valid": t.valid, "rewards": t.rewards}
+            for t in row
+        ]
         for name, row in results.items()
     }
     return {
@@ -152,4 +182,3 @@ def _judge(row: dict[str, Any], results, tolerance: float) -> SimulatedCandidate
     score = sum(sum(trial.rewards.values()) for trial in results) / len(results)
     stopped = row["stopped"] is not None
     return SimulatedCandidate(row["id"], float("-inf") if stopped else score, falls, tracked and not stopped)
-

@@ -4,30 +4,51 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import subprocess
 import sys
+from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-PACKAGES = (
-    "hard-to-sim", "hard-to-sim-power", "hard-to-sim-noise", "hard-to-sim-go1", "torch", "torchrl", "tensordict", "mujoco", "mujoco-warp",
-    "warp-lang", "dm_control", "numpy", "scipy", "zarr", "onnx", "onnxruntime", "pydantic",
-)  # fmt: skip
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # at the beginning of a requirement (PEP 508)
 
 
 def collect(seed: int, engine: str, plugins: dict[str, str]) -> dict[str, Any]:
-    """JSON values; plugins: entry point -> distribution and version. A package that is not installed is left out."""
+    """JSON values; plugins: entry point -> the distribution that registered it."""
     return {
         "python": sys.version.split()[0],
-        "packages": {name: version for name in PACKAGES if (version := _version(name))},
+        "packages": packages(plugins.values()),
         "plugins": plugins,
         "commit": _git("rev-parse", "HEAD"),
         "diff": _git("diff", "HEAD"),
         "seed": seed,
         "engine": engine,
-        "hardware": {"machine": platform.machine(), "system": platform.platform(), "cores": os.cpu_count(), "accelerator": _accelerator()},
-    }
+        "hardware": {
+            "machine": platform.machine(), "system": platform.platform(), "cores": os.cpu_count(),
+            "accelerator": _accelerator(),
+        },
+    }  # fmt: skip
+
+
+def packages(distributions: Iterable[str]) -> dict[str, str]:
+    """Name -> version of these distributions and of what they require themselves, extras included, sorted by name.
+
+    What is not installed (most extras) is left out.
+    """
+    found: dict[str, str] = {}
+    for distribution in distributions:
+        try:
+            required = metadata.requires(distribution) or []
+        except metadata.PackageNotFoundError:
+            continue
+        names = [match.group() for line in required if (match := NAME.match(line))]
+        for name in (distribution, *names):
+            version = _version(name)
+            if version is not None:
+                found[name] = version
+    return dict(sorted(found.items()))
 
 
 def _version(name: str) -> str | None:

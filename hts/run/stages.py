@@ -18,23 +18,33 @@ TIMES = "log/stages.json"
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write in one move, infinity as null; a reader sees the old file or the new one, never half of one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write in one move, infinity and NaN as null; a reader sees the old file or the new one, never half of one.
+
+    Raises OSError naming the file if the disk refuses.
+    """
+    text = json.dumps(_finite(value), indent=1, allow_nan=False) + "\n"
     temporary = path.with_name(f".{path.name}.tmp")
-    with temporary.open("w") as file:
-        file.write(json.dumps(_finite(value), indent=1, allow_nan=False) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def read_json(path: Path) -> Any:
     """Raises RunError for a file that is damaged."""
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise RunError(f"{path}: missing. Expected the JSON of a finished stage. Resume: that stage runs again.") from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise RunError(
-            f"{path}: damaged ({error}). It is the result of a finished stage; delete it and resume: that stage and the later ones run again."
+            f"{path}: damaged ({error}). Expected the JSON of a finished stage. Delete it and resume: that stage runs again."
         ) from error
 
 
@@ -69,6 +79,7 @@ class Stages:
         """
         path = self.folder / f"{name}.json"
         if path.exists():
+            self.progress.skip(1)
             return read_json(path)
         started = time.perf_counter()
         with self.progress.stage(title) as report:

@@ -62,7 +62,16 @@ def build() -> mjcf.RootElement:
     root.visual.map.znear = 0.02
     getattr(root.visual, "global").offwidth = 1280
     getattr(root.visual, "global").offheight = 720
-    root.asset.add("texture", name="grid", type="2d", builtin="checker", width=300, height=300, rgb1=[0.82, 0.84, 0.86], rgb2=[0.72, 0.75, 0.78])
+    root.asset.add(
+        "texture",
+        name="grid",
+        type="2d",
+        builtin="checker",
+        width=300,
+        height=300,
+        rgb1=[0.82, 0.84, 0.86],
+        rgb2=[0.72, 0.75, 0.78],
+    )
     root.asset.add("material", name="grid", texture="grid", texrepeat=[2, 2], texuniform=True)
     root.worldbody.add("light", pos=[0, 0, 4], dir=[0, 0, -1], directional=True)
     # The floor's friction wins over the feet's (priority 1), so one number per world randomises grip.
@@ -75,7 +84,7 @@ def build() -> mjcf.RootElement:
     body.add("camera", name="track", mode="trackcom", pos=[0.2, -1.6, 0.5], xyaxes=[1, 0.12, 0, 0, 0.25, 1])
     _add_inertial(body, trunk())
     body.add("site", name="imu", pos=[0, 0, 0], size=[0.01])
-    shell = dict(contype=0, conaffinity=1, condim=1, rgba=[0.25, 0.27, 0.3, 1])
+    shell = {"contype": 0, "conaffinity": 1, "condim": 1, "rgba": [0.25, 0.27, 0.3, 1]}
     body.add("geom", name="trunk", type="box", size=np.array(c.TRUNK_BOX) / 2, **shell)
     body.add("site", name="trunk_shell", type="box", size=np.array(c.TRUNK_BOX) / 2 + 0.01, rgba=[0, 0, 0, 0])
     for leg in c.LEGS:
@@ -87,7 +96,7 @@ def build() -> mjcf.RootElement:
 def _add_leg(root, trunk_body, leg: str) -> None:
     side, end = c.SIDE[leg], c.END[leg]
     x, y, z = c.HIP_FROM_TRUNK
-    visual = dict(contype=0, conaffinity=0, rgba=[0.55, 0.57, 0.6, 1])
+    visual = {"contype": 0, "conaffinity": 0, "rgba": [0.55, 0.57, 0.6, 1]}
     rigid = links(leg)
     hip = trunk_body.add("body", name=f"{leg}_hip", pos=[end * x, side * y, z])
     thigh = hip.add("body", name=f"{leg}_thigh", pos=[0, side * c.THIGH_FROM_HIP_Y, 0])
@@ -99,11 +108,22 @@ def _add_leg(root, trunk_body, leg: str) -> None:
             damping=c.JOINT_DAMPING, frictionloss=c.JOINT_FRICTION[part],
         )  # fmt: skip
         limit = c.TORQUE_LIMIT[part]
-        root.actuator.add("position", name=joint.name, joint=joint, kp=c.KP, kv=c.KD, forcerange=[-limit, limit], ctrllimited=False)
+        root.actuator.add(
+            "position", name=joint.name, joint=joint, kp=c.KP, kv=c.KD, forcerange=[-limit, limit], ctrllimited=False
+        )
     hip.add("geom", type="cylinder", size=[0.045, 0.02], pos=[0, side * 0.06, 0], euler=[np.pi / 2, 0, 0], **visual)
     thigh.add("geom", type="capsule", fromto=[0, 0, 0, 0, 0, -c.LINK_LENGTH], size=[0.02], **visual)
     # The knee can touch the floor; the shank above the foot is drawn only.
-    calf.add("geom", name=f"{leg}_knee", type="sphere", size=[0.025], contype=0, conaffinity=1, condim=1, rgba=[0.25, 0.27, 0.3, 1])
+    calf.add(
+        "geom",
+        name=f"{leg}_knee",
+        type="sphere",
+        size=[0.025],
+        contype=0,
+        conaffinity=1,
+        condim=1,
+        rgba=[0.25, 0.27, 0.3, 1],
+    )
     calf.add("geom", type="capsule", fromto=[0, 0, 0, 0, 0, -c.LINK_LENGTH], size=[0.012], **visual)
     calf.add(
         "geom", name=f"{leg}_foot", type="sphere", size=[c.FOOT_RADIUS], pos=[0, 0, -c.LINK_LENGTH],

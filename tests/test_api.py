@@ -1,0 +1,96 @@
+"""The commands from Python: each passes on what it was given and reads back what was written."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hts import api
+from hts.config_loading import dump_config, load_config
+from hts.errors import ConfigError, PolicyError, RunError
+
+
+@pytest.fixture
+def folder(tmp_path):
+    config = load_config(preset="smoke", objectives=["anything"], robot="any", seed=3)
+    (tmp_path / "config.yaml").write_text(dump_config(config), encoding="utf-8")
+    return tmp_path
+
+
+def test_run_resolves_a_configuration_and_starts_in_the_folder(tmp_path, monkeypatch):
+    import hts.run
+
+    seen = {}
+    monkeypatch.setattr(hts.run, "start_run", lambda config, out: seen.update(config=config) or out)
+    out = api.run("anything", "any", out=tmp_path / "new", preset="smoke", seed=5, settings={"finetune.num_envs": 16})
+    assert out == tmp_path / "new"
+    assert (seen["config"].seed, seen["config"].preset, seen["config"].finetune.num_envs) == (5, "smoke", 16)
+    assert list(seen["config"].objectives) == ["anything"] and seen["config"].robot.name == "any"
+
+
+def test_run_takes_several_objectives(tmp_path, monkeypatch):
+    import hts.run
+
+    monkeypatch.setattr(hts.run, "start_run", lambda config, out: tuple(config.objectives))
+    assert api.run(["one", "two"], "any", out=tmp_path / "new") == ("one", "two")
+
+
+def test_a_misspelt_setting_raises_what_the_command_line_prints(tmp_path):
+    with pytest.raises(ConfigError, match="num_envs"):
+        api.run("anything", "any", out=tmp_path, settings={"finetune.num_env": 16})
+
+
+def test_resume_goes_on_in_the_folder_and_refuses_one_without_a_run(folder, tmp_path, monkeypatch):
+    import hts.run
+
+    monkeypatch.setattr(hts.run, "resume_run", lambda place: place)
+    assert api.resume(str(folder)) == folder
+    with pytest.raises(RunError, match="holds no run"):
+        api.resume(tmp_path / "nothing")
+
+
+def test_fit_returns_what_was_written(tmp_path, monkeypatch):
+    from hts.measurement import fit_command
+
+    def fake(objective, data, out, *, overrides):
+        file = out / "fit.json"
+        file.write_text(
+            json.dumps({"objective": objective, "data": str(data), "overrides": overrides}), encoding="utf-8"
+        )
+        return file
+
+    monkeypatch.setattr(fit_command, "fit_store", fake)
+    report = api.fit("anything", "walks.zarr", tmp_path, {"measurement.epochs": 2})
+    assert report == {"objective": "anything", "data": "walks.zarr", "overrides": ["measurement.epochs=2"]}
+
+
+def test_evaluate_passes_on_speeds_policy_world_and_seed(folder, monkeypatch):
+    from hts.evaluation import final
+
+    monkeypatch.setattr(final, "evaluate_run", lambda place, **given: {"folder": place, **given})
+    found = api.evaluate(folder, [0.8], policy="pretrained", seed=1)
+    assert found == {"folder": folder, "speeds": [0.8], "policy": "pretrained", "world": None, "seed": 1}
+
+
+def test_load_gives_configuration_and_summary_of_a_finished_run(folder):
+    (folder / "summary.json").write_text('{"seed": 3}', encoding="utf-8")
+    run = api.load(folder)
+    assert (run.folder, run.config.seed, run.summary) == (folder, 3, {"seed": 3})
+
+
+def test_an_unfinished_run_has_no_summary_and_a_damaged_one_is_an_error(folder):
+    assert api.load(folder).summary is None
+    (folder / "summary.json").write_text('{"seed":', encoding="utf-8")
+    with pytest.raises(RunError, match="hts resume"):
+        api.load(folder)
+
+
+def test_load_refuses_a_folder_without_a_run(tmp_path):
+    with pytest.raises(RunError, match="no config.yaml"):
+        api.load(tmp_path)
+
+
+def test_a_run_gives_its_policies_by_name(folder):
+    with pytest.raises(PolicyError, match="No policy named 'best'"):
+        api.load(folder).policy()

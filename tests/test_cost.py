@@ -1,0 +1,90 @@
+"""What `--dry-run` says before anything is spent; every number here is checked on paper."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from hts.config_loading import load_config
+from hts.plugins import load
+from hts.run.cost import BASE_MEMORY_GB, BYTES_PER_SAMPLE, STEPS_PER_SECOND, estimate
+
+pytest.importorskip("hts_go1", reason="the robot of these estimates is not installed")
+pytest.importorskip("hts_power", reason="the objective of these estimates is not installed")
+
+WEIGHTS = "sweep.weights.power=[0.5, 1.0, 5.0]"
+
+
+def cost_of(preset: str, *overrides: str, **given):
+    config = load_config(preset=preset, objectives=["power"], robot="go1", overrides=[WEIGHTS, *overrides], **given)
+    return estimate(config, load())
+
+
+def test_a_smoke_run_costs_what_its_configuration_says():
+    cost = cost_of("smoke")
+    assert cost["candidates"] == 1 * 3 * 2
+    assert cost["tested on the robot"] == 2
+    # 3 recordings of 12 s, then 2 tests and one final head-to-head of 1 s + 4 x 6 s each
+    assert cost["robot_minutes"] == pytest.approx((3 * 12 + 3 * 25) / 60)
+    # 6 candidates of 400 steps; 6 candidates and the pretrained policy in 4 worlds for 4 s at 50 Hz
+    assert cost["simulation_steps"] == 6 * 400 + 7 * 4 * 200
+    # 6 candidates x 8 worlds x 24 steps in a batch
+    assert cost["memory_gb"] == pytest.approx(BASE_MEMORY_GB + 6 * 8 * 24 * BYTES_PER_SAMPLE / 1e9)
+    assert cost["wall_minutes"] >= cost["simulation_steps"] / STEPS_PER_SECOND["mujoco"] / 60
+
+
+def test_the_papers_run_trains_63_candidates_and_tests_24():
+    cost = cost_of("paper")
+    assert cost["candidates"] == 9 + 3 * 18  # the first iteration has one anchor
+    assert cost["tested on the robot"] == 4 * 6
+    recorded = 8 * 5 * 32  # s
+    tested = (24 + 3) * (20 + 4 * 80)  # s: 24 elites and three final speeds, 20 s of warming up before four blocks
+    assert cost["robot_minutes"] == pytest.approx((recorded + tested) / 60)
+
+
+def test_fewer_candidates_than_elites_are_all_that_is_tested():
+    assert cost_of("smoke", "selection.elites=50")["tested on the robot"] == 6
+
+
+def test_the_baseline_collects_nothing():
+    cost = cost_of("smoke", reward_source="proxy")
+    assert cost["candidates"] == 3  # one bound
+    assert cost["robot_minutes"] == pytest.approx((2 + 1) * 25 / 60)
+
+
+def test_a_world_that_does_not_say_how_long_a_test_takes_counts_as_the_papers():
+    cost = cost_of("smoke", world="field")
+    assert cost["robot_minutes"] == pytest.approx((3 * 12 + 3 * 320) / 60)
+
+
+def test_charges_are_minutes_of_walking_by_the_robots_endurance():
+    robot = load().make_robot("go1")
+    cost = cost_of("smoke")
+    if robot.spec.endurance_minutes is None:
+        assert cost["charges"] is None
+    else:
+        assert cost["charges"] == pytest.approx(cost["robot_minutes"] / robot.spec.endurance_minutes)
+
+
+def test_a_dry_run_prints_the_estimate_writes_nothing_and_starts_no_heavy_library(hts, tmp_path):
+    out = tmp_path / "run"
+    done = hts("run", "--objective", "power", "--robot", "go1", "--preset", "smoke", "--out", out, "--dry-run")
+    assert done.returncode == 0, done.stderr
+    for words in ("candidates trained", "minutes of walking", "simulation steps  ", "minutes in all", "GB of memory"):
+        assert words in done.stdout
+    assert not out.exists()
+    code = (
+        "import sys; from hts.cli.main import main\n"
+        "main(['run', '--objective', 'power', '--robot', 'go1', '--dry-run'])\n"
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, cwd=tmp_path).returncode == 0
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_dry_run_with_a_wrong_name_ends_in_one_line(hts):
+    done = hts("run", "--objective", "powr", "--robot", "go1", "--dry-run")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1 and "Did you mean 'power'?" in done.stderr

@@ -1,0 +1,129 @@
+"""`hts play`: what it says when there is nothing to draw with, and the walk it shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hts import play as module
+from hts.config_loading import dump_config, load_config
+from hts.errors import ConfigError, RunError, SimulationError
+
+pytest.importorskip("hts_go1", reason="the walk needs an installed robot with a model")
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a configuration and the shipped policy, as a run has them after its first moment."""
+    from hts.plugins import load
+    from hts.policies.export import to_onnx
+    from hts.policies.files import load_policy
+
+    folder = tmp_path_factory.mktemp("run")
+    config = load_config(preset="smoke", objectives=["anything"], robot="go1")
+    (folder / "config.yaml").write_text(dump_config(config), encoding="utf-8")
+    (folder / "policies").mkdir()
+    source = load().make_robot("go1").pretrained_policy()
+    to_onnx(load_policy(source), folder / "policies" / "pretrained.onnx")
+    return folder
+
+
+@pytest.fixture
+def walk(run_folder: Path) -> module.Walk:
+    from hts.plugins import load
+
+    return module.Walk(load().make_robot("go1"), run_folder / "policies" / "pretrained.onnx", 0.8)
+
+
+def test_the_pretrained_policy_walks_at_the_commanded_speed_and_does_not_fall(walk):
+    for _ in range(200):
+        walk.step()
+    result = walk.result()
+    assert result.seconds == pytest.approx(4.0)
+    assert result.mean_speed == pytest.approx(0.8, rel=0.1)
+    assert not result.fell
+
+
+def test_the_mean_speed_counts_from_two_seconds_on(walk):
+    walk._speeds = [0.0] * 100 + [1.0, 3.0]  # 50 Hz
+    assert walk.result().mean_speed == 2.0
+
+
+def test_a_robot_on_its_back_has_fallen(walk):
+    walk.data.qpos[3:7] = 0.0, 1.0, 0.0, 0.0
+    walk.step()
+    assert walk.result().fell
+
+
+def test_a_policy_of_another_robot_is_refused_by_name(walk, run_folder, monkeypatch):
+    from dataclasses import replace
+
+    robot = walk.robot
+    monkeypatch.setattr(robot, "spec", replace(robot.spec, name="other"), raising=False)
+    with pytest.raises(ConfigError, match="made for robot 'go1', this run's robot is 'other'"):
+        module.Walk(robot, run_folder / "policies" / "pretrained.onnx", 0.8)
+
+
+def test_without_a_display_the_error_says_to_write_a_video(run_folder, monkeypatch):
+    monkeypatch.setattr(module.sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(SimulationError, match="--video walk.mp4"):
+        module.play(run_folder, policy="pretrained")
+
+
+def test_without_any_opengl_the_error_says_what_to_install(run_folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(module.sys, "platform", "linux")
+    monkeypatch.setattr(module.ctypes.util, "find_library", lambda name: None)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(SimulationError, match="apt-get install libegl1") as caught:
+        module.play(run_folder, policy="pretrained", video=tmp_path / "walk.mp4")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_renderer_that_fails_becomes_one_line_that_names_the_backend(walk, monkeypatch):
+    import mujoco
+
+    def broken(*_):
+        raise AttributeError("glGetError")
+
+    monkeypatch.setattr(mujoco, "Renderer", broken)
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    with pytest.raises(SimulationError, match="MUJOCO_GL=osmesa: AttributeError"), module._renderer(walk):
+        pass
+
+
+def test_an_existing_video_is_not_overwritten(run_folder, tmp_path):
+    video = tmp_path / "walk.mp4"
+    video.write_bytes(b"kept")
+    with pytest.raises(RunError, match="exists already"):
+        module.play(run_folder, policy="pretrained", video=video)
+    assert video.read_bytes() == b"kept"
+
+
+def test_a_video_of_another_kind_is_refused(run_folder, tmp_path):
+    with pytest.raises(ConfigError, match="ends in .mp4"):
+        module.play(run_folder, policy="pretrained", video=tmp_path / "walk.png")
+
+
+def test_a_film_has_25_frames_a_second_and_is_said_to_be_simulation(run_folder, tmp_path, monkeypatch, capsys):
+    import imageio_ffmpeg
+
+    class Grey:
+        def __enter__(self):
+            return lambda: np.full((module.HEIGHT, module.WIDTH, 3), 128, np.uint8)
+
+        def __exit__(self, *_):
+            return False
+
+    monkeypatch.setattr(module, "_prepare_drawing", lambda: None)
+    monkeypatch.setattr(module, "_renderer", lambda walk: Grey())
+    video = tmp_path / "walk.mp4"
+    played = module.play(run_folder, policy="pretrained", video=video, seconds=1.0)
+    assert played.seconds == pytest.approx(1.0)
+    assert imageio_ffmpeg.count_frames_and_secs(str(video))[0] == 25
+    assert "Simulation, not the real robot" in capsys.readouterr().out
+    assert [file.name for file in tmp_path.iterdir()] == ["walk.mp4"]
