@@ -47,16 +47,11 @@ class SmallRun:
     folder: Path
     command: tuple[str, ...]  # what made it, but for --out
 
-    @property
-    def summary(self) -> dict[str, Any]:
-        return summary_of(self.folder)
-
-
-def summary_of(folder: Path) -> dict[str, Any]:
-    """summary.json without the one number that two equal runs do not share."""
-    summary = json.loads((folder / "summary.json").read_text())
-    del summary["wall_seconds"]
-    return summary
+    def summary_of(self, folder: Path | None = None) -> dict[str, Any]:
+        """summary.json (of this run, or of another one) without the one number that two equal runs do not share."""
+        summary = json.loads(((folder or self.folder) / "summary.json").read_text())
+        del summary["wall_seconds"]
+        return summary
 
 
 SMALL_RUN = (

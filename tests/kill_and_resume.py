@@ -27,7 +27,9 @@ from pathlib import Path
 from typing import Any
 
 SMOKE = ("--objective", "power", "--robot", "go1", "--preset", "smoke")
-EAGER = "import hts.ppo.finetune as f; f.CHECKPOINT_SECONDS = 0.0; from hts.cli.main import main; raise SystemExit(main())"
+EAGER = (
+    "import hts.ppo.finetune as f; f.CHECKPOINT_SECONDS = 0.0; from hts.cli.main import main; raise SystemExit(main())"
+)
 
 
 @dataclass
@@ -148,7 +150,11 @@ def main() -> int:
         for number in range(given.kills):
             folder, at = place / f"killed-{number:02d}", time.monotonic() + moments.uniform(0.0, length)
             trial = kill_and_resume(
-                [*command, folder], folder, expected, lambda at=at: time.monotonic() >= at, place / f"killed-{number:02d}.log"
+                [*command, folder],
+                folder,
+                expected,
+                lambda at=at: time.monotonic() >= at,
+                place / f"killed-{number:02d}.log",
             )
             failures += bool(trial.wrong)
             stages = " ".join(Path(name).stem for name in trial.finished) or "none"

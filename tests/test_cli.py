@@ -7,6 +7,7 @@ import importlib
 import json
 import subprocess
 import sys
+import threading
 import types
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import typer
 
 from hts.cli.commands import COMMANDS
 from hts.cli.main import main
-from hts.cli.one_line import disk_fault
+from hts.cli.one_line import disk_fault, resumable
 from hts.errors import RunError, WaitingForRobot
 
 FAKES = """
@@ -223,6 +224,19 @@ def test_a_full_disk_is_seen_through_the_error_of_a_library():
     assert disk_fault(RuntimeError("I/O error: No space left on device (os error 28)"), Path("run")).startswith("run: ")
     assert disk_fault(RuntimeError("something else")) is None
     assert disk_fault(FileNotFoundError(errno.ENOENT, "gone", "file")) is None
+
+
+def test_a_thread_that_the_disk_stopped_says_nothing_and_any_other_does(tmp_path, capsys):
+    def stopped(error):
+        raise error
+
+    for error, words in ((OSError(errno.ENOSPC, "No space left on device"), ""), (ValueError("ours"), "ours")):
+        with resumable(tmp_path):
+            thread = threading.Thread(target=stopped, args=(error,))
+            thread.start()
+            thread.join()
+        err = capsys.readouterr().err
+        assert words in err and bool(err) == bool(words)
 
 
 def test_a_bug_keeps_its_traceback(fakes, fake_run, tmp_path):

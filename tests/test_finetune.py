@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
+import shutil
+
 import pytest
+import torch
 
 from hts.config import EnvConfig, FinetuneConfig, PPOConfig, RandomisationConfig
 from hts.policies.files import load_policy
 from hts.ppo import finetune as module
-from hts.ppo.checkpoint import load_notes
+from hts.ppo.checkpoint import load_notes, save_checkpoint
 from hts.ppo.sweep import Candidate
 from hts.ppo.trainer import PopulationTrainer
 
@@ -70,3 +74,17 @@ def test_a_stopped_candidate_keeps_its_reason_and_its_history_through_a_checkpoi
     assert resumed.stopped == whole.stopped
     assert [repr(row) for row in resumed.history] == [repr(row) for row in whole.history]  # NaN is not NaN
     assert neighbour.history == other.history and neighbour.kl == other.kl
+
+
+def test_a_checkpoint_that_would_not_fit_is_refused_before_the_old_one_is_touched(monkeypatch, tmp_path):
+    """Writing it would end the process: torchrl.checkpoint writes through memory maps."""
+    place = tmp_path / "checkpoint-0"
+    save_checkpoint(place, {"numbers": torch.zeros(10)}, {"robot": "dog"})
+    before = place.read_bytes()
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=2 * 4_000_000))
+    with pytest.raises(OSError, match="No space left") as caught:
+        save_checkpoint(place, {"numbers": torch.zeros(1_000_000)}, {"robot": "dog"})  # 4 MB, written twice
+    assert (caught.value.errno, caught.value.filename) == (errno.ENOSPC, str(place))
+    assert place.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint-0"]

@@ -80,7 +80,9 @@ def test_the_time_of_each_stage_is_kept(stages):
 @pytest.mark.parametrize("text", ["", '{"cut": ', b"\xff\xfe\x00"])
 def test_a_damaged_result_is_one_line_that_says_what_to_delete(stages, tmp_path, text):
     (tmp_path / "collect.json").write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(RunError, match=r"collect.json: damaged .* Delete it and resume: that stage runs again\.") as caught:
+    with pytest.raises(
+        RunError, match=r"collect.json: damaged .* Delete it and resume: that stage runs again\."
+    ) as caught:
         stages.do("collect", "collect", lambda report: None)
     assert "\n" not in str(caught.value)
 

@@ -100,7 +100,7 @@ def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective, e
         "horizon": trainer.config.horizon, "substeps": robot.spec.substeps,
         "measurement": f"{objective.name}: unfitted model of the default size, statistics from the collected channels",
         "device": _device(trainer.population.device), "cores": os.cpu_count() or 1,
-        "engine_threads": getattr(trainer.env.engine, "threads", 0), "torch_threads": torch.get_num_threads(),
+        "engine_threads": getattr(trainer.env.engine, "threads", 0), "torch_threads": 1,  # see `hts.ppo.threads`
         "torch": str(torch.__version__),
     }  # fmt: skip
 

@@ -17,7 +17,9 @@ app = typer.Typer(
     help="Speed against bare physics: the engine alone replaying the states and actions that were collected.",
 )
 
-RobotName = Annotated[str, typer.Option("--robot", metavar="NAME", help="The machine.")]
+RobotName = Annotated[
+    str | None, typer.Option("--robot", metavar="NAME", help="The machine; default: the first that is installed.")
+]
 ObjectiveName = Annotated[
     str | None, typer.Option("--objective", metavar="NAME", help="Whose measurement model is in the loop.")
 ]
@@ -29,7 +31,7 @@ Seconds = Annotated[float, typer.Option(min=0.1, help="Least time to measure, s.
 
 @app.command()
 def env(
-    robot: RobotName,
+    robot: RobotName = None,
     objective: ObjectiveName = None,
     engine: Engine = "mujoco",
     candidates: Candidates = 6,
@@ -45,7 +47,7 @@ def env(
 
 @app.command()
 def train(
-    robot: RobotName,
+    robot: RobotName = None,
     objective: ObjectiveName = None,
     engine: Engine = "mujoco",
     candidates: Candidates = 6,
@@ -61,7 +63,7 @@ def train(
 
 @app.command()
 def sweep(
-    robot: RobotName,
+    robot: RobotName = None,
     objective: ObjectiveName = None,
     engine: Engine = "mujoco",
     envs: Envs = 64,
@@ -76,7 +78,7 @@ def sweep(
 
 @app.command()
 def fit(
-    robot: RobotName,
+    robot: RobotName = None,
     objective: Annotated[str, typer.Option("--objective", metavar="NAME", help="Whose measurement model.")],
     seconds: Seconds = 10.0,
     json_: options.AsJson = False,

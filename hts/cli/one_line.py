@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -55,7 +56,8 @@ def disk_fault(error: BaseException | None, place: Path | None = None) -> str | 
 
 @contextmanager
 def resumable(folder: Path) -> Iterator[None]:
-    """Ctrl-C and a full disk inside a run end in one line that says how to go on with `folder`."""
+    """Whatever stops a run ends in one line that says how to go on with `folder`."""
+    threading.excepthook = _in_a_thread
     try:
         yield
     except KeyboardInterrupt:
@@ -64,13 +66,24 @@ def resumable(folder: Path) -> Iterator[None]:
         else:
             print("\nstopped before anything was written", file=sys.stderr)
         raise typer.Exit(130) from None
-    except HtsError:
-        raise
+    except HtsError as error:
+        told = isinstance(error, WaitingForRobot) or "resume" in str(error)
+        if told or not (folder / "config.yaml").exists():
+            raise
+        raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error
     except Exception as error:
         fault = disk_fault(error, folder)
         if fault is None:
             raise
         raise RunError(f"{fault} Then `hts resume {folder}` goes on.") from error
+    finally:
+        threading.excepthook = threading.__excepthook__
+
+
+def _in_a_thread(what: threading.ExceptHookArgs) -> None:
+    """A thread that a disk stopped (TensorBoard writes in one) need not show it: who waits for it will say it."""
+    if disk_fault(what.exc_value) is None:
+        threading.__excepthook__(what)
 
 
 def _errno_in_text(text: str) -> int:

@@ -337,21 +337,15 @@ class VelocityEnv(EnvBase):
         self._critic_observation = torch.cat((clean, self._velocity, self._height, self._contact.to(clean.dtype)), -1)
 
     def _channel_value(self, name: str) -> torch.Tensor:
-        """One channel now; a tensor of its own where the engine or the commands rewrite theirs in place."""
-        match name:
-            case "joint_torque":
-                return self._sensors(self._torques).clone()
-            case "foot_force":
-                return self._sensors(self._touch).clone()
-            case "command":
-                return self.commands.value.clone()
-            case "angular_velocity":
-                return self._angular_velocity.clone()
+        """One channel now; a copy where engine or commands rewrite theirs in place."""
+        if name in ("joint_torque", "foot_force"):
+            columns = self._torques if name == "joint_torque" else self._touch
+            return self.engine.sensordata.view(*self.shape2, -1)[..., columns].clone()
+        if name == "command":
+            return self.commands.value.clone()
+        if name == "angular_velocity":
+            return self._angular_velocity.clone()
         return getattr(self, CHANNEL_FIELDS[name])
-
-    def _sensors(self, columns: slice) -> torch.Tensor:
-        """Some of the engine's sensors, a view [P, N, ...] that the next step rewrites."""
-        return self.engine.sensordata.view(*self.shape2, -1)[..., columns]
 
     # ------------------------------------------------------------------------------------- saving the whole state
 

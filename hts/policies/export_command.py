@@ -25,7 +25,7 @@ def export_policy(folder: Path, policy: str, format: str, to: Path) -> Path:
 def find_policy(folder: Path, policy: str) -> Path:
     """The .safetensors of that name in a run folder; `policies/` wins over `iterations/`. Raises PolicyError."""
     files = sorted((folder / "policies").glob("*.safetensors")) + sorted(
-        (folder / "iterations").glob("**/*.safetensors")
+        (folder / "iterations").glob("*/candidates/*.safetensors")
     )
     policies = [file for file in files if file.with_suffix(".json").is_file()]
     by_name = {file.stem: file for file in reversed(policies)}

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import torch
 from torchrl.checkpoint import Checkpoint, CheckpointError
 
 from hts.errors import PolicyError
 
 NOTES = "notes"
+BLOCK = 4096  # bytes, of the usual file systems
+MARGIN = 1 << 20  # bytes: manifest, notes and folders
 REMEDY = "Delete it and resume: the fine-tuning of this iteration starts again, nothing else is lost."
 
 
@@ -37,6 +43,7 @@ def save_checkpoint(
 
     Raises OSError if the disk refuses; an older checkpoint of that name is whole afterwards all the same.
     """
+    _check_room(path, state)
     Checkpoint(format="archive", training=_Holder(state)).save(path, metadata={**metadata, NOTES: dict(notes or {})})
 
 
@@ -59,6 +66,25 @@ def load_notes(path: Path) -> dict[str, Any]:
     """What `save_checkpoint` was given as notes. Raises PolicyError if the file is damaged."""
     with _damage(path):
         return dict(Checkpoint.manifest(path)["metadata"][NOTES])
+
+
+def _check_room(path: Path, state: Mapping[str, Any]) -> None:
+    """Raises OSError (disk full) before anything is written that would not fit.
+
+    `torchrl.checkpoint` writes tensors through memory maps, and a disk that is full then ends the process (SIGBUS)
+    without a word. It writes twice: the parts, then the archive of them.
+    """
+    needed = 2 * _size(state) + MARGIN
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if shutil.disk_usage(path.parent).free < needed:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def _size(value: Any) -> int:
+    """Bytes of all tensors in nested mappings, each rounded up to whole blocks of a disk."""
+    if isinstance(value, torch.Tensor):
+        return (value.numel() * value.element_size() // BLOCK + 1) * BLOCK
+    return sum(_size(part) for part in value.values()) if isinstance(value, Mapping) else 0
 
 
 @contextmanager

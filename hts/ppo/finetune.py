@@ -120,7 +120,7 @@ def _finetune_group(
     tuned = [
         Finetuned(
             candidate, population.candidate(index), kl[index], std[index], anchor_std[index], trainer.stopped.get(index),
-            [{name: (value[index] if isinstance(value, list) else value) for name, value in row.items()} for row in history],
+            [{name: (value[index] if isinstance(value, list) else value) for name, value in sorted(row.items())} for row in history],
         )
         for index, candidate in enumerate(group)
     ]  # fmt: skip

@@ -6,12 +6,13 @@ of a single candidate are too small to share out (on a busy machine their thread
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import torch
+
+from hts.cores import available
 
 
 @contextmanager
@@ -27,5 +28,4 @@ def one_thread() -> Iterator[None]:
 
 def pool(most: int) -> ThreadPoolExecutor:
     """Threads for work that does not share anything, one per core at most, each with one torch thread."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return ThreadPoolExecutor(max(1, min(most, cores)), "candidate", initializer=torch.set_num_threads, initargs=(1,))
+    return ThreadPoolExecutor(max(1, min(most, available())), "candidate", initializer=torch.set_num_threads, initargs=(1,))

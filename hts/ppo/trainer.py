@@ -210,7 +210,12 @@ class PopulationTrainer:
         constant = {"old_log_std": self._old_log_std}
         if self.anchor is not None:
             constant["anchor_log_std"] = self.anchor.log_std()
-        rows = list(self._pool.map(lambda index: self._train(index, used, constant, orders), range(len(self.parts))))
+
+        def train(index: int) -> dict[str, torch.Tensor]:
+            return self._train(index, used, constant, orders)
+
+        each = range(len(self.parts))
+        rows = list(map(train, each) if len(self.parts) == 1 else self._pool.map(train, each))
         if self.update_normaliser:
             # The observation normaliser moves only between batches: the samples' log-probabilities were made with it.
             self.population.update_normaliser("observation", samples["observation"])

@@ -8,28 +8,49 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hts.config import RunConfig
 
+CONFIG_PART = ".config.yaml.tmp"
+"""All that a run leaves which was killed before it began."""
+
 
 def start_run(config: RunConfig, out: Path, *, dry_run: bool = False) -> Path:
-    """Run into the new folder `out`; returns it. dry_run: only say what it would cost, which needs no heavy library.
+    """Run into the new folder `out`; returns it. dry_run: only say what it would cost.
 
-    Raises RunError if the folder holds something already; nothing is ever overwritten.
+    Raises RunError if the folder holds something already; nothing is ever overwritten. Whatever can be wrong with
+    names, settings and folder shows before anything heavy is imported.
     """
+    from hts.config_loading import check_names
+    from hts.plugins import load
+
+    registry = load()
+    check_names(config, registry)
     if dry_run:
-        from hts.config_loading import check_names
-        from hts.plugins import load
         from hts.run.cost import estimate, print_estimate
 
-        registry = load()
-        check_names(config, registry)
         print_estimate(estimate(config, registry))
         return Path(out)
-    from hts.run import algorithm
-
-    return algorithm.start(config, Path(out))
+    _make_folder(config, Path(out))
+    return resume_run(out)
 
 
 def resume_run(folder: Path) -> Path:
     """Go on where a run stopped; a finished run only prints its table again."""
+    from hts.config_loading import read_config
+
+    config = read_config(Path(folder) / "config.yaml")
+
     from hts.run import algorithm
 
-    return algorithm.resume(Path(folder))
+    return algorithm.run(config, Path(folder))
+
+
+def _make_folder(config: RunConfig, out: Path) -> None:
+    """The folder with its config.yaml, which is all that `resume_run` needs."""
+    from hts.config_loading import dump_config
+    from hts.errors import RunError
+
+    if out.exists() and any(entry.name != CONFIG_PART for entry in out.iterdir()):
+        raise RunError(f"{out}: is not empty. Go on with `hts resume {out}`, or choose another --out.")
+    out.mkdir(parents=True, exist_ok=True)
+    temporary = out / CONFIG_PART
+    temporary.write_text(dump_config(config), encoding="utf-8")
+    temporary.replace(out / "config.yaml")

@@ -17,8 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig
-from hts.config_loading import check_names, dump_config, read_config
-from hts.errors import RunError
 from hts.plugins import load
 from hts.report import write_report
 from hts.report.table import print_table
@@ -31,27 +29,10 @@ from hts.run.summary import summarise
 
 STAGES_PER_ITERATION = 4
 STAGES_AROUND = 4  # collect, final, summary, report
-CONFIG_PART = ".config.yaml.tmp"
 
 
-def start(config: RunConfig, out: Path) -> Path:
-    """Run into the new folder `out`; returns it. See `hts.run.start_run`."""
-    check_names(config, load())
-    if out.exists() and any(entry.name != CONFIG_PART for entry in out.iterdir()):
-        raise RunError(f"{out}: is not empty. Go on with `hts resume {out}`, or choose another --out.")
-    out.mkdir(parents=True, exist_ok=True)
-    temporary = out / CONFIG_PART
-    temporary.write_text(dump_config(config), encoding="utf-8")
-    temporary.replace(out / "config.yaml")
-    return _run(config, out)
-
-
-def resume(folder: Path) -> Path:
-    """Go on where a run stopped. See `hts.run.resume_run`."""
-    return _run(read_config(folder / "config.yaml"), folder)
-
-
-def _run(config: RunConfig, folder: Path) -> Path:
+def run(config: RunConfig, folder: Path) -> Path:
+    """Do what is not done yet of the run in `folder`; returns it. Raises RunError if another process works there."""
     progress = Progress(total=STAGES_AROUND + STAGES_PER_ITERATION * config.iterations)
     stages = Stages(folder, progress)
     job = Job(config, folder, load(), stages)

@@ -41,7 +41,9 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise RunError(f"{path}: missing. Expected the JSON of a finished stage. Resume: that stage runs again.") from error
+        raise RunError(
+            f"{path}: missing. Expected the JSON of a finished stage. Resume: that stage runs again."
+        ) from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise RunError(
             f"{path}: damaged ({error}). Expected the JSON of a finished stage. Delete it and resume: that stage runs again."

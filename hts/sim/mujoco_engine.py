@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -10,6 +9,7 @@ import numpy as np
 import torch
 from mujoco import rollout
 
+from hts.cores import available
 from hts.errors import SimulationError
 from hts.sim.engine import Engine, sensor_slices
 
@@ -30,7 +30,7 @@ class MujocoEngine(Engine):
         self.num_worlds = worlds = len(self.models)
         self.substeps = substeps
         self.device = torch.device("cpu")
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = threads or available()
         self._pool = rollout.Rollout(nthread=self.threads)
         self._datas = [mujoco.MjData(model) for _ in range(self.threads)]
         self._slices = sensor_slices(model)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Any
 from hts.config import ScheduleConfig
 from hts.config_loading import plain
 from hts.contracts import Settings, World, WorldContext
+from hts.cores import available
 from hts.errors import WorldError
 from hts.recordings.recording import Recording
 from hts.recordings.store import RecordingStore
@@ -100,7 +100,7 @@ class TwinWorld(World):
         return request_id(what, self._context.seed, [path and file_hash(path) for path in policies], rest)
 
     def _processes(self) -> int:
-        return self.settings.processes or os.cpu_count() or 1
+        return self.settings.processes or available()
 
     def _staff(self, number: int) -> list[Child]:
         """At least so many processes, started as needed."""
