@@ -17,7 +17,7 @@ from hts.recordings.recording import Recording, Series
 RECORDINGS, SECONDS_EACH = 5, 60.0
 
 
-def bench_fit(robot: str | None, objective: str, seconds: float = 10.0) -> dict[str, Any]:
+def bench_fit(robot: str | None, objective: str | None, seconds: float = 10.0) -> dict[str, Any]:
     """Fitting to made-up recordings of the robot's channels, for at least `seconds`. Keys: samples_per_s (samples
     times epochs over seconds, validation included), samples, epochs, …"""
     machine, chosen = find(robot, objective)

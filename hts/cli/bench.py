@@ -79,7 +79,7 @@ def sweep(
 @app.command()
 def fit(
     robot: RobotName = None,
-    objective: Annotated[str, typer.Option("--objective", metavar="NAME", help="Whose measurement model.")],
+    objective: ObjectiveName = None,
     seconds: Seconds = 10.0,
     json_: options.AsJson = False,
 ) -> None:
