@@ -35,7 +35,9 @@ def in_simulation(robot, policy, worlds: int, seconds: float) -> dict:
     population = Population.from_candidates(policy.card.sizes(), [policy.tensors])
     (trials,) = simulate(env, population, SPEEDS, seconds, 0.1)
     env.close()
-    return {t.speed: {"falls": t.falls, "mean_speed": round(t.mean_speed, 4), "valid": round(t.valid, 4)} for t in trials}
+    return {
+        t.speed: {"falls": t.falls, "mean_speed": round(t.mean_speed, 4), "valid": round(t.valid, 4)} for t in trials
+    }
 
 
 def on_twin(registry, robot, policy, worlds: int, seconds: float) -> dict:

@@ -195,6 +195,7 @@ def test_the_final_entry_has_the_keys_of_the_summary():
     speed = entry["speeds"]["0.8"]
     assert {"improvement", "improvement_ci95", "segments", "falls", "mean_speed", "metrics"} <= set(speed)
     assert len(speed["improvement_ci95"]) == 2
+    assert set(speed["metrics_ci95"]) == set(speed["metrics"])
 
 
 def test_several_speeds_are_compared_each_for_itself():

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 RESULT = "evaluation.json"
 
 Results = dict[float, HeadToHead]
-REAL_KEYS = ("improvement", "improvement_ci95", "segments", "valid", "falls", "mean_speed", "metrics")
+REAL_KEYS = ("improvement", "improvement_ci95", "segments", "valid", "falls", "mean_speed", "metrics", "metrics_ci95")
 
 
 def speed_key(speed: float) -> str:

@@ -7,7 +7,7 @@ evenly (charge, heat) adds the same to both means and cancels. In A-B-A-B the se
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +36,7 @@ class HeadToHead:
     """A policy against its reference at one commanded speed.
 
     comparison: improvement, selection score and metrics by the objective; improvement_ci95: 95 % interval, None if
-    a single segment leaves nothing to tell it from;
+    a single segment leaves nothing to tell it from; metrics_ci95: the same for each metric;
     policy_segments, reference_segments: the valid ones; policy_scores, reference_scores: the objective's quantities
     per segment, each (S,).
     """
@@ -45,6 +45,7 @@ class HeadToHead:
     unit: str
     comparison: Comparison
     improvement_ci95: tuple[float, float] | None
+    metrics_ci95: Mapping[str, tuple[float, float] | None]
     policy_segments: Segments
     reference_segments: Segments
     policy_scores: Mapping[str, np.ndarray]
@@ -80,6 +81,7 @@ class HeadToHead:
             "falls": self.falls,
             "mean_speed": self.mean_speed,
             "metrics": {name: float(value) for name, value in self.comparison.metrics.items()},
+            "metrics_ci95": {name: list(found) if found else None for name, found in self.metrics_ci95.items()},
             "reference": {
                 "segments": len(self.reference_segments),
                 "valid": self.reference_segments.valid,
@@ -125,18 +127,24 @@ def compare(
     comparison = compared(*(_table(scores[role]).mean(axis=0) for role in ("policy", "reference")))
     _check_finite(objective, comparison)
     blocks = {role: _by_block(_table(scores[role]), segments[role].block) for role in ("policy", "reference")}
-    ci95 = interval(
-        lambda policy, reference: compared(policy, reference).improvement,
-        blocks["policy"],
-        blocks["reference"],
-        config.bootstrap,
-        seed,
-    )
+
+    def bounds(number: Callable[[Comparison], float]) -> tuple[float, float] | None:
+        return interval(
+            lambda policy, reference: number(compared(policy, reference)),
+            blocks["policy"],
+            blocks["reference"],
+            config.bootstrap,
+            seed,
+        )
+
+    ci95 = bounds(lambda found: found.improvement)
+    metrics_ci95 = {name: bounds(lambda found, name=name: found.metrics[name]) for name in comparison.metrics}
     return HeadToHead(
         speed=speed,
         unit=objective.unit,
         comparison=comparison,
         improvement_ci95=ci95,
+        metrics_ci95=metrics_ci95,
         policy_segments=segments["policy"],
         reference_segments=segments["reference"],
         policy_scores=scores["policy"],

@@ -28,4 +28,6 @@ def one_thread() -> Iterator[None]:
 
 def pool(most: int) -> ThreadPoolExecutor:
     """Threads for work that does not share anything, one per core at most, each with one torch thread."""
-    return ThreadPoolExecutor(max(1, min(most, available())), "candidate", initializer=torch.set_num_threads, initargs=(1,))
+    return ThreadPoolExecutor(
+        max(1, min(most, available())), "candidate", initializer=torch.set_num_threads, initargs=(1,)
+    )

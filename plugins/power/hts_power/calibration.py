@@ -71,7 +71,9 @@ def calibrate_twin(
     result["parameters_sha256"] = parameters_hash(settings, described)
     if write is not None:
         content = {**result, "parameters": resolved(settings, described)}
-        write.write_text(json.dumps(content, indent=1, sort_keys=True, default=lambda number: number.item()) + "\n", encoding="utf-8")
+        write.write_text(
+            json.dumps(content, indent=1, sort_keys=True, default=lambda number: number.item()) + "\n", encoding="utf-8"
+        )
     typer.echo(json.dumps(result, indent=1) if as_json else text(result))
 
 
