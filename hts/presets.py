@@ -45,7 +45,7 @@ QUICK: dict[str, Any] = {
     "sweep": {"kl_bounds": [1.0], "anchors": ["best"]},
     "finetune": {
         "num_envs": 128,
-        "steps": 300_000,
+        "steps": 240_000,
         "ppo": {"horizon": 24, "epochs": 5, "minibatches": 2, "learning_rate": 1e-4},
         "env": {"commands": FORWARD},
     },

@@ -128,6 +128,9 @@ def compare(
     _check_finite(objective, comparison)
     blocks = {role: _by_block(_table(scores[role]), segments[role].block) for role in ("policy", "reference")}
 
+    def metric_of(name: str) -> Callable[[Comparison], float]:
+        return lambda found: found.metrics[name]
+
     def bounds(number: Callable[[Comparison], float]) -> tuple[float, float] | None:
         return interval(
             lambda policy, reference: number(compared(policy, reference)),
@@ -138,7 +141,7 @@ def compare(
         )
 
     ci95 = bounds(lambda found: found.improvement)
-    metrics_ci95 = {name: bounds(lambda found, name=name: found.metrics[name]) for name in comparison.metrics}
+    metrics_ci95 = {name: bounds(metric_of(name)) for name in comparison.metrics}
     return HeadToHead(
         speed=speed,
         unit=objective.unit,
