@@ -321,8 +321,8 @@ def walking(seeds, resume=None) -> PopulationTrainer:
     )  # fmt: skip
 
 
-def test_on_the_robot_a_candidate_trains_the_same_alone_and_in_a_crowd():
-    crowd, alone = walking((4, 8, 6)), walking((8,))
+def test_on_the_robot_a_candidate_trains_the_same_alone_and_in_a_population_of_six():
+    crowd, alone = walking((4, 8, 6, 1, 2, 3)), walking((8,))
     for _ in range(3):
         crowd.batch()
         alone.batch()
