@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hts.measurement.checks import spearman
 from hts.run.job import Job
 
 
@@ -28,13 +30,36 @@ def summarise(job: Job) -> dict[str, Any]:
             }
         )  # fmt: skip
     final = job.read("final")
+    checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(config.iterations)]
+    ranks = {name: pooled_ranks([check[name] for check in checks]) for name in job.objectives} if learned else {}
     return {
         "objectives": list(config.objectives), "robot": config.robot.name, "world": config.world.name,
         "preset": config.preset, "engine": config.engine, "seed": config.seed, "reward_source": config.reward_source,
         "wall_seconds": round(sum(job.stages.seconds().values()), 1), "sim_steps": steps,
-        "real_samples": samples + final["samples"], "iterations": iterations,
+        "real_samples": samples + final["samples"], "iterations": iterations, "measurement_models": ranks,
         "final": {"policy": final["policy"], "objectives": final["objectives"]},
     }  # fmt: skip
+
+
+def pooled_ranks(checks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Rank correlation of predicted and measured cost over everything tried in all iterations, elites and reference.
+
+    checks: one `measurement.checks.check` per iteration, of that iteration's own model; the analytic stand-ins in it
+    were fitted to the same data. So predictions of different fits stand side by side, as in the paper's comparison of
+    proxies: a model whose level moves from fit to fit is worth less. None where there is only one policy.
+    """
+
+    def rank(found: Sequence[Mapping[str, Any]]) -> float | None:
+        rows = [row for check in found for row in check["policies"]]
+        return spearman([row["measured"] for row in rows], [row["predicted"] for row in rows])
+
+    proxies = [check.get("proxy") or {} for check in checks]
+    names = dict.fromkeys(name for proxy in proxies for name in proxy)
+    return {
+        "policies": sum(len(check["policies"]) for check in checks),
+        "rank_correlation": rank(checks),
+        "proxy_rank_correlation": {name: rank([proxy[name] for proxy in proxies if name in proxy]) for name in names},
+    }
 
 
 def _model(report: dict[str, Any], checked: dict[str, Any] | None) -> dict[str, Any]:
