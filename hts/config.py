@@ -118,6 +118,10 @@ class PPOConfig(Config):
     multiplier_rate: float = Field(0.05, gt=0, description="eta: step of the Lagrange multiplier per batch")
     centring_rate: float = Field(0.05, gt=0, le=1, description="beta of reward centring, per batch")
     warmup_batches: int = Field(0, ge=0, description="first batches that only fit the critic")
+    tf32: bool = Field(True, description="on a GPU: matrix products of policy and critic in TF32 (10 bits of mantissa)")
+    capture: bool = Field(
+        True, description="on a GPU: control and gradient steps as CUDA graphs; false: one by one, to look for an error"
+    )
 
 
 class FinetuneConfig(Config):

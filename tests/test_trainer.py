@@ -157,8 +157,8 @@ def test_each_candidate_has_its_own_learning_rate():
 
     def adapt(*divergences: float) -> list[float]:
         for index, divergence in enumerate(divergences):
-            made._adapt(index, torch.tensor([divergence]))
-        return [group["lr"] for group in made.param_groups]
+            made.steps.adapt(index, torch.tensor([divergence]))
+        return made.steps.rates
 
     rates = adapt(0.021, 0.004)
     assert rates == pytest.approx([1e-3 / 1.5, 1.5e-3])
@@ -173,7 +173,7 @@ def test_each_candidates_gradient_is_clipped_by_its_own_norm():
     size = vectors(made).shape[1]
     slope = torch.tensor([100.0, 0.5]) / math.sqrt(size)  # gradient norms 100 and 0.5
     for index, vector in enumerate(made.population.vectors):
-        made._step(index, (slope[index] * vector.sum()).unsqueeze(0))
+        made.steps.step(index, (slope[index] * vector.sum()).unsqueeze(0))
     norms = [float(vector.grad.norm()) for vector in made.population.vectors]
     assert norms == pytest.approx([1.0, 0.5], rel=1e-4)
 
@@ -247,7 +247,7 @@ def test_a_candidate_with_a_gradient_that_is_not_finite_is_stopped_and_the_other
     made = trainer((1, 2))
     before = vectors(made)
     for index, factor in enumerate((math.inf, 1.0)):
-        made._step(index, (made.population.vectors[index].sum() * factor).unsqueeze(0))
+        made.steps.step(index, (made.population.vectors[index].sum() * factor).unsqueeze(0))
     assert list(made.stopped) == [0] and "gradient is not finite" in made.stopped[0]
     assert torch.equal(vectors(made)[0], before[0]) and not torch.equal(vectors(made)[1], before[1])
 

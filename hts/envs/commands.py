@@ -15,6 +15,8 @@ DRAWS = 7  # uniform numbers a world needs to resample: vx, vy, heading, yaw rat
 class Commands:
     """The command [P, N, 3] (vx m/s, vy m/s, yaw rate rad/s) of each world and what it follows from."""
 
+    STATE = ("value", "heading", "keeps_heading", "steps_left")
+
     def __init__(self, config: CommandConfig, shape: tuple[int, int], dt: float, device: torch.device):
         self.config, self.dt = config, dt
         self.value = torch.zeros(*shape, 3, device=device)
@@ -68,11 +70,8 @@ class Commands:
         self.value[..., 2] = torch.where(self.keeps_heading, wanted, self.value[..., 2])
 
     def state_dict(self) -> dict[str, torch.Tensor]:
-        return {
-            "value": self.value.clone(), "heading": self.heading.clone(),
-            "keeps_heading": self.keeps_heading.clone(), "steps_left": self.steps_left.clone(),
-        }  # fmt: skip
+        return {name: getattr(self, name).clone() for name in self.STATE}
 
     def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
-        for name in ("value", "heading", "keeps_heading", "steps_left"):
+        for name in self.STATE:
             setattr(self, name, state[name].to(self.value.device).clone())

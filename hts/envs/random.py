@@ -33,6 +33,8 @@ class PopulationRandom:
 
     def permutation(self, count: int) -> torch.Tensor:
         """A random order of range(count) for each candidate, shape [P, count]."""
+        if self.device.type != "cpu":  # one sort for all of them
+            return self.uniform(count).argsort(dim=1)
         return torch.stack([torch.randperm(count, generator=g, device=self.device) for g in self.generators])
 
     def state_dict(self) -> dict[str, torch.Tensor]:

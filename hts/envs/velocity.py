@@ -173,20 +173,28 @@ class VelocityEnv(EnvBase):
         else:
             mask = torch.ones(self.shape2, dtype=torch.bool, device=self.device)
         if bool(mask.any()) or self.device.type != "cpu":
-            self._start_episodes(mask)
+            self.start_episodes(mask)
         done = torch.zeros(*self.shape2, 1, dtype=torch.bool, device=self.device)
         return self._result({"done": done, "terminated": done.clone(), "truncated": done.clone()})
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict["action"]
-        draws = self.random.uniform(self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0))
-        self._draws = draws
+        self.engine.step(self.begin(action))
+        return self.finish(action)
+
+    def begin(self, action: torch.Tensor) -> torch.Tensor:
+        """A control step up to its physics: actions [P, N, J] -> actuator inputs (substeps, P N, J)."""
+        self._draws = self._draw()
         target = torch.addcmul(self.default_pose, self.action_scale, action)
         # A world with delay d applies the previous target in its first d physics steps.
         late = self._substep < self.delay
         ctrl = torch.where(late, self.target - self.joint_offset, target - self.joint_offset)
-        self.engine.step(ctrl.view(self.robot_spec.substeps, -1, ctrl.shape[-1]))
         self.target = target
+        return ctrl.view(self.robot_spec.substeps, -1, ctrl.shape[-1])
+
+    def finish(self, action: torch.Tensor) -> TensorDict:
+        """A control step after its physics: what `_step` returns. On a GPU it never waits for the device."""
+        draws = self._draws
         self.steps = self.steps + 1
         self._push(draws[..., DRAWS : DRAWS + 3])
         motion = self._read(action)
@@ -212,6 +220,10 @@ class VelocityEnv(EnvBase):
         }  # fmt: skip
         return self._result(out)
 
+    def _draw(self) -> torch.Tensor:
+        """The uniform numbers of a step [P, N, ...]."""
+        return self.random.uniform(self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0))
+
     @staticmethod
     def _maybe(mask: torch.Tensor) -> bool:
         """Whether anything is to be done for mask: on a GPU always, since asking would wait for it."""
@@ -228,6 +240,10 @@ class VelocityEnv(EnvBase):
             entries["channels"] = TensorDict(values, batch_size=self.batch_size, device=self.device)
         return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
+    def observations(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """What policy [P, N, O] and critic [P, N, O_c] see now."""
+        return self._observation, self._critic_observation
+
     # ---------------------------------------------------------------------------------------------- physics
 
     def _push(self, draws: torch.Tensor) -> None:
@@ -243,12 +259,10 @@ class VelocityEnv(EnvBase):
         qvel[:, :2] += (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed
         self.engine.reset(mask, self.engine.qpos, qvel)
 
-    def _start_episodes(self, mask: torch.Tensor) -> None:
+    def start_episodes(self, mask: torch.Tensor) -> None:
         """Stand the robots of mask [P, N] up: joints near the default pose, a random heading and a small velocity."""
         if not hasattr(self, "_draws"):
-            self._draws = self.random.uniform(
-                self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0)
-            )
+            self._draws = self._draw()
         joints = self.robot_spec.num_joints
         draws = self._draws[..., DRAWS + 5 : self._fixed_draws]
         velocity, scale, yaw = draws[..., :6] - 0.5, 0.9 + 0.2 * draws[..., 6 : 6 + joints], draws[..., -1]
@@ -349,14 +363,14 @@ class VelocityEnv(EnvBase):
 
     # ------------------------------------------------------------------------------------- saving the whole state
 
-    _STATE = (
+    STATE = (
         "action", "last_joint_velocity", "target", "air_time", "was_contact", "steps", "falls", "breakdowns", "_draws",
         "_observation", "_critic_observation",
     )  # fmt: skip
 
     def full_state(self) -> TensorDict:
         """Physics, commands, buffers and random generators: everything to go on exactly from here."""
-        buffers = {name: getattr(self, name).clone() for name in self._STATE}
+        buffers = {name: getattr(self, name).clone() for name in self.STATE}
         parts = {
             "buffers": buffers, "engine": self.engine.state_dict(), "commands": self.commands.state_dict(),
             "random": self.random.state_dict(),
@@ -365,7 +379,7 @@ class VelocityEnv(EnvBase):
 
     def load_full_state(self, state: TensorDictBase) -> None:
         """Go on from `full_state`."""
-        for name in self._STATE:
+        for name in self.STATE:
             setattr(self, name, state["buffers", name].to(self.device).clone())
         self.engine.load_state_dict(state["engine"])
         self.commands.load_state_dict(state["commands"])

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 class _Measured(Transform):
     """What both transforms share: what they read and write, and their specs."""
 
+    never_waits = True  # for the device, so that a GPU's control step can be captured with them in it
+
     def __init__(self, inputs: tuple[str, ...], outputs: tuple[tuple[str, str], ...]) -> None:
         super().__init__(in_keys=[("channels", name) for name in inputs], out_keys=list(outputs))
         self.inputs = tuple(inputs)
@@ -72,6 +74,8 @@ class MeasurementTransform(_Measured):
     run resumes in mid-episode. The model's weights are not: they have their own file (`measurement.files`).
     """
 
+    STATE = ("memory",)
+
     def __init__(self, model: MeasurementModel, reward: Callable[[Tensor], Tensor], name: str) -> None:
         target = model.config.target
         super().__init__(model.config.inputs, (("measured", target), ("real_reward", name), ("outside", target)))
@@ -91,17 +95,23 @@ class MeasurementTransform(_Measured):
         """The transform of an objective with its fitted model."""
         return cls(model, objective.reward, objective.name)
 
+    def prepare(self, worlds: int, device: torch.device) -> None:
+        """Model and memory on the device: before the first step, since models are fitted on the CPU, and after loading
+        a state saved on another device."""
+        model = self._model[0]
+        if model.feature_mean.device != device:
+            model.to(device)
+        if self.memory is None:
+            self.memory = model.initial_state(worlds)
+        elif self.memory.device != device:
+            self.memory = self.memory.to(device)
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         shape = next_tensordict.batch_size
         worlds = shape.numel()
         model = self._model[0]
         inputs = gather(next_tensordict.get("channels"), self.inputs, worlds)
-        if model.feature_mean.device != inputs.device:  # only before the first step: models are fitted on the CPU
-            model.to(inputs.device)
-        if self.memory is None:
-            self.memory = model.initial_state(worlds)
-        elif self.memory.device != inputs.device:  # only after loading a state saved on another device
-            self.memory = self.memory.to(inputs.device)
+        self.prepare(worlds, inputs.device)
         prediction, self.memory = model.step(inputs, self.memory)
         prediction = prediction.view(*shape, 1)
         measured, real_reward, outside = self.out_keys

@@ -65,6 +65,7 @@ class Population(nn.Module):
             self.register_buffer(f"{name}_mean", torch.zeros(count, 1, size, device=device))
             self.register_buffer(f"{name}_std", torch.ones(count, 1, size, device=device))
             self.register_buffer(f"{name}_count", torch.zeros(count, device=device))
+        self._stacked: torch.Tensor | None = None
         self._cache: list[dict[str, torch.Tensor]] | dict[str, torch.Tensor] | None = None
 
     def _initial_vector(self, init_std: float, seed: int) -> torch.Tensor:
@@ -104,16 +105,25 @@ class Population(nn.Module):
     def refresh(self) -> None:
         """Renew what `mean` and `value` use without gradients; call after every change of parameters.
 
-        On the CPU weights are copied, laid out by column: a product with few observations is then twice as fast.
+        On the CPU weights are copied, laid out by column: a product with few observations is then twice as fast. On a
+        GPU they are copied to where they were before, which is where a captured graph reads them.
         """
         with torch.no_grad():
-            named = self.named()
-            if isinstance(named, list):
-                named = [
-                    {name: v.t().contiguous().t() if v.ndim == 2 else v.clone() for name, v in one.items()}
-                    for one in named
+            if self.device.type == "cpu":
+                self._cache = [
+                    {
+                        name: v.t().contiguous().t() if v.ndim == 2 else v.clone()
+                        for name, v in self.split(vector).items()
+                    }
+                    for vector in self.vectors
                 ]
-            self._cache = named
+                return
+            stacked = torch.stack(list(self.vectors))
+            if self._stacked is None or self._stacked.device != stacked.device:
+                self._stacked = stacked
+                self._cache = self.split(stacked)
+            else:
+                self._stacked.copy_(stacked)
 
     # ------------------------------------------------------------------------------------------------ forward
 

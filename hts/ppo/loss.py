@@ -32,17 +32,18 @@ class LossParts:
 
 def anchored_ppo_loss(
     population: Population, batch: Mapping[str, torch.Tensor], multipliers: torch.Tensor, *,
-    clip: float, value_coef: float, entropy_coef: float, policy_on: float = 1.0, members: slice = slice(None),
-    normalised: bool = False,
+    clip: float, value_coef: float, entropy_coef: float, policy_on: float | torch.Tensor = 1.0,
+    members: slice = slice(None), normalised: bool = False, named: Mapping[str, torch.Tensor] | None = None,
 ) -> LossParts:  # fmt: skip
     """One minibatch [P, B]: observation, critic_observation, action, old_mean, log_prob, advantage (normalised per
     candidate), target (value target), old_value, old_log_std [P, 1, J]; anchor_mean, anchor_log_std if there is an anchor.
 
     L = -E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)] + v E[max((V - G)^2, (V_clip - G)^2)] - h H + alpha KL(pi || anchor).
     policy_on: 0 fits the critic only. members: whose rows batch and multipliers hold, all without it; normalised: the
-    observations are as the networks see them, which needs doing once for many minibatches.
+    observations are as the networks see them, which needs doing once for many minibatches; named: parameters to use
+    instead of the population's own, stacked, [P, ...] by name.
     """
-    named = population.named(members)
+    named = population.named(members) if named is None else named
     mean, log_std = population.mean(batch["observation"], named, normalised), population.log_std(named)
     ratio = (log_prob(batch["action"], mean, log_std) - batch["log_prob"]).exp()
     advantage = batch["advantage"]

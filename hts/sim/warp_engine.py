@@ -108,8 +108,16 @@ class WarpEngine(Engine):
             self._mjw.step(self._model if index == self.substeps - 1 else self._blind, self._data)
 
     def step(self, ctrl: torch.Tensor) -> None:
-        self._ctrl.copy_(ctrl)
+        self.load(ctrl)
         self.step_raw()
+        self.judge()
+
+    def load(self, ctrl: torch.Tensor) -> None:
+        """Take the actuator inputs of the next control step, (substeps, W, nu)."""
+        self._ctrl.copy_(ctrl)
+
+    def judge(self) -> None:
+        """After physics: which worlds have broken, and whether an input was not finite."""
         self._bad_input |= ~self._ctrl.isfinite().all(dim=2).all(dim=0)
         # Not-a-number compares false, so it counts as broken too.
         fine = (self.qpos.abs() < BROKEN).all(dim=1) & (self.qvel.abs() < BROKEN).all(dim=1)

@@ -1,0 +1,128 @@
+"""Collection and gradient steps as a GPU runs them, here uncaptured on the CPU against what the CPU runs."""
+
+import pytest
+import torch
+
+from hts.config import EnvConfig, PPOConfig
+from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.measurement.transform import MeasurementTransform
+from hts.policies.files import load_policy
+from hts.policies.networks import Population
+from hts.ppo.batched_steps import BatchedSteps
+from hts.ppo.finetune import measured_env
+from hts.ppo.rollout import Rollout, _Pins
+from hts.ppo.steps import SeparateSteps
+from hts.ppo.trainer import PopulationTrainer
+from hts_go1.plugin import make_go1
+
+CHANNELS = ("joint_torque", "joint_velocity")
+CONFIG = PPOConfig(horizon=12, epochs=2, minibatches=2, adaptive_rate=True)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return make_go1({})
+
+
+def make_trainer(robot, seeds=(3, 4), worlds=6) -> PopulationTrainer:
+    """Fine-tuning of two candidates, episodes of five steps, so that some end within each batch."""
+    config = EnvConfig(episode_seconds=0.1, threads=1, randomisation={"models": 2})
+    env = robot.make_env("mujoco", len(seeds), worlds, config, channels=CHANNELS, seeds=list(seeds))
+    model = MeasurementModel(MeasurementModelConfig(inputs=CHANNELS, target="t", hidden=8), [12, 12], 50.0, seed=1)
+    some = torch.randn(50, 25, generator=torch.Generator().manual_seed(0))
+    model.set_normaliser(some[:, :24] * 5, some[:, 24])
+    policy = load_policy(robot.pretrained_policy())
+    population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * len(seeds))
+    population.refresh()
+    return PopulationTrainer(
+        measured_env(env, [MeasurementTransform(model, lambda x: -x, "cost")]), population, CONFIG, seeds=seeds,
+        names=[str(seed) for seed in seeds], anchor=population.frozen(), bounds=torch.full((len(seeds),), 0.5),
+        weights={"cost": torch.ones(len(seeds))},
+    )  # fmt: skip
+
+
+def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot):
+    usual, other = make_trainer(robot), make_trainer(robot)
+    rollout = Rollout(other.env, other.population, other.noise, CONFIG.horizon, capture=False)
+    # Making the collector has reset this env once already; start both from the same place.
+    other.env.base_env.load_full_state(usual.env.base_env.full_state())
+    for _ in range(2):
+        expected, found = usual.collect(), rollout.collect()
+        for key in ("observation", "critic_observation", "action", "action_mean"):
+            assert torch.equal(found[key], expected[key]), key
+        for key in ("reward", "terminated", "truncated", ("real_reward", "cost")):
+            assert torch.equal(found["next"][key], expected["next"][key]), key
+        last = expected["next", "critic_observation"][..., -1, :]
+        assert torch.equal(found["next", "critic_observation"][..., -1, :], last)
+        assert found["next", "truncated"].any()  # episodes have ended, so resets are compared too
+        assert (found["next", "real_reward", "cost"] != 0).any()
+    usual.close()
+    other.close()
+
+
+def test_gradient_steps_taken_together_are_those_taken_apart(robot):
+    trainer = make_trainer(robot)
+    data = trainer.collect()
+    with torch.no_grad():
+        samples = trainer._prepare(data, trainer._rewards(data)[0])
+    for name in ("observation", "critic_observation"):
+        samples[name] = trainer.population.normalised(name, samples[name])
+    constant = {"old_log_std": trainer._old_log_std, "anchor_log_std": trainer.anchor.log_std()}
+    orders = [torch.stack([torch.randperm(72) for _ in range(2)]) for _ in range(3)]
+    results = []
+    for make in (SeparateSteps, lambda *given: BatchedSteps(*given, capture=False)):
+        population = Population.from_candidates(
+            trainer.population.sizes, [trainer.population.candidate(index) for index in range(2)]
+        )
+        steps = make(population, CONFIG, lambda index, reason: pytest.fail(reason))
+        losses = steps.run(samples, constant, torch.tensor([0.0, 2.0]), orders, 1.0)
+        results.append((torch.stack(list(population.vectors)).detach(), losses, torch.tensor(steps.rates)))
+    (apart, losses, rates), (together, same_losses, same_rates) = results
+    assert not torch.equal(apart, torch.stack(list(trainer.population.vectors)))
+    # Adam's first steps have the size of the rate whatever the gradient: a tenth of the rate is close.
+    torch.testing.assert_close(together, apart, atol=0.1 * CONFIG.learning_rate, rtol=0)
+    torch.testing.assert_close(same_rates, rates)
+    for name, loss in losses.items():
+        torch.testing.assert_close(same_losses[name], loss, atol=1e-4, rtol=1e-3)
+    trainer.close()
+
+
+def test_taken_together_a_gradient_that_is_not_finite_stops_its_candidate_alone():
+    from hts.policies.networks import Sizes
+
+    population = Population(Sizes(3, 3, 2, (4,)), 2)
+    before = torch.stack(list(population.vectors)).detach().clone()
+    told = []
+    steps = BatchedSteps(population, CONFIG, lambda index, reason: told.append((index, reason)), capture=False)
+    samples = {
+        "observation": torch.randn(2, 8, 3), "critic_observation": torch.randn(2, 8, 3), "action": torch.randn(2, 8, 2),
+        "old_mean": torch.zeros(2, 8, 2), "log_prob": torch.zeros(2, 8), "advantage": torch.randn(2, 8),
+        "target": torch.randn(2, 8), "old_value": torch.zeros(2, 8),
+    }  # fmt: skip
+    samples["advantage"][0, 3] = torch.inf
+    order = torch.arange(8).expand(2, 8)
+    steps.run(samples, {"old_log_std": torch.zeros(2, 1, 2)}, torch.zeros(2), [order], 1.0)
+    assert told == [(0, "the gradient is not finite")]
+    after = torch.stack(list(population.vectors)).detach()
+    assert torch.isfinite(after).all() and not torch.equal(after[1], before[1])
+    steps.halt(0)
+    now = after.clone()
+    samples["advantage"][0, 3] = 0.0  # even with finite numbers it does not move again
+    steps.run(samples, {"old_log_std": torch.zeros(2, 1, 2)}, torch.zeros(2), [order], 1.0)
+    later = torch.stack(list(population.vectors)).detach()
+    assert torch.equal(later[0], now[0]) and not torch.equal(later[1], now[1])
+
+
+def test_pinned_state_stays_in_its_memory_while_its_values_move():
+    class Owner:
+        def __init__(self):
+            self.kept, self.absent = torch.zeros(2), None
+
+    owner = Owner()
+    pins = _Pins(owner, ("kept", "absent"))
+    place = owner.kept.data_ptr()
+    owner.kept = owner.kept + 1.0
+    pins.settle()
+    assert owner.kept.data_ptr() == place and owner.kept.tolist() == [1.0, 1.0]
+    pins.restore()
+    assert owner.kept.data_ptr() == place and owner.kept.tolist() == [0.0, 0.0]
