@@ -1,4 +1,4 @@
-# make run | test | check (lint and test); each installs first where needed, into .venv, from constraints.txt.
+# make run | test | check (lint and test) | docs; each installs first where needed, into .venv, from constraints.txt.
 
 # The first Python that really starts (a pyenv shim may exist and fail), is 3.11 or 3.12, and can make environments.
 SUPPORTED := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))
@@ -12,7 +12,7 @@ PINS := constraints.txt pyproject.toml $(wildcard plugins/*/pyproject.toml robot
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 WORKERS ?= 2
 
-.PHONY: install install-dev run test lint check format clean
+.PHONY: install install-dev run test lint check format docs clean
 .DEFAULT_GOAL := install
 
 install: .venv/installed
@@ -35,6 +35,10 @@ lint: install-dev
 format: install-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+docs: install-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo site/index.html
 
 clean:
 	rm -rf .venv

@@ -24,6 +24,8 @@ def hts_worlds(register):
 @hookimpl
 def hts_selectors(register):
     register("hierarchical", make_hierarchical)
+    register("pareto", make_pareto)
+    register("racing", make_racing)
 
 
 @hookimpl
@@ -48,6 +50,20 @@ def make_field(settings: Settings, context: WorldContext) -> World:
 def make_hierarchical(settings: Settings) -> Selector:
     """The best in simulation are tested in reality, the best of those goes on."""
     from hts.selection.hierarchical import make
+
+    return make(settings)
+
+
+def make_pareto(settings: Settings) -> Selector:
+    """Several objectives: test along the simulated front, go on with the best compromise that was measured."""
+    from hts.selection.pareto import make
+
+    return make(settings)
+
+
+def make_racing(settings: Settings) -> Selector:
+    """Elites are tested in short rounds until it is clear who is best: the same answer for less of the robot's time."""
+    from hts.selection.racing import make
 
     return make(settings)
 

@@ -119,6 +119,10 @@ class PPOConfig(Config):
     centring_rate: float = Field(0.05, gt=0, le=1, description="beta of reward centring, per batch")
     warmup_batches: int = Field(0, ge=0, description="first batches that only fit the critic")
     tf32: bool = Field(True, description="on a GPU: matrix products of policy and critic in TF32 (10 bits of mantissa)")
+    fuse: bool | None = Field(
+        None,
+        description="on a GPU: the loss through torch.compile, for fewer passes over memory; null: where a C compiler is",
+    )
     capture: bool = Field(
         True, description="on a GPU: control and gradient steps as CUDA graphs; false: one by one, to look for an error"
     )
@@ -137,7 +141,7 @@ class FinetuneConfig(Config):
 class PretrainConfig(Config):
     """The policy to start from, made in simulation with the task's own reward."""
 
-    engine: str = Field("warp", description="mujoco (CPU, hours) or warp (GPU, minutes)")
+    engine: str = Field("warp", description="warp (GPU, minutes), mujoco (CPU, hours) or auto")
     num_envs: int = Field(8192, ge=1, description="worlds")
     steps: int = Field(90_000_000, gt=0, description="control steps in all")
     hidden: tuple[int, ...] = Field((256, 128), min_length=1, description="hidden layers of actor and critic")
@@ -154,13 +158,24 @@ class SweepConfig(Config):
     """Anchors × weights λ × KL bounds c."""
 
     weights: dict[str, tuple[float, ...]] = Field(
-        default_factory=dict, description="λ per objective; missing: the objective's own"
+        default_factory=dict,
+        description="λ per objective; missing: the objective's own. Several objectives: none given, each alone and all "
+        "together, level by level; some given, every combination (all zero is left out)",
     )
     kl_bounds: tuple[float, ...] = Field((0.2, 0.5, 1.0), min_length=1, description="c, nats; .inf: no bound")
-    anchors: tuple[str, ...] = Field(("best", "pretrained"), description="which policies to start from")
+    anchors: tuple[Literal["best", "pretrained", "front"], ...] = Field(
+        ("best", "pretrained"),
+        min_length=1,
+        description="which policies to start from; front: for each combination of λ the measured one that goes furthest "
+        "in its direction",
+    )
 
     @model_validator(mode="after")
     def _positive(self) -> SweepConfig:
+        for name, values in self.weights.items():
+            for value in values:
+                if not (math.isfinite(value) and value >= 0):
+                    raise ValueError(f"weights: {name}: {value} is not a number of at least 0")
         for bound in self.kl_bounds:
             if not bound > 0 or math.isnan(bound):
                 raise ValueError(f"kl_bounds: {bound} is not a positive number")
@@ -223,7 +238,9 @@ class RunConfig(Config):
     objectives: dict[str, dict[str, Any]] = Field(min_length=1, description="name -> settings of its plugin")
     robot: Named
     world: Named
-    engine: str = Field("mujoco", description="mujoco (CPU) or warp (GPU)")
+    engine: str = Field(
+        "auto", description="mujoco (CPU), warp (GPU), or auto: warp where CUDA and its package are there"
+    )
     reward_source: Literal["model", "proxy"] = Field(
         "model", description="r_real from the measurement model, or from the objective's analytic proxy (the baseline)"
     )
@@ -237,3 +254,10 @@ class RunConfig(Config):
     simulation_test: SimulationTestConfig = Field(default_factory=SimulationTestConfig)
     selection: SelectionConfig = Field(default_factory=SelectionConfig)
     evaluation: EvaluationConfig = Field(default_factory=EvaluationConfig)
+
+    @model_validator(mode="after")
+    def _something_to_learn(self) -> RunConfig:
+        given = [self.sweep.weights.get(name) for name in self.objectives]
+        if all(values and not any(values) for values in given):
+            raise ValueError("sweep.weights: every λ is 0, so nothing measured would be learned from; give one above 0")
+        return self

@@ -1,6 +1,7 @@
 """From preset, config file, options and --set to one frozen RunConfig; and from a saved config back to it.
 
-Later wins: preset < --config FILE < --objective, --robot, --world, --engine, --executor, --seed < --set KEY=VALUE.
+Later wins: preset < what several objectives change of it (`presets.SEVERAL`) < --config FILE < --objective, --robot,
+--world, --engine, --executor, --seed < --set KEY=VALUE.
 Mappings are merged key by key, anything else is replaced whole. A world, robot or selector of another
 name drops the settings of the one before it.
 """
@@ -20,14 +21,14 @@ from hts.config import Config, RunConfig
 from hts.contracts import WorldContext
 from hts.errors import ConfigError, unknown_name
 from hts.explain import Location, dotted, explain
-from hts.presets import BASELINES, DEFAULT, PRESETS
+from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
 
 Section = TypeVar("Section", bound=Config)
 
-ENGINES = ("mujoco", "warp")
+ENGINES = ("auto", "mujoco", "warp")
 EXECUTORS = ("local",)
 
 
@@ -54,7 +55,10 @@ def load_config(
     if chosen not in PRESETS:
         raise ConfigError(unknown_name("preset", str(chosen), PRESETS))
 
-    base = merged(copy.deepcopy(PRESETS[chosen]), BASELINES[chosen] if reward_source == "proxy" else {})
+    base = copy.deepcopy(PRESETS[chosen])
+    if len(set(objectives) or written.get("objectives") or ()) > 1:
+        base = merged(base, SEVERAL[chosen])
+    base = merged(base, BASELINES[chosen] if reward_source == "proxy" else {})
     values = merged(base, written)
     values["preset"] = chosen
     if objectives:

@@ -79,7 +79,8 @@ class Robot(ABC):
     """A machine: its model, its numbers, its channels, its first policy.
 
     A log-only robot has a spec and channels but neither model nor policy: `mjcf` and
-    `pretrained_policy` return None; that is enough for import and fit.
+    `pretrained_policy` return None; that is enough for import and fit. A robot whose `make_env` is its own may do
+    without a model too: only the default env, the twin and `hts play` ask for one.
     """
 
     spec: RobotSpec
@@ -103,7 +104,9 @@ class Robot(ABC):
         """A TorchRL env of batch size [num_candidates, num_envs] that writes ("channels", name).
 
         channels: names to write, all if empty; seeds: one per candidate, so that a candidate's random numbers
-        do not depend on its neighbours. The default is the velocity task of `hts.envs`.
+        do not depend on its neighbours. The default is the velocity task of `hts.envs`; `hts.envs.folded` helps to
+        bring another. The env has `dt`, s per control step, and may have `observation_layout` (for the card of a policy
+        that is pretrained in it), `full_state` and `load_full_state` (to go on from a checkpoint), and `engine`.
         """
         from hts.envs.velocity import make_velocity_env
 
@@ -256,6 +259,18 @@ class World(ABC):
         """`head_to_head` of several policies; a simulated world may run them side by side."""
         return [self.head_to_head(policy, reference, speeds) for policy in policies]
 
+    def head_to_head_round(
+        self, policies: Sequence[Path], reference: Path, speed: float, number: int, block_seconds: float
+    ) -> list[list[Recording]] | None:
+        """A short head-to-head of several policies at one speed, for selectors that ask for several rounds.
+
+        number: 0, 1, ...; each round is recorded afresh, and asking for one again gives the same recordings.
+        One list a policy: two blocks of it and two of the reference, of `block_seconds` each, in a balanced order such
+        as A-B-B-A. Blocks of the reference may be shared between the lists. None, the default: this world knows
+        whole head-to-heads only, and that is what elites then get.
+        """
+        return None
+
     def cost(self, robot_seconds: float) -> Mapping[str, float]:
         """What so many seconds of walking will cost here, e.g. {"robot_minutes": 5.3, "wall_seconds": 12.0}."""
         return {"robot_minutes": robot_seconds / 60.0}
@@ -271,13 +286,15 @@ class World(ABC):
 class SimulatedCandidate:
     """A candidate after fine-tuning, judged in simulation by its mean action.
 
-    score: unweighted mean r_real, larger is better; falls: worlds that fell; tracked: whether it keeps the speed.
+    score: unweighted mean r_real, larger is better, summed over objectives; falls: worlds that fell; tracked: whether
+    it keeps the speed; scores: the parts of `score`, objective -> mean r_real, in the order of the run's objectives.
     """
 
     id: str
     score: float
     falls: int
     tracked: bool
+    scores: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -291,6 +308,29 @@ class TestedCandidate:
     __test__ = False  # its name begins like a pytest class
 
 
+@dataclass(frozen=True)
+class Rounds:
+    """How a selector wants tests in rounds: length of each block of a round, s, and how many rounds at most."""
+
+    block_seconds: float
+    most: int
+
+
+@dataclass(frozen=True)
+class RacedCandidate:
+    """An elite after the rounds so far.
+
+    tested: all its rounds together, None if nothing could be reported; racing: whether it was in the last round;
+    halves: two a round, in order, each one block of the policy against one of the reference, as one Comparison per
+    objective (None if it could not be compared). Half n of one candidate was recorded beside half n of the others.
+    """
+
+    id: str
+    tested: TestedCandidate | None
+    racing: bool
+    halves: Sequence[Mapping[str, Comparison] | None]
+
+
 class Selector(ABC):
     """Which candidates are worth the robot's time, and which of the tested ones goes on."""
 
@@ -301,6 +341,19 @@ class Selector(ABC):
     @abstractmethod
     def best(self, tested: Sequence[TestedCandidate]) -> str | None:
         """Id of the anchor of the next iteration; None if nothing beats the reference."""
+
+    def rounds(self) -> Rounds | None:
+        """None, the default: every elite gets one whole head-to-head. Else they are tested in rounds, and `keep` is asked
+        after each."""
+        return None
+
+    def keep(self, raced: Sequence[RacedCandidate]) -> list[str]:
+        """Ids of those still racing that get another round; fewer than two end the test. By default nobody does.
+
+        raced: every elite, also those that are out. It must be a function of `raced` alone: after a stop it is asked
+        again from the first round.
+        """
+        return []
 
 
 class LogReader(ABC):

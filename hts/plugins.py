@@ -135,7 +135,7 @@ def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) ->
         package = _package(point)
         try:
             offered = _offers(point, package)
-        except Exception as error:  # noqa: BLE001 - any fault of a stranger's module is shown, never fatal to others
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - any fault of a stranger's module is shown, never fatal to others
             broken.append(Broken(point.name, package, _reason(error)))
             continue
         for kind, entry in offered:
@@ -191,7 +191,7 @@ def _two_of_one_name(kind: str, first: Entry, second: Entry) -> str:
     )
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: BaseException) -> str:
     """Why a plugin could not be loaded, on one line."""
     text = " ".join(str(error).split())
     if isinstance(error, HtsError):

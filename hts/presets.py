@@ -18,6 +18,7 @@ def _walk(*speeds: float, seconds: float) -> dict[str, Any]:
 
 
 SMOKE: dict[str, Any] = {
+    "engine": "mujoco",  # compiling the kernels of the other one takes longer than this run
     "world": {"name": "twin", "warmup_seconds": 1.0, "block_seconds": 6.0},
     "iterations": 1,
     "collection": {"schedule": _walk(0.5, 0.8, seconds=6.0), "repeats": 1, "exploring": 2},
@@ -70,6 +71,17 @@ PAPER: dict[str, Any] = {
 }
 
 PRESETS: dict[str, dict[str, Any]] = {"smoke": SMOKE, "quick": QUICK, "paper": PAPER}
+
+# Several objectives: elites that cover the simulated front, and every direction goes on from its own best so far.
+SEVERAL: dict[str, dict[str, Any]] = {
+    "smoke": {"selection": {"selector": {"name": "pareto"}, "elites": 3}},
+    "quick": {"sweep": {"anchors": ["front"]}, "selection": {"selector": {"name": "pareto"}, "elites": 6}},
+    "paper": {
+        "sweep": {"anchors": ["front", "pretrained"]},
+        "selection": {"selector": {"name": "pareto"}, "elites": 12},
+    },
+}
+"""Laid over the preset where several objectives run together; a config file and options win over it."""
 
 # The baseline sees no measurements, so one round does; it gets the candidates' samples of all rounds and as many
 # tests in reality (arXiv 2502.10956, experiments: c {0.1, 0.2, 0.5, 1, 5, inf}, 24 tested). The λ are the objective's own.

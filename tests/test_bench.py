@@ -11,9 +11,10 @@ import torch
 pytest.importorskip("hts_go1", reason="a bench needs an installed robot with a model")
 pytest.importorskip("hts_power", reason="a bench needs an installed objective")
 
-from hts.bench import bench_env, bench_fit, bench_sweep, bench_train
+from hts.bench import Sizes, bench_env, bench_fit, bench_sweep, bench_train
 from hts.bench.bare import Replay
-from hts.bench.setup import find, make_trainer, new_model
+from hts.bench.setup import find, make_population, make_trainer, new_model
+from hts.bench.sweeping import same_results
 from hts.errors import ConfigError
 
 RATES = ("steps_per_s", "bare_steps_per_s", "ratio")
@@ -36,15 +37,75 @@ def test_train_reports_how_often_each_batch_is_learned_from():
 
 
 def test_sweep_compares_all_together_with_one_after_another():
-    result = bench_sweep("go1", "power", envs=2, seconds=0.1)
+    result = bench_sweep("go1", "power", envs=2, seconds=0.1, alone=(2,))
     assert result["candidates"] == 6
     assert result["steps_per_s"] > 0 and result["one_after_another_steps_per_s"] > 0 and result["speedup"] > 0
+
+
+def test_sweep_takes_the_number_of_candidates_and_finds_the_fastest_for_one_alone():
+    result = bench_sweep("go1", "power", envs=2, seconds=0.1, candidates=3, alone=(2, 4))
+    assert result["candidates"] == 3
+    assert set(result["alone_steps_per_s"]) == {"2", "4"}
+    fastest = result["alone_steps_per_s"][str(result["fastest_alone_envs"])]
+    assert fastest == max(result["alone_steps_per_s"].values())
+    assert result["speedup_over_fastest"] == pytest.approx(result["steps_per_s"] / fastest)
+
+
+def test_a_candidate_learns_the_same_alone_and_in_the_crowd():
+    machine, objective = find("go1", "power")
+    assert same_results(machine, objective, "mujoco", candidates=3, envs=3) == 0.0
+
+
+def test_the_engine_that_ran_is_reported():
+    result = bench_train("go1", "power", engine="auto", candidates=1, envs=2, seconds=0.1, sizes=Sizes(device="cpu"))
+    assert result["engine"] == "mujoco"
+
+
+def test_larger_networks_act_like_the_shipped_policy():
+    machine, _ = find("go1", "power")
+    shipped = make_population(machine, 1)
+    observation = torch.randn(1, 64, 45, generator=torch.Generator().manual_seed(0))
+    critic_observation = torch.randn(1, 64, 53, generator=torch.Generator().manual_seed(1))
+    for hidden in ((512, 256, 128), (256, 256), (300, 128, 128, 130)):
+        larger = make_population(machine, 1, hidden)
+        assert larger.sizes.hidden == hidden
+        torch.testing.assert_close(larger.mean(observation), shipped.mean(observation), atol=1e-4, rtol=1e-4)
+        value = larger.value(critic_observation)
+        torch.testing.assert_close(value, shipped.value(critic_observation), atol=1e-3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("hidden", [(128, 128), (512,), (512, 64)])
+def test_narrower_networks_are_refused(hidden):
+    machine, _ = find("go1", "power")
+    with pytest.raises(ConfigError, match="none narrower"):
+        make_population(machine, 1, hidden)
+
+
+def test_the_size_of_the_measurement_model_can_be_chosen():
+    machine, objective = find("go1", "power")
+    assert new_model(objective, machine, 128).config.hidden == 128
+
+
+@pytest.mark.parametrize("text", ["512,256", "512-", "big", "0-128"])
+def test_hidden_layers_that_are_no_numbers_are_refused(text, capsys):
+    from hts.cli.main import main
+
+    assert main(["bench", "train", "--hidden", text]) == 2
+    assert "512-256-128" in capsys.readouterr().err
 
 
 def test_fit_counts_samples_times_epochs():
     result = bench_fit("go1", "power", seconds=0.1)
     assert result["samples"] == 5 * 60 * 50  # five recordings of a minute at 50 Hz
     assert result["samples_per_s"] == pytest.approx(result["samples"] * result["epochs"] / result["seconds"])
+
+
+def test_fit_takes_samples_and_epochs_and_reads_them_from_a_store():
+    result = bench_fit("go1", "power", samples=6000, epochs=2)
+    assert (result["samples"], result["epochs"], result["recordings_read"]) == (6000, 2, 2)
+    assert result["read_seconds"] > 0 and result["name_seconds"] > 0
+    # time (8 bytes) and at least torque and velocity of 12 joints and the target, in single precision
+    assert result["store_megabytes"] * 1e6 > 6000 * (8 + 4 * 25)
 
 
 def test_without_names_the_largest_measurement_model_is_in_the_loop():

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from hts.config import CommandConfig, EnvConfig, RandomisationConfig
-from hts.envs.velocity import NOISE, observation_layout
+from hts.envs.observation import NOISE, observation_layout
 from hts.errors import ConfigError, SimulationError
 
 pytest.importorskip("hts_go1", reason="the robot of these tests is not installed")

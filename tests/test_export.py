@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from hts.contracts import RobotSpec
-from hts.envs.velocity import observation_layout
+from hts.envs.observation import observation_layout
 from hts.errors import PolicyError, RunError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.export import to_onnx, to_torchscript

@@ -143,3 +143,22 @@ def test_a_mapping_with_a_misspelt_key_is_named_with_its_file(run, policy, robot
     write_log(bundle(run) / "logs" / "00.csv", robot)
     with pytest.raises(ConfigError, match=r"mapping.yaml: .*rate_h"):
         field(run).collect([policy], walking(0.5, SECONDS))
+
+
+def test_each_round_of_a_race_is_one_bundle_and_its_policies_share_the_reference(run, policy, robot):
+    asked = ([policy, policy], policy, 0.8)
+    with pytest.raises(WaitingForRobot, match="6 of 6 logs"):
+        field(run).head_to_head_round(*asked, 0, SECONDS)
+    first = bundle(run)
+    plan = json.loads((first / "plan.json").read_text())
+    assert [row["role"] for row in plan] == ["reference", "policy", "policy", "policy", "policy", "reference"]
+    assert len({row["session"] for row in plan}) == 1
+    fill_in(run)
+    for number in range(6):
+        write_log(first / "logs" / f"{number:02d}.csv", robot)
+    rows = field(run).head_to_head_round(*asked, 0, SECONDS)
+    assert [[recording.block for recording in row] for row in rows] == [[0, 1, 4, 5], [0, 2, 3, 5]]
+    assert rows[0][0] is rows[1][0]
+    with pytest.raises(WaitingForRobot, match="6 of 6 logs"):
+        field(run).head_to_head_round(*asked, 1, SECONDS)
+    assert len([path for path in first.parent.iterdir() if path.is_dir()]) == 2

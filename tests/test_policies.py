@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from hts.contracts import RobotSpec
-from hts.envs.velocity import critic_observation_size, observation_layout
+from hts.envs.observation import critic_observation_size, observation_layout
 from hts.errors import PolicyError
 from hts.policies.export import to_onnx, to_torchscript
 from hts.policies.files import Policy, load_policy, make_card, save_policy

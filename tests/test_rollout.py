@@ -4,13 +4,15 @@ import pytest
 import torch
 
 from hts.config import EnvConfig, PPOConfig
+from hts.envs.random import Ahead, PopulationRandom
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig
 from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
 from hts.policies.networks import Population
 from hts.ppo.batched_steps import BatchedSteps
+from hts.ppo.capture import Pins
 from hts.ppo.finetune import measured_env
-from hts.ppo.rollout import Rollout, _Pins
+from hts.ppo.rollout import Rollout
 from hts.ppo.steps import SeparateSteps
 from hts.ppo.trainer import PopulationTrainer
 from hts_go1.plugin import make_go1
@@ -60,14 +62,54 @@ def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot):
     other.close()
 
 
+def test_what_is_computed_beside_the_physics_is_what_learning_would_compute_itself(robot):
+    trainer = make_trainer(robot)
+    rollout = Rollout(
+        trainer.env, trainer.population, trainer.noise, CONFIG.horizon, capture=False, aside=True, anchor=trainer.anchor
+    )
+    data = rollout.collect()
+    with torch.no_grad():
+        reward = trainer._rewards(data)[0]
+        (found, _), (expected, _) = (
+            trainer._prepare(data, reward),
+            trainer._prepare(data.exclude("value", "anchor_mean"), reward),
+        )
+    assert {"value", "anchor_mean"} <= set(data.keys())
+    for name, value in expected.items():
+        torch.testing.assert_close(found[name], value, atol=1e-5, rtol=1e-5)
+    trainer.close()
+
+
+def test_numbers_drawn_ahead_differ_from_step_to_step_and_depend_on_their_own_candidate_alone():
+    def steps(seeds):
+        random, time = PopulationRandom(seeds, torch.device("cpu")), torch.zeros(1, dtype=torch.int64)
+        random.ahead = Ahead(random, 3, time)
+        seen = []
+        for batch in range(2):
+            if batch:
+                random.ahead.renew()
+            for step in range(3):
+                time.fill_(step)
+                random.ahead.begin()
+                seen.append(torch.cat((random.uniform(4, 2), random.uniform(4, 2), random.normal(4, 1)), -1))
+        return torch.stack(seen)
+
+    both, alone = steps([5, 6]), steps([6])
+    assert torch.equal(both[:, 1], alone[:, 0])
+    assert len(set(both.flatten().tolist())) == both.numel()  # nothing comes twice
+    random = PopulationRandom([1], torch.device("cpu"))
+    random.ahead = Ahead(random, 3, torch.zeros(1, dtype=torch.int64))
+    random.uniform(4)
+    random.ahead.begin()
+    with pytest.raises(RuntimeError, match="draw 0"):
+        random.uniform(5)
+
+
 def test_gradient_steps_taken_together_are_those_taken_apart(robot):
     trainer = make_trainer(robot)
     data = trainer.collect()
     with torch.no_grad():
-        samples = trainer._prepare(data, trainer._rewards(data)[0])
-    for name in ("observation", "critic_observation"):
-        samples[name] = trainer.population.normalised(name, samples[name])
-    constant = {"old_log_std": trainer._old_log_std, "anchor_log_std": trainer.anchor.log_std()}
+        samples, constant = trainer._prepare(data, trainer._rewards(data)[0])
     orders = [torch.stack([torch.randperm(72) for _ in range(2)]) for _ in range(3)]
     results = []
     for make in (SeparateSteps, lambda *given: BatchedSteps(*given, capture=False)):
@@ -119,7 +161,7 @@ def test_pinned_state_stays_in_its_memory_while_its_values_move():
             self.kept, self.absent = torch.zeros(2), None
 
     owner = Owner()
-    pins = _Pins(owner, ("kept", "absent"))
+    pins = Pins(owner, ("kept", "absent"))
     place = owner.kept.data_ptr()
     owner.kept = owner.kept + 1.0
     pins.settle()

@@ -65,6 +65,17 @@ def test_with_several_objectives_the_first_one_decides_or_the_one_named():
     assert make({"objective": "y"}).best(candidates) == "b"
 
 
+def test_with_several_objectives_the_same_one_decides_in_simulation():
+    candidates = [
+        SimulatedCandidate("a", 4, 0, True, {"x": 3, "y": 1}),
+        SimulatedCandidate("b", 9, 0, True, {"x": 1, "y": 8}),
+    ]
+    assert SELECTOR.elites(candidates, 1) == ["a"]
+    assert make({"objective": "y"}).elites(candidates, 1) == ["b"]
+    with pytest.raises(ConfigError, match="No objective named 'z'"):
+        make({"objective": "z"}).elites(candidates, 1)
+
+
 def test_naming_an_objective_that_does_not_run_is_refused():
     with pytest.raises(ConfigError, match="No objective named 'yy'. Did you mean 'y'"):
         make({"objective": "yy"}).best([elite("a", x=0.3, y=0.1)])

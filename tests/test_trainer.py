@@ -132,7 +132,7 @@ def test_the_bounded_kl_is_seen_from_the_policy_being_trained():
         made.population.split(made.population.vectors[0])["log_std"].add_(math.log(2.0))  # twice as wide as its anchor
     made.population.refresh()
     observation = torch.rand(1, 5, 3)
-    kl = made._measure_kl({"observation": observation, "anchor_mean": made.anchor.mean(observation)})
+    kl = made._measure_kl({"observation": observation.unsqueeze(2)}, made.anchor.mean(observation))
     assert float(kl) == pytest.approx(2 * (1.5 - math.log(2)), rel=1e-5)  # two actions; the other way round 0.64
 
 

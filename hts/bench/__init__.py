@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from hts.bench.collecting import bench_env
 from hts.bench.fitting import bench_fit
-from hts.bench.training import bench_sweep, bench_train
+from hts.bench.setup import Sizes
+from hts.bench.sweeping import bench_sweep
+from hts.bench.training import bench_train
 
-__all__ = ["bench_env", "bench_fit", "bench_sweep", "bench_train"]
+__all__ = ["Sizes", "bench_env", "bench_fit", "bench_sweep", "bench_train"]

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from hts.bench.bare import Replay, synchronise
-from hts.bench.setup import conditions, find, make_trainer
+from hts.bench.setup import Sizes, conditions, find, make_trainer
 from hts.ppo.trainer import PopulationTrainer
 
 WARM_UP, LEAST_ROUNDS = 3, 3  # batches
@@ -16,15 +16,15 @@ WARM_UP, LEAST_ROUNDS = 3, 3  # batches
 
 def bench_env(
     robot: str | None, objective: str | None, engine: str = "mujoco", candidates: int = 6, envs: int = 64,
-    seconds: float = 10.0,
+    seconds: float = 10.0, sizes: Sizes | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Collection by the collector, exploring policies, env and measurement model of a real run, in control steps per
     second over all worlds; `profile` is where the time of a step goes. Keys: steps_per_s, bare_steps_per_s, ratio, …"""
     machine, chosen = find(robot, objective)
-    trainer = make_trainer(machine, chosen, engine, candidates, envs)
+    trainer = make_trainer(machine, chosen, engine, candidates, envs, sizes=sizes)
     try:
         result = measure(trainer, trainer.collect, seconds)
-        return {"bench": "env", **result, "profile": profile(trainer), **conditions(trainer, machine, chosen, engine)}
+        return {"bench": "env", **result, "profile": profile(trainer), **conditions(trainer, machine, chosen)}
     finally:
         trainer.close()
 
@@ -52,8 +52,13 @@ def measure(trainer: PopulationTrainer, work: Callable[[], Any], seconds: float)
     }  # fmt: skip
 
 
-def profile(trainer: PopulationTrainer, batches: int = 3) -> dict[str, float]:
-    """Shares of collection: physics, policy, measurement, env (reward, observation, resets), collector (the rest)."""
+def profile(trainer: PopulationTrainer, batches: int = 3) -> dict[str, float] | None:
+    """Shares of collection: physics, policy, measurement, env (reward, observation, resets), collector (the rest).
+
+    None on a GPU, where the parts of a step are captured graphs and the time in Python says nothing.
+    """
+    if trainer.population.device.type != "cpu":
+        return None
     env, population = trainer.env, trainer.population
     clocks = {
         "physics": Clock(env.engine, "step"), "policy": Clock(trainer.actor, "forward"),

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
+from hts.bench.widening import widened
 from hts.config import EnvConfig, PPOConfig
 from hts.errors import ConfigError
 from hts.measurement.models import MeasurementModel, gather
@@ -21,6 +23,8 @@ from hts.policies.networks import Population
 from hts.ppo.actor import Explorer
 from hts.ppo.finetune import measured_env
 from hts.ppo.trainer import PopulationTrainer
+from hts.sim.mujoco_engine import MujocoEngine
+from hts.sim.selection import select_engine
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, Robot
@@ -47,31 +51,57 @@ def find(robot: str | None, objective: str | None) -> tuple[Robot, Objective]:
     return machine, max(fitting, key=lambda one: new_model(one, machine).num_features)
 
 
-def new_model(objective: Objective, robot: Robot) -> MeasurementModel:
+@dataclass(frozen=True)
+class Sizes:
+    """What a bench runs on, where it is not the default.
+
+    device: of the env, as `EnvConfig.device`; hidden: layers of actor and critic, none: the shipped policy's;
+    memory: units of the measurement model, 0: the objective's own.
+    """
+
+    device: str = "auto"
+    hidden: tuple[int, ...] = ()
+    memory: int = 0
+
+
+def new_model(objective: Objective, robot: Robot, memory: int = 0) -> MeasurementModel:
     """The objective's network of its default configuration, unfitted: it costs what a fitted one costs."""
     channels = robot.channels()
     sizes = [max(1, torch.Size(channels[name].shape).numel()) for name in objective.inputs]
-    return MeasurementModel(objective.measurement_model(), sizes, robot.spec.control_rate_hz)
+    config = objective.measurement_model()
+    config = config.model_copy(update={"hidden": memory}) if memory else config
+    return MeasurementModel(config, sizes, robot.spec.control_rate_hz)
 
 
-def make_population(robot: Robot, count: int) -> Population:
-    """Candidates that all start as the robot's shipped policy, sigma included."""
+def make_population(robot: Robot, count: int, hidden: Sequence[int] = ()) -> Population:
+    """Candidates that all start as the robot's shipped policy, sigma included; hidden: in larger networks."""
     path = robot.pretrained_policy()
     assert path is not None
     policy = load_policy(path)
-    return Population.from_candidates(policy.card.sizes(), [policy.tensors] * count)
+    sizes, tensors = policy.card.sizes(), policy.tensors
+    if hidden and tuple(hidden) != sizes.hidden:
+        sizes, tensors = widened(sizes, tensors, tuple(hidden))
+    return Population.from_candidates(sizes, [tensors] * count)
 
 
 def make_trainer(
-    robot: Robot, objective: Objective, engine: str, candidates: int, envs: int, seed: int = 0, ppo: PPOConfig | None = None
+    robot: Robot, objective: Objective, engine: str, candidates: int, envs: int, seed: int = 0,
+    ppo: PPOConfig | None = None, sizes: Sizes | None = None, model: MeasurementModel | None = None,
 ) -> PopulationTrainer:  # fmt: skip
-    """A trainer as fine-tuning makes it: anchored, bounded, with the measurement model's reward, already walking."""
+    """A trainer as fine-tuning makes it: anchored, bounded, with the measurement model's reward, already walking.
+
+    model: one with its input statistics; without it a new one, which takes them from a second of walking.
+    """
+    sizes = sizes or Sizes()
     seeds = [seed + index for index in range(candidates)]
-    env = robot.make_env(engine, candidates, envs, EnvConfig(), channels=objective.inputs, seeds=seeds)
-    population = make_population(robot, candidates).to(env.device)
+    config = EnvConfig(device=sizes.device)
+    engine = select_engine(engine, sizes.device)
+    env = robot.make_env(engine, candidates, envs, config, channels=objective.inputs, seeds=seeds)
+    population = make_population(robot, candidates, sizes.hidden).to(env.device)
     population.refresh()
-    model = new_model(objective, robot)
-    _take_statistics(env, population, model)
+    if model is None:
+        model = new_model(objective, robot, sizes.memory)
+        _take_statistics(env, population, model)
     env = measured_env(env, [MeasurementTransform.of(objective, model)])
     return PopulationTrainer(
         env, population, ppo or PPOConfig(), seeds=seeds, names=[str(seed) for seed in seeds], anchor=population.frozen(),
@@ -92,15 +122,16 @@ def _take_statistics(env: EnvBase, population: Population, model: MeasurementMod
     model.set_normaliser(inputs, inputs.square().mean(1))
 
 
-def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective, engine: str) -> dict[str, Any]:
-    """What was measured where, for the JSON."""
+def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective) -> dict[str, Any]:
+    """What was measured where, for the JSON; `engine` is the one that ran."""
     shape: Sequence[int] = trainer.env.batch_size
+    made = trainer.env.engine
     return {
-        "robot": robot.spec.name, "engine": engine, "candidates": shape[0], "envs": shape[1],
+        "robot": robot.spec.name, "engine": "mujoco" if isinstance(made, MujocoEngine) else "warp", "candidates": shape[0], "envs": shape[1],
         "horizon": trainer.config.horizon, "substeps": robot.spec.substeps,
         "measurement": f"{objective.name}: unfitted model of the default size, statistics from the collected channels",
-        "device": _device(trainer.population.device), "cores": os.cpu_count() or 1,
-        "engine_threads": getattr(trainer.env.engine, "threads", 0), "torch_threads": 1,  # see `hts.ppo.threads`
+        "hidden": list(trainer.population.sizes.hidden), "device": _device(trainer.population.device), "cores": os.cpu_count() or 1,
+        "engine_threads": getattr(made, "threads", 0), "torch_threads": 1,  # see `hts.ppo.threads`
         "torch": str(torch.__version__),
     }  # fmt: skip
 

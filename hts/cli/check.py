@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
+from hts.cli import options
+
+FAILED = 1
+
 
 def command(
     package: Annotated[
-        str, typer.Argument(metavar="PACKAGE", help="An installed distribution. `hts plugins` lists them.")
+        str,
+        typer.Argument(metavar="PACKAGE", help="An installed distribution (`hts plugins` lists them), or its folder."),
     ],
+    json_: options.AsJson = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only what is not kept, and the count.")] = False,
 ) -> None:
     """Test everything that a plugin package offers against the contracts. Exit status 1 if something is not kept."""
+    from hts.cli.commands import COMMANDS
     from hts.plugins import load
-    from hts.testing.conformance import check_package
+    from hts.testing.conformance import check_package, package_of
 
-    findings = check_package(load(), package)
-    for finding in findings:
-        typer.echo(f"{'ok  ' if finding.fault is None else 'FAIL'}  {finding.subject}: {finding.demand}")
-        if finding.fault is not None:
-            typer.echo(f"      {finding.fault}")
+    name = package_of(package)
+    findings = check_package(load(), name, reserved=COMMANDS)
     failed = sum(finding.fault is not None for finding in findings)
-    typer.echo(f"{package}: {len(findings)} checks, {failed} failed")
+    if json_:
+        typer.echo(
+            json.dumps({"package": name, "failed": failed, "findings": [asdict(one) for one in findings]}, indent=2)
+        )
+    else:
+        for finding in findings:
+            if finding.fault is not None or not quiet:
+                typer.echo(f"{'ok  ' if finding.fault is None else 'FAIL'}  {finding.line()}")
+        typer.echo(f"{name}: {len(findings)} checks, {failed} failed")
     if failed:
-        raise typer.Exit(1)
+        raise typer.Exit(FAILED)

@@ -13,8 +13,10 @@ def command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="What it is called on the command line.")],
     to: Annotated[Path, typer.Option(metavar="DIR", help="Where the package's folder goes.")] = Path("."),
 ) -> None:
-    """Write a package that installs, passes `hts check`, and says what to change."""
-    from hts.testing.starters import write_starter
+    """Write a package that installs, passes `hts check`, runs as it is, and says what to change."""
+    from hts.testing.starters import first_run, write_starter
 
     folder = write_starter(kind, name, to)
-    typer.echo(f"{folder}\nnext: pip install -e {folder} && hts check {folder.name}")
+    typer.echo(f"{folder}")
+    typer.echo(f"next: pip install -e {folder} && hts check {folder.name} && python -m pytest {folder}")
+    typer.echo(f"then: {first_run(kind, name)}")

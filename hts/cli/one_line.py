@@ -11,6 +11,7 @@ from pathlib import Path
 
 import typer
 
+from hts.cli.device_faults import device_fault
 from hts.errors import HtsError, RunError, WaitingForRobot
 
 DISK_FAULTS: dict[int, str] = {
@@ -35,7 +36,7 @@ def one_line(error: Exception) -> tuple[str, int] | None:
         return _usage(error), error.exit_code
     if isinstance(error, typer.Abort):
         return "stopped", 1
-    fault = disk_fault(error)
+    fault = disk_fault(error) or device_fault(error)
     return (f"error: {fault}", RunError.exit_code) if fault else None
 
 
@@ -72,7 +73,7 @@ def resumable(folder: Path) -> Iterator[None]:
             raise
         raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error
     except Exception as error:
-        fault = disk_fault(error, folder)
+        fault = disk_fault(error, folder) or device_fault(error)
         if fault is None:
             raise
         raise RunError(f"{fault} Then `hts resume {folder}` goes on.") from error

@@ -22,7 +22,7 @@ ConfigFile = Annotated[Path | None, typer.Option("--config", help="YAML file lai
 Overrides = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value, key dotted; repeat for several.")
 ]
-Engine = Annotated[str | None, typer.Option(help="Training physics: mujoco (CPU) or warp (GPU).")]
+Engine = Annotated[str | None, typer.Option(help="Training physics: mujoco (CPU), warp (GPU), or auto.")]
 Executor = Annotated[str | None, typer.Option(help="Where candidates train: local.")]
 Seed = Annotated[int | None, typer.Option(help="Of everything random in the run.")]
 Out = Annotated[Path | None, typer.Option(help="Run folder; default runs/OBJECTIVE-ROBOT-PRESET-SEED.")]

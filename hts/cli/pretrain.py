@@ -30,6 +30,10 @@ def command(
     machine = load().make_robot(robot)
     refuse_existing(out)
     from hts.ppo.pretrain import pretrain_policy
+    from hts.sim.selection import select_engine
+
+    engine = select_engine(settings.engine, settings.env.device, tell=lambda line: typer.echo(line, err=True))
+    settings = settings.model_copy(update={"engine": engine})
 
     typer.echo(str(pretrain_policy(machine, settings, out, progress=tell)))
 

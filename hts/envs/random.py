@@ -7,6 +7,39 @@ from collections.abc import Mapping, Sequence
 import torch
 
 
+class Ahead:
+    """The numbers of several steps drawn at once, before the first of them: a step that is a captured graph then only
+    looks up its row, and many small draws become few large ones.
+
+    random: whose generators draw; steps: how many; time (1,): the step that is running, on the device.
+    """
+
+    def __init__(self, random: PopulationRandom, steps: int, time: torch.Tensor) -> None:
+        self.random, self.steps, self.time = random, steps, time
+        self._drawn: list[tuple[str, tuple[int, ...], torch.Tensor]] = []
+        self._count = 0
+
+    def begin(self) -> None:
+        """A step begins; it makes the same draws in the same order as every other."""
+        self._count = 0
+
+    def next(self, kind: str, shape: tuple[int, ...]) -> torch.Tensor:
+        """The numbers [P, *shape] of the running step's next draw."""
+        if self._count == len(self._drawn):
+            room = torch.empty(len(self.random.generators), self.steps, *shape, device=self.random.device)
+            self._drawn.append((kind, shape, self.random.fill(kind, room)))
+        known, size, numbers = self._drawn[self._count]
+        if (known, size) != (kind, shape):
+            raise RuntimeError(f"draw {self._count} of a step was {known}{size}, now it is {kind}{shape}")
+        self._count += 1
+        return numbers.index_select(1, self.time).squeeze(1)
+
+    def renew(self) -> None:
+        """Draw the numbers of the next steps."""
+        for kind, _, numbers in self._drawn:
+            self.random.fill(kind, numbers)
+
+
 class PopulationRandom:
     """P generators on one device; every draw has shape [P, ...].
 
@@ -16,25 +49,31 @@ class PopulationRandom:
     def __init__(self, seeds: Sequence[int], device: torch.device):
         self.device = device
         self.generators = [torch.Generator(device).manual_seed(int(seed)) for seed in seeds]
+        self.ahead: Ahead | None = None
 
     def uniform(self, *shape: int) -> torch.Tensor:
         """Uniform in [0, 1), shape [P, *shape]."""
-        out = torch.empty(len(self.generators), *shape, device=self.device)
-        for row, generator in zip(out, self.generators, strict=True):
-            row.uniform_(generator=generator)
-        return out
+        return self._draw("uniform_", shape)
 
     def normal(self, *shape: int) -> torch.Tensor:
         """Standard normal, shape [P, *shape]."""
-        out = torch.empty(len(self.generators), *shape, device=self.device)
+        return self._draw("normal_", shape)
+
+    def _draw(self, kind: str, shape: tuple[int, ...]) -> torch.Tensor:
+        if self.ahead is not None:
+            return self.ahead.next(kind, shape)
+        return self.fill(kind, torch.empty(len(self.generators), *shape, device=self.device))
+
+    def fill(self, kind: str, out: torch.Tensor) -> torch.Tensor:
+        """Fill out [P, ...], each row from its own generator; kind: a torch method that fills."""
         for row, generator in zip(out, self.generators, strict=True):
-            row.normal_(generator=generator)
+            getattr(row, kind)(generator=generator)
         return out
 
     def permutation(self, count: int) -> torch.Tensor:
         """A random order of range(count) for each candidate, shape [P, count]."""
         if self.device.type != "cpu":  # one sort for all of them
-            return self.uniform(count).argsort(dim=1)
+            return self.fill("uniform_", torch.empty(len(self.generators), count, device=self.device)).argsort(dim=1)
         return torch.stack([torch.randperm(count, generator=g, device=self.device) for g in self.generators])
 
     def state_dict(self) -> dict[str, torch.Tensor]:

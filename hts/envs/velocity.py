@@ -17,17 +17,12 @@ from hts.config import EnvConfig
 from hts.contracts import Robot, RobotSpec
 from hts.envs import rewards
 from hts.envs.commands import DRAWS, Commands
+from hts.envs.observation import NOISE, critic_observation_size, observation_layout
 from hts.envs.random import PopulationRandom
 from hts.errors import ConfigError
 from hts.sim.engine import Engine, make_engine
 from hts.sim.models import variants
 
-# What the policy sees, in this order, all of it measurable on a robot. joint_position_offset = q - default pose.
-OBSERVATION = (
-    "angular_velocity", "projected_gravity", "command", "joint_position_offset", "joint_velocity", "last_action",
-)  # fmt: skip
-# Uniform sensor noise of training, +-, per observation entry (Rudin et al. 2022): rad/s, 1, rad, rad/s.
-NOISE = {"angular_velocity": 0.2, "projected_gravity": 0.05, "joint_position_offset": 0.01, "joint_velocity": 1.5}
 # An episode ends below this share of the standing height or beyond this tilt (gravity's z in the trunk frame: -1 is upright).
 FALL_HEIGHT, FALL_GRAVITY_Z = 0.55, -0.5
 
@@ -36,17 +31,6 @@ CHANNEL_FIELDS = {
     "joint_position": "_joint_position", "joint_velocity": "_joint_velocity", "joint_target": "target",
     "projected_gravity": "_gravity", "base_velocity": "_velocity",
 }  # fmt: skip
-
-
-def observation_layout(num_joints: int) -> list[dict[str, int | str]]:
-    """Names and sizes of the observation's parts, in order."""
-    sizes = {"angular_velocity": 3, "projected_gravity": 3, "command": 3}
-    return [{"name": name, "size": sizes.get(name, num_joints)} for name in OBSERVATION]
-
-
-def critic_observation_size(num_joints: int, num_feet: int) -> int:
-    """What the critic sees: the observation without noise, trunk velocity (3), height and foot contacts."""
-    return 9 + 3 * num_joints + 4 + num_feet
 
 
 class VelocityEnv(EnvBase):

@@ -36,6 +36,29 @@ def head_to_heads(
     return {speed: compare(objective, group, config, seed) for speed, group in by_speed(recordings).items()}
 
 
+def walked_speeds(
+    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+) -> tuple[Results, dict[str, str]]:
+    """`head_to_heads`, but a speed that the policy does not keep is refused alone: results, and speed key -> why.
+
+    A run ends with what it measured: a policy chosen at one speed may walk too slowly at another. Raises
+    EvaluationError if no speed is left, or if the reference itself cannot be judged.
+    """
+    results: Results = {}
+    refused: dict[str, str] = {}
+    last: TooFewSegments | None = None
+    for speed, group in by_speed(recordings).items():
+        try:
+            results[speed] = compare(objective, group, config, seed)
+        except TooFewSegments as error:
+            if error.role == "reference":
+                raise
+            refused[speed_key(speed)], last = str(error), error
+    if not results and last is not None:
+        raise last
+    return results, refused
+
+
 def final_entry(
     objective: Objective,
     recordings_by_speed: Mapping[float, Sequence[Recording]],

@@ -101,31 +101,9 @@ def compare(
     speeds, fewer than `config.min_valid` of the segments valid, fewer than `config.min_segments` of either policy, or a
     quantity that is not a finite number.
     """
-    speed = _one_speed(recordings)
-    ordered = sorted(recordings, key=lambda recording: (recording.session, recording.block))
-    segments: dict[str, Segments] = {}
-    scores: dict[str, dict[str, np.ndarray]] = {}
-    for role in ("policy", "reference"):
-        segments[role] = cut([r for r in ordered if r.role == role], config.speed_tolerance)
-        _check_enough(segments[role], role, speed, config)
-        scores[role] = _scores(objective, segments[role], role)
-    names = list(scores["policy"])
-    if names != list(scores["reference"]):
-        raise EvaluationError(
-            f"Objective '{objective.name}' scores other quantities for the reference than for the policy."
-        )
-
-    def compared(policy: np.ndarray, reference: np.ndarray) -> Comparison:
-        try:
-            return objective.compare(_named(names, policy), _named(names, reference))
-        except ArithmeticError as error:
-            raise EvaluationError(
-                f"Objective '{objective.name}' cannot compare {_named(names, policy)} with "
-                f"{_named(names, reference)}: {error}. Check the idle level and the recordings."
-            ) from error
-
-    comparison = compared(*(_table(scores[role]).mean(axis=0) for role in ("policy", "reference")))
-    _check_finite(objective, comparison)
+    measured = _measure(objective, recordings, config)
+    segments, scores, compared = measured.segments, measured.scores, measured.compared
+    comparison = measured.comparison()
     blocks = {role: _by_block(_table(scores[role]), segments[role].block) for role in ("policy", "reference")}
 
     def metric_of(name: str) -> Callable[[Comparison], float]:
@@ -143,7 +121,7 @@ def compare(
     ci95 = bounds(lambda found: found.improvement)
     metrics_ci95 = {name: bounds(metric_of(name)) for name in comparison.metrics}
     return HeadToHead(
-        speed=speed,
+        speed=measured.speed,
         unit=objective.unit,
         comparison=comparison,
         improvement_ci95=ci95,
@@ -153,6 +131,57 @@ def compare(
         policy_scores=scores["policy"],
         reference_scores=scores["reference"],
     )
+
+
+def point(objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig) -> Comparison:
+    """What `compare` finds, without intervals. Raises EvaluationError as it does."""
+    return _measure(objective, recordings, config).comparison()
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Valid segments and the objective's quantities of each, by role; names: of the quantities, in order."""
+
+    objective: Objective
+    speed: float
+    segments: Mapping[str, Segments]
+    scores: Mapping[str, Mapping[str, np.ndarray]]
+    names: Sequence[str]
+
+    def compared(self, policy: np.ndarray, reference: np.ndarray) -> Comparison:
+        """Of two means, each (Q,)."""
+        one, other = _named(self.names, policy), _named(self.names, reference)
+        try:
+            return self.objective.compare(one, other)
+        except ArithmeticError as error:
+            raise EvaluationError(
+                f"Objective '{self.objective.name}' cannot compare {one} with {other}: {error}. "
+                "Check the idle level and the recordings."
+            ) from error
+
+    def comparison(self) -> Comparison:
+        """Of the means over all valid segments."""
+        found = self.compared(*(_table(self.scores[role]).mean(axis=0) for role in ("policy", "reference")))
+        _check_finite(self.objective, found)
+        return found
+
+
+def _measure(objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig) -> _Measured:
+    """Cut the blocks of both roles and score their segments. Raises EvaluationError as `compare` does."""
+    speed = _one_speed(recordings)
+    ordered = sorted(recordings, key=lambda recording: (recording.session, recording.block))
+    segments: dict[str, Segments] = {}
+    scores: dict[str, dict[str, np.ndarray]] = {}
+    for role in ("policy", "reference"):
+        segments[role] = cut([r for r in ordered if r.role == role], config.speed_tolerance)
+        _check_enough(segments[role], role, speed, config)
+        scores[role] = _scores(objective, segments[role], role)
+    names = list(scores["policy"])
+    if names != list(scores["reference"]):
+        raise EvaluationError(
+            f"Objective '{objective.name}' scores other quantities for the reference than for the policy."
+        )
+    return _Measured(objective, speed, segments, scores, names)
 
 
 def by_speed(recordings: Sequence[Recording]) -> dict[float, list[Recording]]:

@@ -55,9 +55,13 @@ class DeployedPolicy:
     def targets(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
         """Joint position targets (W, J), rad, from sensor readings: angular_velocity (W, 3) rad/s,
         projected_gravity (W, 3), command (W, 3), joint_position (W, J) rad, joint_velocity (W, J) rad/s."""
-        values = {
-            **readings, "joint_position_offset": readings["joint_position"] - self._pose, "last_action": self._last_action,
-        }  # fmt: skip
+        offset = readings["joint_position"] - self._pose
+        return self._pose + self._scale * self.action({**readings, "joint_position_offset": offset})
+
+    def action(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The action itself (W, J), for machines whose actions are no joint targets. readings: every part of the policy's
+        observation by its name, (W, size); `last_action` is added."""
+        values = {**readings, "last_action": self._last_action}
         observation = np.concatenate([np.asarray(values[name], np.float32) for name in self._parts], axis=1)
         if self.card.history > 1:
             self._history = np.roll(self._history, -1, axis=1)
@@ -67,4 +71,4 @@ class DeployedPolicy:
         if len(self._noise):
             noise = self._random.standard_normal(self._last_action.shape, np.float32)
             self._last_action = self._last_action + self._noise * noise
-        return self._pose + self._scale * self._last_action
+        return self._last_action

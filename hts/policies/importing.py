@@ -114,7 +114,7 @@ def _from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy:
 
 
 def _from_rsl_rl(path: Path, robot: RobotSpec, layout: Layout | None, std: float) -> Policy:
-    from hts.envs.velocity import critic_observation_size, observation_layout
+    from hts.envs.observation import critic_observation_size, observation_layout
 
     ours = observation_layout(robot.num_joints)
     layout = layout or Layout(tuple(ours))

@@ -2,13 +2,38 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import nn
 from torch.nn import functional as F
+
+from hts.fusing import fused
+
+LONG = 8192  # samples per candidate from which on a GPU takes candidates in turn: a product adds its bias only there
+ALIGNED = 8  # numbers; rows of matrices on a GPU begin at a multiple
+
+
+@functools.cache
+def _activated(device: torch.device) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
+    """ELU of x + bias; on a GPU in one pass over memory, of any shape."""
+
+    def activated(x: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+        return F.elu(x + bias)
+
+    return fused(activated, device, dynamic=True)
+
+
+def split_of(count: int, length: int) -> int:
+    """Into how many parts a GPU splits each candidate's samples, a power of two: 18 gradients of a 512 x 256 matrix keep
+    half of an H200 busy, and 72 partial sums all of it."""
+    parts = 1
+    while count * parts * 2 <= 80 and length % (parts * 2) == 0 and length >= 512 * parts:
+        parts *= 2
+    return parts
 
 
 @dataclass(frozen=True)
@@ -90,8 +115,8 @@ class Population(nn.Module):
         return self.vectors[0].device
 
     def split(self, vector: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Named views of a candidate's vector [D], or of all of them stacked [P, D]."""
-        parts = vector.split(self._lengths, dim=-1)
+        """Named views of a candidate's vector [D], or of all of them stacked [P, D or more]."""
+        parts = vector[..., : sum(self._lengths)].split(self._lengths, dim=-1)
         lead = vector.shape[:-1]
         return {name: part.view(*lead, *shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)}
 
@@ -101,6 +126,11 @@ class Population(nn.Module):
         if self.device.type == "cpu":
             return [self.split(vector) for vector in vectors]
         return self.split(torch.stack(vectors))
+
+    def stacked(self) -> torch.Tensor:
+        """A copy of all vectors, [P, D and zeros up to a multiple of `ALIGNED`]: matrix units read 16 bytes at a time."""
+        vectors = torch.stack([vector.detach() for vector in self.vectors])
+        return F.pad(vectors, (0, -vectors.shape[1] % ALIGNED))
 
     def refresh(self) -> None:
         """Renew what `mean` and `value` use without gradients; call after every change of parameters.
@@ -118,7 +148,7 @@ class Population(nn.Module):
                     for vector in self.vectors
                 ]
                 return
-            stacked = torch.stack(list(self.vectors))
+            stacked = self.stacked()
             if self._stacked is None or self._stacked.device != stacked.device:
                 self._stacked = stacked
                 self._cache = self.split(stacked)
@@ -127,27 +157,54 @@ class Population(nn.Module):
 
     # ------------------------------------------------------------------------------------------------ forward
 
+    def _one(self, part: str, x: torch.Tensor, one: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """The network of a single candidate: x [B, inputs] -> [B, outputs]."""
+        last = len(self.sizes.hidden)
+        for index in range(last + 1):
+            weight = one[f"{part}.{index}.weight"]
+            if index == 0 and x.shape[-1] > weight.shape[-1]:  # `normalised` has added zeros
+                weight = F.pad(weight, (0, x.shape[-1] - weight.shape[-1]))
+            x = F.linear(x, weight, one[f"{part}.{index}.bias"])
+            if index < last:
+                x = F.elu_(x)
+        return x
+
     def _mlp(self, part: str, x: torch.Tensor, named) -> torch.Tensor:
         """x [P, B, inputs] -> [P, B, outputs]."""
         last = len(self.sizes.hidden)
         if isinstance(named, list):
-            rows = []
-            for row, one in zip(x.unbind(0), named, strict=True):
-                for index in range(last + 1):
-                    row = F.linear(row, one[f"{part}.{index}.weight"], one[f"{part}.{index}.bias"])
-                    if index < last:
-                        row = F.elu_(row)
-                rows.append(row)
+            return torch.stack([self._one(part, row, one) for row, one in zip(x.unbind(0), named, strict=True)])
+        if x.shape[1] >= LONG and not torch.is_grad_enabled():
+            each = range(len(x))
+            rows = [self._one(part, x[row], {name: value[row] for name, value in named.items()}) for row in each]
             return torch.stack(rows)
+        count, length = x.shape[:2]
+        parts = split_of(count, length) if torch.is_grad_enabled() else 1
+        if parts > 1:
+            x = x.reshape(count * parts, length // parts, x.shape[2])
+            layers = [f"{part}.{index}.{what}" for index in range(last + 1) for what in ("weight", "bias")]
+            named = {
+                name: named[name].unsqueeze(1).expand(-1, parts, *named[name].shape[1:]).flatten(0, 1)
+                for name in layers
+            }
         for index in range(last + 1):
-            x = torch.baddbmm(named[f"{part}.{index}.bias"].unsqueeze(1), x, named[f"{part}.{index}.weight"].mT)
-            if index < last:
-                x = F.elu(x)
-        return x
+            weight = named[f"{part}.{index}.weight"]
+            if index == 0 and x.shape[-1] > weight.shape[-1]:
+                weight = F.pad(weight, (0, x.shape[-1] - weight.shape[-1]))
+            x, bias = torch.bmm(x, weight.mT), named[f"{part}.{index}.bias"].unsqueeze(1)
+            if index == last:
+                x = x + bias
+            elif torch.is_grad_enabled():  # compiled as a whole, if at all
+                x = F.elu(x + bias)
+            else:
+                x = _activated(x.device)(x, bias)
+        return x.reshape(count, length, -1)
 
     def normalised(self, name: str, x: torch.Tensor) -> torch.Tensor:
-        """Observations or critic observations [P, B, size] as the networks see them."""
-        return (x - getattr(self, f"{name}_mean")).div_(getattr(self, f"{name}_std")).clamp_(-10.0, 10.0)
+        """Observations or critic observations [P, B, size] as the networks see them; on a GPU with zeros up to a size
+        that its matrix units can read."""
+        x = (x - getattr(self, f"{name}_mean")).div_(getattr(self, f"{name}_std")).clamp_(-10.0, 10.0)
+        return x if x.device.type == "cpu" else F.pad(x, (0, -x.shape[-1] % ALIGNED))
 
     def mean(self, observation: torch.Tensor, named=None, normalised: bool = False) -> torch.Tensor:
         """Mean action [P, B, J] of observations [P, B, O]; normalised: they are already."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
+from torch.nn import functional as F
 
 from hts.config import PPOConfig
-from hts.policies.networks import Population
+from hts.fusing import fused
+from hts.policies.networks import ALIGNED, Population
+from hts.ppo.capture import captured, warm_up
 from hts.ppo.precision import tf32
 from hts.ppo.steps import LEAST_RATE, MOST_RATE, REPORTED, GradientSteps, Samples, Stop
-
-WARM_UP = 2  # steps before capture, undone afterwards
 
 
 class BatchedSteps(GradientSteps):
@@ -27,18 +28,19 @@ class BatchedSteps(GradientSteps):
         count, device = population.count, population.device
         self._capture = capture
         self._rates = torch.full((count,), config.learning_rate, device=device)
-        self._effective = self._rates.clone()  # 0 for who has been stopped
         self._running = torch.ones(count, dtype=torch.bool, device=device)
-        groups = [
-            {"params": [vector], "lr": rate}
-            for vector, rate in zip(population.vectors, self._effective.unbind(), strict=True)
-        ]
-        self.optimisers = [torch.optim.Adam(groups, eps=1e-8, fused=True, capturable=device.type == "cuda")]
+        # One long leaf, of which the candidates' vectors are views from now on. Adam's step is proportional to its rate:
+        # it is taken with rate 1 and then scaled by each candidate's own.
+        self._leaf = torch.nn.Parameter(population.stacked())
+        for vector, row in zip(population.vectors, self._leaf.detach(), strict=True):
+            vector.data = row[: len(vector)]
+        self._adam = torch.optim.Adam([self._leaf], lr=1.0, eps=1e-8, fused=True, capturable=device.type == "cuda")
         self._fixed: dict[str, torch.Tensor] = {}
         self._rows: dict[int, torch.Tensor] = {}
         self._graphs: dict[int, torch.cuda.CUDAGraph] = {}
+        self._losses = fused(self._forward, device, config.fuse)
         self._sums = torch.zeros(len(REPORTED), count, device=device)
-        self._member = torch.arange(count, device=device).unsqueeze(1)
+        self._columns: dict[str, tuple[int, int, bool]] = {}
 
     # --------------------------------------------------------------------------------------------------- a batch
 
@@ -57,8 +59,18 @@ class BatchedSteps(GradientSteps):
 
     def _hold(self, samples: Samples, constant: Samples, multipliers: torch.Tensor, policy_on: float) -> None:
         """Copy what the steps read to where they read it."""
-        new = {**samples, **constant, "multipliers": multipliers, "policy_on": torch.tensor(policy_on)}
-        self._sampled = tuple(samples)
+        wide = [value if value.ndim == 3 else value.unsqueeze(-1) for value in samples.values()]
+        # Side by side, each from a multiple of 16 bytes on: a minibatch is then gathered by whole rows, at once.
+        padded = [F.pad(value, (0, -value.shape[-1] % ALIGNED)) for value in wide]
+        self._columns, start = {}, 0
+        for (name, value), broad, full in zip(samples.items(), wide, padded, strict=True):
+            self._columns[name] = (start, broad.shape[-1], value.ndim == 2)
+            start += full.shape[-1]
+        new = {
+            **constant, "samples": torch.cat(padded, -1), "multipliers": multipliers,
+            "policy_on": torch.tensor(policy_on),
+            "first": torch.arange(len(multipliers)).unsqueeze(1) * wide[0].shape[1],  # row of a candidate's first sample
+        }  # fmt: skip
         self._constant = tuple(constant)
         for name, value in new.items():
             if name not in self._fixed or self._fixed[name].shape != value.shape:
@@ -85,17 +97,24 @@ class BatchedSteps(GradientSteps):
     def _step(self, rows: torch.Tensor) -> None:
         """One Adam step of every candidate on its samples rows [P, B]."""
         fixed, config = self._fixed, self.config
-        batch: dict[str, torch.Tensor] = {name: fixed[name][self._member, rows] for name in self._sampled}
-        batch |= {name: fixed[name] for name in self._constant}
-        stacked = torch.stack([vector.detach() for vector in self.population.vectors]).requires_grad_()
+        taken = fixed["samples"].flatten(0, 1).index_select(0, (rows + fixed["first"]).flatten()).view(*rows.shape, -1)
+        batch = {name: fixed[name] for name in self._constant}
+        for name, (start, size, flat) in self._columns.items():
+            batch[name] = taken[..., start] if flat else taken[..., start : start + size]
+        # A leaf of its own: autograd remembers on which stream a leaf was first used, and a capture must know no other.
+        leaf = self._leaf.detach().requires_grad_()
         with torch.enable_grad(), tf32(config.tf32):
-            named = self.population.split(stacked)
-            loss = self._loss(batch, fixed["multipliers"], fixed["policy_on"], slice(None), named)
-            (gradient,) = torch.autograd.grad(loss.total.sum(), stacked)
+            total, *parts = self._losses(leaf, batch, fixed["multipliers"], fixed["policy_on"])
+            (gradient,) = torch.autograd.grad(total, leaf)
         self._apply(gradient)
         if config.adaptive_rate:
-            self.adapt(loss.kl_old)
-        self._sums += torch.stack([getattr(loss, name) for name in REPORTED])
+            self.adapt(parts[REPORTED.index("kl_old")])
+        self._sums += torch.stack(parts)
+
+    def _forward(self, stacked, batch, multipliers, policy_on) -> tuple[torch.Tensor, ...]:
+        """The loss summed over candidates, which share no parameter, and what is reported of it, each [P]."""
+        loss = self._loss(batch, multipliers, policy_on, slice(None), self.population.split(stacked))
+        return (loss.total.sum(), *(getattr(loss, name) for name in REPORTED))
 
     def _apply(self, gradient: torch.Tensor) -> None:
         """Clip each candidate's gradient [P, D] by its own norm and take the step of all that still run."""
@@ -103,11 +122,12 @@ class BatchedSteps(GradientSteps):
         self._running &= norms.isfinite()
         scale = (self.config.max_grad_norm / (norms + 1e-6)).clamp(max=1.0)
         # `where` and not a product: NaN x 0 is NaN.
-        clipped = torch.where(self._running.unsqueeze(1), gradient * scale.unsqueeze(1), 0.0)
-        self._effective.copy_(torch.where(self._running, self._rates, 0.0))
-        for vector, part in zip(self.population.vectors, clipped.unbind(), strict=True):
-            vector.grad = part
-        self.optimisers[0].step()
+        self._leaf.grad = torch.where(self._running.unsqueeze(1), gradient * scale.unsqueeze(1), 0.0)
+        before = self._leaf.detach().clone()
+        self._adam.step()
+        rates = torch.where(self._running, self._rates, 0.0).unsqueeze(1)
+        with torch.no_grad():
+            self._leaf.copy_(torch.lerp(before, self._leaf, rates))
 
     def adapt(self, kl_old: torch.Tensor) -> None:
         """Rates / 1.5 above twice the desired KL, x 1.5 below half of it, per candidate (rsl_rl). kl_old [P], nats."""
@@ -123,16 +143,8 @@ class BatchedSteps(GradientSteps):
         device, changed = self._rates.device, self._changed()
         before = [tensor.clone() for tensor in changed]
         known = {id(tensor) for tensor in changed}
-        stream = torch.cuda.Stream(device)
-        stream.wait_stream(torch.cuda.current_stream(device))
-        with torch.cuda.stream(stream):
-            for _ in range(WARM_UP):
-                self._step(rows)
-        torch.cuda.current_stream(device).wait_stream(stream)
-        torch.cuda.synchronize(device)
-        graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
-            self._step(rows)
+        warm_up(lambda: self._step(rows), device)
+        graph, _ = captured(lambda: self._step(rows))
         with torch.no_grad():
             for tensor, value in zip(changed, before, strict=True):
                 tensor.copy_(value)
@@ -144,12 +156,9 @@ class BatchedSteps(GradientSteps):
     def _changed(self) -> list[torch.Tensor]:
         """Everything a step changes."""
         moments: list[Any] = [
-            value
-            for state in self.optimisers[0].state.values()
-            for value in state.values()
-            if isinstance(value, torch.Tensor)
+            value for value in self._adam.state[self._leaf].values() if isinstance(value, torch.Tensor)
         ]
-        return [*self.population.vectors, self._rates, self._effective, self._running, self._sums, *moments]
+        return [self._leaf, self._rates, self._running, self._sums, *moments]
 
     # ----------------------------------------------------------------------------------------------------- state
 
@@ -160,6 +169,25 @@ class BatchedSteps(GradientSteps):
     @rates.setter
     def rates(self, values: Sequence[float]) -> None:
         self._rates.copy_(torch.tensor(values))
+
+    def state(self) -> dict[str, dict[str, torch.Tensor]]:
+        moments = self._adam.state[self._leaf]
+        if not moments:
+            return {}
+        return {
+            str(index): {
+                "step": moments["step"].clone(), "exp_avg": moments["exp_avg"][index].clone(),
+                "exp_avg_sq": moments["exp_avg_sq"][index].clone(),
+            }
+            for index in range(self.population.count)
+        }  # fmt: skip
+
+    def load_state(self, state: Mapping[str, Mapping[str, torch.Tensor]]) -> None:
+        if not state:
+            return
+        rows, device = [state[str(index)] for index in range(self.population.count)], self._leaf.device
+        moments = {name: torch.stack([row[name] for row in rows]).to(device) for name in ("exp_avg", "exp_avg_sq")}
+        self._adam.state[self._leaf] = {"step": rows[0]["step"].to(device).clone(), **moments}
 
     def halt(self, index: int) -> None:
         super().halt(index)

@@ -48,6 +48,13 @@ def measured_env(env: EnvBase, transforms: Sequence[Transform]) -> EnvBase:
     return TransformedEnv(env, Compose(*transforms), auto_unwrap=False) if transforms else env
 
 
+def check_engine(env: EnvBase) -> None:
+    """Raise SimulationError if a buffer of the env's physics overflowed; an env may have no engine of ours to ask."""
+    engine = getattr(env, "engine", None)
+    if engine is not None:
+        engine.check()
+
+
 def finetune(
     robot: Robot, engine: str, config: FinetuneConfig, candidates: Sequence[Candidate], anchors: Mapping[str, Policy],
     transforms: Callable[[], Sequence[Transform]], inputs: Sequence[str], *, seed: int, checkpoint: Path | None = None,
@@ -90,6 +97,8 @@ def _finetune_group(
     bounds = torch.tensor([candidate.kl_bound for candidate in group])
     weights = {name: torch.tensor([candidate.weights[name] for candidate in group]) for name in group[0].weights}
     metadata = {"robot": robot.spec.name, "key": key, "worlds": count * config.num_envs}
+    if not hasattr(bare, "full_state"):  # an env that cannot say where it is: if stopped, this stage starts again
+        checkpoint = None
     resume = TensorDict(dict(load_checkpoint(checkpoint, metadata))) if checkpoint and checkpoint.exists() else None
     anchor = population.frozen()
     trainer = PopulationTrainer(
@@ -114,7 +123,7 @@ def _finetune_group(
             save_checkpoint(checkpoint, trainer.full_state().to_dict(), metadata, notes)
             saved = time.monotonic()
     kl, extra = _settle(trainer, bounds.to(bare.device))
-    bare.engine.check()
+    check_engine(bare)
     std = population.log_std().exp().mean((1, 2)).tolist()
     anchor_std = anchor.log_std().exp().mean((1, 2)).tolist()
     tuned = [

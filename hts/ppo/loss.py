@@ -43,12 +43,12 @@ def anchored_ppo_loss(
     observations are as the networks see them, which needs doing once for many minibatches; named: parameters to use
     instead of the population's own, stacked, [P, ...] by name.
     """
-    named = population.named(members) if named is None else named
-    mean, log_std = population.mean(batch["observation"], named, normalised), population.log_std(named)
+    parameters = population.named(members) if named is None else named
+    mean, log_std = population.mean(batch["observation"], parameters, normalised), population.log_std(parameters)
     ratio = (log_prob(batch["action"], mean, log_std) - batch["log_prob"]).exp()
     advantage = batch["advantage"]
     policy = -row_mean(torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage))
-    value = population.value(batch["critic_observation"], named, normalised)
+    value = population.value(batch["critic_observation"], parameters, normalised)
     old, target = batch["old_value"], batch["target"]
     clipped = old + (value - old).clamp(-clip, clip)
     value_loss = row_mean(torch.maximum((value - target).square(), (clipped - target).square()))

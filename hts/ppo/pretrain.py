@@ -10,9 +10,10 @@ from typing import Any
 
 from hts.config import PretrainConfig
 from hts.contracts import Robot
-from hts.envs.velocity import observation_layout
+from hts.envs.observation import observation_layout
 from hts.policies.files import Policy, make_card, save_policy
 from hts.policies.networks import Population, Sizes
+from hts.ppo.finetune import check_engine
 from hts.ppo.trainer import PopulationTrainer
 
 
@@ -45,13 +46,14 @@ def pretrain_policy(
             if progress is not None:
                 progress(row)
     tensors = population.candidate(0)
-    env.engine.check()
+    check_engine(env)
     made = {
         "command": f"hts pretrain --robot {robot.spec.name}", "config": config.model_dump(mode="json"),
         "steps": trainer.batches * trainer.steps_per_batch, "seconds": round(time.perf_counter() - started, 1),
         "final": curve[-1],
     }  # fmt: skip
-    card = make_card(robot.spec, tensors, observation_layout(robot.spec.num_joints), sizes, **made)
+    layout = getattr(env, "observation_layout", None) or observation_layout(robot.spec.num_joints)
+    card = make_card(robot.spec, tensors, layout, sizes, **made)
     path = save_policy(Path(out) / "pretrained.safetensors", Policy(tensors, card))
     (Path(out) / "curve.json").write_text(json.dumps(curve, indent=1) + "\n")
     trainer.close()

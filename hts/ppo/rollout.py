@@ -18,12 +18,11 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform, TransformedEnv
 
-from hts.envs.random import PopulationRandom
+from hts.envs.random import Ahead, PopulationRandom
 from hts.envs.velocity import VelocityEnv
 from hts.policies.networks import Population
+from hts.ppo.capture import Pins, captured, warm_up
 from hts.ppo.precision import tf32
-
-WARM_UP = 3  # steps before capture, so that libraries have their workspaces; undone afterwards
 
 
 def can_be_captured(env: EnvBase) -> bool:
@@ -46,12 +45,14 @@ def _parts(env: EnvBase) -> tuple[EnvBase, list[Transform]]:
 class Rollout:
     """Batches [P, N, T] of a population's steps. Keys: observation, critic_observation, action, action_mean, and under
     "next": reward, terminated, truncated, ("real_reward", objective), critic_observation [P, N, 1, O_c] of the last step.
+    With `aside`, also value [P, N, T] and anchor_mean [P, N, T, J]: computed beside the physics, which leaves room.
 
-    What `collect` returns lies in memory that the next call overwrites. tf32: matrix products of the policy in TF32.
+    What `collect` returns lies in memory that the next call overwrites. tf32: matrix products of policy and models in TF32.
     """
 
     def __init__(
-        self, env: EnvBase, population: Population, noise: PopulationRandom, horizon: int, *, capture: bool, tf32: bool = True
+        self, env: EnvBase, population: Population, noise: PopulationRandom, horizon: int, *, capture: bool, tf32: bool = True,
+        aside: bool = False, anchor: Population | None = None,
     ) -> None:  # fmt: skip
         bare, self.transforms = _parts(env)
         assert isinstance(bare, VelocityEnv)
@@ -59,7 +60,8 @@ class Rollout:
         self.device = bare.device
         self._time = torch.zeros(1, dtype=torch.int64, device=self.device)
         self._rows: dict[tuple[str, ...], torch.Tensor] = {}
-        self._graphs: tuple[torch.cuda.CUDAGraph, torch.cuda.CUDAGraph] | None = None
+        self.anchor, self._with_aside = anchor, aside
+        self._graphs: list[torch.cuda.CUDAGraph] = []
         self._capture_first = capture
         self._started = False
 
@@ -68,6 +70,9 @@ class Rollout:
     @torch.no_grad()
     def _before(self) -> torch.Tensor:
         """Policy, noise, actuator inputs; what was seen and done goes into the batch."""
+        for random in (self.env.random, self.noise):
+            if random.ahead is not None:
+                random.ahead.begin()
         observation, critic_observation = self.env.observations()
         with tf32(self.tf32):
             mean = self.population.mean(observation)
@@ -79,12 +84,22 @@ class Rollout:
         return self.env.begin(self._action)
 
     @torch.no_grad()
+    def _aside(self) -> None:
+        """What learning wants to know of the states the step began in, and the step itself does not."""
+        observation, critic_observation = self.env.observations()
+        with tf32(self.tf32):
+            self._write(("value",), self.population.value(critic_observation))
+            if self.anchor is not None:
+                self._write(("anchor_mean",), self.anchor.mean(observation))
+
+    @torch.no_grad()
     def _after(self) -> None:
         """Reward, measurement models, new episodes."""
         out = self.env.finish(self._action)
         nothing = TensorDict({}, batch_size=out.batch_size, device=self.device)
-        for transform in self.transforms:
-            out = transform._step(nothing, out)
+        with tf32(self.tf32):
+            for transform in self.transforms:
+                out = transform._step(nothing, out)
         for name in ("reward", "terminated", "truncated"):
             self._write(("next", name), out[name])
         for name, value in out.get("real_reward", TensorDict()).items():
@@ -110,7 +125,10 @@ class Rollout:
         self._rows[name,].copy_(value)
 
     def _step(self) -> None:
-        self.env.engine.step(self._before())
+        ctrl = self._before()
+        if self._with_aside:
+            self._aside()
+        self.env.engine.step(ctrl)
         self._after()
 
     # -------------------------------------------------------------------------------------------------- a batch
@@ -120,16 +138,25 @@ class Rollout:
         if not self._started:
             self._start()
         self._time.zero_()
-        if self._graphs is None:
+        if not self._graphs:
             for _ in range(self.horizon):
                 self._step()
-        else:
-            before, after = self._graphs
-            engine = self.env.engine
-            for _ in range(self.horizon):
-                before.replay()
-                engine.step_raw()  # type: ignore[attr-defined]
-                after.replay()
+            return self._batch()
+        for random in (self.env.random, self.noise):
+            assert random.ahead is not None
+            random.ahead.renew()
+        before, after, *aside = self._graphs
+        here, beside = torch.cuda.current_stream(self.device), self._beside
+        for _ in range(self.horizon):
+            before.replay()
+            for graph in aside:
+                beside.wait_stream(here)
+                with torch.cuda.stream(beside):
+                    graph.replay()
+            self.env.engine.step_raw()  # type: ignore[attr-defined]
+            if aside:
+                here.wait_stream(beside)
+            after.replay()
         return self._batch()
 
     def _batch(self) -> TensorDict:
@@ -159,62 +186,36 @@ class Rollout:
         for transform in self.transforms:
             if hasattr(transform, "prepare"):
                 transform.prepare(self.env.batch_size.numel(), self.device)
-        pins = [_Pins(owner, owner.STATE) for owner in owners]
-        physics, generators = engine.state_dict(), [*self.env.random.generators, *self.noise.generators]
-        random = [generator.get_state() for generator in generators]
-        stream = torch.cuda.Stream(self.device)
-        stream.wait_stream(torch.cuda.current_stream(self.device))
-        with torch.cuda.stream(stream):
-            for _ in range(WARM_UP):
-                self._time.zero_()
-                self._step()
-                for pin in pins:
-                    pin.settle()
-        torch.cuda.current_stream(self.device).wait_stream(stream)
-        torch.cuda.synchronize(self.device)
-        before, after = torch.cuda.CUDAGraph(), torch.cuda.CUDAGraph()
-        for generator in generators:
-            before.register_generator_state(generator)
-        with torch.cuda.graph(before):
+        pins = [Pins(owner, owner.STATE) for owner in owners]
+        physics, randoms = engine.state_dict(), (self.env.random, self.noise)
+        states = [random.state_dict() for random in randoms]
+        for random in randoms:
+            random.ahead = Ahead(random, self.horizon, self._time)
+
+        def step() -> None:
+            self._time.zero_()
+            self._step()
+            for pin in pins:
+                pin.settle()
+
+        def before() -> None:
             engine.load(self._before())  # type: ignore[attr-defined]
-        with torch.cuda.graph(after, pool=before.pool()):
+
+        def after() -> None:
             engine.judge()  # type: ignore[attr-defined]
             self._after()
             for pin in pins:
                 pin.settle()
-        self._graphs = (before, after)
+
+        warm_up(step, self.device)
+        self._time.zero_()
+        first, _ = captured(before)
+        beside = [captured(self._aside)[0]] if self._with_aside else []
+        last, _ = captured(after, pool=first.pool())
+        self._graphs, self._beside = [first, last, *beside], torch.cuda.Stream(self.device)
         torch.cuda.synchronize(self.device)
         for pin in pins:
             pin.restore()
         engine.load_state_dict(physics)
-        for generator, state in zip(generators, random, strict=True):
-            generator.set_state(state)
-
-
-class _Pins:
-    """State that a step replaces, held in the same memory from step to step, as a captured graph needs it.
-
-    `settle`, at the end of a step, copies what the step made into the pinned memory and puts that back in place.
-    """
-
-    def __init__(self, owner: Any, names: Iterable[str]) -> None:
-        self.owner, self.names = owner, [name for name in names if getattr(owner, name, None) is not None]
-        self.fixed = {name: getattr(owner, name).clone() for name in self.names}
-        self.begun = {name: value.clone() for name, value in self.fixed.items()}
-        self._attach()
-
-    def _attach(self) -> None:
-        for name, value in self.fixed.items():
-            setattr(self.owner, name, value)
-
-    def settle(self) -> None:
-        for name, value in self.fixed.items():
-            made = getattr(self.owner, name)
-            if made is not value:
-                value.copy_(made)
-        self._attach()
-
-    def restore(self) -> None:
-        for name, value in self.fixed.items():
-            value.copy_(self.begun[name])
-        self._attach()
+        for random, state in zip(randoms, states, strict=True):
+            random.load_state_dict(state)

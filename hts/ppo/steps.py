@@ -14,6 +14,7 @@ from hts.ppo.threads import pool
 
 LEAST_RATE, MOST_RATE = 1e-5, 1e-2  # of the adaptive rate (rsl_rl)
 REPORTED = ("policy", "value", "kl_old")
+MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # Adam's state of a parameter
 Stop = Callable[[int, str], None]
 Samples = Mapping[str, torch.Tensor]
 
@@ -23,8 +24,6 @@ class GradientSteps(ABC):
 
     stop(index, reason): called when a candidate's gradient is not finite; from then on it is not changed any more.
     """
-
-    optimisers: list[torch.optim.Optimizer]
 
     def __init__(self, population: Population, config: PPOConfig, stop: Stop) -> None:
         self.population, self.config, self.stop = population, config, stop
@@ -51,29 +50,13 @@ class GradientSteps(ABC):
         """Change this candidate no more."""
         self.stopped.add(index)
 
-    def optimiser_of(self, index: int) -> torch.optim.Optimizer:
-        """The optimiser that holds a candidate's moments."""
-        return self.optimisers[min(index, len(self.optimisers) - 1)]
-
+    @abstractmethod
     def state(self) -> dict[str, dict[str, torch.Tensor]]:
         """Adam's moments of each candidate that has taken a step."""
-        found = {}
-        for index, vector in enumerate(self.population.vectors):
-            state = self.optimiser_of(index).state.get(vector)
-            if state:
-                found[str(index)] = {name: state[name].clone() for name in ("step", "exp_avg", "exp_avg_sq")}
-        return found
 
+    @abstractmethod
     def load_state(self, state: Mapping[str, Mapping[str, torch.Tensor]]) -> None:
         """Go on from `state`. Before the first step, since a captured program keeps the memory it was made with."""
-        for index, vector in enumerate(self.population.vectors):
-            if str(index) in state:
-                saved = state[str(index)]
-                place = {"step": saved["step"].device if vector.device.type == "cpu" else vector.device}
-                self.optimiser_of(index).state[vector] = {
-                    name: saved[name].to(place.get(name, vector.device)).clone()
-                    for name in ("step", "exp_avg", "exp_avg_sq")
-                }
 
     def close(self) -> None:  # noqa: B027
         """Let go of threads."""
@@ -154,6 +137,19 @@ class SeparateSteps(GradientSteps):
     def rates(self, values: Sequence[float]) -> None:
         for optimiser, value in zip(self.optimisers, values, strict=True):
             optimiser.param_groups[0]["lr"] = value
+
+    def state(self) -> dict[str, dict[str, torch.Tensor]]:
+        found = {}
+        for index, (vector, optimiser) in enumerate(zip(self.population.vectors, self.optimisers, strict=True)):
+            state = optimiser.state.get(vector)
+            if state:
+                found[str(index)] = {name: state[name].clone() for name in MOMENTS}
+        return found
+
+    def load_state(self, state: Mapping[str, Mapping[str, torch.Tensor]]) -> None:
+        for index, (vector, optimiser) in enumerate(zip(self.population.vectors, self.optimisers, strict=True)):
+            if str(index) in state:
+                optimiser.state[vector] = {name: state[str(index)][name].cpu().clone() for name in MOMENTS}
 
     def close(self) -> None:
         self._pool.shutdown()

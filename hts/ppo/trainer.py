@@ -18,12 +18,15 @@ from hts.ppo.actor import Explorer, log_prob
 from hts.ppo.advantage import advantages
 from hts.ppo.anchor import Multipliers, gaussian_kl
 from hts.ppo.batched_steps import BatchedSteps
+from hts.ppo.capture import Captured
 from hts.ppo.centring import Centre
 from hts.ppo.precision import tf32
 from hts.ppo.rollout import Rollout, can_be_captured
 from hts.ppo.rows import row_mean, row_standardised
-from hts.ppo.steps import GradientSteps, SeparateSteps
+from hts.ppo.steps import GradientSteps, Samples, SeparateSteps
 from hts.ppo.threads import one_thread
+
+KL_STRIDE = 4  # on a GPU
 
 
 @dataclass
@@ -78,9 +81,13 @@ class PopulationTrainer:
         per_batch = count * env.batch_size[1] * config.horizon
         self.actor = Explorer(population, self.noise)
         self.rollout: Rollout | None = None
+        self._captured: tuple[torch.Tensor, Captured[tuple[Samples, Samples]], Captured[torch.Tensor]] | None = None
         self.collector: Collector | None = None
         if capture and can_be_captured(env):
-            self.rollout = Rollout(env, population, self.noise, config.horizon, capture=True, tf32=config.tf32)
+            self.rollout = Rollout(
+                env, population, self.noise, config.horizon, capture=True, tf32=config.tf32,
+                aside=not update_normaliser, anchor=anchor,
+            )  # fmt: skip
         else:
             self.collector = Collector(
                 env, self.actor, frames_per_batch=per_batch, total_frames=-1, device=device, track_traj_ids=False,
@@ -114,12 +121,21 @@ class PopulationTrainer:
     def _learn(self, data: TensorDictBase) -> BatchStats:
         with torch.no_grad():
             rewards, stats = self._rewards(data)
-            samples = self._prepare(data, rewards)
-        losses = self._epochs(samples)
+            if self.update_normaliser:
+                self.population.update_normaliser("critic_observation", data["critic_observation"].flatten(1, 2))
+            samples, constant = self._prepared(data, rewards)
+        losses = self._epochs(samples, constant)
         with torch.no_grad():
+            if self.update_normaliser:
+                # The observation normaliser moves only between batches: the samples' log-probabilities were made with it.
+                self.population.update_normaliser("observation", data["observation"].flatten(1, 2))
             self.population.refresh()
             if self.anchor is not None:
-                self.kl = self._measure_kl(samples)
+                self.kl = (
+                    self._measure_kl(data, samples["anchor_mean"])
+                    if self._captured is None
+                    else self._captured[2]().clone()
+                )
                 if self.batches >= self.config.warmup_batches:
                     self.multipliers.update(self.kl)
         self.batches += 1
@@ -177,54 +193,60 @@ class PopulationTrainer:
     def _stop_in_batch(self, index: int, reason: str) -> None:
         self._stop(index, f"{reason} in batch {self.batches}")
 
-    def _prepare(self, data: TensorDictBase, reward: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Flatten [P, N, T] to [P, S] samples with everything the loss needs."""
+    def _prepare(self, data: TensorDictBase, reward: torch.Tensor) -> tuple[Samples, Samples]:
+        """Flatten [P, N, T] to [P, S] samples with everything the loss needs, observations as the networks see them;
+        and what is one per candidate, [P, 1, J]."""
         population = self.population
-        observation = data["observation"].flatten(1, 2)
-        critic_observation = data["critic_observation"].flatten(1, 2)
-        if self.update_normaliser:
-            population.update_normaliser("critic_observation", critic_observation)
-        value = population.value(critic_observation)
+        observation, critic_observation = (data[name].flatten(1, 2) for name in ("observation", "critic_observation"))
+        known = data.keys()
+        value = data["value"].flatten(1, 2) if "value" in known else population.value(critic_observation)
         last = population.value(data["next", "critic_observation"][..., -1, :])
         shape = reward.shape
         terminated, truncated = (data["next", key].squeeze(-1) for key in ("terminated", "truncated"))
         advantage, target = advantages(
             reward, value.view(shape), last, terminated, truncated, self.config.gamma, self.config.gae_lambda
         )
-        advantage = row_standardised(advantage.flatten(1))
         action, mean = data["action"].flatten(1, 2), data["action_mean"].flatten(1, 2)
-        log_std = population.log_std().clone()
+        constant = {"old_log_std": population.log_std().clone()}
         samples = {
-            "observation": observation, "critic_observation": critic_observation, "action": action, "old_mean": mean,
-            "log_prob": log_prob(action, mean, log_std), "advantage": advantage, "target": target.flatten(1), "old_value": value,
+            "observation": population.normalised("observation", observation),
+            "critic_observation": population.normalised("critic_observation", critic_observation),
+            "action": action, "old_mean": mean, "log_prob": log_prob(action, mean, constant["old_log_std"]),
+            "advantage": row_standardised(advantage.flatten(1)), "target": target.flatten(1), "old_value": value,
         }  # fmt: skip
-        self._old_log_std = log_std
         if self.anchor is not None:
-            samples["anchor_mean"] = self.anchor.mean(observation)
-        return samples
-
-    def _epochs(self, samples: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        """All gradient steps of all candidates on this batch; mean losses, each [P]."""
-        size = samples["advantage"].shape[1]
-        orders = [self.order.permutation(size) for _ in range(self.config.epochs)]
-        used = dict(samples)
-        for name in ("observation", "critic_observation"):
-            used[name] = self.population.normalised(name, samples[name])
-        constant = {"old_log_std": self._old_log_std}
-        if self.anchor is not None:
+            there = "anchor_mean" in known
+            samples["anchor_mean"] = data["anchor_mean"].flatten(1, 2) if there else self.anchor.mean(observation)
             constant["anchor_log_std"] = self.anchor.log_std()
+        return samples, constant
+
+    def _prepared(self, data: TensorDictBase, reward: torch.Tensor) -> tuple[Samples, Samples]:
+        """`_prepare`, as a captured graph where a rollout leaves its batches in the same memory each time."""
+        if self.rollout is None:
+            return self._prepare(data, reward)
+        if self._captured is None:
+            kept = reward.clone()
+            samples = Captured(lambda: self._prepare(data, kept), reward.device)
+            kl = Captured(lambda: self._measure_kl(data, samples.result[0]["anchor_mean"]), reward.device)
+            self._captured = (kept, samples, kl)
+        self._captured[0].copy_(reward)
+        return self._captured[1]()
+
+    def _epochs(self, samples: Samples, constant: Samples) -> dict[str, torch.Tensor]:
+        """All gradient steps of all candidates on this batch; mean losses, each [P]."""
+        orders = [self.order.permutation(samples["advantage"].shape[1]) for _ in range(self.config.epochs)]
         policy_on = 0.0 if self.batches < self.config.warmup_batches else 1.0
-        losses = self.steps.run(used, constant, self.multipliers.value, orders, policy_on)
-        if self.update_normaliser:
-            # The observation normaliser moves only between batches: the samples' log-probabilities were made with it.
-            self.population.update_normaliser("observation", samples["observation"])
+        losses = self.steps.run(samples, constant, self.multipliers.value, orders, policy_on)
         return {f"loss/{name}": value for name, value in losses.items()}
 
-    def _measure_kl(self, samples: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Mean KL(pi || anchor) [P] over the batch's states, with the parameters as they are now."""
+    def _measure_kl(self, data: TensorDictBase, anchor_mean: torch.Tensor) -> torch.Tensor:
+        """Mean KL(pi || anchor) [P] over the batch's states, with the parameters as they are now. On a GPU, whose batches
+        are large, over every fourth of them."""
         assert self.anchor is not None
-        mean = self.population.mean(samples["observation"])
-        return row_mean(gaussian_kl(mean, self.population.log_std(), samples["anchor_mean"], self.anchor.log_std()))
+        observation = data["observation"].flatten(1, 2)
+        some = slice(None, None, 1 if observation.device.type == "cpu" else KL_STRIDE)
+        mean = self.population.mean(observation[:, some])
+        return row_mean(gaussian_kl(mean, self.population.log_std(), anchor_mean[:, some], self.anchor.log_std()))
 
     # -------------------------------------------------------------------------------------------- saving, loading
 

@@ -50,8 +50,24 @@ class RunData:
         """Objective -> {"unit", "speeds"} of the final head-to-head; empty if there was none."""
         return dict((self.summary.get("final") or {}).get("objectives") or {})
 
+    @property
+    def front(self) -> list[Json]:
+        """Tested policies that no other beats in all objectives: [{"id", "iteration", "improvements"}]."""
+        return list((self.summary.get("front") or {}).get("real") or [])
+
+    @property
+    def simulated_fronts(self) -> list[Json]:
+        """The same by simulated scores, [{"iteration", "ids"}]."""
+        return list((self.summary.get("front") or {}).get("simulation") or [])
+
+    def candidate(self, name: str) -> Json:
+        """A candidate by its id, {} for the pretrained policy."""
+        everyone = [candidate for iteration in self.iterations for candidate in iteration.get("candidates") or []]
+        return next((candidate for candidate in everyone if candidate["id"] == name), {})
+
     def unit(self, objective: str) -> str:
-        return str(self.final.get(objective, {}).get("unit", "1"))
+        units = (self.summary.get("front") or {}).get("units") or {}  # there is not always a final head-to-head
+        return str(self.final.get(objective, {}).get("unit") or units.get(objective, "1"))
 
     def fit(self, index: int, objective: str) -> Json:
         """The part of an iteration's fit.json that is about this objective."""

@@ -106,13 +106,13 @@ def sweep(run: RunData, objective: str) -> Figure | None:
     drawing, axes = figure(
         sum(heights) + 0.5, len(rows), 2, gridspec_kw={"height_ratios": heights, "width_ratios": [1.15, 1]}
     )
-    styles = _styles(rows)
+    styles = _styles(rows, objective)
     real = [result for iteration in rows for _, _, result in run.tested(iteration, objective)]
     edges = [
         factor * b for result in real for b in (result.get("improvement_ci95") or [result.get("improvement") or 0])
     ]
     for (left, right), iteration in zip(axes, rows, strict=True):
-        _simulated(left, iteration, styles)
+        _simulated(left, iteration, objective, styles)
         left.set_title(f"Iteration {iteration['index']}: in simulation")
         left.set_ylabel("score in simulation")
         _measured(right, run, iteration, objective, factor, styles)
@@ -122,7 +122,13 @@ def sweep(run: RunData, objective: str) -> Figure | None:
             right.set_xlim(min(*edges, 0.0) - margin, max(*edges, 0.0) + margin)
     axes[-1, 0].set_xlabel("KL to the anchor, nats")
     axes[-1, 1].set_xlabel(f"improvement, {unit}")
-    drawing.legend(handles=_legend(styles), loc="outside lower center", ncols=6, handletextpad=0.3, columnspacing=1.2)
+    drawing.legend(
+        handles=_legend(styles, objective if len(run.objectives) > 1 else ""),
+        loc="outside lower center",
+        ncols=6,
+        handletextpad=0.3,
+        columnspacing=1.2,
+    )
     return drawing
 
 
@@ -185,11 +191,11 @@ def iterations(run: RunData, objective: str) -> Figure | None:
     return drawing
 
 
-def _styles(rows: list[Json]) -> dict[str, dict[str, str]]:
-    """Colour per λ and marker per anchor, over all iterations."""
+def _styles(rows: list[Json], objective: str) -> dict[str, dict[str, str]]:
+    """Colour per λ of this objective and marker per anchor, over all iterations."""
     candidates = [candidate for iteration in rows for candidate in iteration["candidates"]]
-    weights = sorted({tuple(candidate["weights"].items()) for candidate in candidates}, key=lambda w: [v for _, v in w])
-    labels = [wording.weights(dict(weight)) for weight in weights]
+    weights = sorted({candidate["weights"][objective] for candidate in candidates})
+    labels = [f"{weight:g}" for weight in weights]
     anchors = sorted({str(candidate["anchor"]) for candidate in candidates}, key=lambda a: (a != "pretrained", a))
     return {
         "color": {label: ramp(position, len(labels)) for position, label in enumerate(labels)},
@@ -197,7 +203,7 @@ def _styles(rows: list[Json]) -> dict[str, dict[str, str]]:
     }
 
 
-def _simulated(panel, iteration: Json, styles: dict[str, dict[str, str]]) -> None:
+def _simulated(panel, iteration: Json, objective: str, styles: dict[str, dict[str, str]]) -> None:
     for bound in sorted({c["kl_bound"] for c in iteration["candidates"] if c["kl_bound"] is not None}):
         panel.axvline(bound, color=SOFT, linewidth=0.8, linestyle=(0, (3, 3)), zorder=1)
         panel.annotate(
@@ -210,11 +216,12 @@ def _simulated(panel, iteration: Json, styles: dict[str, dict[str, str]]) -> Non
             fontsize=7,
         )
     for candidate in iteration["candidates"]:
-        if candidate.get("kl") is None or candidate.get("sim_score") is None:
+        score = (candidate.get("sim_scores") or {}).get(objective, candidate.get("sim_score"))
+        if candidate.get("kl") is None or score is None:
             continue
-        place = ([candidate["kl"]], [candidate["sim_score"]])
+        place = ([candidate["kl"]], [score])
         marker = styles["marker"][str(candidate["anchor"])]
-        color = styles["color"][wording.weights(candidate["weights"])]
+        color = styles["color"][f"{candidate['weights'][objective]:g}"]
         if candidate.get("elite"):
             panel.plot(*place, marker=marker, markersize=10.5, markerfacecolor="none", color=INK, markeredgewidth=0.9)
         panel.plot(*place, marker=marker, markersize=6, color=color, linestyle="none")
@@ -246,7 +253,7 @@ def _measured(panel, run: RunData, iteration: Json, objective: str, factor: floa
             [row],
             xerr=error,
             fmt=styles["marker"][str(candidate["anchor"])],
-            color=styles["color"][wording.weights(candidate["weights"])],
+            color=styles["color"][f"{candidate['weights'][objective]:g}"],
             capsize=2.5,
             markersize=5.5,
             linewidth=1.2,
@@ -264,11 +271,11 @@ def _measured(panel, run: RunData, iteration: Json, objective: str, factor: floa
         panel.set_xticks([])
 
 
-def _legend(styles: dict[str, dict[str, str]]) -> list:
+def _legend(styles: dict[str, dict[str, str]], objective: str) -> list:
     from matplotlib.lines import Line2D
 
     colors = [
-        Line2D([], [], marker="o", linestyle="none", color=color, label=f"λ {name}")
+        Line2D([], [], marker="o", linestyle="none", color=color, label=f"λ {name} {objective}".rstrip())
         for name, color in styles["color"].items()
     ]
     anchors = [

@@ -67,6 +67,14 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         ),
     ),
     (
+        "Front",
+        (
+            "With several objectives: the policies tried in reality for which no other is at least as good in all of "
+            "them and better in one, the pretrained policy among them. Compared by what each objective selects by, which can "
+            "be stricter than the improvement that is drawn. Policies that fell are not on it."
+        ),
+    ),
+    (
         "Improvement during iterations",
         (
             "Measured in one shorter head-to-head each. The largest of several noisy numbers is flattering by nature; the "

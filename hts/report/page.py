@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import os
 from collections.abc import Callable, Iterable
 from importlib import resources
@@ -15,6 +14,7 @@ import hts
 from hts.errors import RunError
 from hts.report import wording
 from hts.report.data import Json, RunData, read_run
+from hts.report.front import front_part
 from hts.report.glossary import GLOSSARY
 from hts.report.measurement_figure import proxy_r2
 
@@ -72,6 +72,7 @@ def contents(run: RunData) -> dict[str, Any]:
         "world_simulated": run.world == "twin",
         "world_title": title,
         "world_text": text,
+        "front": front_part(run),
         "objectives": objectives,
         "later": _later(run),
         "iterations": [_iteration(run, iteration) for iteration in run.iterations],
@@ -163,7 +164,8 @@ def _headline(run: RunData, name: str, result: Json) -> str:
     falls = sum(speed.get("falls") or 0 for speed in speeds.values())
     chosen = (run.summary.get("final") or {}).get("policy")
     policy = f"the final policy ({chosen})" if chosen else "the final policy"
-    if len(better) == len(speeds):
+    refused = result.get("refused") or {}
+    if len(better) == len(speeds) and not refused:
         values = sorted(speed["improvement"] for speed in speeds.values())
         spread = (
             wording.interval((values[0], values[-1]), unit) if len(values) > 1 else wording.quantity(values[0], unit)
@@ -177,6 +179,8 @@ def _headline(run: RunData, name: str, result: Json) -> str:
         ]
         told = ", ".join(f"{word} at {_speeds(keys)}" for keys, word in parts if keys)
         text = f"Against the pretrained policy, {policy} is, for {name}, {told}."
+    if refused:
+        text += f" At {_speeds(refused)} it is not judged: it does not keep the commanded speed."
     fell = "It did not fall." if not falls else f"It fell {falls} time{'' if falls == 1 else 's'}."
     return f"{text} {fell}"
 
@@ -258,9 +262,7 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             if drawing is None:
                 continue
             file = name if len(run.objectives) == 1 else f"{name}-{objective}"
-            path = style.save(drawing, run.folder / "figures", file)
-            data = base64.b64encode(path.read_bytes()).decode()
-            drawn.append({"title": title, "caption": caption, "alt": f"{title}. {caption}", "data": data})
+            drawn.append(style.embedded(drawing, run.folder / "figures", file, title, caption))
     return drawn
 
 
@@ -275,31 +277,34 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
             for name, speeds in (candidate.get("real") or {}).items()
             for speed, result in speeds.items()
         ]
-        several = len(measured) > 1
+        several = len(measured) > len(run.objectives)  # then at several speeds
         best = candidate["id"] == iteration.get("best")
         rows.append(
             {
                 "id": candidate["id"],
                 "anchor": candidate["anchor"],
-                "weights": wording.weights(candidate["weights"]),
+                "weights": wording.weights(candidate["weights"]).split(" + "),
                 "bound": wording.bound(candidate["kl_bound"]),
                 "kl": wording.number(candidate.get("kl"), 3),
-                "score": wording.number(candidate.get("sim_score"), 3),
+                "score": [
+                    wording.number(score, 3)
+                    for score in (candidate.get("sim_scores") or {"": candidate.get("sim_score")}).values()
+                ],
                 "falls": wording.count(candidate.get("falls")),
                 "fell": bool(candidate.get("falls")),
                 "kind": "best" if best else "elite" if candidate.get("elite") else "",
-                "improvement": "; ".join(
-                    (f"{name} {speed}: " if several else "")
-                    + wording.quantity(result.get("improvement"), run.unit(name))
+                "improvement": [
+                    (f"{speed} m/s: " if several else "") + wording.quantity(result.get("improvement"), run.unit(name))
                     for name, speed, result in measured
-                )
-                or ("refused" if candidate.get("refused") else "–"),
+                ]
+                or ["refused" if candidate.get("refused") else "–"],
                 "refused": candidate.get("refused"),
-                "interval": "; ".join(
+                "interval": [
                     wording.interval(result.get("improvement_ci95"), run.unit(name)) for name, _, result in measured
-                )
-                or "–",
-                "segments": "; ".join(wording.count(result.get("segments")) for _, _, result in measured) or "–",
+                ]
+                or ["–"],
+                "segments": list(dict.fromkeys(wording.count(result.get("segments")) for _, _, result in measured))
+                or ["–"],
             }
         )
     return {"index": iteration["index"], "rows": rows}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,6 +66,12 @@ def save(drawing: Figure, folder: Path, name: str) -> Path:
     drawing.set_layout_engine("none")  # the layout is found; finding it again for the PDF takes as long as drawing
     drawing.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None, "ModDate": None})
     return folder / f"{name}.svg"
+
+
+def embedded(drawing: Figure, folder: Path, file: str, title: str, caption: str) -> dict[str, str]:
+    """`save`, and what the page needs to show it: title, caption, alt and the SVG as base64."""
+    data = base64.b64encode(save(drawing, folder, file).read_bytes()).decode()
+    return {"title": title, "caption": caption, "alt": f"{title}. {caption}", "data": data}
 
 
 def ramp(position: int, count: int) -> str:

@@ -16,6 +16,10 @@ def print_table(summary: Mapping[str, Any], console: Console | None = None) -> N
     """Print the final head-to-head of a summary.json, one table per objective."""
     final = summary.get("final") or {}
     _print(final.get("objectives") or {}, f"{final.get('policy') or 'final'} policy against pretrained", console)
+    if len(summary.get("objectives") or ()) > 1 and (summary.get("front") or {}).get("real"):
+        from rich.console import Console
+
+        (console or Console()).print(_front_table(summary))
 
 
 def print_evaluation(evaluation: Mapping[str, Any], console: Console | None = None) -> None:
@@ -30,8 +34,31 @@ def _print(objectives: Mapping[str, Any], title: str, console: Console | None) -
     console = console or Console()
     for name, result in objectives.items():
         console.print(_table(result, f"{name}: {title}"))
+        for line in (result.get("refused") or {}).values():
+            console.print(f"{name}: {line}", style="red", markup=False)
     if not objectives:
         console.print("No final head-to-head: nothing was compared.")
+
+
+def _front_table(summary: Mapping[str, Any]) -> Table:
+    """The policies that no other beats in all objectives, best first in the first one."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    objectives, front = list(summary["objectives"]), summary["front"]
+    title = "front: beaten by no other policy tried, during the iterations"
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=0)
+    table.add_column("policy", no_wrap=True)
+    for name in objectives:
+        table.add_column(name, justify="right", no_wrap=True)
+        table.add_column("95 % interval", justify="right", no_wrap=True)
+    for entry in sorted(front["real"], key=lambda one: -one["improvements"][objectives[0]]["improvement"]):
+        cells = []
+        for name in objectives:
+            gain, unit = entry["improvements"][name], front["units"][name]
+            cells += [wording.quantity(gain["improvement"], unit), wording.interval(gain["improvement_ci95"], unit)]
+        table.add_row(entry["id"], *cells)
+    return table
 
 
 def _table(result: Mapping[str, Any], title: str) -> Table:

@@ -55,10 +55,10 @@ def bound(value: Number) -> str:
 
 
 def weights(values: Mapping[str, float]) -> str:
-    """λ of a candidate: 0.5, or one per objective."""
+    """λ of a candidate: 0.5, or one per objective that has any."""
     if len(values) == 1:
         return f"{next(iter(values.values())):g}"
-    return " + ".join(f"{value:g} {name}" for name, value in values.items())
+    return " + ".join(f"{value:g} {name}" for name, value in values.items() if value) or "0"
 
 
 def duration(seconds: Number) -> str:

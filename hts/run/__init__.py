@@ -1,7 +1,8 @@
-"""A run: Algorithm 1 in `algorithm`, its stages' work in `learning` and `reality`, its bookkeeping in the rest."""
+"""A run: Algorithm 1 in `algorithm`, its stages' work in `learning`, `reality` and `testing_elites`, the rest beside."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,9 +27,12 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False) -> Path:
     if dry_run:
         from hts.run.cost import estimate, print_estimate
 
+        if config.engine == "auto":
+            config = with_engine(config)
+
         print_estimate(estimate(config, registry))
         return Path(out)
-    _make_folder(config, Path(out))
+    _make_folder(with_engine(config), Path(out))
     return resume_run(out)
 
 
@@ -37,10 +41,23 @@ def resume_run(folder: Path) -> Path:
     from hts.config_loading import read_config
 
     config = read_config(Path(folder) / "config.yaml")
+    if not (Path(folder) / "summary.json").exists():  # whoever only wants to see the table needs no GPU
+        config = with_engine(config)
 
     from hts.run import algorithm
 
     return algorithm.run(config, Path(folder))
+
+
+def with_engine(config: RunConfig) -> RunConfig:
+    """The configuration with the engine that `auto` stands for here, so that everything written names what really ran.
+
+    Raises ConfigError if the engine cannot work on this machine: before minutes of a robot are spent on data.
+    """
+    from hts.sim.selection import select_engine
+
+    engine = select_engine(config.engine, config.finetune.env.device, tell=lambda line: print(line, file=sys.stderr))
+    return config.model_copy(update={"engine": engine})
 
 
 def _make_folder(config: RunConfig, out: Path) -> None:

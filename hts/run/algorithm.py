@@ -23,9 +23,10 @@ from hts.report.table import print_table
 from hts.run.job import Job
 from hts.run.learning import finetune, fit, simulate
 from hts.run.progress import Progress
-from hts.run.reality import collect, final, test
+from hts.run.reality import collect, final
 from hts.run.stages import Stages
 from hts.run.summary import summarise
+from hts.run.testing_elites import test
 
 STAGES_PER_ITERATION = 4
 STAGES_AROUND = 4  # collect, final, summary, report

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig
 from hts.contracts import WorldContext
 from hts.plugins import Registry
-from hts.ppo.sweep import candidates
+from hts.ppo.sweep import candidates, combinations, own_weights
 
 STEPS_PER_SECOND = {"mujoco": 4_500.0, "warp": 500_000.0}
 """Control steps per second from collection to update: what `hts bench train` shows on two cores and on one H200.
@@ -31,13 +32,10 @@ def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     proxy = config.reward_source == "proxy"
-    weights = {
-        name: config.sweep.weights.get(name) or (objective.baseline_weights if proxy else objective.weights)
-        for name, objective in objectives.items()
-    }
+    weights = combinations(own_weights(objectives, proxy), config.sweep.weights)
     counts = []
     for iteration in range(config.iterations):
-        hashes = {anchor: anchor if iteration else "one" for anchor in config.sweep.anchors}
+        hashes: dict[str, str] = {anchor: anchor if iteration else "one" for anchor in config.sweep.anchors}
         counts.append(len(candidates(iteration, hashes, weights, config.sweep.kl_bounds)))
     nowhere = Path(tempfile.gettempdir()) / "hts-dry-run"  # a name only: worlds write with their first request
     context = WorldContext(config.robot.name, config.robot.settings, config.objectives, config.seed, folder=nowhere)
@@ -58,6 +56,8 @@ def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
     cost = dict(world.cost(robot_seconds))
     world.close()
     return {
+        "combinations": ", ".join(_shown(one) for one in weights) if len(objectives) > 1 else None,
+        "selector": config.selection.selector.name,
         "candidates": sum(counts), "tested on the robot": elites, "robot_minutes": robot_seconds / 60.0,
         "charges": robot_seconds / 60.0 / robot.spec.endurance_minutes if robot.spec.endurance_minutes else None,
         "simulation_steps": steps,
@@ -66,16 +66,26 @@ def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _shown(weights: Mapping[str, float]) -> str:
+    """λ of one candidate, those that are not 0: "1 calm + 5 quiet"."""
+    return " + ".join(f"{value:g} {name}" for name, value in weights.items() if value)
+
+
 def print_estimate(cost: dict[str, Any]) -> None:
     """One line each."""
     from rich.console import Console
+    from rich.table import Table
 
-    console = Console()
+    table = Table.grid(padding=(0, 2))
+    table.add_column(justify="right", width=30)
+    table.add_column()
     labels = {
-        "candidates": "candidates trained", "tested on the robot": "of them tested in the world", "robot_minutes": "minutes of walking",
+        "combinations": "combinations of λ", "selector": "selector", "candidates": "candidates trained",
+        "tested on the robot": "of them tested in the world", "robot_minutes": "minutes of walking",
         "charges": "charges of the robot", "simulation_steps": "simulation steps", "wall_minutes": "minutes in all, about", "memory_gb": "GB of memory, about",
     }  # fmt: skip
     for key, value in cost.items():
         if value is not None:
-            shown = f"{value:,.1f}" if isinstance(value, float) else f"{value:,}"
-            console.print(f"{labels[key]:>30}  {shown}", highlight=False)
+            shown = value if isinstance(value, str) else f"{value:,.1f}" if isinstance(value, float) else f"{value:,}"
+            table.add_row(labels[key], shown)
+    Console(highlight=False).print(table)

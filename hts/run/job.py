@@ -15,6 +15,7 @@ from hts.errors import ConfigError, PolicyError, RecordingError
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
+from hts.ppo.sweep import combinations, own_weights
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
 from hts.run.provenance import collect as collect_provenance
@@ -43,6 +44,7 @@ class Job:
 
     def prepare(self) -> None:
         """The pretrained policy and the provenance, before anything is spent."""
+        assert self.combinations is not None  # raises ConfigError where there is nothing to learn from
         source = self.robot.pretrained_policy()
         if source is None:
             raise ConfigError(f"Robot '{self.robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
@@ -53,6 +55,12 @@ class Job:
             write_json(
                 self.folder / "provenance.json", collect_provenance(self.config.seed, self.config.engine, plugins)
             )
+
+    @cached_property
+    def combinations(self) -> list[dict[str, float]]:
+        """The λ of the sweep's candidates, one per objective."""
+        own = own_weights(self.objectives, proxy=self.config.reward_source == "proxy")
+        return combinations(own, self.config.sweep.weights)
 
     def seed(self, *what: object) -> int:
         """A seed for one purpose, from the run's seed."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,8 @@ from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
 from hts.contracts import SimulatedCandidate
+from hts.evaluation.simulation import SimulatedTrial, test_config
 from hts.evaluation.simulation import simulate as trials
-from hts.evaluation.simulation import test_config
 from hts.measurement import files
 from hts.measurement.fit_command import fit_and_check
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
@@ -20,8 +20,10 @@ from hts.policies.files import Policy, make_card
 from hts.policies.networks import Population
 from hts.ppo.finetune import finetune as finetune_candidates
 from hts.ppo.finetune import measured_env
-from hts.ppo.sweep import Candidate, candidates
+from hts.ppo.sweep import FRONT, Candidate, candidates
+from hts.run.front import real_front
 from hts.run.job import Job
+from hts.selection.fronts import towards
 
 Report = Callable[[float], None]
 
@@ -66,24 +68,30 @@ def inputs(job: Job) -> tuple[str, ...]:
 
 
 def sweep(job: Job, iteration: int, best: str) -> list[Candidate]:
-    """The candidates of an iteration."""
-    hashes = {
-        anchor: job.policy(best if anchor == "best" else "pretrained").card.policy_hash
-        for anchor in job.config.sweep.anchors
+    """The candidates of an iteration. An anchor "front" becomes, for each combination of λ, the id of a policy."""
+
+    def policy_hash(name: str) -> str:
+        return job.policy(name).card.policy_hash
+
+    behind = {"best": best, "pretrained": "pretrained"}
+    hashes: dict[str, str] = {
+        anchor: policy_hash(behind[anchor]) if anchor in behind else "" for anchor in job.config.sweep.anchors
     }
-    weights = {
-        name: job.config.sweep.weights.get(name)
-        or (objective.baseline_weights if job.config.reward_source == "proxy" else objective.weights)
-        for name, objective in job.objectives.items()
-    }
-    return candidates(iteration, hashes, weights, job.config.sweep.kl_bounds)
+    front = real_front(job, iteration) if FRONT in hashes else []
+
+    def furthest(weights: Mapping[str, float]) -> tuple[str, str]:
+        name = front[towards([one.gains for one in front], [weights[key] for key in job.objectives])].id
+        return name, policy_hash(name)
+
+    return candidates(iteration, hashes, job.combinations, job.config.sweep.kl_bounds, furthest)
 
 
 def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     """Fine-tune every candidate; policies in iterations/NN/candidates, training curves in log/ (TensorBoard)."""
     config = job.config
     group = sweep(job, iteration, best)
-    anchors = {"best": job.policy(best), "pretrained": job.policy("pretrained")}
+    behind = {"best": best}
+    anchors = {name: job.policy(behind.get(name, name)) for name in ("best", *sorted({one.anchor for one in group}))}
     checkpoint = job.folder / "iterations" / f"{iteration:02d}" / "checkpoint"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
     curves = job.folder / "log" / f"iteration-{iteration:02d}"
@@ -98,7 +106,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
             for member, value in zip(members, values, strict=True):
                 writer.add_scalar(f"{name}/{member.id}", value, stats.steps // len(members))
 
-    key = f"{iteration}/{anchors['best'].card.policy_hash}/{config.seed}"
+    key = f"{iteration}/{'/'.join(anchor.card.policy_hash for anchor in anchors.values())}/{config.seed}"
     tuned, steps = finetune_candidates(
         job.robot, config.engine, config.finetune, group, anchors, lambda: transforms(job, iteration), inputs(job),
         seed=job.seed("finetune", iteration), checkpoint=checkpoint, key=key, progress=report, log=log,
@@ -169,7 +177,9 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         for name, row in results.items()
     }
     return {
-        "scores": {c.id: c.score for c in judged}, "falls": {c.id: c.falls for c in judged},
+        "scores": {c.id: c.score for c in judged},
+        "objective_scores": {name: _scores(row) for name, row in results.items()},  # of the pretrained policy too
+        "falls": {c.id: c.falls for c in judged},
         "tracked": {c.id: c.tracked for c in judged}, "elites": elites, "trials": details,
         "steps": round(test.seconds * job.robot.spec.control_rate_hz) * worlds * len(names),
     }  # fmt: skip
@@ -179,6 +189,13 @@ def _judge(row: dict[str, Any], results, tolerance: float) -> SimulatedCandidate
     """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations)."""
     falls = sum(trial.falls for trial in results)
     tracked = all(abs(trial.mean_speed - trial.speed) <= tolerance * trial.speed for trial in results)
-    score = sum(sum(trial.rewards.values()) for trial in results) / len(results)
-    stopped = row["stopped"] is not None
-    return SimulatedCandidate(row["id"], float("-inf") if stopped else score, falls, tracked and not stopped)
+    scores = _scores(results)
+    if row["stopped"] is not None:
+        scores, tracked = dict.fromkeys(scores, float("-inf")), False
+    return SimulatedCandidate(row["id"], sum(scores.values()), falls, tracked, scores)
+
+
+def _scores(results: Sequence[SimulatedTrial]) -> dict[str, float]:
+    """Mean r_real over speeds of each objective, per second."""
+    names = dict.fromkeys(name for trial in results for name in trial.rewards)
+    return {name: sum(trial.rewards[name] for trial in results) / len(results) for name in names}

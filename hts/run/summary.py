@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hts.measurement.checks import spearman
+from hts.run.front import PRETRAINED, front_entry
 from hts.run.job import Job
 
 
@@ -26,6 +27,7 @@ def summarise(job: Job) -> dict[str, Any]:
             {
                 "index": index, "best": tested["best"], "best_so_far": tested["best_so_far"],
                 "measurement_models": {key: _model(report, tested["model_checks"].get(key)) for key, report in fit.items()},
+                "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
                 "candidates": [_candidate(row, simulated, tested) for row in tuned["candidates"]],
             }
         )  # fmt: skip
@@ -37,6 +39,7 @@ def summarise(job: Job) -> dict[str, Any]:
         "preset": config.preset, "engine": config.engine, "seed": config.seed, "reward_source": config.reward_source,
         "wall_seconds": round(sum(job.stages.seconds().values()), 1), "sim_steps": steps,
         "real_samples": samples + final["samples"], "iterations": iterations, "measurement_models": ranks,
+        "front": front_entry(job),
         "final": {"policy": final["policy"], "objectives": final["objectives"]},
     }  # fmt: skip
 
@@ -79,8 +82,11 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
     entry = {
         "id": name, "anchor": row["anchor"], "weights": row["weights"], "kl_bound": row["kl_bound"], "kl": row["kl"],
         "std": row["std"], "anchor_std": row["anchor_std"], "sim_score": simulated["scores"][name],
+        "sim_scores": (simulated.get("objective_scores") or {}).get(name, {}), "tracked": simulated["tracked"][name],
         "elite": name in tested["elites"], "falls": simulated["falls"][name], "real": result.get("real"),
     }  # fmt: skip
+    if result.get("tested"):
+        entry["selection_scores"], entry["fell"] = result["tested"]["selection_score"], result["tested"]["fell"]
     if result.get("refused"):
         entry["refused"] = result["refused"]
     if row["stopped"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pydantic import Field
@@ -33,11 +33,15 @@ class Hierarchical(Selector):
         self.settings = settings
 
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
-        """Ids of the `count` best, best first. A score that is not a number ranks last of all."""
+        """Ids of the `count` best, best first. A score that is not a number ranks last of all.
+
+        With several objectives the one that decides on the best decides here too, by its own score.
+        """
 
         def key(candidate: SimulatedCandidate) -> tuple[bool, bool, bool, float]:
-            unknown = math.isnan(candidate.score)
-            return (unknown, candidate.falls > 0, not candidate.tracked, 0.0 if unknown else -candidate.score)
+            score = candidate.scores[self._deciding(candidate.scores)] if candidate.scores else candidate.score
+            unknown = math.isnan(score)
+            return (unknown, candidate.falls > 0, not candidate.tracked, 0.0 if unknown else -score)
 
         return [candidate.id for candidate in sorted(candidates, key=key)[:count]]
 
@@ -56,10 +60,14 @@ class Hierarchical(Selector):
         return max(improving, key=lambda pair: pair[0])[1] if improving else None
 
     def _comparison(self, candidate: TestedCandidate) -> Comparison:
-        name = self.settings.objective or next(iter(candidate.comparisons))
-        if name not in candidate.comparisons:
-            raise ConfigError("Selector 'hierarchical': " + unknown_name("objective", name, candidate.comparisons))
-        return candidate.comparisons[name]
+        return candidate.comparisons[self._deciding(candidate.comparisons)]
+
+    def _deciding(self, objectives: Mapping[str, Any]) -> str:
+        """The objective named in the settings, by default the first of the run."""
+        name = self.settings.objective or next(iter(objectives))
+        if name not in objectives:
+            raise ConfigError("Selector 'hierarchical': " + unknown_name("objective", name, objectives))
+        return name
 
 
 def make(settings: Settings) -> Selector:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from hts.config_loading import ENGINES
 from hts.errors import ConfigError, unknown_name
 
 if TYPE_CHECKING:
@@ -79,11 +80,15 @@ def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
 def make_engine(
     name: str, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, **options: Any
 ) -> Engine:
-    """The engine called `name`.
+    """The engine called `name`; "auto" is the fastest that works here (see `hts.sim.selection`).
 
     models: M compiled variants of one robot that differ in numbers only; assignment (W,): variant of each world.
     Raises ConfigError for an unknown engine or one whose package or device is missing.
     """
+    if name == "auto":
+        from hts.sim.selection import select_engine
+
+        name = select_engine(name, options.get("device", "auto"))
     if name == "mujoco":
         from hts.sim.mujoco_engine import MujocoEngine
 
@@ -96,4 +101,4 @@ def make_engine(
             contacts_per_world=options.get("contacts_per_world", 0),
             constraints_per_world=options.get("constraints_per_world", 0),
         )  # fmt: skip
-    raise ConfigError(unknown_name("engine", name, ("mujoco", "warp")))
+    raise ConfigError(unknown_name("engine", name, ENGINES))

@@ -1,83 +1,133 @@
-"""The conformance kit: does what a package offers keep its side of the contracts? Behind `hts check PACKAGE`.
-
-Each check is a function that returns nothing if all is well and raises otherwise; its docstring is the demand.
-"""
+"""The conformance kit: does what a package offers keep its side of the contracts? Behind `hts check PACKAGE`."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import tomllib
+import warnings
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from hts.errors import ConfigError, PluginError, unknown_name
-from hts.plugins import KINDS, Entry, Registry
-from hts.testing.conformance_checks import CHECKS
+from hts.errors import ConfigError, HtsError, PluginError, unknown_name
+from hts.plugins import KINDS, Broken, Entry, Plugin, Registry
+from hts.testing.checks import CHECKS
+from hts.testing.packages import kit_installed
 
-SETTING_NOBODY_HAS = "no_such_setting_of_anything"
+HEAVY = ("torch", "mujoco", "dm_control", "jax", "tensorflow")
+
+LOAD_ALONE = """
+import sys
+from importlib.metadata import entry_points
+from hts.plugins import GROUP, load
+module, *heavy = sys.argv[1:]
+registry = load(point for point in entry_points(group=GROUP) if point.value == module)
+assert not registry.broken, registry.broken[0].reason
+print(*[name for name in heavy if name in sys.modules])
+"""
+"""Program that loads one plugin and asks it for all it offers, in a process that has imported nothing else."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What was checked of what; fault: None if it is kept, else one line."""
+    """One demand on one thing that a package offers; fault: what was found instead, or None if it is kept."""
 
+    package: str
     subject: str
     demand: str
     fault: str | None
 
+    def line(self) -> str:
+        """All of it on one line."""
+        if self.fault is None:
+            return f"{self.package}: {self.subject}: {self.demand}"
+        return f"{self.package}: {self.subject}: {self.fault.rstrip('.')}. Expected: {self.demand}"
 
-def check_package(registry: Registry, package: str) -> list[Finding]:
-    """Check everything that a distribution offers. Raises ConfigError if nothing of that name is installed."""
-    for broken in registry.broken:
-        if broken.package == package:
-            return [Finding(f"entry point {broken.entry_point}", "It can be loaded.", broken.reason)]
+
+def check_package(registry: Registry, package: str, reserved: Collection[str] = ()) -> list[Finding]:
+    """Check everything that a distribution offers; reserved: names of commands that plugins cannot have.
+
+    Raises ConfigError if nothing of that name is installed.
+    """
+    broken = [one for one in registry.broken if one.package == package]
     plugins = [plugin for plugin in registry.plugins if plugin.package == package]
-    if not plugins:
+    if not broken and not plugins:
         known = {p.package for p in registry.plugins} | {b.package for b in registry.broken}
         raise ConfigError(unknown_name("plugin package", package, known))
-    findings = [_tried(f"module {plugin.module}", _imports_nothing_heavy, plugin.module) for plugin in plugins]
+    with kit_installed():  # worlds look the kit's robot and objective up, also in processes of their own
+        return [*map(_not_loaded, broken), *_checked(registry, package, plugins, reserved)]
+
+
+def package_of(text: str) -> str:
+    """The distribution that is meant: itself, or the one whose folder (with a pyproject.toml) is given.
+
+    Raises ConfigError for a folder that is not a package.
+    """
+    folder = Path(text)
+    if not folder.is_dir():
+        return text
+    file = folder / "pyproject.toml"
+    try:
+        return str(tomllib.loads(file.read_text(encoding="utf-8"))["project"]["name"])
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError) as error:
+        raise ConfigError(
+            f"{file}: expected a pyproject.toml with a project name in it ({type(error).__name__}: {error}). "
+            "Give the folder of a package, or the name of an installed one."
+        ) from error
+
+
+def _not_loaded(broken: Broken) -> Finding:
+    return Finding(broken.package, f"entry point '{broken.entry_point}'", "It can be loaded.", broken.reason)
+
+
+def _checked(
+    registry: Registry, package: str, plugins: Collection[Plugin], reserved: Collection[str]
+) -> Iterator[Finding]:
+    for plugin in plugins:
+        yield _tried(package, f"module {plugin.module}", _imports_nothing_heavy, plugin.module)
+        yield _tried(package, f"module {plugin.module}", _offers_something, registry, package)
     for kind, word in KINDS.items():
         for entry in getattr(registry, kind).values():
             if entry.package == package:
-                findings += _checked(f"{word} '{entry.name}'", kind, entry, registry)
-    return findings
+                for check in CHECKS[kind]:
+                    yield _tried(package, f"{word} '{entry.name}'", check, entry, registry)
+                if kind == "commands":
+                    yield _tried(package, f"{word} '{entry.name}'", _hides_no_command, entry, reserved)
 
 
-def _checked(subject: str, kind: str, entry: Entry, registry: Registry) -> Iterator[Finding]:
-    for check in CHECKS[kind]:
-        yield _tried(subject, check, entry, registry)
-    if kind in ("objectives", "robots", "selectors"):  # made from settings alone
-        yield _tried(subject, _refuses_unknown_settings, entry)
-
-
-def _tried(subject: str, check: Callable[..., None], *given: Any) -> Finding:
+def _tried(package: str, subject: str, check: Callable[..., None], *given: Any) -> Finding:
     demand = " ".join((check.__doc__ or check.__name__).split())
     try:
-        check(*given)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of libraries; what matters is found by the checks
+            check(*given)
     except Exception as error:  # noqa: BLE001 - whatever a stranger's code does is a finding, not the end of the check
         text = " ".join(str(error).split())
-        known = isinstance(error, (AssertionError, PluginError)) and text
-        return Finding(subject, demand, text if known else f"{type(error).__name__}: {text}")
-    return Finding(subject, demand, None)
+        known = isinstance(error, HtsError) and text
+        return Finding(package, subject, demand, text if known else f"{type(error).__name__}: {text}")
+    return Finding(package, subject, demand, None)
 
 
 def _imports_nothing_heavy(module: str) -> None:
-    """Importing it imports neither torch nor mujoco."""
-    code = f"import sys, {module}; print(*[n for n in ('torch', 'mujoco') if n in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    """Loading it is quick: torch, mujoco and their like are imported where they are needed, inside functions."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOAD_ALONE, module, *HEAVY], capture_output=True, text=True, check=False
+    )
     if done.returncode != 0:
-        raise PluginError(done.stderr.strip().splitlines()[-1])
+        raise PluginError(f"cannot be loaded alone: {(done.stderr.strip() or 'the process ended').splitlines()[-1]}")
     if done.stdout.strip():
-        raise PluginError(f"imports {done.stdout.strip()}: move the import into the function that needs it")
+        raise PluginError(f"imports {done.stdout.strip()} when it is loaded")
 
 
-def _refuses_unknown_settings(entry: Entry) -> None:
-    """A setting that it does not have is refused."""
-    try:
-        entry.factory({SETTING_NOBODY_HAS: 1})
-    except Exception as error:
-        if SETTING_NOBODY_HAS not in str(error):
-            raise PluginError(f"refuses it without naming it: {type(error).__name__}: {error}") from error
-        return
-    raise PluginError("takes any setting, so a misspelt one goes unseen: use a model with extra='forbid'")
+def _offers_something(registry: Registry, package: str) -> None:
+    """It registers one thing at least; hooks carry `@hookimpl` and call `register`."""
+    if not any(entry.package == package for kind in KINDS for entry in getattr(registry, kind).values()):
+        raise PluginError("registers nothing")
+
+
+def _hides_no_command(entry: Entry, reserved: Collection[str]) -> None:
+    """Its name is not that of a command that hts has already, which would win."""
+    if entry.name in reserved:
+        raise PluginError(f"'{entry.name}' is a command of hts")

@@ -9,7 +9,7 @@ import numpy as np
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Comparison, Objective
-from hts.evaluation.segments import Segments
+from hts.evaluation.segments import Segments, cut
 from hts.recordings.recording import Recording, Series
 
 COST = Channel("cost", "1", (), "what the known world charges for walking")
@@ -126,3 +126,42 @@ def known_head_to_head(
         start = float(block * block_seconds)
         recordings.append(known_recording(cost, role=role, block=block, vx=vx, speed=vx, start=start, idle=idle))
     return recordings
+
+
+def made_up_recording(
+    sim: Mapping[str, Channel], real: Mapping[str, Channel], factors: Mapping[str, float] | None = None, *,
+    seconds: float = 10.0, speed: float = 0.8, idle: float = 0.5, seed: int = 0, rate_hz: float = 50.0,
+) -> Recording:  # fmt: skip
+    """A straight walk of nobody in particular: random numbers in every channel, upright, at exactly the speed told.
+
+    sim, real: channels by name; every value lies 0.5 to 1.5 above `idle` (real) or 0 (sim). factors: on what a real
+    channel shows above idle.
+    """
+    rng = np.random.default_rng(seed)
+    samples = round(seconds * rate_hz)
+    values: dict[str, np.ndarray] = {}
+    for name, channel in {**sim, **real}.items():
+        values[name] = 0.5 + rng.random((samples, *channel.shape))
+        if name in real:
+            values[name] = idle + values[name] * (factors or {}).get(name, 1.0)
+    values["base_velocity"] = np.tile([speed, 0.0, 0.0], (samples, 1))
+    values["projected_gravity"] = np.tile([0.0, 0.0, -1.0], (samples, 1))
+    known = {"base_velocity": Channel("base_velocity", "m/s", (3,)), **sim, **real}
+    known.setdefault("projected_gravity", Channel("projected_gravity", "1", (3,)))
+    return Recording(
+        robot="nobody", world="made-up", policy_hash=f"{seed:02x}" * 32, iteration=0, joint_names=("joint",), kp=(1.0,),
+        kd=(0.1,), rate_hz=rate_hz, schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=speed),)),
+        idle=dict.fromkeys(real, idle), clock="simulated", time=np.arange(samples) / rate_hz,
+        channels={name: Series(known[name], array) for name, array in values.items()}, mass_kg=10.0,
+    )  # fmt: skip
+
+
+def known_segments(levels: Mapping[Channel, float], idle: float = 0.0, seconds: float = 10.0) -> Segments:
+    """Segments of a walk in which real channels show constant levels, in their units: what a score should be, on paper."""
+    real = {channel.name: channel for channel in levels}
+    recording = made_up_recording({}, real, idle=idle, seconds=seconds)
+    series = {
+        channel.name: Series(channel, np.full((recording.num_samples, *channel.shape), level))
+        for channel, level in levels.items()
+    }
+    return cut([recording.replace(channels={**recording.channels, **series})])

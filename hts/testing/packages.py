@@ -1,9 +1,16 @@
-"""A plugin package as pip would leave it, made in a folder: for tests of plugins, without pip."""
+"""Plugin packages as pip would leave them, made in a folder: for tests of plugins, without pip."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+
+KIT = "hard-to-sim-testing"
+"""Distribution under which the kit's own plugins appear, while they are installed."""
 
 
 def write_package(folder: Path, package: str, files: Mapping[str, str], entry_points: Mapping[str, str]) -> Path:
@@ -21,3 +28,28 @@ def write_package(folder: Path, package: str, files: Mapping[str, str], entry_po
     lines = ["[hts]", *(f"{name} = {module}" for name, module in entry_points.items()), ""]
     (info / "entry_points.txt").write_text("\n".join(lines), encoding="utf-8")
     return folder
+
+
+@contextmanager
+def on_path(folder: Path) -> Iterator[Path]:
+    """The folder is searched for modules and plugins, by this process and by those that it starts; then no longer."""
+    before = os.environ.get("PYTHONPATH")
+    sys.path.insert(0, str(folder))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(folder), before]))
+    try:
+        yield folder
+    finally:
+        sys.path.remove(str(folder))
+        if before is None:
+            del os.environ["PYTHONPATH"]
+        else:
+            os.environ["PYTHONPATH"] = before
+
+
+@contextmanager
+def kit_installed() -> Iterator[None]:
+    """Robot `tiny`, objective `fake` with its instrument, selector `plain` and world `known` are plugins like others."""
+    with tempfile.TemporaryDirectory(prefix="hts-testing-") as folder:
+        write_package(Path(folder), KIT, {}, {"kit": "hts.testing.kit_plugin"})
+        with on_path(Path(folder)):
+            yield

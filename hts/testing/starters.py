@@ -1,4 +1,7 @@
-"""Packages to start from, as `hts new KIND NAME` writes them: they install, pass `hts check`, and say what to change."""
+"""Packages to start from, as `hts new KIND NAME` writes them: they install, pass `hts check`, test and run as they are.
+
+A package is one of the kit's own examples under another name, so what is written is what the kit itself is tested with.
+"""
 
 from __future__ import annotations
 
@@ -7,43 +10,78 @@ import re
 from pathlib import Path
 from string import Template
 
+from hts import __version__
 from hts.errors import ConfigError, RunError, unknown_name
-from hts.testing.starter_texts import PROJECT, STARTERS, TEST
+
+HERE = Path(__file__).parent
+
+EXAMPLES = {"objective": "fake", "robot": "tiny", "selector": "plain"}
+"""Kind -> what the example of that kind is called in its own code."""
+
+RUN = {
+    "objective": "hts run --objective $name --robot ROBOT --preset smoke",
+    "robot": "hts run --objective OBJECTIVE --robot $name --preset smoke",
+    "selector": "hts run --objective OBJECTIVE --robot ROBOT --preset smoke --set selection.selector.name=$name",
+}
+"""Kind -> the first run to try; `hts plugins` lists what may stand in place of the capitals."""
 
 
 def write_starter(kind: str, name: str, parent: Path) -> Path:
     """Write a package for one objective, robot or selector into `parent`/hts-NAME; the folder.
 
-    Raises ConfigError for a kind or name that cannot be, RunError if the folder exists.
+    Raises ConfigError for a kind or name that cannot be, RunError if the folder exists or cannot be written.
     """
-    if kind not in STARTERS:
-        raise ConfigError(unknown_name("kind of package", kind, STARTERS))
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
+    if kind not in EXAMPLES:
+        raise ConfigError(unknown_name("kind of package", kind, EXAMPLES))
+    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name) or keyword.iskeyword(name):
         raise ConfigError(
-            f"'{name}' cannot name a {kind}: lower-case letters, digits and underscores, a letter first, no Python keyword."
+            f"'{name}' cannot name a {kind}: lower-case letters, digits and single underscores, a letter first, "
+            "no Python keyword."
         )
     module = f"hts_{name}"
-    package = module.replace("_", "-")
-    folder = parent / package
+    folder = parent / module.replace("_", "-")
     if folder.exists():
         raise RunError(f"{folder}: exists already. Choose another name, or another place with --to DIR.")
     words = {
-        "name": name,
-        "Name": name.title().replace("_", ""),
-        "module": module,
-        "package": package,
-        "kind": kind,
-    }
-    plugin, parts = STARTERS[kind]
-    files = {
-        "pyproject.toml": PROJECT,
-        f"{module}/__init__.py": '"""The $kind `$name`, for hts."""\n',
-        f"{module}/plugin.py": plugin,
-        f"{module}/{kind}.py": parts,
-        f"tests/test_{name}.py": TEST,
-    }
-    for file, text in files.items():
-        path = folder / file
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(Template(text).substitute(words), encoding="utf-8")
+        "name": name, "Name": _class_name(name), "module": module, "package": folder.name, "kind": kind,
+        "version": __version__, "run": first_run(kind, name),
+    }  # fmt: skip
+    files = {f"{module}/{file.name}": _renamed(file, kind, words) for file in (HERE / "examples" / kind).glob("*.py")}
+    for file, template in (
+        ("pyproject.toml", "pyproject.toml"),
+        ("README.md", "README.md"),
+        (f"tests/test_{name}.py", f"test_{kind}.py"),
+    ):
+        text = (HERE / "templates" / f"{template}.tmpl").read_text(encoding="utf-8")
+        files[file] = Template(text).substitute(words)
+    try:
+        for file, text in files.items():
+            path = folder / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RunError(
+            f"{folder}: cannot be written ({error.strerror}). Choose another place with --to DIR."
+        ) from error
+    if kind == "robot":
+        from hts.testing.tiny_policy import write_drive_policy
+
+        write_drive_policy(folder / module / "policies" / "pretrained.safetensors", name)
     return folder
+
+
+def first_run(kind: str, name: str) -> str:
+    """The command of the first run to try; words in capitals are to be filled in."""
+    return Template(RUN[kind]).substitute(name=name)
+
+
+def _class_name(name: str) -> str:
+    return "".join(part.capitalize() for part in name.split("_"))
+
+
+def _renamed(file: Path, kind: str, words: dict[str, str]) -> str:
+    """The example's source with the new name in place of its own."""
+    own = EXAMPLES[kind]
+    text = file.read_text(encoding="utf-8").replace(f"hts.testing.examples.{kind}", words["module"])
+    text = re.sub(rf"\b{own.capitalize()}\b", words["Name"], text)
+    return re.sub(rf"\b{own}(?=\b|_)", words["name"], text)

@@ -6,16 +6,38 @@ import hashlib
 import itertools
 import json
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hts.config import Command, ScheduleConfig
 
+if TYPE_CHECKING:
+    from hts.recordings.recording import Recording
+
 HEADING_GAIN = 0.5  # rad/s per rad, as the training commands of Rudin et al. 2022 as released
 LARGEST_YAW_RATE = 1.0  # rad/s
 ORDER = ("reference", "policy", "policy", "reference")
 """Roles of the blocks of a head-to-head: A-B-B-A cancels a drift that is linear in time."""
+
+
+def round_order(policies: int, number: int) -> list[int | None]:
+    """Who walks in the blocks of a round: index of a policy, or None for the reference. Each twice, there and back.
+
+    A-B-C-C-B-A: everybody has the same mean time, so a drift that is linear in time cancels as in A-B-B-A, and each
+    half holds one block of everybody. Who begins moves on from round to round: what a block leaves to the next
+    (warm motors) then falls on others.
+    """
+    crew: list[int | None] = [None, *range(policies)]
+    first = number % len(crew)
+    there = crew[first:] + crew[:first]
+    return there + there[::-1]
+
+
+def shared_out(recordings: Sequence[Recording], order: Sequence[int | None], policies: int) -> list[list[Recording]]:
+    """One list a policy from the blocks of a round: its own and the reference's, in the order of time."""
+    blocks = list(zip(recordings, order, strict=True))
+    return [[recording for recording, who in blocks if who in (None, policy)] for policy in range(policies)]
 
 
 def commands(schedule: ScheduleConfig, rate_hz: float) -> np.ndarray:

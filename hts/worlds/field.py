@@ -17,7 +17,7 @@ from hts.config import Config, ScheduleConfig
 from hts.contracts import Settings, World, WorldContext
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.recordings.recording import Recording
-from hts.worlds.base import ORDER, file_hash, request_id, walking
+from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out, walking
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
 
 
@@ -84,6 +84,21 @@ class FieldWorld(World):
         recordings = self._recordings(request, orders)
         width = len(ORDER) * len(speeds)
         return [recordings[i * width : (i + 1) * width] for i in range(len(policies))]
+
+    def head_to_head_round(
+        self, policies: Sequence[Path], reference: Path, speed: float, number: int, block_seconds: float
+    ) -> list[list[Recording]]:
+        """One bundle a round, its logs recorded in one go; the policies share the reference's blocks."""
+        request = self._request("round", [*policies, reference], [float(speed), number, float(block_seconds)])
+        schedule, session = walking(float(speed), float(block_seconds)), request_id(request, 0)
+        order = round_order(len(policies), number)
+        orders = [
+            Order(f"{i:02d}", Path(reference), schedule, session, i, "reference")
+            if who is None
+            else Order(f"{i:02d}", Path(policies[who]), schedule, session, i, "policy")
+            for i, who in enumerate(order)
+        ]
+        return shared_out(self._recordings(request, orders), order, len(policies))
 
     # ------------------------------------------------------------------------------------------ inside
 

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from hts.config import Config, ScheduleConfig
-from hts.worlds.base import ORDER, request_id, walking
+from hts.worlds.base import ORDER, request_id, round_order, walking
 
 SETTLING_SECONDS = 3.0  # of the warm-up, before heat is averaged: the start from standing is not like walking
 STANDING_SECONDS = 1.0  # before anything else
@@ -67,4 +67,18 @@ def head_to_head(policy: str, reference: str, speed: float, warmup: float, block
     paths = {"policy": policy, "reference": reference}
     walk = walking(speed, block)
     blocks = [Block(policy=paths[role], schedule=walk, index=i, role=role) for i, role in enumerate(ORDER)]
+    return Session(id=session, blocks=(*warm_up(reference, speed, warmup), *blocks))
+
+
+def head_to_head_round(
+    policies: Sequence[str], reference: str, speed: float, warmup: float, block: float, number: int, session: str
+) -> Session:
+    """Warm up with the reference, then a round of all policies in one session, without a pause."""
+    walk = walking(speed, block)
+    blocks = [
+        Block(policy=reference, schedule=walk, index=i, role="reference")
+        if who is None
+        else Block(policy=policies[who], schedule=walk, index=i, role="policy")
+        for i, who in enumerate(round_order(len(policies), number))
+    ]
     return Session(id=session, blocks=(*warm_up(reference, speed, warmup), *blocks))

@@ -16,10 +16,10 @@ from hts.cores import available
 from hts.errors import WorldError
 from hts.recordings.recording import Recording
 from hts.recordings.store import RecordingStore
-from hts.worlds.base import ORDER, file_hash, in_groups, request_id
+from hts.worlds.base import ORDER, file_hash, in_groups, request_id, round_order, shared_out
 from hts.worlds.twin.child import Child
 from hts.worlds.twin.parameters import TwinSettings
-from hts.worlds.twin.programme import Session, collection, head_to_head
+from hts.worlds.twin.programme import Session, collection, head_to_head, head_to_head_round
 
 STEPS_PER_SECOND = 12_000.0  # physics steps of a twin on one core, for the estimate of `cost`
 
@@ -74,6 +74,17 @@ class TwinWorld(World):
         rows = self._run(sessions, request)
         width = len(speeds)
         return [[r for row in rows[i * width : (i + 1) * width] for r in row] for i in range(len(paths))]
+
+    def head_to_head_round(
+        self, policies: Sequence[Path], reference: Path, speed: float, number: int, block_seconds: float
+    ) -> list[list[Recording]]:
+        """One session on a fresh twin at the stated charge, warmed up; the policies share the reference's blocks."""
+        paths, against = [_path(policy) for policy in policies], _path(reference)
+        lengths = (self.settings.warmup_seconds, float(block_seconds))
+        request = self._request("round", [*paths, against], [float(speed), number, *lengths])
+        session = head_to_head_round(paths, against, float(speed), *lengths, number, request_id(request, 0))
+        (recordings,) = self._run([session], request)
+        return shared_out(recordings, round_order(len(paths), number), len(paths))
 
     def head_to_head_seconds(self) -> float:
         """Robot time of one head-to-head at one speed, s."""

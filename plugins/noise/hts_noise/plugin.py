@@ -20,10 +20,10 @@ def make_noise(settings: Settings) -> Objective:
 
 
 def make_microphone(settings: Settings, robot: Robot) -> Instrument:
-    """Instrument `microphone`: A-weighted sound level at 1 m of a simulated robot."""
-    from hts_noise.microphone import Microphone, MicrophoneParameters
+    """Instrument `microphone`: what a sound-level meter beside a simulated robot shows."""
+    from hts_noise import microphone
 
-    return Microphone(MicrophoneParameters.model_validate(dict(settings)), robot.spec)
+    return microphone.make_microphone(settings, robot)
 
 
 @hookimpl

@@ -1,0 +1,1 @@
+"""A dm_control suite task as a robot for hts."""

@@ -1,0 +1,117 @@
+"""Any TorchRL env of batch size [P·N], such as TorchRL's wrappers of other libraries give, in the shape that hts trains on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from hts.channels import Channel
+from hts.errors import ConfigError
+
+Key = str | tuple[str, ...]
+ChannelValues = Callable[[TensorDictBase, torch.Tensor], Mapping[str, torch.Tensor]]
+
+
+class FoldedEnv(EnvBase):
+    """World n of candidate p is world p·N + n of `inner`. Nothing of the task is changed; what hts needs is added:
+
+    observation, critic_observation: parts of the inner observation, one after the other, float32 [P, N, O];
+    reward: the inner one times reward_scale; by default dt, so that a reward per step becomes a rate per second, as
+    λ's unit wants. A task that multiplies by its control step itself gets 1;
+    ("channels", name): from `values(inner step, action sent)`, both of batch size [P·N]; (P·N, *shape) each.
+
+    inner: has the flags done, terminated, truncated, and resets single worlds (`_reset`); dt: control step, s;
+    action_limit: actions are clipped to ± this, for tasks that do not do so themselves. A card of a policy calls the parts
+    of the observation by their last name (`observation_layout`). Seeds are the inner env's own affair.
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self, inner: EnvBase, num_candidates: int, *, dt: float, observation: Sequence[Key], channels: Mapping[str, Channel],
+        values: ChannelValues, critic_observation: Sequence[Key] = (), action_limit: float | None = None,
+        reward_scale: float | None = None,
+    ):  # fmt: skip
+        worlds = inner.batch_size.numel()
+        if len(inner.batch_size) != 1 or worlds % num_candidates:
+            raise ConfigError(
+                f"An env of batch size {list(inner.batch_size)} cannot be folded for {num_candidates} candidates: "
+                "expected [candidates · worlds]."
+            )
+        shape = torch.Size([num_candidates, worlds // num_candidates])
+        super().__init__(device=inner.device or torch.device("cpu"), batch_size=shape)
+        self.inner, self.dt, self.values, self.action_limit = inner, dt, values, action_limit
+        self.reward_scale = dt if reward_scale is None else reward_scale
+        self.wanted = dict(channels)
+        self.parts = {"observation": tuple(observation), "critic_observation": tuple(critic_observation or observation)}
+        self._make_specs()
+
+    def _make_specs(self) -> None:
+        shape, device = self.batch_size, self.device
+
+        def unbounded(*size: int) -> Unbounded:
+            return Unbounded((*shape, *size), device=device)
+
+        seen = {name: unbounded(sum(self._size(key) for key in keys)) for name, keys in self.parts.items()}
+        channels = {name: unbounded(*channel.shape) for name, channel in self.wanted.items()}
+        self.observation_spec = Composite(
+            **seen, channels=Composite(channels, shape=shape, device=device), shape=shape, device=device
+        )
+        self.action_spec = unbounded(self.inner.action_spec.shape[-1])
+        self.reward_spec = unbounded(1)
+        flag = Binary(1, (*shape, 1), device=device, dtype=torch.bool)
+        self.done_spec = Composite(
+            {name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape, device=device
+        )
+
+    def _size(self, key: Key) -> int:
+        return int(self.inner.observation_spec[key].shape[-1])
+
+    @property
+    def observation_layout(self) -> list[dict[str, Any]]:
+        """Names and sizes of the observation's parts, for the card of a policy that is trained here."""
+        names = [(key if isinstance(key, str) else key[-1], key) for key in self.parts["observation"]]
+        return [{"name": name, "size": self._size(key)} for name, key in names]
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
+        flat = None
+        if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118 - a TensorDict
+            mask = tensordict["_reset"].reshape(-1, 1)
+            flat = TensorDict({"_reset": mask}, [mask.shape[0]], device=self.inner.device)
+        action = torch.zeros(self.batch_size.numel(), self.action_spec.shape[-1], device=self.device)
+        return self._folded(self.inner.reset(flat), action)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = tensordict["action"].flatten(0, 1)
+        if self.action_limit is not None:
+            action = action.clamp(-self.action_limit, self.action_limit)
+        sent = action.to(self.inner.action_spec.dtype)
+        after = self.inner.step(TensorDict({"action": sent}, [len(sent)], device=self.inner.device))["next"]
+        result = self._folded(after, action)
+        result["reward"] = after["reward"].float().view(*self.batch_size, 1) * self.reward_scale
+        return result
+
+    def _folded(self, flat: TensorDictBase, action: torch.Tensor) -> TensorDict:
+        shape = self.batch_size
+        found = self.values(flat, action)
+        channels = {name: found[name].float().view(*shape, *channel.shape) for name, channel in self.wanted.items()}
+        entries: dict[str, Any] = {
+            name: torch.cat([flat[key].float().view(*shape, -1) for key in keys], -1)
+            for name, keys in self.parts.items()
+        }
+        entries |= {name: flat[name].view(*shape, 1).clone() for name in ("done", "terminated", "truncated")}
+        entries["channels"] = TensorDict(channels, shape, device=self.device)
+        return TensorDict(entries, shape, device=self.device)
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Worlds are seeded when they are made."""
+
+    def close(self, **kwargs) -> None:
+        if not self.inner.is_closed:
+            self.inner.close()
+        super().close(**kwargs)

@@ -1,0 +1,41 @@
+"""A head-to-head in halves: A-B-B-A is A-B and then B-A, each of them a comparison by itself.
+
+Two numbers of one policy that were recorded apart tell how far such numbers scatter, whatever makes them scatter:
+segments that are alike, a block that went differently, charge that ran down in between. That is what a race needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from hts.config import EvaluationConfig
+from hts.contracts import Comparison, Objective
+from hts.evaluation.head_to_head import TooFewSegments, point
+
+if TYPE_CHECKING:
+    from hts.recordings.recording import Recording
+
+Half = Mapping[str, Comparison]
+
+
+def halves(
+    objectives: Mapping[str, Objective], recordings: Sequence[Recording], config: EvaluationConfig
+) -> list[Half | None]:
+    """One comparison per objective for each half of one session, in order of time.
+
+    recordings: the session's blocks in any order, as many of the role "policy" as of "reference"; half n is the n-th of
+    each. None for a half in which fewer than `config.min_valid` of either one's segments are valid.
+    Raises EvaluationError as `head_to_head.compare` does for anything but that.
+    """
+    ordered = sorted(recordings, key=lambda recording: recording.block)
+    policy, reference = ([r for r in ordered if r.role == role] for role in ("policy", "reference"))
+    few = config.model_copy(update={"min_segments": 1})
+    return [_half(objectives, pair, few) for pair in zip(policy, reference, strict=True)]
+
+
+def _half(objectives: Mapping[str, Objective], pair: Sequence[Recording], config: EvaluationConfig) -> Half | None:
+    try:
+        return {name: point(objective, pair, config) for name, objective in objectives.items()}
+    except TooFewSegments:
+        return None

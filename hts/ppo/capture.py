@@ -1,0 +1,97 @@
+"""CUDA graphs: work that is launched again and again as one, without the host putting it together each time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any, Generic, TypeVar
+
+import torch
+
+from hts.errors import HtsError, SimulationError
+
+WARM_UP = 2  # calls before capture, so that libraries have their workspaces
+Result = TypeVar("Result")
+
+
+def warm_up(function: Callable[[], Any], device: torch.device, times: int = WARM_UP) -> None:
+    """Call function on a stream of its own, as a capture must be prepared."""
+    stream = torch.cuda.Stream(device)
+    stream.wait_stream(torch.cuda.current_stream(device))
+    with torch.cuda.stream(stream):
+        for _ in range(times):
+            function()
+    torch.cuda.current_stream(device).wait_stream(stream)
+    torch.cuda.synchronize(device)
+
+
+def captured(function: Callable[[], Result], pool: Any = None) -> tuple[torch.cuda.CUDAGraph, Result]:
+    """The graph of what function launches, and what it returned: memory that each replay fills anew.
+
+    Raises SimulationError where something in it waits for the device, which a graph cannot.
+    """
+    graph = torch.cuda.CUDAGraph()
+    try:
+        with torch.cuda.graph(graph, pool=pool):
+            result = function()
+    except HtsError:
+        raise
+    except RuntimeError as error:
+        reason = str(error).strip().split("\n")[0]
+        raise SimulationError(
+            f"Capturing a step of the GPU failed ({reason}): something in it waits for the device, most likely an "
+            "objective's reward or proxy. Keep its arithmetic on the tensors it is given, or set ppo.capture=false."
+        ) from error
+    return graph, result
+
+
+class Captured(Generic[Result]):
+    """A function of nothing, which reads tensors that keep their place and has no side effects: from the second call
+    on one launch. It returns the same tensors each time."""
+
+    def __init__(self, function: Callable[[], Result], device: torch.device) -> None:
+        self._function, self._device = function, device
+        self._made: tuple[torch.cuda.CUDAGraph, Result] | None = None
+
+    @property
+    def result(self) -> Result:
+        """What it returns, filled by the last call."""
+        assert self._made is not None, "call it first"
+        return self._made[1]
+
+    def __call__(self) -> Result:
+        if self._made is None:
+            warm_up(self._function, self._device)
+            self._made = captured(self._function)
+        self._made[0].replay()
+        return self.result
+
+
+class Pins:
+    """State that a step replaces, held in the same memory from step to step, as a captured graph needs it.
+
+    `settle`, at the end of a step, copies what the step made into the pinned memory and puts that back in place.
+    """
+
+    def __init__(self, owner: Any, names: Iterable[str]) -> None:
+        self.owner, self.names = owner, [name for name in names if getattr(owner, name, None) is not None]
+        self.fixed = {name: getattr(owner, name).clone() for name in self.names}
+        self.begun = {name: value.clone() for name, value in self.fixed.items()}
+        self._attach()
+
+    def _attach(self) -> None:
+        for name, value in self.fixed.items():
+            setattr(self.owner, name, value)
+
+    def settle(self) -> None:
+        """Where a step left it, in the memory where the next one looks for it."""
+        for name, value in self.fixed.items():
+            made = getattr(self.owner, name)
+            if made is not value:
+                value.copy_(made)
+        self._attach()
+
+    def restore(self) -> None:
+        """Back to what it was when it was pinned."""
+        for name, value in self.fixed.items():
+            value.copy_(self.begun[name])
+        self._attach()

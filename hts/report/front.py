@@ -1,0 +1,97 @@
+"""The page's part about the front of several objectives: figures, words and a table."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+from hts.report import wording
+from hts.report.data import RunData
+
+FRONT_CAPTION = (
+    "Left: every policy tried in reality, by what it gained over the pretrained policy (diamond); bars are 95 % "
+    "intervals, crosses fell. Dark: the front, beaten by no other in both at once; the line is the edge of what it beats. Ringed: the "
+    "final policy. Right: every candidate by its scores in simulation above those of the pretrained policy; each "
+    "iteration has measurement models of its own, so that its points compare among themselves."
+)
+
+
+def front_part(run: RunData) -> dict[str, Any] | None:
+    """With several objectives: the policies that no other beats in all of them, as figures, words and a table."""
+    if len(run.objectives) < 2 or not run.front:
+        return None
+    tested = sum(
+        bool(candidate.get("real")) for iteration in run.iterations for candidate in iteration.get("candidates") or []
+    )
+    return {
+        "text": front_text(run, tested),
+        "speeds": _speeds(run),
+        "figures": front_figures(run),
+        "objectives": run.objectives,
+        "rows": front_rows(run),
+    }
+
+
+def front_text(run: RunData, tested: int) -> str:
+    """How many of the tested policies are on the front, and whether the pretrained one is."""
+    names = " and ".join(run.objectives)
+    found = [entry for entry in run.front if entry["id"] != "pretrained"]
+    if not found:
+        return f"None of the {tested} policies tried in reality gains in any of {names}: the pretrained policy is the front."
+    verb = "is" if len(found) == 1 else "are"
+    text = f"{len(found)} of {tested} policies tried in reality {verb} beaten by no other in {names} together."
+    if len(found) < len(run.front):
+        text += " None of them gains in everything, so that the pretrained policy is one of the front too."
+    return text
+
+
+def _speeds(run: RunData) -> str:
+    """Where the head-to-heads of the iterations were walked."""
+    name = run.objectives[0]
+    speeds = {speed for iteration in run.iterations for _, speed, _ in run.tested(iteration, name)}
+    return f" at {' and '.join(sorted(speeds, key=float))} m/s" if speeds else ""
+
+
+def front_rows(run: RunData) -> list[dict[str, Any]]:
+    """The table of the front, best first in the first objective."""
+    best = (run.summary.get("final") or {}).get("policy")
+    rows = []
+    order = sorted(run.front, key=lambda entry: -entry["improvements"][run.objectives[0]]["improvement"])
+    for entry in order:
+        candidate = run.candidate(entry["id"])
+        rows.append(
+            {
+                "id": entry["id"],
+                "best": entry["id"] == best,
+                "weights": wording.weights(candidate["weights"]) if candidate else "–",
+                "bound": wording.bound(candidate["kl_bound"]) if candidate else "–",
+                "gains": [
+                    (
+                        wording.quantity(entry["improvements"][name]["improvement"], run.unit(name)),
+                        wording.interval(entry["improvements"][name].get("improvement_ci95"), run.unit(name)),
+                    )
+                    for name in run.objectives
+                ],
+            }
+        )
+    return rows
+
+
+def front_figures(run: RunData) -> list[dict[str, str]]:
+    import matplotlib
+
+    from hts.report import front_figure, style
+
+    drawn = []
+    with matplotlib.rc_context(style.RC):
+        for pair in itertools.combinations(run.objectives, 2):
+            drawing = front_figure.front(run, pair)
+            if drawing is None:
+                continue
+            file = "front" if len(run.objectives) == 2 else f"front-{pair[0]}-{pair[1]}"
+            drawn.append(
+                style.embedded(
+                    drawing, run.folder / "figures", file, f"Front of {pair[0]} and {pair[1]}", FRONT_CAPTION
+                )
+            )
+    return drawn

@@ -1,0 +1,141 @@
+"""The front of two objectives: what was gained in both at once, in reality and in simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from hts.report import wording
+from hts.report.data import Json, RunData
+from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, figure, ramp
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PAIR = tuple[float, float]
+
+
+def front(run: RunData, pair: tuple[str, str]) -> Figure | None:
+    """Measured improvements in two objectives, the front of all tested policies; beside it the same in simulation."""
+    tested = list(_tested(run, pair))
+    if not tested:
+        return None
+    drawing, axes = figure(3.7, 1, 2, gridspec_kw={"width_ratios": [1.25, 1]})
+    _measured(axes[0, 0], run, pair, tested)
+    _simulated(axes[0, 1], run, pair)
+    return drawing
+
+
+def _tested(run: RunData, pair: tuple[str, str]) -> Iterator[tuple[Json, list[Json]]]:
+    """(candidate, its results in both objectives) of everything that was measured."""
+    for iteration in run.iterations:
+        for candidate in iteration.get("candidates") or []:
+            real = candidate.get("real") or {}
+            if all(real.get(name) for name in pair):
+                yield candidate, [next(iter(real[name].values())) for name in pair]
+
+
+def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple[Json, list[Json]]]) -> None:
+    factors = [wording.scale(run.unit(name)) for name in pair]
+    on_front = {entry["id"] for entry in run.front}
+    best = (run.summary.get("final") or {}).get("policy")
+    _cross(panel)
+    line: list[PAIR] = []
+    for candidate, results in sorted(tested, key=lambda item: item[0]["id"] in on_front):
+        place, bars = [], []
+        for result, (factor, _) in zip(results, factors, strict=True):
+            value, bounds = factor * result["improvement"], result.get("improvement_ci95")
+            low, high = (factor * bound for bound in bounds) if bounds else (value, value)
+            place.append(value)
+            bars.append([[max(0.0, value - low)], [max(0.0, high - value)]])
+        kept = candidate["id"] in on_front
+        panel.errorbar(
+            [place[0]], [place[1]], xerr=bars[0], yerr=bars[1], fmt="x" if candidate.get("fell") else "o",
+            color=ACCENT if kept else REFERENCE, markersize=6 if kept else 4.5, capsize=0, linewidth=1.1,
+            alpha=1.0 if kept else 0.75, zorder=4 if kept else 3,
+        )  # fmt: skip
+        if kept:
+            line.append((place[0], place[1]))
+            panel.annotate(
+                candidate["id"], (place[0], place[1]), xytext=(5, 5), textcoords="offset points", fontsize=7.5,
+                fontweight="bold" if candidate["id"] == best else "normal", color=INK, zorder=5,
+            )  # fmt: skip
+        if candidate["id"] == best:
+            panel.plot([place[0]], [place[1]], "o", markersize=11, markerfacecolor="none", color=INK, zorder=5)
+    if "pretrained" in on_front:
+        line.append((0.0, 0.0))
+    if len(run.objectives) == 2:
+        _stairs(panel, line, ACCENT)
+    panel.plot([0], [0], marker="D", color=INK, markersize=6, zorder=4)
+    panel.annotate("pretrained", (0, 0), xytext=(6, -10), textcoords="offset points", fontsize=7.5, color=INK)
+    panel.set_xlabel(f"{pair[0]}: improvement, {factors[0][1]}")
+    panel.set_ylabel(f"{pair[1]}: improvement, {factors[1][1]}")
+    panel.set_title("In reality")
+    panel.margins(0.12)
+
+
+def _simulated(panel, run: RunData, pair: tuple[str, str]) -> None:
+    """Scores above those of the pretrained policy, by the measurement models of each iteration."""
+    fronts = {int(entry["iteration"]): set(entry["ids"]) for entry in run.simulated_fronts}
+    _cross(panel)
+    rounds = [(int(iteration["index"]), iteration) for iteration in run.iterations]
+    for position, (index, iteration) in enumerate(rounds):
+        start = iteration.get("pretrained_sim_scores") or {}
+        color, line = ramp(position, len(rounds)), []
+        for candidate in iteration.get("candidates") or []:
+            scores = candidate.get("sim_scores") or {}
+            place = tuple(_difference(scores.get(name), start.get(name)) for name in pair)
+            if not all(map(math.isfinite, place)):
+                continue
+            kept = candidate["id"] in fronts.get(index, ())
+            walks = not candidate.get("falls") and candidate.get("tracked", True)
+            panel.plot(
+                [place[0]], [place[1]], marker=MARKERS[position % len(MARKERS)] if walks else "x", linestyle="none",
+                color=color, markersize=6 if kept else 4.5, alpha=1.0 if kept else 0.45, zorder=3,
+            )  # fmt: skip
+            if candidate.get("elite"):
+                panel.plot([place[0]], [place[1]], "o", markersize=10, markerfacecolor="none", color=SOFT, mew=0.7)
+            if kept:
+                line.append((place[0], place[1]))
+        if "pretrained" in fronts.get(index, ()):
+            line.append((0.0, 0.0))
+        if len(run.objectives) == 2:
+            _stairs(panel, line, color)
+    panel.plot([0], [0], marker="D", color=INK, markersize=6, zorder=4)
+    panel.set_xlabel(f"{pair[0]}: score above pretrained")
+    panel.set_ylabel(f"{pair[1]}: score above pretrained")
+    panel.set_title("In simulation")
+    panel.margins(0.12)
+    panel.legend(handles=_legend(rounds), loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=2, columnspacing=1.0)
+
+
+def _legend(rounds: Sequence[tuple[int, Json]]) -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    marks = [
+        Line2D(
+            [], [], marker=MARKERS[position % len(MARKERS)], linestyle="none", color=ramp(position, len(rounds)),
+            label=f"iteration {index}",
+        )
+        for position, (index, _) in enumerate(rounds)
+    ]  # fmt: skip
+    ring = Line2D([], [], marker="o", markersize=9, linestyle="none", markerfacecolor="none", color=SOFT, label="elite")
+    cross = Line2D([], [], marker="x", linestyle="none", color=SOFT, label="fell or missed the speed")
+    return [*marks, ring, cross]
+
+
+def _stairs(panel, points: Sequence[PAIR], color: str) -> None:
+    """The edge of what the front dominates: below and left of it is beaten by one of its points."""
+    if len(points) > 1:
+        panel.step(*zip(*sorted(points), strict=True), where="pre", color=color, linewidth=1.3, alpha=0.7, zorder=2)
+
+
+def _cross(panel) -> None:
+    """The pretrained policy's level in both."""
+    panel.axhline(0.0, color=SOFT, linewidth=0.8, zorder=1)
+    panel.axvline(0.0, color=SOFT, linewidth=0.8, zorder=1)
+
+
+def _difference(value: float | None, start: float | None) -> float:
+    return math.nan if value is None or start is None else value - start

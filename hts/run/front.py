@@ -1,0 +1,84 @@
+"""Which policies nothing else beats in all objectives at once: measured in all iterations, and simulated in one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hts.run.job import Job
+from hts.selection.fronts import non_dominated
+
+PRETRAINED = "pretrained"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A policy with its measured gains over the pretrained one (selection scores, in the order of the objectives).
+
+    iteration: in which it was tested; real: its entry of `summary.json`. The pretrained policy has neither.
+    """
+
+    id: str
+    gains: tuple[float, ...]
+    iteration: int | None = None
+    real: Mapping[str, Any] | None = None
+
+
+def tested_policies(job: Job, iterations: int) -> list[Measured]:
+    """All that were tested in the first so many iterations, did not fall, and have a score in every objective."""
+    found = []
+    for index in range(iterations):
+        for name, row in job.read(f"iterations/{index:02d}/test")["results"].items():
+            tested = row.get("tested")
+            if not tested or tested["fell"]:
+                continue
+            gains = tuple(_number(tested["selection_score"].get(objective)) for objective in job.objectives)
+            found.append(Measured(name, gains, index, row["real"]))
+    return found
+
+
+def real_front(job: Job, iterations: int) -> list[Measured]:
+    """The undominated ones among them and the pretrained policy, whose gain is 0 in every objective; never empty."""
+    policies = [Measured(PRETRAINED, (0.0,) * len(job.objectives)), *tested_policies(job, iterations)]
+    return [policies[index] for index in non_dominated([policy.gains for policy in policies])]
+
+
+def simulated_front(objectives: Sequence[str], simulated: Mapping[str, Any]) -> list[str]:
+    """Ids of the undominated candidates of an iteration, from its simulate.json: by mean r_real of each objective,
+    among those that keep the speed and never fell, and the pretrained policy."""
+    scores = simulated.get("objective_scores") or {}
+    walking = [name for name in simulated["scores"] if simulated["tracked"][name] and not simulated["falls"][name]]
+    names = [name for name in (PRETRAINED, *walking) if name in scores]
+    points = [tuple(_number(scores[name].get(objective)) for objective in objectives) for name in names]
+    return [names[index] for index in non_dominated(points)]
+
+
+def front_entry(job: Job) -> dict[str, Any]:
+    """`front` of `summary.json`."""
+    objectives = list(job.objectives)
+    iterations = range(job.config.iterations)
+    simulated = {index: job.read(f"iterations/{index:02d}/simulate") for index in iterations}
+    return {
+        "units": {name: objective.unit for name, objective in job.objectives.items()},
+        "simulation": [{"iteration": i, "ids": simulated_front(objectives, simulated[i])} for i in iterations],
+        "real": [_entry(policy, objectives) for policy in real_front(job, len(iterations))],
+    }
+
+
+def _entry(policy: Measured, objectives: Sequence[str]) -> dict[str, Any]:
+    """id, iteration and, per objective, improvement with its interval and what the policy was selected by."""
+    improvements = {}
+    for name, gain in zip(objectives, policy.gains, strict=True):
+        measured = next(iter(policy.real[name].values())) if policy.real else {"improvement": 0.0}
+        improvements[name] = {
+            "improvement": measured["improvement"], "improvement_ci95": measured.get("improvement_ci95"),
+            "selection_score": gain,
+        }  # fmt: skip
+    return {"id": policy.id, "iteration": policy.iteration, "improvements": improvements}
+
+
+def _number(value: float | None) -> float:
+    """JSON has no NaN: what is missing is none."""
+    return math.nan if value is None else float(value)

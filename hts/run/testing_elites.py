@@ -1,0 +1,171 @@
+"""The stage `test`: elites against the pretrained policy, whole or in rounds, as the selector wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from hts.contracts import Comparison, RacedCandidate, Rounds, Selector, TestedCandidate
+from hts.evaluation.final import CandidateResult, candidate_result
+from hts.evaluation.halves import Half, halves
+from hts.measurement import files
+from hts.measurement.checks import check
+from hts.recordings.recording import Recording
+from hts.run.job import Job
+from hts.run.learning import model_path
+
+Report = Callable[[float], None]
+
+
+@dataclass
+class Tests:
+    """What was recorded of the elites.
+
+    of: elite -> its recordings and its reference's, which elites may share; recorded: each once, in order of time;
+    races: of each round, who was in it, their selection scores over all rounds so far, and who goes on (nobody after
+    the last one); empty for whole tests.
+    """
+
+    of: dict[str, list[Recording]]
+    recorded: list[Recording]
+    results: dict[str, CandidateResult]
+    races: list[dict[str, Any]] = field(default_factory=list)
+
+    __test__ = False  # its name begins like a pytest class
+
+
+def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
+    """Elites against the pretrained policy; π_best <- the best of them, if it beats the best so far."""
+    elites = job.read(f"iterations/{iteration:02d}/simulate")["elites"]
+    settings = job.config.selection.selector
+    selector = job.registry.make_selector(settings.name, settings.settings)
+    rounds = selector.rounds()
+    tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None else None
+    if tests is None:  # this selector, or this world, knows no rounds
+        tests = whole(job, elites, report)
+    ids = job.keep(tests.recorded, iteration + 1)
+    tested = [found.tested for found in tests.results.values() if found.tested is not None]
+    incumbent = _incumbent(job, iteration, best)
+    races = {"rounds": tests.races} if tests.races else {}
+    return {
+        "elites": elites, "results": {elite: _row(found) for elite, found in tests.results.items()}, "recordings": ids,
+        "best": selector.best(tested),
+        # The protocol is the same in every iteration, so an earlier winner that measured better stays.
+        "best_so_far": selector.best([*tested, *incumbent]) or best,
+        "samples": sum(recording.num_samples for recording in tests.recorded),
+        **races,
+        "model_checks": _check_models(job, iteration, ids),
+    }  # fmt: skip
+
+
+test.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
+
+
+def whole(job: Job, elites: Sequence[str], report: Report) -> Tests:
+    """A whole head-to-head of each elite."""
+    job.watch(report)
+    speeds = (job.config.selection.speed,)
+    sessions = job.world.head_to_heads([job.exported(elite) for elite in elites], job.exported("pretrained"), speeds)
+    of = {elite: list(session) for elite, session in zip(elites, sessions, strict=True)}
+    results = {elite: _result(job, elite, recordings) for elite, recordings in of.items()}
+    return Tests(of, [recording for session in of.values() for recording in session], results)
+
+
+def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Rounds, report: Report) -> Tests | None:
+    """Short head-to-heads of those that are still racing; None if the world knows no rounds."""
+    reference, speed = job.exported("pretrained"), job.config.selection.speed
+
+    def ask(racing: Sequence[str], number: int) -> list[list[Recording]] | None:
+        job.watch(lambda share: report((number + share) / rounds.most))
+        policies = [job.exported(elite) for elite in racing]
+        return job.world.head_to_head_round(policies, reference, speed, number, rounds.block_seconds)
+
+    def judge(elite: str, recordings: Sequence[Recording]) -> CandidateResult:
+        return _result(job, elite, recordings)
+
+    tests = race(elites, selector, rounds, ask, judge, lambda row: halves(job.objectives, row, job.config.evaluation))
+    if tests is None:
+        world = job.config.world.name
+        job.stages.progress.say(f"World '{world}' knows no rounds: each elite gets a whole head-to-head.")
+    return tests
+
+
+def race(
+    elites: Sequence[str],
+    selector: Selector,
+    rounds: Rounds,
+    ask: Callable[[Sequence[str], int], Sequence[Sequence[Recording]] | None],
+    judge: Callable[[str, Sequence[Recording]], CandidateResult],
+    split: Callable[[Sequence[Recording]], Sequence[Half | None]],
+) -> Tests | None:
+    """Rounds until the selector has seen enough or they are spent; None if `ask` gives None.
+
+    ask(who is racing, number of the round): recordings of each; judge(elite, all its recordings so far);
+    split(an elite's recordings of a round): its halves. Nothing is kept between calls: begun anew after a stop, with a
+    world that gives the rounds it gave before, it ends the same.
+    """
+    tests = Tests({elite: [] for elite in elites}, [], {})
+    found: dict[str, list[Half | None]] = {elite: [] for elite in elites}
+    racing = list(elites)
+    for number in range(rounds.most):
+        rows = ask(racing, number)
+        if rows is None:
+            return None
+        tests.recorded += {id(recording): recording for row in rows for recording in row}.values()
+        for elite, row in zip(racing, rows, strict=True):
+            tests.of[elite] += row
+            found[elite] += split(row)
+            tests.results[elite] = judge(elite, tests.of[elite])
+        raced = [RacedCandidate(name, tests.results[name].tested, name in racing, found[name]) for name in elites]
+        kept = set(selector.keep(raced)) if number + 1 < rounds.most else set()
+        going_on = [name for name in racing if name in kept] if len(kept) > 1 else []
+        scores = {name: _scores(tests.results[name].tested) for name in racing}
+        tests.races.append({"racing": racing, "selection_score": scores, "going_on": going_on})
+        racing = going_on
+        if not racing:
+            break
+    return tests
+
+
+def _result(job: Job, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
+    return candidate_result(elite, job.objectives, recordings, job.config.evaluation, job.seed("interval", elite))
+
+
+def _scores(tested: TestedCandidate | None) -> dict[str, float] | None:
+    """Selection score per objective."""
+    if tested is None:
+        return None
+    return {key: value.selection_score for key, value in tested.comparisons.items()}
+
+
+def _row(found: CandidateResult) -> dict[str, Any]:
+    """A candidate's part of the stage's result."""
+    row: dict[str, Any] = {"real": found.entry, "refused": found.refused}
+    if found.tested is not None:
+        row["tested"] = {"fell": found.tested.fell, "selection_score": _scores(found.tested)}
+    return row
+
+
+def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
+    """The best so far as it was measured in its own iteration; nobody before the first success."""
+    if best == "pretrained":
+        return []
+    row: Mapping[str, Any] = job.read(f"iterations/{best.split('-')[0]}/test")["results"][best]
+    comparisons = {}
+    for name, score in row["tested"]["selection_score"].items():
+        (entry,) = row["real"][name].values()
+        comparisons[name] = Comparison(entry["improvement"], score, entry["metrics"])
+    return [TestedCandidate(best, comparisons, row["tested"]["fell"])]
+
+
+def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:
+    """How well this iteration's models predicted the policies that were made with them: the hardest test."""
+    if job.config.reward_source != "model":
+        return {}
+    tried = job.recordings(ids)
+    known = job.recordings(job.known(iteration))
+    return {
+        name: check(objective, files.load(model_path(job, iteration, name)), tried, known)
+        for name, objective in job.objectives.items()
+    }

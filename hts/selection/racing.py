@@ -1,0 +1,173 @@
+"""`racing`: short rounds of head-to-heads, until it is known well enough who is best.
+
+A race (Maron and Moore 1994, NIPS 6:59; Birattari et al. 2002, GECCO:11) with paired t-tests (t-race: López-Ibáñez et
+al. 2016, Operations Research Perspectives 3:43), a fixed number of looks, and Bonferroni's bound over looks and
+comparisons. It stops when nobody left can be better than the leader by more than an indifference (Even-Dar, Mannor and
+Mansour 2006, JMLR 7:1079). `docs/evaluation.md` has the derivation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from hts.config import Config
+from hts.contracts import (
+    Comparison,
+    RacedCandidate,
+    Rounds,
+    Selector,
+    Settings,
+    SimulatedCandidate,
+    TestedCandidate,
+)
+from hts.errors import ConfigError, unknown_name
+from hts.selection.hierarchical import Hierarchical, HierarchicalSettings
+
+
+class RacingSettings(Config):
+    """Settings of `racing`."""
+
+    objective: str | None = Field(
+        None, description="whose selection score decides when several run together; none: the first one of the run"
+    )
+    allow_falls: bool = Field(False, description="may a candidate that fell in reality be the best one")
+    block_seconds: float = Field(15.0, gt=0, description="length of each block of a round, s")
+    rounds: int = Field(4, ge=1, description="rounds at most: the budget")
+    error: float = Field(
+        0.05, gt=0, lt=1, description="alpha: probability, over the whole race, that the best one is dropped"
+    )
+    indifference: float = Field(
+        0.03, ge=0, description="differences below this share of the leader's selection score do not matter"
+    )
+
+
+class Racing(Selector):
+    """Elites and best as `hierarchical`; who is worth another round is decided after each."""
+
+    def __init__(self, settings: RacingSettings) -> None:
+        self.settings = settings
+        self._choice = Hierarchical(
+            HierarchicalSettings(objective=settings.objective, allow_falls=settings.allow_falls)
+        )
+
+    def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
+        """As `hierarchical`."""
+        return self._choice.elites(candidates, count)
+
+    def best(self, tested: Sequence[TestedCandidate]) -> str | None:
+        """As `hierarchical`: the highest measured selection score above zero, over all rounds of each."""
+        return self._choice.best(tested)
+
+    def rounds(self) -> Rounds:
+        """Rounds of `settings.block_seconds`, at most `settings.rounds`."""
+        return Rounds(self.settings.block_seconds, self.settings.rounds)
+
+    def keep(self, raced: Sequence[RacedCandidate]) -> list[str]:
+        """Ids that get another round, in the order given; one or none if the race is decided.
+
+        Out is who could not be measured, who fell (unless that is allowed), who is clearly worse than the leader, and
+        who is clearly no better than the reference.
+        """
+        able = [one for one in raced if one.tested is not None and (self.settings.allow_falls or not one.tested.fell)]
+        racing = [index for index, one in enumerate(able) if one.racing]
+        if len(racing) < 2:
+            return [able[index].id for index in racing]
+        level = self.settings.error / (self.settings.rounds * len(able))
+        table = _table([[self._score(half) for half in one.halves] for one in able])
+        racing = [index for index in racing if not _clearly_below_zero(table[index], level)]
+        return [able[index].id for index in still_racing(table, racing, level, self.settings.indifference)]
+
+    def _score(self, half: Any) -> float:
+        """Selection score of a half by the objective that decides; NaN for one that could not be compared."""
+        if half is None:
+            return math.nan
+        name = self.settings.objective or next(iter(half))
+        if name not in half:
+            raise ConfigError("Selector 'racing': " + unknown_name("objective", name, half))
+        comparison: Comparison = half[name]
+        return comparison.selection_score
+
+
+def still_racing(table: np.ndarray, racing: Sequence[int], level: float, indifference: float) -> list[int]:
+    """Rows of `table` that another round is worth, of those in `racing`; the leader alone if it is decided.
+
+    table: score of each candidate in each half, (candidates, halves), NaN where it was not measured. level: error
+    probability of one comparison, one-sided. indifference: share of the leader's mean score.
+
+    With n halves in common, the difference of two candidates has the standard error √(2 s²/n), where s² is what
+    candidates and halves leave unexplained of the table; d > t·√(2 s²/n) is "clearly worse", and the race is decided
+    when t·√(2 s²/n) − d ≤ indifference · leader's mean for everybody left.
+    """
+    if len(racing) < 2:
+        return list(racing)
+    means = {row: float(np.nanmean(table[row])) if np.isfinite(table[row]).any() else -math.inf for row in racing}
+    leader = max(racing, key=lambda row: means[row])
+    variance, degrees = residual_variance(table)
+    behind = {row: _difference(table[leader], table[row], variance, degrees, level) for row in racing if row != leader}
+    left = {row: found for row, found in behind.items() if found[0] <= found[1]}
+    worth = indifference * max(means[leader], 0.0)
+    if all(width - difference <= worth for difference, width in left.values()):
+        return [leader]
+    return [row for row in racing if row == leader or row in left]
+
+
+def residual_variance(table: np.ndarray) -> tuple[float, int]:
+    """s² and its degrees of freedom: what a mean per row and a mean per column leave of the table. NaN are gaps.
+
+    A column's mean takes out what all candidates of a half have in common: the reference's block, charge, heat.
+    """
+    rows, columns = np.nonzero(np.isfinite(table))
+    if len(rows) == 0:
+        return 0.0, 0
+    design = np.zeros((len(rows), sum(table.shape)))
+    design[np.arange(len(rows)), rows] = 1.0
+    design[np.arange(len(rows)), table.shape[0] + columns] = 1.0
+    values = table[rows, columns]
+    solution, _, rank, _ = np.linalg.lstsq(design, values, rcond=None)
+    degrees = len(rows) - int(rank)
+    left = values - design @ solution
+    return (float(left @ left) / degrees if degrees else 0.0), degrees
+
+
+def _difference(
+    leader: np.ndarray, other: np.ndarray, variance: float, degrees: int, level: float
+) -> tuple[float, float]:
+    """How far `other` lies behind, over the halves they have in common, and how wide that is at this level."""
+    differences = (leader - other)[np.isfinite(leader) & np.isfinite(other)]
+    if degrees < 1 or len(differences) == 0:
+        return 0.0, math.inf
+    return float(differences.mean()), _quantile(level, degrees) * math.sqrt(2 * variance / len(differences))
+
+
+def _clearly_below_zero(halves: np.ndarray, level: float) -> bool:
+    """Whether a candidate is no better than the reference, from its own halves alone."""
+    found = halves[np.isfinite(halves)]
+    if len(found) < 2:
+        return False
+    width = _quantile(level, len(found) - 1) * float(found.std(ddof=1)) / math.sqrt(len(found))
+    return float(found.mean()) + width < 0.0
+
+
+def _quantile(level: float, degrees: int) -> float:
+    """Of Student's t, exceeded with probability `level`."""
+    from scipy import stats
+
+    return float(stats.t.isf(level, degrees))
+
+
+def _table(rows: Sequence[Sequence[float]]) -> np.ndarray:
+    """Rows of unequal length as one array, NaN where one ended earlier."""
+    table = np.full((len(rows), max((len(row) for row in rows), default=0)), math.nan)
+    for index, row in enumerate(rows):
+        table[index, : len(row)] = row
+    return table
+
+
+def make(settings: Settings) -> Selector:
+    """Factory behind the name `racing`."""
+    return Racing(RacingSettings(**dict[str, Any](settings)))

@@ -1,0 +1,40 @@
+"""Which engine a run gets: the one that was asked for if it can work here, with `auto` the fastest that can."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+
+from hts.config_loading import check_engine
+from hts.errors import ConfigError
+
+
+def select_engine(name: str, device: str = "auto", tell: Callable[[str], None] | None = None) -> str:
+    """`mujoco` or `warp`: what `name` stands for on this machine. `auto` is `warp` where CUDA and the package are there.
+
+    device: where the engine is to run, as `EnvConfig.device`; tell: gets one line if a GPU is there and `auto` cannot
+    use it. Raises ConfigError, one line with what to do, for an engine nobody knows or one that cannot work here; so
+    call it before anything is spent.
+    """
+    check_engine(name)
+    if name == "mujoco" or (name == "auto" and device == "cpu"):  # warp on a CPU is for tests, nobody's first choice
+        return "mujoco"
+    try:
+        require_warp(device)
+    except ConfigError as error:
+        if name == "warp":
+            raise
+        if tell is not None and torch.cuda.is_available():
+            tell(f"A GPU is here and the engine is mujoco all the same: {error}")
+        return "mujoco"
+    return "warp"
+
+
+def require_warp(device: str = "auto") -> None:
+    """Raises ConfigError where the warp engine cannot work: no CUDA, an old driver, or the package is missing."""
+    from hts.sim.warp_setup import import_warp, torch_device, warp_device
+
+    place = torch_device(device)
+    warp, _ = import_warp()
+    warp_device(warp, place)

@@ -1,0 +1,24 @@
+"""What `hts check` asks of each kind of thing. A check raises if its demand is not met; its docstring is the demand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from hts.plugins import Entry, Registry
+from hts.testing.checks import instruments, names, objectives, rest, rewards, robots, selectors, settings, worlds
+
+Check = Callable[[Entry, Registry], None]
+
+MADE: tuple[Check, ...] = (names.name_can_be_typed, settings.settings_are_left_alone, settings.wrong_settings_are_told)
+"""Of everything that a factory makes from settings."""
+
+CHECKS: Mapping[str, tuple[Check, ...]] = {
+    "objectives": (*MADE, *objectives.CHECKS, *rewards.CHECKS),
+    "robots": (*MADE, *robots.CHECKS),
+    "worlds": (*MADE, *worlds.CHECKS),
+    "instruments": (*MADE, *instruments.CHECKS),
+    "selectors": (*MADE, *selectors.CHECKS),
+    "log_readers": (*MADE, *rest.LOG_READER_CHECKS),
+    "commands": (names.name_can_be_typed, *rest.COMMAND_CHECKS),
+}
+"""Kind (as in `hts.plugins.KINDS`) -> checks, in the order in which they make sense to a reader."""

@@ -1,0 +1,25 @@
+"""How a check says what it found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from hts.errors import PluginError
+
+
+def ensure(kept: bool, found: str) -> None:
+    """Raises PluginError saying what was found."""
+    if not kept:
+        raise PluginError(found)
+
+
+def same(first: object, second: object, tolerance: float = 0.0) -> bool:
+    """Equal arrays, NaN equal to NaN; tolerance: relative and absolute."""
+    a, b = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+    return a.shape == b.shape and bool(np.allclose(a, b, rtol=tolerance, atol=tolerance, equal_nan=True))
+
+
+def listed(names: Iterable[str]) -> str:
+    return ", ".join(sorted(names)) or "nothing"

@@ -1,0 +1,91 @@
+"""Made-up things to try plugins on: a walk of the tiny robot, physics steps, something of each kind by its factory."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hts.channels import Channel
+from hts.contracts import Objective, PhysicsSample, WorldContext
+from hts.evaluation.segments import Segments, cut
+from hts.plugins import Entry, Registry
+from hts.recordings.recording import Recording
+from hts.testing.examples.robot.robot import Tiny
+from hts.testing.known_worlds import made_up_recording
+
+WORLDS = 3
+
+
+def kind_of(entry: Entry, registry: Registry) -> str:
+    """The kind (as in `hts.plugins.KINDS`) under which the registry has it."""
+    return next(
+        kind
+        for kind in ("objectives", "robots", "worlds", "instruments", "selectors", "log_readers", "commands")
+        if getattr(registry, kind).get(entry.name) is entry
+    )
+
+
+def context(folder: Path | None = None) -> WorldContext:
+    """Of a run of the kit's own robot and objective."""
+    place = folder or Path(tempfile.gettempdir()) / "hts-check-nowhere"
+    return WorldContext(robot="tiny", robot_settings={}, objectives={"fake": {}}, seed=0, folder=place)
+
+
+def rest_of(kind: str) -> tuple[Any, ...]:
+    """What a factory of that kind gets after the settings."""
+    return {"instruments": (Tiny(),), "worlds": (context(),)}.get(kind, ())
+
+
+def real_channels(objective: Objective, registry: Registry) -> dict[str, Channel]:
+    """What the robot alone gives for an objective: its target and whatever else its instrument measures."""
+    real = {objective.target.name: objective.target}
+    if objective.instrument is not None:
+        instrument = registry.make_instrument(objective.instrument, {}, Tiny())
+        real |= {channel.name: channel for channel in instrument.channels}
+    return real
+
+
+def sim_channels(registry: Registry) -> dict[str, Channel]:
+    """All sim channels that somebody's robot gives, the kit's own included."""
+    found: dict[str, Channel] = {}
+    for name in registry.robots:
+        try:
+            found |= registry.make_robot(name).channels()
+        except Exception:  # noqa: BLE001 - another robot's fault is found when that robot is checked
+            found |= {}
+    return {**found, **Tiny().channels()}
+
+
+def walk(objective: Objective, registry: Registry, seed: int = 0, factor: float = 1.0) -> Recording:
+    """10 s of a made-up walk with every channel that the objective may ask for.
+
+    factor: on what the target shows above its idle level of 0.5.
+    """
+    channels = {**sim_channels(registry), **Tiny().channels()}
+    return made_up_recording(channels, real_channels(objective, registry), {objective.target.name: factor}, seed=seed)
+
+
+def segments(objective: Objective, registry: Registry, factor: float = 1.0) -> Segments:
+    return cut([walk(objective, registry, factor=factor)])
+
+
+def physics(rng: np.random.Generator) -> PhysicsSample:
+    """One made-up millisecond of WORLDS robots."""
+    spec = Tiny().spec
+    joints, feet = (WORLDS, spec.num_joints), (WORLDS, len(spec.foot_sites))
+    return PhysicsSample(
+        motor_torque=rng.normal(0, 0.5, joints),
+        joint_velocity=rng.normal(0, 5, joints),
+        foot_force=rng.uniform(0, 40, feet),
+        foot_speed=rng.uniform(0, 1, feet),
+        foot_mass=np.full(feet, 0.5),
+        dt=0.001,
+    )
+
+
+def arrays(sample: PhysicsSample) -> Mapping[str, np.ndarray]:
+    return {name: value for name, value in vars(sample).items() if isinstance(value, np.ndarray)}

@@ -1,0 +1,168 @@
+"""Objectives: their parts, their model, their score. The reward and the proxy are in `rewards`."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from hts.channels import UNITS, Channel
+from hts.config import MeasurementConfig
+from hts.contracts import Comparison, Objective
+from hts.errors import PluginError, unknown_name
+from hts.evaluation.segments import Segments
+from hts.plugins import Entry, Registry
+from hts.testing.checks.ensure import ensure, listed, same
+from hts.testing.checks.made_up import segments, sim_channels, walk
+from hts.testing.examples.robot.robot import Tiny
+
+
+def has_its_parts(entry: Entry, registry: Registry) -> None:
+    """It is made without settings; name as registered, known unit, inputs, target, λ above 0."""
+    objective = entry.factory({})
+    ensure(isinstance(objective, Objective), f"is a {type(objective).__name__}, not a hts.contracts.Objective")
+    ensure(objective.name == entry.name, f"calls itself '{objective.name}'")
+    ensure(objective.unit in UNITS, unknown_name("unit", str(objective.unit), UNITS))
+    ensure(isinstance(objective.target, Channel), f"its target is a {type(objective.target).__name__}")
+    ensure(bool(objective.inputs) and not isinstance(objective.inputs, str), f"its inputs are {objective.inputs!r}")
+    for what in ("weights", "baseline_weights"):
+        values = getattr(objective, what)
+        ensure(all(math.isfinite(v) and v > 0 for v in values), f"{what} are {tuple(values)}")
+    ensure(bool(objective.weights), "weights are empty, so nothing is swept")
+
+
+def channels_are_known(entry: Entry, registry: Registry) -> None:
+    """Its inputs are sim channels of some installed robot, and its target is not one of them."""
+    objective, known = entry.factory({}), sim_channels(registry)
+    for name in objective.inputs:
+        ensure(name in known, unknown_name("channel", name, known))
+    target = objective.target.name
+    ensure(target not in known, f"its target '{target}' is a sim channel already: nothing is left to be measured")
+
+
+def instrument_measures_the_target(entry: Entry, registry: Registry) -> None:
+    """The instrument that it names for twins is installed and gives its target, with that unit and shape."""
+    objective = entry.factory({})
+    if objective.instrument is None:
+        return
+    instrument = registry.make_instrument(objective.instrument, {}, Tiny())
+    given = {channel.name: channel for channel in instrument.channels}
+    target = objective.target
+    ensure(target.name in given, f"instrument '{objective.instrument}' gives {listed(given)}, not '{target.name}'")
+    found = given[target.name]
+    ensure(
+        (found.unit, found.shape) == (target.unit, target.shape),
+        f"'{target.name}' is {target.unit} {target.shape} here and {found.unit} {found.shape} in '{objective.instrument}'",
+    )
+
+
+def model_reads_inputs_and_predicts_target(entry: Entry, registry: Registry) -> None:
+    """Its measurement model reads its inputs and predicts its target."""
+    objective = entry.factory({})
+    model = objective.measurement_model()
+    ensure(tuple(model.inputs) == tuple(objective.inputs), f"its model reads {listed(model.inputs)}")
+    ensure(model.target == objective.target.name, f"its model predicts '{model.target}'")
+
+
+def model_is_fitted_saved_and_loaded(entry: Entry, registry: Registry) -> None:
+    """Its model can be fitted to recordings, twice with the same result, and read back from its file unchanged."""
+    import torch
+
+    from hts.measurement import files
+    from hts.measurement.fit_command import fit_and_check
+
+    objective = entry.factory({})
+    recordings = [walk(objective, registry, seed=seed) for seed in range(3)]
+    first, second = (fit_and_check(objective, recordings, MeasurementConfig(epochs=1)).model for _ in range(2))
+    states = [{name: value.numpy() for name, value in model.state_dict().items()} for model in (first, second)]
+    ensure(all(same(value, states[1][name]) for name, value in states[0].items()), "fitting it twice gives two models")
+    with tempfile.TemporaryDirectory() as folder:
+        loaded = files.load(files.save(first, Path(folder) / "model"))
+    inputs = torch.rand(4, sum(loaded.input_sizes), generator=torch.Generator().manual_seed(0))
+    before, after = (model.eval().step(inputs, model.initial_state(4))[0] for model in (first, loaded))
+    ensure(bool(torch.equal(before, after)), "it predicts something else after it was saved and loaded")
+
+
+def scores_each_segment(entry: Entry, registry: Registry) -> None:
+    """score gives finite numbers, one per segment, the same each time, and changes no recording."""
+    objective = entry.factory({})
+    made_up = segments(objective, registry)
+    before = _all_values(made_up)
+    scores = objective.score(made_up)
+    ensure(bool(scores), "score gives nothing")
+    wanted = (len(made_up),)
+    for name, values in scores.items():
+        ensure(np.shape(values) == wanted, f"score '{name}' has shape {np.shape(values)} for segments {wanted}")
+        ensure(bool(np.isfinite(values).all()), f"score '{name}' holds numbers that are not finite (NaN or inf)")
+    changed = [name for name, values in _all_values(made_up).items() if not same(values, before[name])]
+    ensure(not changed, f"score changes '{listed(changed)}' of the recordings in place")
+    again = objective.score(made_up)
+    ensure(all(same(values, again[name]) for name, values in scores.items()), "score differs from one time to the next")
+
+
+def score_lets_nan_through(entry: Entry, registry: Registry) -> None:
+    """A NaN that was measured makes its segment's score NaN and no other's, and the improvement NaN: never a number."""
+    objective = entry.factory({})
+    made_up = segments(objective, registry)
+    clean = objective.score(made_up)
+    for recording in made_up.recordings:
+        recording.channels[objective.target.name].values[made_up.start[0] + 1] = np.nan
+    with np.errstate(all="ignore"):
+        dirty = objective.score(made_up)
+        ensure(any(not np.isfinite(values[0]) for values in dirty.values()), "score makes a number of a NaN")
+        ensure(
+            all(same(values[1:], clean[name][1:], 1e-6) for name, values in dirty.items()),
+            "a NaN in one segment changes the score of others",
+        )
+        means = {name: float(np.mean(values)) for name, values in dirty.items()}
+        reference = {name: float(np.mean(values)) for name, values in clean.items()}
+        improvement = objective.compare(means, reference).improvement
+    ensure(not math.isfinite(improvement), f"compare makes {improvement:g} of a mean that is NaN")
+
+
+def compares_means(entry: Entry, registry: Registry) -> None:
+    """compare gives a Comparison of finite numbers, 0 between equals, and changes nothing that it is given."""
+    objective = entry.factory({})
+    means = _means(objective, segments(objective, registry))
+    policy, reference = dict(means), dict(means)
+    comparison = objective.compare(policy, reference)
+    ensure(isinstance(comparison, Comparison), f"compare gives a {type(comparison).__name__}")
+    ensure(policy == means and reference == means, "compare changes the means that it is given in place")
+    numbers = {"selection_score": comparison.selection_score, **comparison.metrics}
+    for name, value in numbers.items():
+        ensure(math.isfinite(value), f"'{name}' is {value} for two equal policies")
+    found = comparison.improvement
+    ensure(abs(found) < 1e-9, f"a policy equal to its reference improves by {found:g}")
+
+
+def reward_and_score_agree(entry: Entry, registry: Registry) -> None:
+    """What pays in training is what counts on the robot: reward and improvement rise and fall together."""
+    import torch
+
+    objective = entry.factory({})
+    low, high = (_means(objective, segments(objective, registry, factor)) for factor in (0.9, 1.0))
+    gain = objective.compare(low, high).improvement  # of showing less
+    less, more = objective.reward(torch.tensor([-1.0, 1.0])).tolist()
+    ensure(math.isfinite(gain), f"a target that is 10 % lower improves it by {gain}")
+    ways = {True: "less", False: "more"}
+    opposed = gain * (less - more) < 0
+    ensure(not opposed, f"reward pays for {ways[less > more]} of the target, compare for {ways[gain > 0]} of it")
+
+
+def _means(objective: Objective, made_up: Segments) -> dict[str, float]:
+    scores = objective.score(made_up)
+    if not all(np.shape(values) == (len(made_up),) for values in scores.values()):
+        raise PluginError("score does not give one number per segment")
+    return {name: float(np.mean(values)) for name, values in scores.items()}
+
+
+def _all_values(made_up: Segments) -> dict[str, np.ndarray]:
+    return {name: s.values.copy() for recording in made_up.recordings for name, s in recording.channels.items()}
+
+
+CHECKS = (
+    has_its_parts, channels_are_known, instrument_measures_the_target, model_reads_inputs_and_predicts_target,
+    model_is_fitted_saved_and_loaded, scores_each_segment, score_lets_nan_through, compares_means, reward_and_score_agree,
+)  # fmt: skip

@@ -1,0 +1,183 @@
+"""Robots: their numbers, their model, their channels, their policy, their env."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from hts.channels import standard_channels
+from hts.config import EnvConfig, RandomisationConfig
+from hts.contracts import Robot
+from hts.plugins import Entry, Registry
+from hts.testing.checks.ensure import ensure, listed, same
+
+STEPS, WORLDS, SEED = 12, 2, 11
+PER_JOINT = ("default_pose", "kp", "kd", "action_scale", "torque_limit", "velocity_limit", "position_limit")
+ABOVE_ZERO = ("kp", "action_scale", "torque_limit", "velocity_limit")
+
+
+def spec_is_consistent(entry: Entry, registry: Registry) -> None:
+    """It is made without settings; name as registered, every tuple of its spec follows the joints, poses within limits."""
+    robot = entry.factory({})
+    ensure(isinstance(robot, Robot), f"is a {type(robot).__name__}, not a hts.contracts.Robot")
+    spec = robot.spec
+    ensure(spec.name == entry.name, f"its spec is called '{spec.name}'")
+    ensure(len(set(spec.joint_names)) == spec.num_joints, f"joint names are {spec.joint_names}")
+    for name in PER_JOINT:
+        length = len(getattr(spec, name))
+        ensure(length == spec.num_joints, f"spec.{name} has {length} entries for {spec.num_joints} joints")
+    for name in ABOVE_ZERO:
+        ensure(all(math.isfinite(v) and v > 0 for v in getattr(spec, name)), f"spec.{name} is {getattr(spec, name)}")
+    for name in ("torque_constant", "gear_ratio", "phase_resistance_ohm") if spec.motors else ():
+        length = len(getattr(spec.motors, name))
+        ensure(length == spec.num_joints, f"spec.motors.{name} has {length} entries for {spec.num_joints} joints")
+    for joint, pose, (low, high) in zip(spec.joint_names, spec.default_pose, spec.position_limit, strict=True):
+        ensure(low < pose < high, f"default pose of '{joint}' is {pose} rad, outside its limits {low} to {high}")
+
+
+def times_fit(entry: Entry, registry: Registry) -> None:
+    """physics_dt · substeps is one control step, 1 / control_rate_hz."""
+    spec = entry.factory({}).spec
+    period = spec.physics_dt * spec.substeps
+    ensure(
+        abs(period * spec.control_rate_hz - 1) < 1e-6,
+        f"{spec.substeps} · {spec.physics_dt} s at {spec.control_rate_hz} Hz",
+    )
+
+
+def channels_are_standard(entry: Entry, registry: Registry) -> None:
+    """Its channels are named as they are listed, and a standard channel has its standard unit and size."""
+    robot = entry.factory({})
+    standard = standard_channels(robot.spec.num_joints, len(robot.spec.foot_sites))
+    for name, channel in robot.channels().items():
+        ensure(channel.name == name, f"channel '{channel.name}' is listed as '{name}'")
+        if name in standard:
+            found, wanted = ((c.unit, c.shape) for c in (channel, standard[name]))
+            ensure(
+                found == wanted,
+                f"channel '{name}' is {found[0]} {found[1]}, everybody else's is {wanted[0]} {wanted[1]}",
+            )
+
+
+def model_matches(entry: Entry, registry: Registry) -> None:
+    """Its model, if it has one, compiles, is fresh each time, has the names of the spec, and a twin can be made of it."""
+    robot = entry.factory({})
+    root = robot.mjcf()
+    if root is None:
+        return
+    ensure(robot.mjcf() is not root, "mjcf() gives the same object twice: a change to one would change the other")
+    import mujoco
+
+    from hts.sim.models import compile_model
+    from hts.worlds.twin.model import build
+    from hts.worlds.twin.parameters import DynamicsParameters
+
+    model = compile_model(robot)
+    for kind, names in (
+        ("joint", robot.spec.joint_names), ("body", (robot.spec.trunk_body,)), ("site", robot.spec.foot_sites),
+    ):  # fmt: skip
+        number = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+        for name in names:
+            ensure(mujoco.mj_name2id(model, number, name) >= 0, f"its model has no {kind} '{name}'")
+    build(robot, DynamicsParameters())
+
+
+def policy_fits(entry: Entry, registry: Registry) -> None:
+    """Its pretrained policy, if it has one, is a .safetensors with a .json beside it, made for this very spec."""
+    robot = entry.factory({})
+    path = robot.pretrained_policy()
+    if path is None:
+        return
+    for file in (path, path.with_suffix(".json")):
+        ensure(file.is_file(), f"{file} is not there")
+    from hts.policies.files import load_policy
+
+    load_policy(path, robot.spec)
+
+
+def env_gives_what_was_asked(entry: Entry, registry: Registry) -> None:
+    """Its env has batch size [P, N], finite rewards [P, N, 1], the channels asked for, and leaves its config alone."""
+    robot = entry.factory({})
+    if not _has_env(robot):
+        return
+    config, asked = _config(), tuple(sorted(robot.channels()))[:3]
+    before = config.model_dump()
+    env = _env(robot, 3, config, asked)
+    ensure(config.model_dump() == before, "make_env changes the env's configuration in place")
+    ensure(
+        tuple(env.batch_size) == (3, WORLDS), f"its env has batch size {tuple(env.batch_size)} for P = 3, N = {WORLDS}"
+    )
+    ensure(hasattr(env, "dt"), "its env has no attribute dt, the control step in s")
+    (step, *_) = _steps(env)
+    channels = {str(name): value for name, value in step["channels"].items()}
+    ensure(set(channels) == set(asked), f"of channels {listed(asked)} its env writes {listed(channels)}")
+    wanted = {name: (3, WORLDS, *robot.channels()[name].shape) for name in asked} | {"reward": (3, WORLDS, 1)}
+    for name, value in {**channels, "reward": step["reward"]}.items():
+        ensure(tuple(value.shape) == wanted[name], f"'{name}' has shape {tuple(value.shape)}, not {wanted[name]}")
+        ensure(bool(value.isfinite().all()), f"'{name}' is not finite after one step")
+    for name in ("observation", "critic_observation", "terminated", "truncated"):
+        ensure(name in step.keys(), f"its env writes no '{name}'")  # noqa: SIM118 - a TensorDict
+    env.close()
+
+
+def env_does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
+    """A candidate's walk is the same alone, in a crowd, and again: its random numbers come from its own seed."""
+    robot = entry.factory({})
+    if not _has_env(robot):
+        return
+    asked = tuple(sorted(robot.channels()))
+    env = _env(robot, 3, _config(), asked)
+    crowd = _flat(_steps(env), 1)
+    env.close()
+    for what in ("is another one alone than in a crowd", "is another one the second time"):
+        env = _env(robot, 1, _config(), asked, seeds=[SEED + 1])
+        alone = _flat(_steps(env, only=1), 0)
+        env.close()
+        for name, values in crowd.items():
+            ensure(same(values, alone[name], 1e-4), f"a candidate's '{name}' {what}")
+
+
+def _has_env(robot: Robot) -> bool:
+    return type(robot).make_env is not Robot.make_env or robot.mjcf() is not None
+
+
+def _config() -> EnvConfig:
+    return EnvConfig(threads=1, randomisation=RandomisationConfig(models=2))
+
+
+def _env(robot: Robot, count: int, config: EnvConfig, asked: Sequence[str], seeds: Sequence[int] | None = None) -> Any:
+    own = list(seeds) if seeds is not None else [SEED + index for index in range(count)]
+    return robot.make_env("mujoco", count, WORLDS, config, channels=tuple(asked), seeds=own)
+
+
+def _steps(env: Any, only: int | None = None) -> list[Any]:
+    """What STEPS control steps with small random actions give; only: those of this candidate of three."""
+    import torch
+
+    size = env.action_spec.shape[-1]
+    actions = 0.3 * torch.randn(STEPS, 3, WORLDS, size, generator=torch.Generator().manual_seed(0))
+    if only is not None:
+        actions = actions[:, only : only + 1]
+    state, found = env.reset(), []
+    for action in actions[:, : env.batch_size[0]]:
+        data, state = env.step_and_maybe_reset(state.set("action", action.to(env.device)))
+        found.append(data["next"].clone())
+    return found
+
+
+def _flat(steps: list[Any], candidate: int) -> dict[str, Any]:
+    """Name -> numbers of one candidate over all steps."""
+    import torch
+
+    names = [key for key in steps[0].keys(include_nested=True, leaves_only=True)]
+    return {
+        key if isinstance(key, str) else "/".join(key): torch.stack([step[key][candidate] for step in steps]).float().cpu().numpy()
+        for key in names
+    }  # fmt: skip
+
+
+CHECKS = (
+    spec_is_consistent, times_fit, channels_are_standard, model_matches, policy_fits, env_gives_what_was_asked,
+    env_does_not_depend_on_neighbours,
+)  # fmt: skip

@@ -1,0 +1,144 @@
+"""Worlds: what they cost and what they record, tried with the kit's own robot and objective."""
+
+from __future__ import annotations
+
+import copy
+import math
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from hts.config import Command, ScheduleConfig
+from hts.contracts import World
+from hts.errors import ConfigError, WaitingForRobot
+from hts.plugins import Entry, Registry
+from hts.recordings.recording import Recording
+from hts.testing.checks.ensure import ensure, listed, same
+from hts.testing.checks.made_up import context
+from hts.testing.examples.objective.objective import TARGET
+from hts.testing.examples.robot.robot import Tiny
+from hts.testing.packages import kit_installed
+
+SCHEDULE = ScheduleConfig(commands=(Command(seconds=1.5, vx=0.5), Command(seconds=1.5, vx=0.8)))
+ORDERS = [["reference", "policy", "policy", "reference"], ["policy", "reference", "reference", "policy"]]
+SHORT = {"block_seconds": 2.0, "warmup_seconds": 1.0}
+"""Settings that many worlds have; given to those that take them, so that a check is short."""
+
+
+def costs_nothing_yet(entry: Entry, registry: Registry) -> None:
+    """Making it writes nothing and changes nothing it is given; it knows its name and its cost, and closes twice."""
+    with tempfile.TemporaryDirectory() as folder:
+        given = context(Path(folder))
+        before = copy.deepcopy(given)
+        with kit_installed():
+            world = entry.factory({}, given)
+            ensure(isinstance(world, World), f"is a {type(world).__name__}, not a hts.contracts.World")
+            ensure(world.name == entry.name, f"calls itself '{world.name}'")
+            ensure(given == before, "changes its context in place")
+            ensure(not list(Path(folder).iterdir()), "writes files when it is made")
+            cost = dict(world.cost(60.0))
+            ensure(cost.get("robot_minutes") == 1.0, f"says that 60 s of walking cost {cost}")
+            ensure(
+                all(math.isfinite(value) for value in cost.values()), f"cost holds numbers that are not finite: {cost}"
+            )
+            world.close()
+            world.close()
+
+
+def gives_recordings(entry: Entry, registry: Registry) -> None:
+    """collect gives one whole recording per policy, in order, the same again; or it waits for a person in one line."""
+    with _world(entry) as (world, policy, folder):
+        try:
+            recordings = world.collect([policy, policy], SCHEDULE)
+        except WaitingForRobot as waiting:
+            ensure("\n" not in str(waiting), f"waits in several lines: {waiting}")
+            return
+        ensure(len(recordings) == 2, f"gives {len(recordings)} recordings for 2 policies")
+        idle = world.idle()
+        ensure(all(math.isfinite(level) for level in idle.values()), f"idle levels are {dict(idle)}")
+        for recording in recordings:
+            _whole(recording, entry.name, SCHEDULE.seconds, folder)
+            ensure(TARGET.name in recording.idle, f"recordings have no idle level of '{TARGET.name}'")
+        again = world.collect([policy, policy], SCHEDULE)
+        for first, second in zip(recordings, again, strict=True):
+            for name in first.channels:
+                ensure(same(first.values(name), second.values(name)), f"'{name}' is another one when asked again")
+
+
+def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
+    """head_to_head gives blocks in the order A-B-B-A, of one session per speed, with their roles; or waits for a person."""
+    with _world(entry) as (world, policy, folder):
+        try:
+            recordings = world.head_to_head(policy, policy, (0.5, 0.8))
+        except WaitingForRobot:
+            return
+        ensure(len(recordings) == 8, f"gives {len(recordings)} recordings for 2 speeds, not 4 blocks each")
+        for blocks in (recordings[:4], recordings[4:]):
+            roles = [recording.role for recording in blocks]
+            ensure(roles in ORDERS, f"roles of its blocks are {roles}")
+            ensure(len({recording.session for recording in blocks}) == 1, "blocks of one speed are of several sessions")
+            speeds = {command.vx for recording in blocks for command in recording.schedule.commands}
+            ensure(len(speeds) == 1, f"blocks of one session have commanded speeds of {sorted(speeds)} m/s")
+            for recording in blocks:
+                _whole(recording, entry.name, recording.schedule.seconds, folder)
+        sessions = {recording.session for recording in recordings}
+        ensure(len(sessions) == 2, f"two speeds are {len(sessions)} session(s), so their blocks would be mixed")
+
+
+def _whole(recording: Recording, world: str, seconds: float, folder: Path) -> None:
+    """What the store and the rest of a run need of a recording."""
+    from hts.recordings.store import RecordingStore
+
+    robot = Tiny()
+    ensure(
+        (recording.robot, recording.world) == ("tiny", world),
+        f"its recordings are of {recording.robot} in {recording.world}",
+    )
+    ensure(bool(recording.policy_hash), "its recordings do not say which policy ran")
+    ensure(
+        abs(recording.seconds - seconds) < 0.1 * seconds,
+        f"{seconds:g} s were asked for, {recording.seconds:g} s are recorded",
+    )
+    needed = {*robot.channels(), TARGET.name}
+    ensure(needed <= set(recording.channels), f"its recordings lack {listed(needed - set(recording.channels))}")
+    wanted: Mapping[str, Any] = {**robot.channels(), TARGET.name: TARGET}
+    for name, channel in wanted.items():
+        found = recording.channels[name].channel
+        ensure((found.unit, found.shape) == (channel.unit, channel.shape), f"'{name}' is {found.unit} {found.shape}, not {channel.unit} {channel.shape}")  # fmt: skip
+    RecordingStore(folder / "data.zarr", create=True).write(recording)  # refuses NaN, wrong shapes and times
+
+
+@contextmanager
+def _world(entry: Entry) -> Iterator[tuple[World, Path, Path]]:
+    """The world for the kit's robot and objective, an exported policy, and a folder, all gone afterwards."""
+    from hts.policies.export import to_onnx
+    from hts.policies.files import load_policy
+
+    robot = Tiny()
+    with tempfile.TemporaryDirectory() as name, kit_installed():
+        folder = Path(name)
+        source = robot.pretrained_policy()
+        assert source is not None
+        policy = to_onnx(load_policy(source, robot.spec), folder / "policy.onnx")
+        world = entry.factory(_short(entry, folder), context(folder / "world"))
+        try:
+            yield world, policy, folder
+        finally:
+            world.close()
+
+
+def _short(entry: Entry, folder: Path) -> dict[str, float]:
+    """Those of SHORT that the world takes."""
+    taken = {}
+    for key, value in SHORT.items():
+        try:
+            entry.factory({key: value}, context(folder / "world")).close()
+        except (ConfigError, ValueError):  # ValueError: what pydantic raises
+            continue
+        taken[key] = value
+    return taken
+
+
+CHECKS = (costs_nothing_yet, gives_recordings, compares_on_one_machine)

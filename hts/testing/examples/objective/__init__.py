@@ -1,0 +1,1 @@
+"""The objective `fake`, for hts."""

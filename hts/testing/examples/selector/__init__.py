@@ -1,0 +1,1 @@
+"""The selector `plain`, for hts."""

@@ -1,0 +1,42 @@
+"""What the kit itself offers as plugins, while `packages.kit_installed` is in force. Imports nothing heavy."""
+
+from __future__ import annotations
+
+from hts import hookimpl
+from hts.testing.examples.objective import plugin as objective
+from hts.testing.examples.robot import plugin as robot
+from hts.testing.examples.selector import plugin as selector
+
+HTS_API = 1
+
+
+def make_known(settings, context):
+    """World `known`: no physics, made-up recordings, a known answer."""
+    from hts.testing import known_world
+
+    return known_world.make_known(settings, context)
+
+
+@hookimpl
+def hts_objectives(register):
+    objective.hts_objectives(register)
+
+
+@hookimpl
+def hts_instruments(register):
+    objective.hts_instruments(register)
+
+
+@hookimpl
+def hts_robots(register):
+    robot.hts_robots(register)
+
+
+@hookimpl
+def hts_selectors(register):
+    selector.hts_selectors(register)
+
+
+@hookimpl
+def hts_worlds(register):
+    register("known", make_known)

@@ -1,0 +1,84 @@
+"""A policy that keeps the commanded speed at one speed and not at another: what it did is reported, the rest is named."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from hts.channels import Channel
+from hts.config import Command, EvaluationConfig, ScheduleConfig
+from hts.evaluation.final import entry_of, walked_speeds
+from hts.evaluation.head_to_head import TooFewSegments
+from hts.recordings.recording import Recording, Series
+from hts.report.table import print_table
+from hts.testing.known_worlds import CostObjective
+
+CONFIG = EvaluationConfig(bootstrap=100)
+
+
+def block(role: str, number: int, told: float, walked: float, level: float) -> Recording:
+    """22 s of one policy: 20 segments at a speed, m/s, and a cost with a ripple that differs from second to second."""
+    count = 22 * 50
+    velocity = np.zeros((count, 3))
+    velocity[:, 0] = walked
+    cost = level + 0.01 * np.sin(np.arange(count) / 37.0)
+    series = {
+        "base_velocity": Series(Channel("base_velocity", "m/s", (3,)), velocity),
+        CostObjective.target.name: Series(CostObjective.target, cost),
+    }
+    return Recording(
+        robot="r", world="w", policy_hash=role, iteration=0, joint_names=(), kp=(), kd=(), rate_hz=50.0,
+        schedule=ScheduleConfig(commands=(Command(seconds=22, vx=told),)), idle={CostObjective.target.name: 0.0},
+        clock="simulated", time=np.arange(count) / 50, channels=series, mass_kg=10.0, session=f"s{told}", block=number,
+        role=role,
+    )  # fmt: skip
+
+
+def session(told: float, policy: float, reference: float) -> list[Recording]:
+    """Reference, policy, policy, reference at their mean speeds."""
+    rows = [
+        ("reference", reference, 10.0),
+        ("policy", policy, 8.0),
+        ("policy", policy, 8.0),
+        ("reference", reference, 10.0),
+    ]
+    return [block(role, number, told, speed, level) for number, (role, speed, level) in enumerate(rows)]
+
+
+def test_a_speed_that_is_not_kept_is_refused_alone():
+    recordings = session(0.5, policy=0.4, reference=0.5) + session(0.8, policy=0.8, reference=0.8)
+    results, refused = walked_speeds(CostObjective(), recordings, CONFIG)
+    assert list(results) == [0.8]
+    assert results[0.8].comparison.improvement == pytest.approx(0.2, abs=0.01)
+    assert list(refused) == ["0.5"] and "0 of 40 segments of the policy are valid" in refused["0.5"]
+
+
+def test_nothing_is_refused_of_a_policy_that_keeps_all_speeds():
+    recordings = session(0.5, policy=0.5, reference=0.5) + session(0.8, policy=0.8, reference=0.8)
+    results, refused = walked_speeds(CostObjective(), recordings, CONFIG)
+    assert (list(results), refused) == ([0.5, 0.8], {})
+
+
+@pytest.mark.parametrize(("policy", "reference"), [(0.4, 0.5), (0.5, 0.4)])
+def test_with_no_speed_left_or_a_reference_that_cannot_walk_there_is_no_result(policy, reference):
+    with pytest.raises(TooFewSegments):
+        walked_speeds(CostObjective(), session(0.5, policy, reference), CONFIG)
+
+
+def test_the_table_and_the_page_name_the_refused_speed():
+    from hts.report.data import RunData
+    from hts.report.page import _headline
+
+    recordings = session(0.5, policy=0.4, reference=0.5) + session(0.8, policy=0.8, reference=0.8)
+    results, refused = walked_speeds(CostObjective(), recordings, CONFIG)
+    entry = entry_of(CostObjective(), results) | {"refused": refused}
+    out = Console(file=io.StringIO(), width=200)
+    print_table({"final": {"policy": "01-00", "objectives": {"cost": entry}}}, out)
+    assert "Head-to-head at 0.5 m/s: 0 of 40 segments of the policy are valid" in out.file.getvalue()
+    run = RunData.__new__(RunData)
+    object.__setattr__(run, "summary", {"final": {"policy": "01-00"}})
+    said = _headline(run, "cost", entry)
+    assert "every speed" not in said and "At 0.5 m/s it is not judged" in said

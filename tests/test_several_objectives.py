@@ -1,0 +1,294 @@
+"""Two objectives in one run, on a world in which what each policy gains is known before.
+
+The world asks each policy which λ it was made with. Whoever was rewarded for one objective saves 20 % of it and loses
+5 % of the other; for both, 12 % of each. A second iteration saves half as much again as the first.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hts.config_loading import load_config
+from hts.errors import ConfigError
+from hts.testing.packages import kit_installed, on_path, write_package
+
+PLUGIN = '''
+"""Objectives `calm` and `cheap`, and the world that knows both."""
+
+from hts import hookimpl
+
+HTS_API = 1
+
+
+@hookimpl
+def hts_objectives(register):
+    register("calm", lambda settings: make("calm"))
+    register("cheap", lambda settings: make("cheap"))
+
+
+@hookimpl
+def hts_worlds(register):
+    register("exchange", make_exchange)
+
+
+def make(called):
+    from hts.channels import Channel
+    from hts.testing.examples.objective.objective import Fake
+
+    class Toy(Fake):
+        name = called
+        target = Channel(f"{called}_level", "W", (), "what this one costs")
+        instrument = None
+
+        def measurement_model(self):
+            from hts.measurement.models import MeasurementModelConfig
+
+            return MeasurementModelConfig(inputs=self.inputs, target=self.target.name, hidden=8)
+
+        def score(self, segments):
+            return {"net": segments.values(self.target.name).mean(axis=1) - segments.idle(self.target.name), "gross": 1.0 + 0 * segments.speed}
+
+    return Toy()
+
+
+def make_exchange(settings, context):
+    from two_objectives_world import Exchange
+
+    return Exchange(context, **settings)
+'''
+
+WORLD = """
+from hts.contracts import World
+from hts.policies.deploy import DeployedPolicy
+from hts.recordings.recording import Series
+from hts.testing.known_world import make_known
+
+
+class Exchange(World):
+    name = "exchange"
+
+    def __init__(self, context, better=1.5):
+        self.known, self.better = make_known({"saving": 0.0}, context), better
+
+    def idle(self):
+        return self.known.idle()
+
+    def collect(self, policies, schedule):
+        return [recording.replace(world=self.name) for recording in self.known.collect(policies, schedule)]
+
+    def head_to_head(self, policy, reference, speeds):
+        made = DeployedPolicy(policy).card.made
+        weights = made["weights"]
+        alone = {name: weight for name, weight in weights.items() if weight}
+        gains = {name: (0.12 if len(alone) == 2 else 0.2 if name in alone else -0.05) for name in weights}
+        gains = {name: gain * self.better ** made["iteration"] if gain > 0 else gain for name, gain in gains.items()}
+        return [self._charged(recording, gains) for recording in self.known.head_to_head(policy, reference, speeds)]
+
+    def _charged(self, recording, gains):
+        channels = dict(recording.channels)
+        for name, gain in gains.items() if recording.role == "policy" else ():
+            channel = f"{name}_level"
+            idle, series = recording.idle[channel], channels[channel]
+            channels[channel] = Series(series.channel, idle + (series.values - idle) * (1 - gain))
+        return recording.replace(world=self.name, channels=channels)
+"""
+
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def two_objectives(tmp_path_factory) -> Iterator[None]:
+    folder = tmp_path_factory.mktemp("installed")
+    files = {"two_objectives.py": PLUGIN, "two_objectives_world.py": WORLD}
+    write_package(folder, "two-objectives", files, {"two": "two_objectives"})
+    with kit_installed(), on_path(folder):
+        yield
+
+
+@pytest.fixture(scope="module")
+def run(two_objectives, tmp_path_factory) -> Path:
+    from hts.testing.tiny_run import tiny_run
+
+    folder = tmp_path_factory.mktemp("several") / "run"
+    settings = {
+        **{f"sweep.weights.{name}": [0.0, 1.0] for name in ("calm", "cheap")},
+        "sweep.anchors": ["front"],
+        "iterations": 2,
+        "selection.elites": 3,
+    }
+    tiny_run(folder, ["calm", "cheap"], world="exchange", settings=settings)
+    return folder
+
+
+def summary_of(folder: Path) -> dict:
+    return json.loads((folder / "summary.json").read_text())
+
+
+ALONE, BOTH, OTHER = 0.2 * 1.5, 0.12 * 1.5, -0.05  # savings of the second iteration
+
+
+def test_every_combination_of_weights_but_all_zero_is_trained(run):
+    for iteration in summary_of(run)["iterations"]:
+        assert [tuple(candidate["weights"].values()) for candidate in iteration["candidates"]] == [
+            (0.0, 1.0),
+            (1.0, 0.0),
+            (1.0, 1.0),
+        ]
+
+
+def test_each_objective_has_a_measurement_model_and_a_score_in_simulation(run):
+    for iteration in summary_of(run)["iterations"]:
+        assert set(iteration["measurement_models"]) == {"calm", "cheap"}
+        assert set(iteration["pretrained_sim_scores"]) == {"calm", "cheap"}
+        for candidate in iteration["candidates"]:
+            assert set(candidate["sim_scores"]) == {"calm", "cheap"}
+            assert candidate["sim_score"] == pytest.approx(sum(candidate["sim_scores"].values()))
+
+
+def test_the_measured_front_holds_the_three_that_nothing_beats_over_all_iterations(run):
+    front = {entry["id"]: entry for entry in summary_of(run)["front"]["real"]}
+    assert set(front) == {"01-00", "01-01", "01-02"}  # the first iteration's are each beaten by its own successor
+    known = {"01-00": (OTHER, ALONE), "01-01": (ALONE, OTHER), "01-02": (BOTH, BOTH)}
+    for name, (calm, cheap) in known.items():
+        gains = front[name]["improvements"]
+        assert front[name]["iteration"] == 1
+        assert gains["calm"]["improvement"] == pytest.approx(calm, abs=1e-4)
+        assert gains["cheap"]["selection_score"] == pytest.approx(cheap, abs=1e-4)
+        low, high = gains["cheap"]["improvement_ci95"]
+        assert low - 1e-6 <= gains["cheap"]["improvement"] <= high + 1e-6
+
+
+def test_the_simulated_front_of_each_iteration_is_told_by_ids(run):
+    simulation = summary_of(run)["front"]["simulation"]
+    assert [entry["iteration"] for entry in simulation] == [0, 1]
+    for index, entry in enumerate(simulation):
+        known = {"pretrained", *(candidate["id"] for candidate in summary_of(run)["iterations"][index]["candidates"])}
+        assert entry["ids"] and set(entry["ids"]) <= known
+
+
+def test_the_best_is_the_compromise_and_the_final_head_to_head_has_both_objectives(run):
+    summary = summary_of(run)
+    assert [iteration["best"] for iteration in summary["iterations"]] == ["00-02", "01-02"]
+    assert summary["final"]["policy"] == "01-02"
+    assert set(summary["final"]["objectives"]) == {"calm", "cheap"}
+    for entry in summary["final"]["objectives"].values():
+        for result in entry["speeds"].values():
+            assert result["improvement"] == pytest.approx(BOTH, abs=1e-4)
+
+
+def test_each_combination_of_weights_goes_on_from_the_policy_that_went_furthest_in_its_direction(run):
+    first, second = summary_of(run)["iterations"]
+    assert {candidate["anchor"] for candidate in first["candidates"]} == {"pretrained"}
+    assert [candidate["anchor"] for candidate in second["candidates"]] == ["00-00", "00-01", "00-02"]
+
+
+def test_the_report_shows_the_front_as_figure_words_and_table(run):
+    page = (run / "report.html").read_text()
+    assert "3 of 6 policies tried in reality are beaten by no other in calm and cheap together." in page
+    assert "01-02 (final)" in page and "1 calm + 1 cheap" in page
+    for ending in ("svg", "pdf"):
+        assert (run / "figures" / f"front.{ending}").is_file()
+
+
+def test_the_table_at_the_end_shows_the_front(run, capsys):
+    from rich.console import Console
+
+    from hts.report.table import print_table
+
+    print_table(summary_of(run), Console(width=100))
+    shown = capsys.readouterr().out
+    assert "front: beaten by no other" in shown
+    (row,) = [line for line in shown.splitlines() if line.strip().startswith("01-01")]
+    assert f"{100 * ALONE:.1f} %" in row and f"−{100 * -OTHER:.1f} %" in row
+
+
+def test_stopped_before_the_second_iteration_it_goes_on_from_the_same_front(run, tmp_path):
+    from hts import api
+
+    again = Path(shutil.copytree(run, tmp_path / "again"))
+    for stage in ("finetune", "simulate", "test"):
+        (again / f"iterations/01/{stage}.json").unlink()
+    for stage in ("final", "summary"):
+        (again / f"{stage}.json").unlink()
+    api.resume(again)  # its report is there still, and drawing it shows nothing here
+    whole, resumed = summary_of(run), summary_of(again)
+    assert {**resumed, "wall_seconds": 0} == {**whole, "wall_seconds": 0}
+
+
+def test_a_fall_in_reality_keeps_a_policy_off_the_front(two_objectives, run):
+    from hts.plugins import load
+    from hts.run.front import real_front
+    from hts.run.job import Job
+
+    class Told(Job):
+        """A finished run in which the compromise of the second iteration fell."""
+
+        def read(self, name):
+            result = super().read(name)
+            if name == "iterations/01/test":
+                result["results"]["01-02"]["tested"]["fell"] = True
+            return result
+
+    from hts.config_loading import read_config
+
+    job = Told(read_config(run / "config.yaml"), run, load(), None)
+    # Then the first iteration's compromise is beaten by nobody: 12 % of each.
+    assert {policy.id for policy in real_front(job, 2)} == {"01-00", "01-01", "00-02"}
+
+
+# ----------------------------------------------------------------------------------------------- what is chosen
+
+
+def config(*objectives: str, **given):
+    return load_config(objectives=objectives, robot="hopper", **given)
+
+
+@pytest.mark.parametrize("preset", ["smoke", "quick", "paper"])
+def test_several_objectives_choose_the_selector_made_for_them(preset):
+    assert config("calm", "cheap", preset=preset).selection.selector.name == "pareto"
+    assert config("calm", preset=preset).selection.selector.name == "hierarchical"
+    assert config("calm", "calm", preset=preset).selection.selector.name == "hierarchical"
+
+
+def test_a_selector_that_is_asked_for_is_kept(tmp_path):
+    named = config("calm", "cheap", overrides=["selection.selector.name=hierarchical"])
+    assert (named.selection.selector.name, named.selection.elites) == ("hierarchical", 6)
+    file = tmp_path / "mine.yaml"
+    file.write_text("objectives: {calm: {}, cheap: {}}\nselection: {elites: 2}\n")
+    several = load_config(file=file, robot="hopper")
+    assert (several.selection.selector.name, several.selection.elites) == ("pareto", 2)
+    assert load_config(file=file, objectives=["calm"], robot="hopper").selection.selector.name == "hierarchical"
+
+
+def test_weights_that_leave_nothing_to_learn_from_are_refused():
+    with pytest.raises(ConfigError, match="every λ is 0"):
+        config("calm", "cheap", overrides=["sweep.weights={calm: [0], cheap: [0.0]}"])
+    assert config("calm", "cheap", overrides=["sweep.weights.calm=[0]"]).sweep.weights == {"calm": (0.0,)}
+
+
+@pytest.mark.parametrize("value", ["-1", ".nan", ".inf"])
+def test_a_weight_is_a_number_of_at_least_zero(value):
+    with pytest.raises(ConfigError, match="is not a number of at least 0"):
+        config("calm", overrides=[f"sweep.weights.calm=[{value}]"])
+
+
+def test_an_anchor_that_nobody_knows_is_refused():
+    with pytest.raises(ConfigError, match="'best', 'pretrained' or 'front'"):
+        config("calm", overrides=["sweep.anchors=[bset]"])
+
+
+def test_a_dry_run_lists_the_combinations_and_the_selector(two_objectives):
+    from hts.plugins import load
+    from hts.run.cost import estimate
+
+    given = load_config(objectives=["calm", "cheap"], robot="tiny", preset="quick")
+    cost = estimate(given, load())
+    assert cost["selector"] == "pareto"
+    assert cost["combinations"].split(", ")[::3] == ["0.5 calm", "0.5 cheap", "0.5 calm + 0.5 cheap"]
+    assert cost["candidates"] == 2 * 9 and cost["tested on the robot"] == 2 * 6
