@@ -67,7 +67,7 @@ class RandomisationConfig(Config):
 class CommandConfig(Config):
     """What velocities are asked for in training; uniform ranges."""
 
-    vx: tuple[float, float] = Field((-1.0, 1.5), description="forward velocity, m/s")
+    vx: tuple[float, float] = Field((-1.5, 1.5), description="forward velocity, m/s")
     vy: tuple[float, float] = Field((-0.5, 0.5), description="sideways velocity, m/s")
     yaw_rate: tuple[float, float] = Field((-1.0, 1.0), description="limits of the yaw rate, rad/s")
     heading: bool = Field(True, description="yaw rate = clip(gain · heading error), as Rudin et al. 2022")
@@ -143,7 +143,7 @@ class PretrainConfig(Config):
 
     engine: str = Field("warp", description="warp (GPU, minutes), mujoco (CPU, hours) or auto")
     num_envs: int = Field(8192, ge=1, description="worlds")
-    steps: int = Field(90_000_000, gt=0, description="control steps in all")
+    steps: int = Field(300_000_000, gt=0, description="control steps in all")
     hidden: tuple[int, ...] = Field((256, 128), min_length=1, description="hidden layers of actor and critic")
     init_std: float = Field(1.0, gt=0, description="sigma of the first policy, action units")
     seed: int = Field(0, ge=0, description="of networks, env and exploration")

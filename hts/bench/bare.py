@@ -22,8 +22,11 @@ class Replay:
         self.recording = False
         self.physics = self.overhead = 0.0
         self.steps: list[Any] = []
-        self._engine_step = engine.step
-        engine.step = self._step  # type: ignore[method-assign]
+        # Where control steps are captured, only the launch of the physics goes through Python.
+        self._launched = hasattr(engine, "step_raw")
+        name, wrapper = ("step_raw", self._step_raw) if self._launched else ("step", self._step)
+        self._engine_step = getattr(engine, name)
+        setattr(engine, name, wrapper)
 
     def start(self) -> None:
         """Forget everything and remember from here on."""
@@ -39,6 +42,11 @@ class Replay:
         self.engine.replay(self.steps)
         synchronise(self.engine.device)
         return time.perf_counter() - start
+
+    def _step_raw(self) -> None:
+        if self.recording:
+            self.steps.append(self.engine.snapshot(self.engine.inputs))  # type: ignore[attr-defined]
+        self._engine_step()
 
     def _step(self, ctrl: torch.Tensor) -> None:
         if not self.recording:

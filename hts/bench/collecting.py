@@ -30,19 +30,26 @@ def bench_env(
 
 
 def measure(trainer: PopulationTrainer, work: Callable[[], Any], seconds: float) -> dict[str, Any]:
-    """Alternate `work`, which collects one batch (and may do more), with the bare replay of what it collected."""
+    """Alternate `work`, which collects one batch (and may do more), with the bare replay of what it collected.
+
+    On a GPU, where remembering would be part of what is timed, the batch that is replayed is the one after the timed one.
+    """
     device, replay = trainer.population.device, Replay(trainer.env.engine)
     for _ in range(WARM_UP):
         work()
     fast: list[float]
     fast, bare, until = [], [], time.perf_counter() + seconds
     while len(fast) < LEAST_ROUNDS or time.perf_counter() < until:
-        replay.start()
+        if device.type == "cpu":
+            replay.start()
         synchronise(device)
         start = time.perf_counter()
         work()
         synchronise(device)
         fast.append(time.perf_counter() - start - replay.overhead)
+        if device.type != "cpu":
+            replay.start()
+            trainer.collect()
         bare.append(replay.seconds())
     steps = trainer.steps_per_batch
     return {

@@ -116,6 +116,19 @@ class WarpEngine(Engine):
         """Take the actuator inputs of the next control step, (substeps, W, nu)."""
         self._ctrl.copy_(ctrl)
 
+    @property
+    def inputs(self) -> torch.Tensor:
+        """The actuator inputs of the running control step, (substeps, W, nu)."""
+        return self._ctrl
+
+    def replay(self, steps: Sequence[tuple[Mapping[str, torch.Tensor], torch.Tensor]]) -> None:
+        here = self.state_dict()
+        for state, ctrl in steps:
+            self.load_state_dict(state)
+            self.load(ctrl)
+            self.step_raw()
+        self.load_state_dict(here)
+
     def judge(self) -> None:
         """After physics: which worlds have broken, and whether an input was not finite."""
         self._bad_input |= ~self._ctrl.isfinite().all(dim=2).all(dim=0)

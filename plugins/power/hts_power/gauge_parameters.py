@@ -26,7 +26,7 @@ class GaugeParameters(BaseModel):
 
     # ---- drives
     idle_power: float = number(
-        34.0, 22.0, 45.0, "W", "calibrated on standing and the pretrained policy; E: sum of parts (computers 10-21, drives 6-12, rest 5-10) and standing minus copper loss",
+        30.0, 22.0, 45.0, "W", "calibrated on standing and the pretrained policy; E: sum of parts (computers 10-21, drives 6-12, rest 5-10) and standing minus copper loss",
         "P_idle: electronics on, motors idle",
     )  # fmt: skip
     phase_resistance: float = number(
