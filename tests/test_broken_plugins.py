@@ -132,6 +132,8 @@ def test_two_plugins_of_one_name_are_named_both(check):
 
 
 def test_a_plugin_that_ends_the_process_is_named(check):
-    said = check("robot", "plugin.py", "from hts import hookimpl", "import sys\nfrom hts import hookimpl\n\nsys.exit(3)")
+    said = check(
+        "robot", "plugin.py", "from hts import hookimpl", "import sys\nfrom hts import hookimpl\n\nsys.exit(3)"
+    )
     assert said.status == 1
     assert [line for line in said.faults if "broken-robot: entry point 'hopper': SystemExit: 3" in line], said.text

@@ -1,28 +1,203 @@
-"""The kit for plugin authors, tried on our own plugins, on what `hts new` writes, and on faulty ones."""
+"""The conformance kit on our own plugins and on what `test_broken_plugins` has no place for: worlds, log readers, commands."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 
 import pytest
 
-from hts.errors import ConfigError, RunError
-from hts.plugins import load
-from hts.testing.conformance import check_package
-from hts.testing.starters import write_starter
+from hts.cli.commands import COMMANDS
+from hts.cli.main import main
+from hts.errors import ConfigError
+from hts.plugins import KINDS, load
+from hts.testing.checks import CHECKS
+from hts.testing.conformance import Finding, check_package, package_of
+from hts.testing.packages import KIT, kit_installed
 
-OURS = ["hard-to-sim", "hard-to-sim-power", "hard-to-sim-noise", "hard-to-sim-go1"]
+OURS = ["hard-to-sim-power", "hard-to-sim-noise", "hard-to-sim-go1", KIT]
 
 
-def faults(package: str) -> dict[str, str]:
-    """Subject and demand -> fault, of everything that is not kept."""
-    return {f"{f.subject}: {f.demand}": f.fault for f in check_package(load(), package) if f.fault is not None}
+def faults(package: str) -> list[str]:
+    """Lines of everything that is not kept."""
+    found = check_package(load(), package, reserved=COMMANDS)
+    assert found
+    return [finding.line() for finding in found if finding.fault is not None]
 
 
 @pytest.mark.parametrize("package", OURS)
 def test_our_own_plugins_keep_the_contracts(package):
-    assert faults(package) == {}
+    with kit_installed():
+        assert faults(package) == []
+
+
+@pytest.mark.slow
+def test_what_the_core_offers_keeps_the_contracts():
+    assert faults("hard-to-sim") == []  # the world `twin` among it, which starts processes
+
+
+def test_every_kind_has_checks_and_every_check_a_demand_on_one_line():
+    assert set(CHECKS) == set(KINDS)
+    for checks in CHECKS.values():
+        assert checks
+        for check in checks:
+            assert check.__doc__ and check.__doc__.strip().endswith(".") and "\n" not in check.__doc__.strip()
+
+
+# -------------------------------------------------------------------------------------------------- worlds
+
+WORLD = """
+from hts import hookimpl
+
+HTS_API = 1
+
+
+def make(settings, context):
+    from hts.testing import known_world
+
+    made = known_world.make_known(settings, context)
+    made.name = "odd"
+    collect, head_to_head = made.collect, made.head_to_head
+{changes}
+    return made
+
+
+@hookimpl
+def hts_worlds(register):
+    register("odd", make)
+"""
+
+
+def offering_world(install, *changes: str) -> list[str]:
+    source = WORLD.format(changes="\n".join(f"    {line}" for line in changes))
+    install("odd-lab", {"odd_lab": source}, {"odd": "odd_lab"})
+    return faults("odd-lab")
+
+
+def test_a_sound_world_passes(install):
+    assert offering_world(install) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        (["made.collect = lambda p, s: collect(p, s)[:1]"], "gives 1 recordings for 2 policies"),
+        (["made.name = 'even'"], "calls itself 'even'"),
+        (["made.cost = lambda seconds: {}"], "says that 60 s of walking cost {}"),
+        (["context.objectives['more'] = {}"], "changes its context in place"),
+        (
+            ["if context.folder.is_dir():", "    (context.folder / 'x').write_text('')"],
+            "writes files when it is made",
+        ),
+        (
+            ["def again(p, s):", "    made.seed += 1", "    return collect(p, s)", "made.collect = again"],
+            "is another one when asked again",
+        ),
+        (
+            ["made.head_to_head = lambda p, r, v: sorted(head_to_head(p, r, v), key=lambda x: x.role)"],
+            "roles of its blocks are ['policy', 'policy', 'policy', 'policy']",
+        ),
+        (
+            ["made.head_to_head = lambda p, r, v: [x.replace(session='one') for x in head_to_head(p, r, v)]"],
+            "two speeds are 1 session(s)",
+        ),
+        (["made.settings = made.settings.model_copy(update={'level': float('nan')})"], "fake_level"),
+    ],
+)
+def test_a_faulty_world_is_named_with_its_fault(install, changes, fault):
+    found = offering_world(install, *changes)
+    assert any(f"odd-lab: world 'odd': {fault}" in line or fault in line for line in found), found
+    assert all(line.startswith("odd-lab: world 'odd': ") and "\n" not in line for line in found)
+
+
+# ------------------------------------------------------------------------------------ log readers and commands
+
+READER = """
+from hts import hookimpl
+from hts.contracts import LogReader
+from hts.config import Config
+from hts.errors import RecordingError
+
+HTS_API = 1
+
+
+class Settings(Config):
+    gap: float = 1.0
+
+
+class Reader(LogReader):
+    def read(self, files, mapping, robot):
+        {body}
+
+
+def make(settings):
+    Settings(**settings)
+    return Reader()
+
+
+@hookimpl
+def hts_log_readers(register):
+    register("tape", make)
+"""
+
+
+@pytest.mark.parametrize(
+    ("body", "fault"),
+    [
+        ("raise RecordingError(f'{files[0]}: not a tape.')", None),
+        ("raise KeyError('time')", "missing.log ends in a traceback, KeyError: 'time'"),
+        ("return None", "makes a recording of missing.log"),
+        ("raise RecordingError('two\\nlines')", "says of missing.log in several lines"),
+        ("mapping['x'] = 1; raise RecordingError('no')", "changes the mapping that it is given in place"),
+    ],
+)
+def test_a_log_reader_is_honest_about_bad_files(install, body, fault):
+    install("tapes", {"tapes": READER.format(body=body)}, {"tape": "tapes"})
+    found = faults("tapes")
+    assert (found == []) if fault is None else any(f"tapes: log reader 'tape': {fault}" in line for line in found), (
+        found
+    )
+
+
+COMMAND = """
+from hts import hookimpl
+
+HTS_API = 1
+
+
+def make():
+    {doc}
+    return {function}
+
+
+def work(name: str = "x"):
+    print(name)
+
+
+@hookimpl
+def hts_commands(register):
+    register("{name}", make)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "doc", "function", "fault"),
+    [
+        ("tidy", "'''Tidies up.'''", "work", None),
+        ("tidy", "", "work", "its factory has no docstring"),
+        ("tidy", "'''Tidies up.'''", "3", "its factory gives a int, not a function"),
+        ("run", "'''Runs.'''", "work", "'run' is a command of hts"),
+        ("tidy up", "'''Tidies up.'''", "work", "is named 'tidy up'"),
+    ],
+)
+def test_a_command_can_be_called_and_hides_none(install, name, doc, function, fault):
+    install("tools", {"tools": COMMAND.format(name=name, doc=doc, function=function)}, {"tool": "tools"})
+    found = faults("tools")
+    assert (found == []) if fault is None else any(f"tools: command '{name}': {fault}" in line for line in found), found
+
+
+# -------------------------------------------------------------------------------------------- the command itself
 
 
 def test_a_package_that_is_not_installed_is_answered_with_the_closest():
@@ -30,6 +205,47 @@ def test_a_package_that_is_not_installed_is_answered_with_the_closest():
         check_package(load(), "hard-to-simm")
 
 
-def test_a_broken_package_is_a_finding(install):
+def test_a_package_that_registers_nothing_is_named(install):
+    install("silent", {"silent": "HTS_API = 1"}, {"silent": "silent"})
+    (line,) = faults("silent")
+    assert line.startswith("silent: module silent: registers nothing. Expected: ")
+
+
+def test_a_package_may_be_named_by_its_folder(tmp_path):
+    (tmp_path / "pyproject.toml").write_text('[project]\nname = "hard-to-sim-go1"\n')
+    assert package_of(str(tmp_path)) == "hard-to-sim-go1"
+    assert package_of("hard-to-sim-go1") == "hard-to-sim-go1"
+
+
+@pytest.mark.parametrize("text", [None, "no toml [", "[project]\n"])
+def test_a_folder_that_is_no_package_is_refused_in_one_line(tmp_path, text, capsys):
+    if text is not None:
+        (tmp_path / "pyproject.toml").write_text(text)
+    assert main(["check", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "expected a pyproject.toml with a project name" in error
+
+
+def test_the_command_speaks_json(capsys, install):
     install("stranger", {"stranger": "import no_such_library"}, {"odd": "stranger"})
-    assert list(faults("stranger").values()) == ["ModuleNotFoundError: No module named 'no_such_library'"]
+    assert main(["check", "stranger", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert (found["package"], found["failed"]) == ("stranger", 1)
+    (finding,) = found["findings"]
+    assert finding["fault"] == "ModuleNotFoundError: No module named 'no_such_library'"
+
+
+def test_a_finding_is_one_line_with_package_subject_fault_and_demand():
+    finding = Finding("lab", "robot 'spot'", "It has four legs.", "has three legs.")
+    assert finding.line() == "lab: robot 'spot': has three legs. Expected: It has four legs."
+
+
+def test_the_kit_is_gone_when_it_is_no_longer_needed():
+    before = list(sys.path)
+    with kit_installed():
+        assert "tiny" in load().robots and "known" in load().worlds
+        code = "from hts.plugins import load; print('tiny' in load().robots)"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert done.stdout.strip() == "True"  # processes that are started see it too
+    assert "tiny" not in load().robots
+    assert sys.path == before

@@ -23,7 +23,7 @@ class Replay:
         self.physics = self.overhead = 0.0
         self.steps: list[Any] = []
         # Where control steps are captured, only the launch of the physics goes through Python.
-        self._launched = hasattr(engine, "step_raw")
+        self._launched = hasattr(engine, "inputs")
         name, wrapper = ("step_raw", self._step_raw) if self._launched else ("step", self._step)
         self._engine_step = getattr(engine, name)
         setattr(engine, name, wrapper)

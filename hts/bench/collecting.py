@@ -66,20 +66,17 @@ def profile(trainer: PopulationTrainer, batches: int = 3) -> dict[str, float] | 
     """
     if trainer.population.device.type != "cpu":
         return None
-    env, population = trainer.env, trainer.population
+    env = trainer.env.base_env
     clocks = {
-        "physics": Clock(env.engine, "step"), "policy": Clock(trainer.actor, "forward"),
-        "measurement": Clock(env.transform, "_step"), "env": Clock(env.base_env, "_step"),
-        "reset": Clock(env.base_env, "_reset"),
+        "physics": [Clock(env.engine, "step")], "policy": [Clock(trainer.population, "mean")],
+        "measurement": [Clock(transform, "_step") for transform in trainer.env.transform],
+        "env": [Clock(env, name) for name in ("begin", "finish", "start_episodes")],
     }  # fmt: skip
-    synchronise(population.device)
     start = time.perf_counter()
     for _ in range(batches):
         trainer.collect()
-    synchronise(population.device)
     total = time.perf_counter() - start
-    spent = {name: clock.stop() for name, clock in clocks.items()}
-    spent["env"] += spent.pop("reset") - spent["physics"]
+    spent = {name: sum(clock.stop() for clock in parts) for name, parts in clocks.items()}
     spent["collector"] = total - sum(spent.values())
     return {name: round(value / total, 4) for name, value in spent.items()}
 

@@ -21,7 +21,7 @@ from hts.ppo.batched_steps import BatchedSteps
 from hts.ppo.capture import Captured
 from hts.ppo.centring import Centre
 from hts.ppo.precision import tf32
-from hts.ppo.rollout import Rollout, can_be_captured
+from hts.ppo.rollout import Rollout, can_roll_out
 from hts.ppo.rows import row_mean, row_standardised
 from hts.ppo.steps import GradientSteps, Samples, SeparateSteps
 from hts.ppo.threads import one_thread
@@ -35,6 +35,16 @@ class BatchStats:
 
     steps: int
     values: dict[str, list[float]]
+
+
+def make_collector(env: EnvBase, actor: Explorer, frames_per_batch: int) -> Collector:
+    """TorchRL's collector of batches [P, N, T]."""
+    return Collector(
+        env, actor, frames_per_batch=frames_per_batch, total_frames=-1, device=env.device, track_traj_ids=False,
+        trust_policy=True, use_buffers=False, track_policy_version=False,
+        return_same_td=env.device.type == "cpu",  # each batch is a fresh one, so there is nothing to copy it for
+        auto_register_policy_transforms=False,  # nothing here is recurrent: the memory is the transform's own
+    )  # fmt: skip
 
 
 class PopulationTrainer:
@@ -83,18 +93,13 @@ class PopulationTrainer:
         self.rollout: Rollout | None = None
         self._captured: tuple[torch.Tensor, Captured[tuple[Samples, Samples]], Captured[torch.Tensor]] | None = None
         self.collector: Collector | None = None
-        if capture and can_be_captured(env):
+        if can_roll_out(env):
             self.rollout = Rollout(
-                env, population, self.noise, config.horizon, capture=True, tf32=config.tf32,
-                aside=not update_normaliser, anchor=anchor,
+                env, population, self.noise, config.horizon, capture=capture, tf32=config.tf32,
+                aside=capture and not update_normaliser, anchor=anchor,
             )  # fmt: skip
         else:
-            self.collector = Collector(
-                env, self.actor, frames_per_batch=per_batch, total_frames=-1, device=device, track_traj_ids=False,
-                trust_policy=True, use_buffers=False, track_policy_version=False,
-                return_same_td=device.type == "cpu",  # each batch is a fresh one, so there is nothing to copy it for
-                auto_register_policy_transforms=False,  # nothing here is recurrent: the memory is the transform's own
-            )  # fmt: skip
+            self.collector = make_collector(env, self.actor, per_batch)
             self._stream = iter(self.collector)
         if resume is not None and list(resume.get("transform", {}).keys()):  # now: making the collector resets the env
             self.env.transform.load_state_dict(dict(resume["transform"].items()))
@@ -104,10 +109,8 @@ class PopulationTrainer:
 
     def collect(self) -> TensorDictBase:
         """One batch [P, N, T] from the env."""
-        if self.rollout is not None:
-            return self.rollout.collect()
         with one_thread():
-            return next(self._stream)
+            return next(self._stream) if self.rollout is None else self.rollout.collect()
 
     def batch(self) -> BatchStats:
         """Collect, then learn from it."""
@@ -222,7 +225,7 @@ class PopulationTrainer:
 
     def _prepared(self, data: TensorDictBase, reward: torch.Tensor) -> tuple[Samples, Samples]:
         """`_prepare`, as a captured graph where a rollout leaves its batches in the same memory each time."""
-        if self.rollout is None:
+        if self.rollout is None or not self.rollout.captured:
             return self._prepare(data, reward)
         if self._captured is None:
             kept = reward.clone()

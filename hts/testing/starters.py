@@ -12,6 +12,8 @@ from string import Template
 
 from hts import __version__
 from hts.errors import ConfigError, RunError, unknown_name
+from hts.plugins import load
+from hts.testing.packages import kit_installed
 
 HERE = Path(__file__).parent
 
@@ -38,6 +40,7 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
             f"'{name}' cannot name a {kind}: lower-case letters, digits and single underscores, a letter first, "
             "no Python keyword."
         )
+    _refuse_taken(kind, name)
     module = f"hts_{name}"
     folder = parent / module.replace("_", "-")
     if folder.exists():
@@ -73,6 +76,14 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
 def first_run(kind: str, name: str) -> str:
     """The command of the first run to try; words in capitals are to be filled in."""
     return Template(RUN[kind]).substitute(name=name)
+
+
+def _refuse_taken(kind: str, name: str) -> None:
+    """Two things of one kind and name would stop every command, so that name is refused now."""
+    with kit_installed():  # whose names tests of the package need
+        entry = getattr(load(), f"{kind}s").get(name)
+    if entry is not None:
+        raise ConfigError(f"'{name}' is taken: {entry.package} offers the {kind} of that name. Choose another one.")
 
 
 def _class_name(name: str) -> str:

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hts.channels import Channel
-from hts.contracts import Objective, PhysicsSample, WorldContext
+from hts.contracts import Objective, PhysicsSample, Robot, World, WorldContext
+from hts.errors import HtsError
 from hts.evaluation.segments import Segments, cut
 from hts.plugins import Entry, Registry
 from hts.recordings.recording import Recording
+from hts.testing.examples.objective.objective import Fake
 from hts.testing.examples.robot.robot import Tiny
 from hts.testing.known_worlds import made_up_recording
 
 WORLDS = 3
+NOWHERE = Path(tempfile.gettempdir()) / "hts-check-nowhere"  # a name only: worlds write with their first request
 
 
 def kind_of(entry: Entry, registry: Registry) -> str:
@@ -29,15 +33,44 @@ def kind_of(entry: Entry, registry: Registry) -> str:
     )
 
 
-def context(folder: Path | None = None) -> WorldContext:
-    """Of a run of the kit's own robot and objective."""
-    place = folder or Path(tempfile.gettempdir()) / "hts-check-nowhere"
-    return WorldContext(robot="tiny", robot_settings={}, objectives={"fake": {}}, seed=0, folder=place)
+@dataclass(frozen=True)
+class Crew:
+    """A robot and an objective to try a world with, and how a run's context names them."""
+
+    robot: Robot
+    objective: Objective
+    names: tuple[str, str]
+
+    def context(self, folder: Path = NOWHERE) -> WorldContext:
+        robot, objective = self.names
+        return WorldContext(robot=robot, robot_settings={}, objectives={objective: {}}, seed=0, folder=folder)
 
 
-def rest_of(kind: str) -> tuple[Any, ...]:
+def crew_for(world: Entry, registry: Registry) -> Crew:
+    """The kit's own robot and objective, or of the world's package the first ones that it takes instead of them."""
+    kit = Crew(Tiny(), Fake(), ("tiny", "fake"))
+    own = [
+        Crew(registry.make_robot(robot.name), registry.make_objective(objective.name), (robot.name, objective.name))
+        for robot in registry.robots.values()
+        for objective in registry.objectives.values()
+        if robot.package == objective.package == world.package
+    ]
+    for crew in (kit, *own):
+        try:
+            made = world.factory({}, crew.context())
+            if isinstance(made, World):
+                made.close()
+        except HtsError:  # this world does not know that robot or objective
+            continue
+        return crew
+    return kit
+
+
+def rest_of(kind: str, entry: Entry, registry: Registry) -> tuple[Any, ...]:
     """What a factory of that kind gets after the settings."""
-    return {"instruments": (Tiny(),), "worlds": (context(),)}.get(kind, ())
+    if kind == "worlds":
+        return (crew_for(entry, registry).context(),)
+    return (Tiny(),) if kind == "instruments" else ()
 
 
 def real_channels(objective: Objective, registry: Registry) -> dict[str, Channel]:

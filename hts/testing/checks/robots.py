@@ -14,7 +14,8 @@ from hts.testing.checks.ensure import ensure, listed, same
 
 STEPS, WORLDS, SEED = 12, 2, 11
 PER_JOINT = ("default_pose", "kp", "kd", "action_scale", "torque_limit", "velocity_limit", "position_limit")
-ABOVE_ZERO = ("kp", "action_scale", "torque_limit", "velocity_limit")
+ABOVE_ZERO = ("action_scale", "torque_limit", "velocity_limit")
+GAINS = ("kp", "kd")  # 0 where actions are torques
 
 
 def spec_is_consistent(entry: Entry, registry: Registry) -> None:
@@ -29,6 +30,8 @@ def spec_is_consistent(entry: Entry, registry: Registry) -> None:
         ensure(length == spec.num_joints, f"spec.{name} has {length} entries for {spec.num_joints} joints")
     for name in ABOVE_ZERO:
         ensure(all(math.isfinite(v) and v > 0 for v in getattr(spec, name)), f"spec.{name} is {getattr(spec, name)}")
+    for name in GAINS:
+        ensure(all(math.isfinite(v) and v >= 0 for v in getattr(spec, name)), f"spec.{name} is {getattr(spec, name)}")
     for name in ("torque_constant", "gear_ratio", "phase_resistance_ohm") if spec.motors else ():
         length = len(getattr(spec.motors, name))
         ensure(length == spec.num_joints, f"spec.motors.{name} has {length} entries for {spec.num_joints} joints")

@@ -35,7 +35,7 @@ for _name in ("__setitem__", "__delitem__", "pop", "popitem", "setdefault", "upd
 
 def settings_are_left_alone(entry: Entry, registry: Registry) -> None:
     """The settings that its factory is given are only read: the run's own configuration hangs on them."""
-    rest = rest_of(kind_of(entry, registry))
+    rest = rest_of(kind_of(entry, registry), entry, registry)
     given = Watched()
     entry.factory(given, *rest)
     ensure(not given.changes, f"changes its settings in place: {', '.join(given.changes)}")
@@ -61,7 +61,7 @@ def _told(entry: Entry, registry: Registry, settings: dict[str, Any], key: str) 
     kind = kind_of(entry, registry)
     make = getattr(registry, f"make_{kind.removesuffix('s')}")
     try:
-        make(entry.name, settings, *rest_of(kind))
+        make(entry.name, settings, *rest_of(kind, entry, registry))
     except HtsError as error:
         text = str(error)
         ensure("\n" not in text and key in text, f"says of the setting '{key}': {text}")

@@ -1,24 +1,24 @@
-"""Worlds: what they cost and what they record, tried with the kit's own robot and objective."""
+"""Worlds: what they cost and what they record, tried with the kit's own robot and objective.
+
+A world that refuses these (it has one kind of machine) is tried with robot and objective of its own package.
+"""
 
 from __future__ import annotations
 
 import copy
 import math
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from hts.config import Command, ScheduleConfig
-from hts.contracts import World
+from hts.contracts import World, WorldContext
 from hts.errors import ConfigError, WaitingForRobot
 from hts.plugins import Entry, Registry
 from hts.recordings.recording import Recording
 from hts.testing.checks.ensure import ensure, listed, same
-from hts.testing.checks.made_up import context
-from hts.testing.examples.objective.objective import TARGET
-from hts.testing.examples.robot.robot import Tiny
+from hts.testing.checks.made_up import Crew, crew_for
 from hts.testing.packages import kit_installed
 
 SCHEDULE = ScheduleConfig(commands=(Command(seconds=1.5, vx=0.5), Command(seconds=1.5, vx=0.8)))
@@ -30,7 +30,7 @@ SHORT = {"block_seconds": 2.0, "warmup_seconds": 1.0}
 def costs_nothing_yet(entry: Entry, registry: Registry) -> None:
     """Making it writes nothing and changes nothing it is given; it knows its name and its cost, and closes twice."""
     with tempfile.TemporaryDirectory() as folder:
-        given = context(Path(folder))
+        given = crew_for(entry, registry).context(Path(folder))
         before = copy.deepcopy(given)
         with kit_installed():
             world = entry.factory({}, given)
@@ -49,7 +49,7 @@ def costs_nothing_yet(entry: Entry, registry: Registry) -> None:
 
 def gives_recordings(entry: Entry, registry: Registry) -> None:
     """collect gives one whole recording per policy, in order, the same again; or it waits for a person in one line."""
-    with _world(entry) as (world, policy, folder):
+    with _world(entry, registry) as (world, crew, policy, folder):
         try:
             recordings = world.collect([policy, policy], SCHEDULE)
         except WaitingForRobot as waiting:
@@ -59,8 +59,9 @@ def gives_recordings(entry: Entry, registry: Registry) -> None:
         idle = world.idle()
         ensure(all(math.isfinite(level) for level in idle.values()), f"idle levels are {dict(idle)}")
         for recording in recordings:
-            _whole(recording, entry.name, SCHEDULE.seconds, folder)
-            ensure(TARGET.name in recording.idle, f"recordings have no idle level of '{TARGET.name}'")
+            _whole(recording, crew, entry.name, SCHEDULE.seconds, folder)
+            target = crew.objective.target.name
+            ensure(target in recording.idle, f"recordings have no idle level of '{target}'")
         again = world.collect([policy, policy], SCHEDULE)
         for first, second in zip(recordings, again, strict=True):
             for name in first.channels:
@@ -69,7 +70,7 @@ def gives_recordings(entry: Entry, registry: Registry) -> None:
 
 def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
     """head_to_head gives blocks in the order A-B-B-A, of one session per speed, with their roles; or waits for a person."""
-    with _world(entry) as (world, policy, folder):
+    with _world(entry, registry) as (world, crew, policy, folder):
         try:
             recordings = world.head_to_head(policy, policy, (0.5, 0.8))
         except WaitingForRobot:
@@ -82,18 +83,17 @@ def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
             speeds = {command.vx for recording in blocks for command in recording.schedule.commands}
             ensure(len(speeds) == 1, f"blocks of one session have commanded speeds of {sorted(speeds)} m/s")
             for recording in blocks:
-                _whole(recording, entry.name, recording.schedule.seconds, folder)
+                _whole(recording, crew, entry.name, recording.schedule.seconds, folder)
         sessions = {recording.session for recording in recordings}
         ensure(len(sessions) == 2, f"two speeds are {len(sessions)} session(s), so their blocks would be mixed")
 
 
-def _whole(recording: Recording, world: str, seconds: float, folder: Path) -> None:
+def _whole(recording: Recording, crew: Crew, world: str, seconds: float, folder: Path) -> None:
     """What the store and the rest of a run need of a recording."""
     from hts.recordings.store import RecordingStore
 
-    robot = Tiny()
     ensure(
-        (recording.robot, recording.world) == ("tiny", world),
+        (recording.robot, recording.world) == (crew.names[0], world),
         f"its recordings are of {recording.robot} in {recording.world}",
     )
     ensure(bool(recording.policy_hash), "its recordings do not say which policy ran")
@@ -101,9 +101,10 @@ def _whole(recording: Recording, world: str, seconds: float, folder: Path) -> No
         abs(recording.seconds - seconds) < 0.1 * seconds,
         f"{seconds:g} s were asked for, {recording.seconds:g} s are recorded",
     )
-    needed = {*robot.channels(), TARGET.name}
-    ensure(needed <= set(recording.channels), f"its recordings lack {listed(needed - set(recording.channels))}")
-    wanted: Mapping[str, Any] = {**robot.channels(), TARGET.name: TARGET}
+    target = crew.objective.target
+    wanted = {**crew.robot.channels(), target.name: target}
+    lacking = set(wanted) - set(recording.channels)
+    ensure(not lacking, f"its recordings lack {listed(lacking)}")
     for name, channel in wanted.items():
         found = recording.channels[name].channel
         ensure((found.unit, found.shape) == (channel.unit, channel.shape), f"'{name}' is {found.unit} {found.shape}, not {channel.unit} {channel.shape}")  # fmt: skip
@@ -111,30 +112,31 @@ def _whole(recording: Recording, world: str, seconds: float, folder: Path) -> No
 
 
 @contextmanager
-def _world(entry: Entry) -> Iterator[tuple[World, Path, Path]]:
-    """The world for the kit's robot and objective, an exported policy, and a folder, all gone afterwards."""
+def _world(entry: Entry, registry: Registry) -> Iterator[tuple[World, Crew, Path, Path]]:
+    """The world, whom it is for, an exported policy, and a folder; all gone afterwards."""
     from hts.policies.export import to_onnx
     from hts.policies.files import load_policy
 
-    robot = Tiny()
     with tempfile.TemporaryDirectory() as name, kit_installed():
-        folder = Path(name)
-        source = robot.pretrained_policy()
+        crew, folder = crew_for(entry, registry), Path(name)
+        source = crew.robot.pretrained_policy()
+        ensure(source is not None, f"takes no robot with a policy to try, only '{crew.names[0]}'")
         assert source is not None
-        policy = to_onnx(load_policy(source, robot.spec), folder / "policy.onnx")
-        world = entry.factory(_short(entry, folder), context(folder / "world"))
+        policy = to_onnx(load_policy(source, crew.robot.spec), folder / "policy.onnx")
+        given = crew.context(folder / "world")
+        world = entry.factory(_short(entry, given), given)
         try:
-            yield world, policy, folder
+            yield world, crew, policy, folder
         finally:
             world.close()
 
 
-def _short(entry: Entry, folder: Path) -> dict[str, float]:
+def _short(entry: Entry, given: WorldContext) -> dict[str, float]:
     """Those of SHORT that the world takes."""
     taken = {}
     for key, value in SHORT.items():
         try:
-            entry.factory({key: value}, context(folder / "world")).close()
+            entry.factory({key: value}, given).close()
         except (ConfigError, ValueError):  # ValueError: what pydantic raises
             continue
         taken[key] = value

@@ -1,0 +1,143 @@
+"""What `hts new` writes: installed by pip as it is, checked, tested and run."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from hts.errors import ConfigError, RunError
+from hts.testing.starters import write_starter
+
+NAMES = {"objective": "heat", "robot": "hopper", "selector": "steady"}
+
+
+def python(
+    *arguments: str | Path, path: Sequence[Path] = (), cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))}
+    return subprocess.run(
+        [sys.executable, *map(str, arguments)], capture_output=True, text=True, check=False, cwd=cwd, env=env
+    )
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """A folder into which pip installed the three packages, built from what `hts new` wrote into an empty one."""
+    empty, site = tmp_path_factory.mktemp("empty"), tmp_path_factory.mktemp("site-packages")
+    folders = [write_starter(kind, name, empty) for kind, name in NAMES.items()]
+    quick = ("--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check")
+    done = python("-m", "pip", "install", *quick, "--target", site, *folders)
+    assert done.returncode == 0, done.stderr
+    return site
+
+
+def test_pip_installs_everything_that_is_needed(site):
+    assert (site / "hts_hopper" / "policies" / "pretrained.safetensors").is_file()
+    code = (
+        "import json; from hts.plugins import load; r = load(); print(json.dumps("
+        "[r.objectives['heat'].package, r.instruments['heat_meter'].package, r.robots['hopper'].package,"
+        " r.selectors['steady'].package, [b.package for b in r.broken]]))"
+    )
+    done = python("-c", code, path=[site])
+    assert json.loads(done.stdout) == ["hts-heat", "hts-heat", "hts-hopper", "hts-steady", []]
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_it_passes_the_check(kind, site, hts):
+    done = hts("check", f"hts-{NAMES[kind]}", path=[site])
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1].endswith("checks, 0 failed")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", NAMES)
+def test_its_own_tests_are_green(kind, site):
+    folder = next(site.parent.glob(f"empty*/hts-{NAMES[kind]}"))
+    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", folder, path=[site], cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_all_three_run_smoke_together(site, hts, tmp_path):
+    command = ["run", "--objective", "heat", "--robot", "hopper", "--preset", "smoke", "--out", tmp_path / "run"]
+    done = hts(*command, "--set", "selection.selector.name=steady", path=[site], timeout=280)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["objectives"], summary["robot"], summary["world"]) == (["heat"], "hopper", "twin")
+    tested = [candidate["real"] for candidate in summary["iterations"][0]["candidates"] if candidate["elite"]]
+    assert tested and all(real is not None and real["heat"]["0.8"]["segments"] > 0 for real in tested)
+    assert (tmp_path / "run" / "report.html").is_file()
+
+
+@pytest.mark.parametrize("name", ["heat", "a_rather_long_name_of_something"])
+@pytest.mark.parametrize("kind", NAMES)
+def test_it_is_formatted_and_linted_by_its_own_settings(kind, name, tmp_path):
+    folder = write_starter(kind, name, tmp_path)
+    for command in (["check", "--no-cache"], ["format", "--check", "--no-cache"]):
+        done = python("-m", "ruff", *command, ".", cwd=folder)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_objective_is_short_and_nothing_of_the_example_is_left(tmp_path):
+    for kind, own in (("objective", "fake"), ("robot", "tiny"), ("selector", "plain")):
+        folder = write_starter(kind, NAMES[kind], tmp_path)
+        for path in folder.glob("hts_*/*.py"):
+            text = path.read_text()
+            assert own not in text.lower() and "hts.testing" not in text, path
+    assert len((tmp_path / "hts-heat" / "hts_heat" / "objective.py").read_text().splitlines()) <= 100
+
+
+def test_the_shipped_policy_is_the_one_that_is_written_down(tmp_path):
+    """Also of the kit's own robot, whose files are in the repository."""
+    import torch
+
+    from hts.policies.files import load_policy
+    from hts.testing.examples.robot.robot import POLICY, SPEC
+
+    write_starter("robot", "hopper", tmp_path)
+    shipped = load_policy(POLICY, SPEC)
+    written = load_policy(tmp_path / "hts-hopper" / "hts_hopper" / "policies" / "pretrained.safetensors")
+    assert (shipped.card.robot, written.card.robot) == ("tiny", "hopper")
+    for name, value in shipped.tensors.items():
+        assert torch.allclose(value, written.tensors[name], rtol=1e-5, atol=1e-6), name
+
+
+def test_nothing_is_overwritten(tmp_path):
+    write_starter("selector", "steady", tmp_path)
+    with pytest.raises(RunError, match="exists already"):
+        write_starter("selector", "steady", tmp_path)
+
+
+@pytest.mark.parametrize("name", ["Hopper", "2legs", "my-robot", "class", "", "two__lines", "a_"])
+def test_a_name_that_python_cannot_import_is_refused(name, tmp_path):
+    with pytest.raises(ConfigError, match="cannot name a robot"):
+        write_starter("robot", name, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("kind", "name"), [("robot", "tiny"), ("objective", "fake"), ("selector", "hierarchical")])
+def test_a_name_that_is_taken_is_refused(kind, name, tmp_path):
+    with pytest.raises(ConfigError, match=f"'{name}' is taken"):
+        write_starter(kind, name, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_misspelt_kind_is_answered_with_the_closest(tmp_path):
+    with pytest.raises(ConfigError, match="Did you mean 'objective'"):
+        write_starter("objectiv", "heat", tmp_path)
+
+
+def test_the_command_says_what_to_do_next(hts, tmp_path):
+    done = hts("new", "selector", "steady", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        "hts-steady",
+        "next: pip install -e hts-steady && hts check hts-steady && python -m pytest hts-steady",
+        "then: hts run --objective OBJECTIVE --robot ROBOT --preset smoke --set selection.selector.name=steady",
+    ]
