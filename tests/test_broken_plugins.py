@@ -40,7 +40,6 @@ def check(tmp_path, monkeypatch, capsys) -> Callable[..., Said]:
         folder = write_starter(kind, NAMES[kind], tmp_path / package)
         module = f"hts_{NAMES[kind]}"
         write_package(folder, package, {}, {NAMES[kind]: f"{module}.plugin"})
-        monkeypatch.syspath_prepend(str(folder))
         return folder
 
     def run(kind: str, file: str = "", before: str = "", after: str = "", also: str = "") -> Said:
@@ -50,8 +49,8 @@ def check(tmp_path, monkeypatch, capsys) -> Callable[..., Said]:
             text = place.read_text()
             assert before in text, f"{file} has no {before!r}"
             place.write_text(text.replace(before, after))
-        if also:
-            written(kind, also)
+        for one in (folder, *([written(kind, also)] if also else [])):
+            monkeypatch.syspath_prepend(str(one))
         monkeypatch.setenv("PYTHONPATH", str(folder))  # for what is tried in a process of its own
         status = main(["check", f"broken-{kind}", "--quiet"])
         out = capsys.readouterr()

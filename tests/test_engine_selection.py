@@ -186,6 +186,7 @@ def usable(monkeypatch):
                 raise ConfigError(reason)
 
         monkeypatch.setattr(selection, "require_warp", require)
+        monkeypatch.setattr(selection, "has_driver", lambda: True)
 
     return usable
 
@@ -197,6 +198,12 @@ def test_auto_is_warp_where_it_works_and_mujoco_where_it_does_not(usable):
     assert [selection.select_engine(name) for name in ("auto", "mujoco")] == ["mujoco", "mujoco"]
     with pytest.raises(ConfigError, match="no CUDA"):
         selection.select_engine("warp")
+
+
+def test_where_no_driver_is_auto_asks_no_further(monkeypatch):
+    monkeypatch.setattr(selection, "has_driver", lambda: False)
+    monkeypatch.setattr(selection, "require_warp", lambda device: pytest.fail("asked"))
+    assert selection.select_engine("auto") == "mujoco"
 
 
 def test_auto_takes_no_slow_double_of_the_gpu_engine(usable):

@@ -256,3 +256,16 @@ def test_durations_and_names_read_as_words():
     assert [wording.duration(s) for s in (12, 554.2, 7380)] == ["12 s", "9 min 14 s", "2 h 3 min"]
     assert wording.label("cost_of_transport_reduction") == "Cost of transport reduction"
     assert wording.weights({"a": 0.5}) == "0.5" and wording.weights({"a": 0.5, "b": 1.0}) == "0.5 a + 1 b"
+
+
+def test_a_policy_stands_on_the_front_where_it_counts_with_the_interval_of_what_counts():
+    from hts.report.front_figure import counts
+
+    result = {
+        "improvement": 0.18, "improvement_ci95": [0.17, 0.19], "metrics": {"net": 0.18, "per_metre": 0.14},
+        "metrics_ci95": {"net": [0.17, 0.19], "per_metre": [0.13, 0.15]},
+    }  # fmt: skip
+    assert counts({"selection_scores": {"a": 0.14}}, "a", result) == (0.14, [0.13, 0.15])
+    assert counts({"selection_scores": {"a": 0.18}}, "a", result) == (0.18, [0.17, 0.19])
+    assert counts({"selection_scores": {"a": 0.11}}, "a", result) == (0.11, None)  # neither: nothing is made up
+    assert counts({}, "a", result) == (0.18, [0.17, 0.19])  # a summary of before there were scores

@@ -28,7 +28,7 @@ def _activated(device: torch.device) -> Callable[[torch.Tensor, torch.Tensor], t
 
 
 def split_of(count: int, length: int) -> int:
-    """Into how many parts a GPU splits each candidate's samples, a power of two: 18 gradients of a 512 x 256 matrix keep
+    """Into how many parts, 1, 2, 4 and so on, a GPU splits each candidate's samples: 18 gradients of a 512 x 256 matrix keep
     half of an H200 busy, and 72 partial sums all of it."""
     parts = 1
     while count * parts * 2 <= 80 and length % (parts * 2) == 0 and length >= 512 * parts:

@@ -9,7 +9,7 @@ from hts.report import wording
 from hts.report.data import RunData
 
 FRONT_CAPTION = (
-    "Left: every policy tried in reality, by what it gained over the pretrained policy (diamond); bars are 95 % "
+    "Left: every policy tried in reality, by what its gain over the pretrained policy (diamond) counts as; bars are 95 % "
     "intervals, crosses fell. Dark: the front, beaten by no other in both at once; the line is the edge of what it beats. Ringed: the "
     "final policy. Right: every candidate by its scores in simulation above those of the pretrained policy; each "
     "iteration has measurement models of its own, so that its points compare among themselves."
@@ -39,7 +39,10 @@ def front_text(run: RunData, tested: int) -> str:
     if not found:
         return f"None of the {tested} policies tried in reality gains in any of {names}: the pretrained policy is the front."
     verb = "is" if len(found) == 1 else "are"
-    text = f"{len(found)} of {tested} policies tried in reality {verb} beaten by no other in {names} together."
+    text = (
+        f"{len(found)} of {tested} policies tried in reality {verb} beaten by no other in {names} together. They are compared "
+        "by what counts, which an objective may make stricter than its improvement (the smaller of two savings, say)."
+    )
     if len(found) < len(run.front):
         text += " None of them gains in everything, so that the pretrained policy is one of the front too."
     return text
@@ -56,7 +59,7 @@ def front_rows(run: RunData) -> list[dict[str, Any]]:
     """The table of the front, best first in the first objective."""
     best = (run.summary.get("final") or {}).get("policy")
     rows = []
-    order = sorted(run.front, key=lambda entry: -entry["improvements"][run.objectives[0]]["improvement"])
+    order = sorted(run.front, key=lambda entry: -entry["improvements"][run.objectives[0]]["selection_score"])
     for entry in order:
         candidate = run.candidate(entry["id"])
         rows.append(
@@ -69,6 +72,7 @@ def front_rows(run: RunData) -> list[dict[str, Any]]:
                     (
                         wording.quantity(entry["improvements"][name]["improvement"], run.unit(name)),
                         wording.interval(entry["improvements"][name].get("improvement_ci95"), run.unit(name)),
+                        wording.quantity(entry["improvements"][name]["selection_score"], run.unit(name)),
                     )
                     for name in run.objectives
                 ],

@@ -17,7 +17,7 @@ PAIR = tuple[float, float]
 
 
 def front(run: RunData, pair: tuple[str, str]) -> Figure | None:
-    """Measured improvements in two objectives, the front of all tested policies; beside it the same in simulation."""
+    """What was measured in two objectives, as it counts, the front of all tested policies; beside it the same in simulation."""
     tested = list(_tested(run, pair))
     if not tested:
         return None
@@ -36,6 +36,20 @@ def _tested(run: RunData, pair: tuple[str, str]) -> Iterator[tuple[Json, list[Js
                 yield candidate, [next(iter(real[name].values())) for name in pair]
 
 
+def counts(candidate: Json, objective: str, result: Json) -> tuple[float, Sequence[float] | None]:
+    """What a candidate is compared by in an objective, and its 95 % interval: the improvement's or that of the metric
+    which the objective counts instead (the smaller of two, say); None if it is neither."""
+    improvement = result["improvement"]
+    score = (candidate.get("selection_scores") or {}).get(objective)
+    if score is None or math.isclose(score, improvement, rel_tol=1e-9):
+        return improvement, result.get("improvement_ci95")
+    intervals = result.get("metrics_ci95") or {}
+    for name, value in (result.get("metrics") or {}).items():
+        if value is not None and math.isclose(score, value, rel_tol=1e-9):
+            return score, intervals.get(name)
+    return score, None
+
+
 def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple[Json, list[Json]]]) -> None:
     factors = [wording.scale(run.unit(name)) for name in pair]
     on_front = {entry["id"] for entry in run.front}
@@ -44,8 +58,9 @@ def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple
     line: list[PAIR] = []
     for candidate, results in sorted(tested, key=lambda item: item[0]["id"] in on_front):
         place, bars = [], []
-        for result, (factor, _) in zip(results, factors, strict=True):
-            value, bounds = factor * result["improvement"], result.get("improvement_ci95")
+        for name, result, (factor, _) in zip(pair, results, factors, strict=True):
+            counted, bounds = counts(candidate, name, result)
+            value = factor * counted
             low, high = (factor * bound for bound in bounds) if bounds else (value, value)
             place.append(value)
             bars.append([[max(0.0, value - low)], [max(0.0, high - value)]])
@@ -69,8 +84,8 @@ def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple
         _stairs(panel, line, ACCENT)
     panel.plot([0], [0], marker="D", color=INK, markersize=6, zorder=4)
     panel.annotate("pretrained", (0, 0), xytext=(6, -10), textcoords="offset points", fontsize=7.5, color=INK)
-    panel.set_xlabel(f"{pair[0]}: improvement, {factors[0][1]}")
-    panel.set_ylabel(f"{pair[1]}: improvement, {factors[1][1]}")
+    panel.set_xlabel(f"{pair[0]}: counts as, {factors[0][1]}")
+    panel.set_ylabel(f"{pair[1]}: counts as, {factors[1][1]}")
     panel.set_title("In reality")
     panel.margins(0.12)
 

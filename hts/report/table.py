@@ -51,12 +51,12 @@ def _front_table(summary: Mapping[str, Any]) -> Table:
     table.add_column("policy", no_wrap=True)
     for name in objectives:
         table.add_column(name, justify="right", no_wrap=True)
-        table.add_column("95 % interval", justify="right", no_wrap=True)
-    for entry in sorted(front["real"], key=lambda one: -one["improvements"][objectives[0]]["improvement"]):
+        table.add_column("counts as", justify="right", no_wrap=True)
+    for entry in sorted(front["real"], key=lambda one: -one["improvements"][objectives[0]]["selection_score"]):
         cells = []
         for name in objectives:
             gain, unit = entry["improvements"][name], front["units"][name]
-            cells += [wording.quantity(gain["improvement"], unit), wording.interval(gain["improvement_ci95"], unit)]
+            cells += [wording.quantity(gain["improvement"], unit), wording.quantity(gain["selection_score"], unit)]
         table.add_row(entry["id"], *cells)
     return table
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from collections.abc import Callable
-
-import torch
 
 from hts.config_loading import check_engine
 from hts.errors import ConfigError
@@ -20,15 +20,28 @@ def select_engine(name: str, device: str = "auto", tell: Callable[[str], None] |
     check_engine(name)
     if name == "mujoco" or (name == "auto" and device == "cpu"):  # warp on a CPU is for tests, nobody's first choice
         return "mujoco"
+    if name == "auto" and not has_driver():  # known without torch, which takes seconds to load
+        return "mujoco"
     try:
         require_warp(device)
     except ConfigError as error:
         if name == "warp":
             raise
+        import torch
+
         if tell is not None and torch.cuda.is_available():
             tell(f"A GPU is here and the engine is mujoco all the same: {error}")
         return "mujoco"
     return "warp"
+
+
+def has_driver() -> bool:
+    """Whether NVIDIA's driver library is installed."""
+    try:
+        ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    except OSError:
+        return False
+    return True
 
 
 def require_warp(device: str = "auto") -> None:
