@@ -14,7 +14,7 @@ CPU = torch.device("cpu")
 
 
 def commands(shape=(1, 4), **changes) -> Commands:
-    return Commands(CommandConfig(**changes), shape, 0.02, CPU)
+    return Commands(CommandConfig(**{"vx": (-1.0, 1.5), **changes}), shape, 0.02, CPU)
 
 
 def drawn(shape, vx=0.9, vy=0.5, heading=0.5, yaw_rate=0.5, straight=0.99, stand=0.99, when=0.5) -> torch.Tensor:

@@ -54,7 +54,7 @@ def test_the_table_is_ordered_by_the_first_objective_and_written_in_each_ones_un
     )
     first, second = front_rows(run)
     assert (first["id"], first["weights"], first["bound"], first["best"]) == ("00-00", "1 cost", "∞", False)
-    assert first["gains"] == [("20.0 %", "19.0 to 21.0 %"), ("−1.00 dB", "−1.01 to −0.99 dB")]
+    assert first["gains"] == [("20.0 %", "19.0 to 21.0 %", "20.0 %"), ("−1.00 dB", "−1.01 to −0.99 dB", "−1.00 dB")]
     assert (second["weights"], second["best"]) == ("1 cost + 1 level", True)
     assert front_text(run, 2).startswith("2 of 2 policies tried in reality are beaten by no other")
 
@@ -89,7 +89,7 @@ def test_the_figure_shows_each_policy_in_both_units_and_a_line_only_where_all_ob
     weights = dict.fromkeys(objectives, 1.0)
     run = run_of(tmp_path, front, [candidate(name, weights, **found) for name, found in front.items()], "00-01")
     panel = front_figure.front(run, ("cost", "level")).axes[0]
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ("cost: improvement, %", "level: improvement, dB")
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("cost: counts as, %", "level: counts as, dB")
     drawn = [[tuple(point) for point in line.get_xydata()] for line in panel.lines]
     assert [(20.0, -1.0)] in drawn and [(10.0, 2.0)] in drawn and [(0.0, 0.0)] in drawn
     assert ([(10.0, 2.0), (20.0, -1.0)] in drawn) == (len(objectives) == 2)

@@ -45,7 +45,7 @@ def make_trainer(robot, seeds=(3, 4), worlds=6) -> PopulationTrainer:
 
 def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot):
     usual, other = make_trainer(robot), make_trainer(robot)
-    collector = make_collector(usual.env, usual.actor, 2 * 6 * CONFIG.horizon)
+    collector = make_collector(usual.env, usual.actor, 2 * 6 * CONFIG.horizon, torch.device("cpu"))
     stream, rollout = iter(collector), other.rollout
     for _ in range(2):
         expected, found = next(stream), rollout.collect()

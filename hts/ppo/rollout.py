@@ -164,6 +164,8 @@ class Rollout:
         parts: dict[Any, torch.Tensor] = {}
         for key, rows in self._rows.items():
             parts[key] = rows.movedim(0, 2) if key != ("last",) else rows
+            if not self._graphs:  # laid out alike however many candidates there are: sums take the order of the memory
+                parts[key] = parts[key].contiguous()
         parts["next", "critic_observation"] = parts.pop(("last",)).unsqueeze(2)
         count, worlds = self.env.batch_size
         batch = TensorDict({}, batch_size=[count, worlds], device=self.device)

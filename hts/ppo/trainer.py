@@ -37,12 +37,12 @@ class BatchStats:
     values: dict[str, list[float]]
 
 
-def make_collector(env: EnvBase, actor: Explorer, frames_per_batch: int) -> Collector:
+def make_collector(env: EnvBase, actor: Explorer, frames_per_batch: int, device: torch.device) -> Collector:
     """TorchRL's collector of batches [P, N, T]."""
     return Collector(
-        env, actor, frames_per_batch=frames_per_batch, total_frames=-1, device=env.device, track_traj_ids=False,
+        env, actor, frames_per_batch=frames_per_batch, total_frames=-1, device=device, track_traj_ids=False,
         trust_policy=True, use_buffers=False, track_policy_version=False,
-        return_same_td=env.device.type == "cpu",  # each batch is a fresh one, so there is nothing to copy it for
+        return_same_td=device.type == "cpu",  # each batch is a fresh one, so there is nothing to copy it for
         auto_register_policy_transforms=False,  # nothing here is recurrent: the memory is the transform's own
     )  # fmt: skip
 
@@ -99,7 +99,7 @@ class PopulationTrainer:
                 aside=capture and not update_normaliser, anchor=anchor,
             )  # fmt: skip
         else:
-            self.collector = make_collector(env, self.actor, per_batch)
+            self.collector = make_collector(env, self.actor, per_batch, device)
             self._stream = iter(self.collector)
         if resume is not None and list(resume.get("transform", {}).keys()):  # now: making the collector resets the env
             self.env.transform.load_state_dict(dict(resume["transform"].items()))
