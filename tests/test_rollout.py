@@ -5,6 +5,7 @@ import torch
 
 from hts.config import EnvConfig, PPOConfig
 from hts.envs.random import Ahead, PopulationRandom
+from hts.envs.velocity import VelocityEnv
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig
 from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
@@ -12,7 +13,7 @@ from hts.policies.networks import Population
 from hts.ppo.batched_steps import BatchedSteps
 from hts.ppo.capture import Pins
 from hts.ppo.finetune import measured_env
-from hts.ppo.rollout import Rollout
+from hts.ppo.rollout import Rollout, can_roll_out
 from hts.ppo.steps import SeparateSteps
 from hts.ppo.trainer import PopulationTrainer, make_collector
 from hts_go1.plugin import make_go1
@@ -59,6 +60,20 @@ def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot):
         assert (found["next", "real_reward", "cost"] != 0).any()
     collector.shutdown()
     other.close()
+
+
+def test_an_env_that_steps_in_its_own_way_goes_through_torchrls_collector(robot):
+    class Own(VelocityEnv):
+        def _step(self, tensordict):
+            return super()._step(tensordict)
+
+    env = robot.make_env(
+        "mujoco", 1, 2, EnvConfig(threads=1, randomisation={"models": 1}), channels=CHANNELS, seeds=[1]
+    )
+    assert can_roll_out(env) and can_roll_out(measured_env(env, []))
+    env.__class__ = Own
+    assert not can_roll_out(env)
+    env.close()
 
 
 def test_what_is_computed_beside_the_physics_is_what_learning_would_compute_itself(robot):

@@ -25,9 +25,15 @@ from hts.ppo.precision import tf32
 
 
 def can_roll_out(env: EnvBase) -> bool:
-    """Whether env is the velocity task with nothing but measurement models in it; TorchRL's Collector takes any other."""
+    """Whether env is the velocity task with nothing but measurement models in it; TorchRL's Collector takes any other, and
+    one derived from the task that steps or resets in a way of its own."""
     bare, transforms = _parts(env)
-    return isinstance(bare, VelocityEnv) and all(getattr(transform, "never_waits", False) for transform in transforms)
+    return (
+        isinstance(bare, VelocityEnv)
+        and type(bare)._step is VelocityEnv._step
+        and type(bare)._reset is VelocityEnv._reset
+        and all(getattr(transform, "never_waits", False) for transform in transforms)
+    )
 
 
 def _parts(env: EnvBase) -> tuple[EnvBase, list[Transform]]:
