@@ -23,6 +23,7 @@ from typing import Any
 
 from cpu_rivals import BATCH, CONTESTANTS, EPOCHS, MINIBATCH, OURS
 from environment import python_with
+from output import give
 
 from hts.cores import available
 
@@ -136,10 +137,7 @@ def main() -> None:
         "robot": given.robot, "same": SAME, "different": DIFFERENT, "cores": available(),
         "processor": platform.processor() or platform.machine(), "python": platform.python_version(),
     }  # fmt: skip
-    text = json.dumps(result, indent=1)
-    if given.out:
-        given.out.write_text(text + "\n")
-    print(text)
+    give(result, given.out)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from environment import python_with
+from output import give
 
 REQUIREMENTS = (
     "mjlab==1.6.0", "mujoco==3.11.0", "mujoco-warp==3.11.0", "rsl-rl-lib==5.4.2", "tyro", "docstring_parser",
@@ -98,10 +99,7 @@ def main() -> None:
         "benchmark": "compare_gpu", "sizes": sizes,
         "different": "each its own Go1 model, reward and randomisation; ours also runs the measurement model and the anchor",
     }  # fmt: skip
-    text = json.dumps(result, indent=1)
-    if given.out:
-        given.out.write_text(text + "\n")
-    print(text)
+    give(result, given.out)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from output import give
+
 from hts.bench import Sizes, bench_fit, bench_train
 
 BASE: dict[str, dict[str, Any]] = {
@@ -137,13 +139,10 @@ def main() -> None:
             "benchmark": "growth", "engine": given.engine, "base": BASE[given.engine], "found": found,
             "processor": platform.processor() or platform.machine(), "seconds": round(time.perf_counter() - start, 1),
         }  # fmt: skip
-    text = json.dumps(result, indent=1)
-    if given.out:
-        given.out.write_text(text + "\n")
     if given.figures:
         for path in draw(result, given.figures):
             print(path, file=sys.stderr)
-    print(text)
+    give(result, given.out)
 
 
 if __name__ == "__main__":

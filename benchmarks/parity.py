@@ -13,13 +13,13 @@ in both engines, the same models, commands and noise: mean reward, speed and mec
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import torch
+from output import give
 
 from hts.config import EnvConfig
 from hts.contracts import Robot
@@ -165,10 +165,7 @@ def main() -> None:
     physics = same_inputs(robot, policy, given.device, given.worlds, seed=given.seed)
     result["physics"] = {"control_steps": WATCHED, **physics}
     result |= {"tolerances": TOLERANCES, "passed": verdict(result["policy"]["difference"], physics)}
-    text = json.dumps(result, indent=1)
-    if given.out:
-        given.out.write_text(text + "\n")
-    print(text)
+    give(result, given.out)
     sys.exit(0 if result["passed"] else 1)
 
 

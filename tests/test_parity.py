@@ -23,7 +23,9 @@ def parity():
     spec = importlib.util.spec_from_file_location("parity", SCRIPT)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SCRIPT.parent))  # its neighbours can be imported as when it is run
+        spec.loader.exec_module(module)
     return module
 
 

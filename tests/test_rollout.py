@@ -90,7 +90,7 @@ def test_what_is_computed_beside_the_physics_is_what_learning_would_compute_itse
         )
     assert {"value", "anchor_mean"} <= set(data.keys())
     for name, value in expected.items():
-        torch.testing.assert_close(found[name], value, atol=2e-4, rtol=1e-4)  # products of other shapes round otherwise
+        torch.testing.assert_close(found[name], value, atol=5e-5, rtol=1e-4)  # products of other shapes round otherwise
     trainer.close()
 
 

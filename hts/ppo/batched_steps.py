@@ -13,7 +13,7 @@ from hts.fusing import fused
 from hts.policies.networks import ALIGNED, Population
 from hts.ppo.capture import captured, warm_up
 from hts.ppo.precision import tf32
-from hts.ppo.steps import LEAST_RATE, MOST_RATE, REPORTED, GradientSteps, Samples, Stop
+from hts.ppo.steps import REPORTED, GradientSteps, Samples, Stop, adapted
 
 
 class BatchedSteps(GradientSteps):
@@ -130,11 +130,8 @@ class BatchedSteps(GradientSteps):
             self._leaf.copy_(torch.lerp(before, self._leaf, rates))
 
     def adapt(self, kl_old: torch.Tensor) -> None:
-        """Rates / 1.5 above twice the desired KL, x 1.5 below half of it, per candidate (rsl_rl). kl_old [P], nats."""
-        desired, rates = self.config.desired_kl, self._rates
-        slower, faster = (rates / 1.5).clamp(min=LEAST_RATE), (rates * 1.5).clamp(max=MOST_RATE)
-        wanted = torch.where((kl_old > 0) & (kl_old < desired / 2), faster, rates)
-        rates.copy_(torch.where(kl_old > 2 * desired, slower, wanted))
+        """The candidates' next rates, from kl_old [P], nats."""
+        self._rates.copy_(adapted(self._rates, kl_old, self.config.desired_kl))
 
     # --------------------------------------------------------------------------------------------------- capture
 

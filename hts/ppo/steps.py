@@ -19,6 +19,13 @@ Stop = Callable[[int, str], None]
 Samples = Mapping[str, torch.Tensor]
 
 
+def adapted(rates: torch.Tensor, kl_old: torch.Tensor, desired: float) -> torch.Tensor:
+    """Learning rates / 1.5 where KL(old || new) is above twice the desired one, x 1.5 below half of it (rsl_rl); all [P], nats."""
+    slower, faster = (rates / 1.5).clamp(min=LEAST_RATE), (rates * 1.5).clamp(max=MOST_RATE)
+    wanted = torch.where((kl_old > 0) & (kl_old < desired / 2), faster, rates)
+    return torch.where(kl_old > 2 * desired, slower, wanted)
+
+
 class GradientSteps(ABC):
     """Adam steps of P candidates, each with its own learning rate and its gradient clipped by its own norm.
 
@@ -122,12 +129,10 @@ class SeparateSteps(GradientSteps):
         optimiser.step()
 
     def adapt(self, index: int, kl_old: torch.Tensor) -> None:
-        """Rate / 1.5 above twice the desired KL, x 1.5 below half of it (rsl_rl). kl_old [1], nats."""
-        desired, (group,) = self.config.desired_kl, self.optimisers[index].param_groups
-        if kl_old > 2 * desired:
-            group["lr"] = max(LEAST_RATE, group["lr"] / 1.5)
-        elif 0 < kl_old < desired / 2:
-            group["lr"] = min(MOST_RATE, group["lr"] * 1.5)
+        """The candidate's next rate, from kl_old [1], nats."""
+        (group,) = self.optimisers[index].param_groups
+        rate = torch.tensor([group["lr"]], dtype=torch.float64)
+        group["lr"] = float(adapted(rate, kl_old, self.config.desired_kl))
 
     @property
     def rates(self) -> list[float]:

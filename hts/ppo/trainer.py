@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -26,7 +27,7 @@ from hts.ppo.rows import row_mean, row_standardised
 from hts.ppo.steps import GradientSteps, Samples, SeparateSteps
 from hts.ppo.threads import one_thread
 
-KL_STRIDE = 4  # on a GPU
+KL_STRIDE = 4  # on a GPU the multiplier's KL is the mean over every fourth state: some thousands a candidate are plenty
 
 
 @dataclass
@@ -35,6 +36,14 @@ class BatchStats:
 
     steps: int
     values: dict[str, list[float]]
+
+
+class _CapturedLearning(NamedTuple):
+    """What learning launches as graphs: reward [P, N, T], where `samples` reads it; and the KL after the update [P]."""
+
+    reward: torch.Tensor
+    samples: Captured[tuple[Samples, Samples]]
+    kl: Captured[torch.Tensor]
 
 
 def make_collector(env: EnvBase, actor: Explorer, frames_per_batch: int, device: torch.device) -> Collector:
@@ -91,7 +100,7 @@ class PopulationTrainer:
         per_batch = count * env.batch_size[1] * config.horizon
         self.actor = Explorer(population, self.noise)
         self.rollout: Rollout | None = None
-        self._captured: tuple[torch.Tensor, Captured[tuple[Samples, Samples]], Captured[torch.Tensor]] | None = None
+        self._captured: _CapturedLearning | None = None
         self.collector: Collector | None = None
         if can_roll_out(env):
             self.rollout = Rollout(
@@ -137,7 +146,7 @@ class PopulationTrainer:
                 self.kl = (
                     self._measure_kl(data, samples["anchor_mean"])
                     if self._captured is None
-                    else self._captured[2]().clone()
+                    else self._captured.kl().clone()
                 )
                 if self.batches >= self.config.warmup_batches:
                     self.multipliers.update(self.kl)
@@ -231,9 +240,9 @@ class PopulationTrainer:
             kept = reward.clone()
             samples = Captured(lambda: self._prepare(data, kept), reward.device)
             kl = Captured(lambda: self._measure_kl(data, samples.result[0]["anchor_mean"]), reward.device)
-            self._captured = (kept, samples, kl)
-        self._captured[0].copy_(reward)
-        return self._captured[1]()
+            self._captured = _CapturedLearning(kept, samples, kl)
+        self._captured.reward.copy_(reward)
+        return self._captured.samples()
 
     def _epochs(self, samples: Samples, constant: Samples) -> dict[str, torch.Tensor]:
         """All gradient steps of all candidates on this batch; mean losses, each [P]."""
