@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     import torch
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+_recording: ContextVar[bool] = ContextVar("recording", default=False)
 
 
 def can_fuse(device: torch.device) -> bool:
@@ -27,4 +30,65 @@ def fused(function: Function, device: torch.device, wanted: bool | None = None, 
         return function
     import torch
 
-    return torch.compile(function, dynamic=dynamic)  # type: ignore[return-value]
+    compiled = torch.compile(function, dynamic=dynamic)
+
+    def either(*args: Any) -> Any:
+        return (function if _recording.get() else compiled)(*args)
+
+    return either  # type: ignore[return-value]
+
+
+def anything(mask: torch.Tensor) -> bool:
+    """Whether anything is to be done where mask: on a GPU always, since asking would wait for it, and so in a program
+    that is recorded for one."""
+    return _recording.get() or mask.device.type != "cpu" or bool(mask.any())
+
+
+@contextlib.contextmanager
+def _recorded() -> Iterator[None]:
+    token = _recording.set(True)
+    try:
+        yield
+    finally:
+        _recording.reset(token)
+
+
+class Program:
+    """What a function does to tensors, written down operation by operation, and then compiled as a whole.
+
+    torch.compile alone cannot read a control step, whose state lies in the attributes of many objects. So the step runs once
+    while its operations are recorded, as a CUDA graph would record its kernels, and what was recorded is compiled.
+
+    function: of tensors, returns tensors. It may look at attributes and replace them, and change tensors in place; the
+    program does the same to the same memory. A tensor it replaces must be copied back to where it was found.
+    inputs: what it is called with here, left as they were; later calls take others of the same shapes. Whatever it changes
+    in place is to be among them. compiled: False only records.
+    """
+
+    def __init__(self, function: Callable[..., Any], inputs: Sequence[torch.Tensor], compiled: bool = True) -> None:
+        import torch
+        from torch.fx.experimental.proxy_tensor import make_fx
+
+        with _recorded(), torch.no_grad():
+            before = [tensor.clone() for tensor in inputs]
+            graph = make_fx(lambda *tensors: function(*tensors))(*inputs)  # it counts the arguments of a method wrongly
+            for tensor, value in zip(inputs, before, strict=True):
+                tensor.copy_(value)
+        _move_numbers(graph, inputs[0].device)
+        self._run = torch.compile(graph, dynamic=False) if compiled else graph
+
+    def __call__(self, *inputs: torch.Tensor) -> Any:
+        return self._run(*inputs)
+
+
+def _move_numbers(graph: torch.fx.GraphModule, device: torch.device) -> None:
+    """Put numbers that became tensors, as in `torch.where(mask, 0.0, x)`, on the device: they are made on the CPU, and a CUDA
+    graph cannot fetch them there."""
+    import torch
+
+    for node in graph.graph.nodes:
+        if node.target == torch.ops.aten.scalar_tensor.default:
+            node.kwargs = {**node.kwargs, "device": device}
+        elif node.op == "get_attr" and (value := getattr(graph, node.target)).ndim == 0:
+            setattr(graph, node.target, value.to(device))
+    graph.recompile()

@@ -53,7 +53,17 @@ def test_sweep_takes_the_number_of_candidates_and_finds_the_fastest_for_one_alon
 
 def test_a_candidate_learns_the_same_alone_and_in_the_crowd():
     machine, objective = find("go1", "power")
-    assert same_results(machine, objective, "mujoco", candidates=3, envs=3) == 0.0
+    found = same_results(machine, objective, "mujoco", candidates=3, envs=3)
+    assert found == {"update_difference": 0.0, "repeat_difference": 0.0}
+
+
+def test_whole_trainings_count_everything_from_nothing_to_the_last_batch():
+    result = bench_sweep("go1", "power", envs=2, seconds=0.1, candidates=2, alone=(2,), whole=100)
+    assert result["whole_steps_per_candidate"] == 100  # three batches of 2 x 24
+    for name in ("together", "one_after_another"):
+        assert 0 < result[f"{name}_first_batch_s"] < result[f"{name}_s"]
+    ratio = result["one_after_another_s"] / result["together_s"]
+    assert result["whole_speedup_over_fastest"] == pytest.approx(ratio)
 
 
 def test_the_engine_that_ran_is_reported():

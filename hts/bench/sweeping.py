@@ -12,10 +12,12 @@ import torch
 from hts.bench.bare import synchronise
 from hts.bench.collecting import WARM_UP
 from hts.bench.setup import Sizes, conditions, find, make_trainer
+from hts.config import PPOConfig
 from hts.ppo.trainer import PopulationTrainer
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, Robot
+    from hts.measurement.models import MeasurementModel
 
 SWEEP = 6  # candidates
 ALONE = {"cpu": (64, 128, 256, 512), "cuda": (2048, 4096, 8192, 16384, 32768)}
@@ -24,7 +26,7 @@ ALONE = {"cpu": (64, 128, 256, 512), "cuda": (2048, 4096, 8192, 16384, 32768)}
 
 def bench_sweep(
     robot: str | None, objective: str | None, engine: str = "mujoco", envs: int = 64, seconds: float = 10.0,
-    candidates: int = SWEEP, sizes: Sizes | None = None, alone: Sequence[int] = (),
+    candidates: int = SWEEP, sizes: Sizes | None = None, alone: Sequence[int] = (), whole: int = 0,
 ) -> dict[str, Any]:  # fmt: skip
     """Candidates trained together against one after another, at equal samples; all in control steps per second.
 
@@ -33,7 +35,7 @@ def bench_sweep(
     which one alone is fastest, among `alone` (and `envs`). update_difference: see `same_results`.
     """
     machine, chosen = find(robot, objective)
-    difference = same_results(machine, chosen, engine, candidates, envs, sizes)
+    same = same_results(machine, chosen, engine, candidates, envs, sizes)
     together = make_trainer(machine, chosen, engine, candidates, envs, sizes=sizes)
     one = make_trainer(machine, chosen, engine, 1, envs, sizes=sizes)
     try:
@@ -49,46 +51,86 @@ def bench_sweep(
     finally:
         together.close()
         one.close()
-    rate, same = steps / statistics.median(all_at_once), steps / statistics.median(one_by_one)
-    rates = {envs: same}
+    rate, in_turn = steps / statistics.median(all_at_once), steps / statistics.median(one_by_one)
+    rates = {envs: in_turn}
     for worlds in alone or ALONE[device]:
         if worlds != envs:
             rates[worlds] = _rate_alone(machine, chosen, engine, worlds, sizes, seconds / 4)
     fastest = max(rates, key=lambda worlds: rates[worlds])
+    spent = whole_trainings(machine, chosen, engine, candidates, envs, fastest, whole, sizes) if whole else {}
     return {
-        "bench": "sweep", "steps_per_s": rate, "one_after_another_steps_per_s": same,
+        "bench": "sweep", "steps_per_s": rate, "one_after_another_steps_per_s": in_turn,
         "speedup": statistics.median(b / a for a, b in zip(all_at_once, one_by_one, strict=True)),
         "alone_steps_per_s": {str(worlds): rates[worlds] for worlds in sorted(rates)}, "fastest_alone_envs": fastest,
-        "speedup_over_fastest": rate / rates[fastest], "update_difference": difference, "rounds": len(all_at_once),
-        **about,
+        "speedup_over_fastest": rate / rates[fastest], **same, "rounds": len(all_at_once), **spent, **about,
     }  # fmt: skip
+
+
+def whole_trainings(
+    robot: Robot, objective: Objective, engine: str, candidates: int, envs: int, envs_alone: int, steps: int,
+    sizes: Sizes | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Whole trainings of `steps` control steps per candidate, from nothing to the last batch: all together with `envs` worlds
+    each, and one alone with `envs_alone`, times candidates. Both have been run once before, so that nothing is compiled
+    for the first time. Keys, s: together_s, one_after_another_s, and of each the part before the first batch is over."""
+    model = _fitted(robot, objective, engine, envs, sizes)
+    found: dict[str, Any] = {"whole_steps_per_candidate": steps}
+    for name, count, worlds, times in (("together", candidates, envs, 1), ("one_after_another", 1, envs_alone, candidates)):
+        for needed in (0, steps):
+            start = time.perf_counter()
+            trainer = make_trainer(robot, objective, engine, count, worlds, sizes=sizes, model=model)
+            device = trainer.population.device
+            try:
+                trainer.batch()
+                synchronise(device)
+                first = time.perf_counter() - start
+                while trainer.batches * trainer.steps_per_batch < needed * count:
+                    trainer.batch()
+                synchronise(device)
+            finally:
+                trainer.close()
+            total = time.perf_counter() - start
+        found |= {f"{name}_s": times * total, f"{name}_first_batch_s": times * first}
+    return {**found, "whole_speedup_over_fastest": found["one_after_another_s"] / found["together_s"]}
 
 
 def same_results(
     robot: Robot, objective: Objective, engine: str, candidates: int, envs: int, sizes: Sizes | None = None
-) -> float:
-    """How much a candidate's first batch changes its parameters differently in the crowd: |crowd - alone| / |alone - start|.
+) -> dict[str, float]:
+    """How much otherwise a candidate's first batch changes its parameters, with products in float32.
 
-    Both start from the same parameters, seeds, worlds and measurement model; looked at in the first and the last
-    candidate. 0 on the CPU; on a GPU single precision is summed in another order, and contact makes that grow.
+    update_difference: in the crowd, |crowd - alone| / |alone - start|, looked at in the first and the last candidate, which
+    start from the same parameters, seeds, worlds and measurement model; repeat_difference: alone once more. 0 on the CPU. On a GPU
+    sums are taken in another order, contact makes that grow, and Adam makes a whole step of the smallest gradient.
     """
-    crowd = make_trainer(robot, objective, engine, candidates, envs, sizes=sizes)
-    model = next(part.model for part in _transforms(crowd))
-    crowd.close()
-    # Anew: taking the statistics has drawn random numbers and moved the robots.
-    crowd = make_trainer(robot, objective, engine, candidates, envs, sizes=sizes, model=model)
-    before = crowd.population.vectors[0].detach().clone()
-    crowd.batch()
-    after = [crowd.population.vectors[index].detach().clone() for index in (0, candidates - 1)]
-    crowd.close()
-    found = []
-    for index, there in zip((0, candidates - 1), after, strict=True):
-        single = make_trainer(robot, objective, engine, 1, envs, seed=index, sizes=sizes, model=model)
-        single.batch()
-        here = single.population.vectors[0].detach()
-        found.append(float((there - here).norm() / (here - before).norm()))
-        single.close()
-    return max(found)
+    model = _fitted(robot, objective, engine, envs, sizes)
+
+    def moved(count: int, seed: int) -> list[torch.Tensor]:
+        """Parameters of all candidates after a batch, and of the first before it."""
+        made = make_trainer(
+            robot, objective, engine, count, envs, seed=seed, ppo=PPOConfig(tf32=False), sizes=sizes, model=model
+        )
+        try:
+            start = made.population.vectors[0].detach().clone()
+            made.batch()
+            return [*(vector.detach().clone() for vector in made.population.vectors), start]
+        finally:
+            made.close()
+
+    crowd, found = moved(candidates, 0), []
+    for index in (0, candidates - 1):
+        here, start = moved(1, index)
+        found.append(float((crowd[index] - here).norm() / (here - start).norm()))
+    again = moved(1, candidates - 1)[0]
+    return {"update_difference": max(found), "repeat_difference": float((again - here).norm() / (here - start).norm())}
+
+
+def _fitted(robot: Robot, objective: Objective, engine: str, envs: int, sizes: Sizes | None) -> MeasurementModel:
+    """A measurement model with its statistics. Taking them draws random numbers and moves robots, so none of the trainers
+    that are compared does it."""
+    trainer = make_trainer(robot, objective, engine, 1, envs, sizes=sizes)
+    trainer.close()
+    return next(part.model for part in _transforms(trainer))
 
 
 def _transforms(trainer: PopulationTrainer) -> list[Any]:

@@ -91,6 +91,9 @@ def sweep(
     hidden: Hidden = None,
     memory: Memory = 0,
     alone: Alone = None,
+    whole: Annotated[
+        int, typer.Option(min=0, help="Also time whole trainings of so many control steps per candidate.")
+    ] = 0,
     seconds: Seconds = 10.0,
     json_: options.AsJson = False,
 ) -> None:
@@ -98,7 +101,7 @@ def sweep(
     from hts.bench import bench_sweep
 
     chosen = sizes(device, hidden, memory)
-    tell(bench_sweep(robot, objective, engine, envs, seconds, candidates, chosen, alone or ()), json_)
+    tell(bench_sweep(robot, objective, engine, envs, seconds, candidates, chosen, alone or (), whole), json_)
 
 
 @app.command()

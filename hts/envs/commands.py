@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import torch
 
 from hts.config import CommandConfig
+from hts.fusing import anything
 
 DRAWS = 7  # uniform numbers a world needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
 
@@ -58,7 +59,7 @@ class Commands:
         """One control step passes: resample where due, then steer towards the heading."""
         self.steps_left = self.steps_left - 1
         due = self.steps_left <= 0
-        if due.device.type != "cpu" or bool(due.any()):  # asking a GPU would wait for it
+        if anything(due):
             self.resample(due, draws, yaw)
         self.steer(yaw)
 

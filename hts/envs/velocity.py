@@ -20,6 +20,7 @@ from hts.envs.commands import DRAWS, Commands
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
 from hts.envs.random import PopulationRandom
 from hts.errors import ConfigError
+from hts.fusing import anything
 from hts.sim.engine import Engine, make_engine
 from hts.sim.models import variants
 
@@ -156,7 +157,7 @@ class VelocityEnv(EnvBase):
             mask = tensordict["_reset"].view(self.shape2)
         else:
             mask = torch.ones(self.shape2, dtype=torch.bool, device=self.device)
-        if bool(mask.any()) or self.device.type != "cpu":
+        if anything(mask):
             self.start_episodes(mask)
         done = torch.zeros(*self.shape2, 1, dtype=torch.bool, device=self.device)
         return self._result({"done": done, "terminated": done.clone(), "truncated": done.clone()})
@@ -185,7 +186,7 @@ class VelocityEnv(EnvBase):
         reward = rewards.total(motion, self.weights)
         # A world whose physics broke has fallen: its episode ends there, and none of its numbers is used.
         broken = self.engine.diverged.view(self.shape2)
-        any_broken = self._maybe(broken)
+        any_broken = anything(broken)
         if any_broken:
             reward = torch.where(broken, self.weights["termination"] * self.dt, reward)
             self.breakdowns = self.breakdowns + broken
@@ -207,11 +208,6 @@ class VelocityEnv(EnvBase):
     def _draw(self) -> torch.Tensor:
         """The uniform numbers of a step [P, N, ...]."""
         return self.random.uniform(self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0))
-
-    @staticmethod
-    def _maybe(mask: torch.Tensor) -> bool:
-        """Whether anything is to be done for mask: on a GPU always, since asking would wait for it."""
-        return mask.device.type != "cpu" or bool(mask.any())
 
     def _result(self, entries: dict[str, Any]) -> TensorDict:
         entries["observation"] = self._observation
@@ -237,7 +233,7 @@ class VelocityEnv(EnvBase):
             return
         pushed = (draws[..., 0] < self.dt / r.push_interval).reshape(-1)
         mask = pushed & ~self.engine.diverged  # a reset would hide that
-        if not self._maybe(mask):
+        if not anything(mask):
             return
         qvel = self.engine.qvel.clone()
         qvel[:, :2] += (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed

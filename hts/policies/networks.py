@@ -15,6 +15,7 @@ from hts.fusing import fused
 
 LONG = 8192  # samples per candidate from which on a GPU takes candidates in turn: a product adds its bias only there
 ALIGNED = 8  # numbers; rows of matrices on a GPU begin at a multiple
+PARTIAL = 64  # sums side by side
 
 
 @functools.cache
@@ -28,12 +29,10 @@ def _activated(device: torch.device) -> Callable[[torch.Tensor, torch.Tensor], t
 
 
 def split_of(count: int, length: int) -> int:
-    """Into how many parts, 1, 2, 4 and so on, a GPU splits each candidate's samples: 18 gradients of a 512 x 256 matrix keep
-    half of an H200 busy, and 72 partial sums all of it."""
-    parts = 1
-    while count * parts * 2 <= 80 and length % (parts * 2) == 0 and length >= 512 * parts:
-        parts *= 2
-    return parts
+    """Into how many parts a GPU splits each candidate's samples to sum gradients: the sums over 18 candidates keep half of an
+    H200 busy, partial sums all of it. As many as give at most `PARTIAL` sums, of 512 samples or more."""
+    most = max(1, min(PARTIAL // count, length // 512))
+    return next(parts for parts in range(most, 0, -1) if length % parts == 0)
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 from torch.nn import functional as F
+from torch.optim.adam import adam
 
 from hts.config import PPOConfig
-from hts.fusing import fused
+from hts.fusing import Program, can_fuse, fused
 from hts.policies.networks import ALIGNED, Population
 from hts.ppo.capture import captured, warm_up
 from hts.ppo.precision import tf32
@@ -29,16 +30,18 @@ class BatchedSteps(GradientSteps):
         self._capture = capture
         self._rates = torch.full((count,), config.learning_rate, device=device)
         self._running = torch.ones(count, dtype=torch.bool, device=device)
-        # One long leaf, of which the candidates' vectors are views from now on. Adam's step is proportional to its rate:
-        # it is taken with rate 1 and then scaled by each candidate's own.
+        # One long leaf, of which the candidates' vectors are views from now on.
         self._leaf = torch.nn.Parameter(population.stacked())
         for vector, row in zip(population.vectors, self._leaf.detach(), strict=True):
             vector.data = row[: len(vector)]
-        self._adam = torch.optim.Adam([self._leaf], lr=1.0, eps=1e-8, fused=True, capturable=device.type == "cuda")
+        self._moments = {name: torch.zeros_like(self._leaf.detach()) for name in ("exp_avg", "exp_avg_sq")}
+        self._moments["step"] = torch.zeros((), device=device)
         self._fixed: dict[str, torch.Tensor] = {}
         self._rows: dict[int, torch.Tensor] = {}
         self._graphs: dict[int, torch.cuda.CUDAGraph] = {}
         self._losses = fused(self._forward, device, config.fuse)
+        self._fuse = can_fuse(device) if config.fuse is None else config.fuse
+        self._update: Callable[..., Any] | None = None
         self._sums = torch.zeros(len(REPORTED), count, device=device)
         self._columns: dict[str, tuple[int, int, bool]] = {}
 
@@ -106,7 +109,8 @@ class BatchedSteps(GradientSteps):
         with torch.enable_grad(), tf32(config.tf32):
             total, *parts = self._losses(leaf, batch, fixed["multipliers"], fixed["policy_on"])
             (gradient,) = torch.autograd.grad(total, leaf)
-        self._apply(gradient)
+        with torch.no_grad():
+            self._apply(gradient)
         if config.adaptive_rate:
             self.adapt(parts[REPORTED.index("kl_old")])
         self._sums += torch.stack(parts)
@@ -118,16 +122,28 @@ class BatchedSteps(GradientSteps):
 
     def _apply(self, gradient: torch.Tensor) -> None:
         """Clip each candidate's gradient [P, D] by its own norm and take the step of all that still run."""
+        memory = [gradient, self._leaf.detach(), *self._moments.values(), self._rates, self._running]
+        if self._update is None:
+            self._update = Program(self._adam_step, memory) if self._fuse else self._adam_step
+        self._update(*memory)
+
+    def _adam_step(
+        self, gradient: torch.Tensor, leaf: torch.Tensor, exp_avg: torch.Tensor, exp_avg_sq: torch.Tensor,
+        step: torch.Tensor, rates: torch.Tensor, running: torch.Tensor,
+    ) -> None:  # fmt: skip
         norms = torch.linalg.vector_norm(gradient, dim=1)
-        self._running &= norms.isfinite()
+        running &= norms.isfinite()
         scale = (self.config.max_grad_norm / (norms + 1e-6)).clamp(max=1.0)
         # `where` and not a product: NaN x 0 is NaN.
-        self._leaf.grad = torch.where(self._running.unsqueeze(1), gradient * scale.unsqueeze(1), 0.0)
-        before = self._leaf.detach().clone()
-        self._adam.step()
-        rates = torch.where(self._running, self._rates, 0.0).unsqueeze(1)
-        with torch.no_grad():
-            self._leaf.copy_(torch.lerp(before, self._leaf, rates))
+        clipped = torch.where(running.unsqueeze(1), gradient * scale.unsqueeze(1), 0.0)
+        before = leaf.clone()
+        # Adam's step is proportional to its rate: it is taken with rate 1 and then scaled by each candidate's own.
+        adam(
+            [leaf], [clipped], [exp_avg], [exp_avg_sq], [], [step], foreach=False, fused=not self._fuse,
+            capturable=self._fuse or leaf.device.type == "cuda", amsgrad=False, beta1=0.9, beta2=0.999, lr=1.0, weight_decay=0.0,
+            eps=1e-8, maximize=False,
+        )  # fmt: skip
+        leaf.copy_(torch.lerp(before, leaf, torch.where(running, rates, 0.0).unsqueeze(1)))
 
     def adapt(self, kl_old: torch.Tensor) -> None:
         """The candidates' next rates, from kl_old [P], nats."""
@@ -139,23 +155,16 @@ class BatchedSteps(GradientSteps):
         """The graph of `_step` on rows. Warming up takes steps; they are undone."""
         device, changed = self._rates.device, self._changed()
         before = [tensor.clone() for tensor in changed]
-        known = {id(tensor) for tensor in changed}
         warm_up(lambda: self._step(rows), device)
         graph, _ = captured(lambda: self._step(rows))
         with torch.no_grad():
             for tensor, value in zip(changed, before, strict=True):
                 tensor.copy_(value)
-            for tensor in self._changed():
-                if id(tensor) not in known:  # moments that the first step made
-                    tensor.zero_()
         return graph
 
     def _changed(self) -> list[torch.Tensor]:
         """Everything a step changes."""
-        moments: list[Any] = [
-            value for value in self._adam.state[self._leaf].values() if isinstance(value, torch.Tensor)
-        ]
-        return [self._leaf, self._rates, self._running, self._sums, *moments]
+        return [self._leaf, self._rates, self._running, self._sums, *self._moments.values()]
 
     # ----------------------------------------------------------------------------------------------------- state
 
@@ -168,23 +177,22 @@ class BatchedSteps(GradientSteps):
         self._rates.copy_(torch.tensor(values))
 
     def state(self) -> dict[str, dict[str, torch.Tensor]]:
-        moments = self._adam.state[self._leaf]
-        if not moments:
+        if not bool(self._moments["step"]):
             return {}
+        rows = zip(self._moments["exp_avg"].clone(), self._moments["exp_avg_sq"].clone(), strict=True)
+        step = self._moments["step"]
         return {
-            str(index): {
-                "step": moments["step"].clone(), "exp_avg": moments["exp_avg"][index].clone(),
-                "exp_avg_sq": moments["exp_avg_sq"][index].clone(),
-            }
-            for index in range(self.population.count)
-        }  # fmt: skip
+            str(index): {"step": step.clone(), "exp_avg": average, "exp_avg_sq": square}
+            for index, (average, square) in enumerate(rows)
+        }
 
     def load_state(self, state: Mapping[str, Mapping[str, torch.Tensor]]) -> None:
         if not state:
             return
-        rows, device = [state[str(index)] for index in range(self.population.count)], self._leaf.device
-        moments = {name: torch.stack([row[name] for row in rows]).to(device) for name in ("exp_avg", "exp_avg_sq")}
-        self._adam.state[self._leaf] = {"step": rows[0]["step"].to(device).clone(), **moments}
+        rows = [state[str(index)] for index in range(self.population.count)]
+        self._moments["step"].copy_(rows[0]["step"])
+        for name in ("exp_avg", "exp_avg_sq"):
+            self._moments[name].copy_(torch.stack([row[name] for row in rows]))
 
     def halt(self, index: int) -> None:
         super().halt(index)

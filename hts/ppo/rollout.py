@@ -9,7 +9,8 @@ The functions that are captured are the ones that run on the CPU.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -19,9 +20,12 @@ from torchrl.envs.transforms import Transform, TransformedEnv
 
 from hts.envs.random import Ahead, PopulationRandom
 from hts.envs.velocity import VelocityEnv
+from hts.fusing import Program, anything, can_fuse
 from hts.policies.networks import Population
 from hts.ppo.capture import Pins, captured, warm_up
 from hts.ppo.precision import tf32
+
+Part = Callable[..., tuple[torch.Tensor, ...]]
 
 
 def can_roll_out(env: EnvBase) -> bool:
@@ -53,7 +57,7 @@ class Rollout:
 
     def __init__(
         self, env: EnvBase, population: Population, noise: PopulationRandom, horizon: int, *, capture: bool, tf32: bool = True,
-        aside: bool = False, anchor: Population | None = None,
+        aside: bool = False, anchor: Population | None = None, fuse: bool | None = None,
     ) -> None:  # fmt: skip
         bare, self.transforms = _parts(env)
         assert isinstance(bare, VelocityEnv)
@@ -64,6 +68,11 @@ class Rollout:
         self.anchor, self._with_aside = anchor, aside
         self._graphs: list[torch.cuda.CUDAGraph] = []
         self._capture_first = capture
+        self._fuse = capture and (can_fuse(self.device) if fuse is None else fuse)
+        self._parts: dict[str, Part] = {
+            "decide": self._decide, "look_aside": self._look_aside, "judge": self._judge,
+        }  # fmt: skip
+        self._judged: list[tuple[str, ...]] = []
         self._started = False
 
     @property
@@ -73,50 +82,67 @@ class Rollout:
 
     # -------------------------------------------------------------------------------------------------- one step
 
-    @torch.no_grad()
-    def _before(self) -> torch.Tensor:
-        """Policy, noise, actuator inputs; what was seen and done goes into the batch."""
+    # What a step computes: from the state of env, engine and models, and into it. `Program`s of these run on a GPU.
+
+    def _decide(self) -> tuple[torch.Tensor, ...]:
+        """Before the physics: observation, critic observation, action, its mean, actuator inputs."""
         for random in (self.env.random, self.noise):
             if random.ahead is not None:
                 random.ahead.begin()
         observation, critic_observation = self.env.observations()
-        with tf32(self.tf32):
-            mean = self.population.mean(observation)
-        self._action = mean + self.population.log_std().exp() * self.noise.normal(*mean.shape[1:])
-        self._write(("observation",), observation)
-        self._write(("critic_observation",), critic_observation)
-        self._write(("action",), self._action)
-        self._write(("action_mean",), mean)
-        return self.env.begin(self._action)
+        mean = self.population.mean(observation)
+        action = mean + self.population.log_std().exp() * self.noise.normal(*mean.shape[1:])
+        return observation, critic_observation, action, mean, self.env.begin(action)
 
-    @torch.no_grad()
-    def _aside(self) -> None:
-        """What learning wants to know of the states the step began in, and the step itself does not."""
+    def _look_aside(self) -> tuple[torch.Tensor, ...]:
+        """What learning wants to know of the states the step began in, and the step itself does not: values, anchor's means."""
         observation, critic_observation = self.env.observations()
-        with tf32(self.tf32):
-            self._write(("value",), self.population.value(critic_observation))
-            if self.anchor is not None:
-                self._write(("anchor_mean",), self.anchor.mean(observation))
+        value = self.population.value(critic_observation)
+        return (value,) if self.anchor is None else (value, self.anchor.mean(observation))
 
-    @torch.no_grad()
-    def _after(self) -> None:
-        """Reward, measurement models, new episodes."""
-        out = self.env.finish(self._action)
+    def _judge(self, action: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """After the physics: reward, measurement models, new episodes."""
+        out = self.env.finish(action)
         nothing = TensorDict({}, batch_size=out.batch_size, device=self.device)
-        with tf32(self.tf32):
-            for transform in self.transforms:
-                out = transform._step(nothing, out)
-        for name in ("reward", "terminated", "truncated"):
-            self._write(("next", name), out[name])
+        for transform in self.transforms:
+            out = transform._step(nothing, out)
+        outcome = {("next", name): out[name] for name in ("reward", "terminated", "truncated")}
         for name, value in out.get("real_reward", TensorDict()).items():
-            self._write(("next", "real_reward", name), value)
-        self._keep("last", out["critic_observation"])
-        done = out["done"]
-        if self.device.type != "cpu" or bool(done.any()):
+            outcome["next", "real_reward", name] = value
+        self._judged = list(outcome)
+        last, done = out["critic_observation"], out["done"]
+        if anything(done):
             self.env.start_episodes(done.view(out.batch_size))
             mask = TensorDict({"_reset": done}, batch_size=out.batch_size, device=self.device)
             for transform in self.transforms:
                 transform._reset(mask, nothing)
+        return *outcome.values(), last
+
+    @torch.no_grad()
+    def _before(self) -> torch.Tensor:
+        """Policy, noise, actuator inputs; what was seen and done goes into the batch."""
+        with tf32(self.tf32):
+            *seen, ctrl = self._parts["decide"]()
+        self._action = seen[2]
+        for name, value in zip(("observation", "critic_observation", "action", "action_mean"), seen, strict=True):
+            self._write((name,), value)
+        return ctrl
+
+    @torch.no_grad()
+    def _aside(self) -> None:
+        with tf32(self.tf32):
+            found = self._parts["look_aside"]()
+        for name, value in zip(("value", "anchor_mean"), found, strict=False):
+            self._write((name,), value)
+
+    @torch.no_grad()
+    def _after(self) -> None:
+        """Reward, measurement models, new episodes."""
+        with tf32(self.tf32):
+            *outcome, last = self._parts["judge"](self._action)
+        for key, value in zip(self._judged, outcome, strict=True):
+            self._write(key, value)
+        self._keep("last", last)
         self._time += 1
 
     def _write(self, key: tuple[str, ...], value: torch.Tensor) -> None:
@@ -189,38 +215,18 @@ class Rollout:
     # -------------------------------------------------------------------------------------------------- capture
 
     def _capture(self) -> None:
-        """Warm up, capture both graphs, and put everything back to where it was."""
-        engine = self.env.engine
-        owners = [self.env, self.env.commands, *(one for one in self.transforms if hasattr(one, "prepare"))]
-        for transform in self.transforms:
-            if hasattr(transform, "prepare"):
-                transform.prepare(self.env.batch_size.numel(), self.device)
-        pins = [Pins(owner, owner.STATE) for owner in owners]
-        physics, randoms = engine.state_dict(), (self.env.random, self.noise)
-        states = [random.state_dict() for random in randoms]
-        for random in randoms:
-            random.ahead = Ahead(random, self.horizon, self._time)
-
-        def step() -> None:
-            self._time.zero_()
-            self._step()
-            for pin in pins:
-                pin.settle()
-
-        def before() -> None:
-            engine.load(self._before())  # type: ignore[attr-defined]
-
-        def after() -> None:
-            engine.judge()  # type: ignore[attr-defined]
-            self._after()
-            for pin in pins:
-                pin.settle()
-
-        warm_up(step, self.device)
+        """Warm up, write the programs, capture the graphs, and put everything back to where it was."""
+        engine, randoms = self.env.engine, (self.env.random, self.noise)
+        physics, states = engine.state_dict(), [random.state_dict() for random in randoms]
+        pins = self._pin()
+        warm_up(self._one_step, self.device)
+        if self._fuse:
+            self._write_programs(pins)
+            warm_up(self._one_step, self.device)
         self._time.zero_()
-        first, _ = captured(before)
+        first, _ = captured(lambda: engine.load(self._before()))  # type: ignore[attr-defined]
         beside = [captured(self._aside)[0]] if self._with_aside else []
-        last, _ = captured(after, pool=first.pool())
+        last, _ = captured(self._after, pool=first.pool())
         self._graphs, self._beside = [first, last, *beside], torch.cuda.Stream(self.device)
         torch.cuda.synchronize(self.device)
         for pin in pins:
@@ -228,3 +234,50 @@ class Rollout:
         engine.load_state_dict(physics)
         for random, state in zip(randoms, states, strict=True):
             random.load_state_dict(state)
+
+    def _pin(self) -> list[Pins]:
+        """From here on a step leaves its state in the memory where it found it, and takes numbers that were drawn ahead."""
+        owners: list[Any] = [self.env, self.env.commands]
+        for transform in self.transforms:
+            if hasattr(transform, "prepare"):
+                transform.prepare(self.env.batch_size.numel(), self.device)
+                owners.append(transform)
+        pins = [Pins(owner, owner.STATE) for owner in owners]
+        for random in (self.env.random, self.noise):
+            random.ahead = Ahead(random, self.horizon, self._time)
+
+        def settled(part: Part, *given: torch.Tensor) -> tuple[torch.Tensor, ...]:
+            result = part(*given)
+            for pin in pins:
+                pin.settle()
+            return result
+
+        def judge(action: torch.Tensor) -> tuple[torch.Tensor, ...]:
+            self.env.engine.judge()  # type: ignore[attr-defined]
+            return self._judge(action)
+
+        self._parts["decide"], self._parts["judge"] = partial(settled, self._decide), partial(settled, judge)
+        return pins
+
+    def _one_step(self) -> None:
+        """A step as it is captured: what `Engine.step` does around the physics belongs to the parts before and after."""
+        self._time.zero_()
+        self.env.engine.load(self._before())  # type: ignore[attr-defined]
+        if self._with_aside:
+            self._aside()
+        self.env.engine.step_raw()  # type: ignore[attr-defined]
+        self._after()
+
+    def _write_programs(self, pins: Sequence[Pins], compiled: bool = True) -> None:
+        """Put programs in place of the parts of a pinned step that has been taken once."""
+        memory = self.env.engine.memory()  # type: ignore[attr-defined]
+        state = [*(tensor for pin in pins for tensor in pin.fixed.values()), *memory, self._time]
+        for name in ("decide", "look_aside", "judge") if self._with_aside else ("decide", "judge"):
+            given = [self._action] if name == "judge" else []
+            self._parts[name] = _program(self._parts[name], given, state, compiled)
+
+
+def _program(part: Part, given: Sequence[torch.Tensor], state: Sequence[torch.Tensor], compiled: bool) -> Part:
+    """The program of a part of a step; given: what it is called with; state: what else it reads, and changes in place."""
+    program = Program(lambda *tensors: part(*tensors[: len(given)]), [*given, *state], compiled)
+    return lambda *given: program(*given, *state)

@@ -105,7 +105,7 @@ class PopulationTrainer:
         if can_roll_out(env):
             self.rollout = Rollout(
                 env, population, self.noise, config.horizon, capture=capture, tf32=config.tf32,
-                aside=capture and not update_normaliser, anchor=anchor,
+                aside=capture and not update_normaliser, anchor=anchor, fuse=config.fuse,
             )  # fmt: skip
         else:
             self.collector = make_collector(env, self.actor, per_batch, device)

@@ -121,6 +121,10 @@ class WarpEngine(Engine):
         """The actuator inputs of the running control step, (substeps, W, nu)."""
         return self._ctrl
 
+    def memory(self) -> list[torch.Tensor]:
+        """Every tensor that `load`, `judge` and `reset` read or change, in place."""
+        return [*self._saved().values(), self._ctrl, self._bad_input]
+
     def replay(self, steps: Sequence[tuple[Mapping[str, torch.Tensor], torch.Tensor]]) -> None:
         here = self.state_dict()
         for state, ctrl in steps:
