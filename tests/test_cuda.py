@@ -39,10 +39,11 @@ def make_trainer(config: PPOConfig = CONFIG, reward=None, resume=None, seeds=SEE
     )  # fmt: skip
 
 
-def test_a_captured_batch_is_the_batch_of_its_steps():
-    captured, plain = make_trainer(), make_trainer()
-    plain.rollout._capture_first = False
-    plain.rollout._start()  # the first episodes draw their numbers before any are drawn ahead
+@pytest.mark.parametrize("fuse", [False, True])
+def test_a_captured_batch_is_the_batch_of_its_steps(fuse):
+    captured, plain = make_trainer(CONFIG.model_copy(update={"fuse": fuse})), make_trainer()
+    plain.rollout._capture_first, plain.rollout._started = False, True
+    plain.rollout.env.reset()  # the first episodes draw their numbers before any are drawn ahead
     first = captured.collect()
     for random in (plain.env.base_env.random, plain.noise):
         random.ahead = Ahead(random, CONFIG.horizon, plain.rollout._time)

@@ -12,8 +12,9 @@ from hts.policies.files import load_policy
 from hts.policies.networks import Population
 from hts.ppo.batched_steps import BatchedSteps
 from hts.ppo.capture import Pins
+from hts.ppo.captured_rollout import CapturedRollout
 from hts.ppo.finetune import measured_env
-from hts.ppo.rollout import Rollout, can_roll_out
+from hts.ppo.rollout import can_roll_out
 from hts.ppo.steps import SeparateSteps
 from hts.ppo.trainer import PopulationTrainer, make_collector
 from hts_go1.plugin import make_go1
@@ -78,7 +79,7 @@ def test_an_env_that_steps_in_its_own_way_goes_through_torchrls_collector(robot)
 
 def test_what_is_computed_beside_the_physics_is_what_learning_would_compute_itself(robot):
     trainer = make_trainer(robot)
-    rollout = Rollout(
+    rollout = CapturedRollout(
         trainer.env, trainer.population, trainer.noise, CONFIG.horizon, capture=False, aside=True, anchor=trainer.anchor
     )
     data = rollout.collect()

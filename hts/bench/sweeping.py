@@ -75,7 +75,10 @@ def whole_trainings(
     for the first time. Keys, s: together_s, one_after_another_s, and of each the part before the first batch is over."""
     model = _fitted(robot, objective, engine, envs, sizes)
     found: dict[str, Any] = {"whole_steps_per_candidate": steps}
-    for name, count, worlds, times in (("together", candidates, envs, 1), ("one_after_another", 1, envs_alone, candidates)):
+    for name, count, worlds, times in (
+        ("together", candidates, envs, 1),
+        ("one_after_another", 1, envs_alone, candidates),
+    ):
         for needed in (0, steps):
             start = time.perf_counter()
             trainer = make_trainer(robot, objective, engine, count, worlds, sizes=sizes, model=model)

@@ -18,8 +18,8 @@ height and largest tilt keep that rare.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import torch
 
@@ -49,7 +49,8 @@ class Motion:
     velocity, angular_velocity, gravity: trunk frame (.., 3); command (.., 3): vx, vy, yaw rate;
     torque, joint_velocity, last_joint_velocity, pose_error (.., J); action, last_action (.., J);
     air_time s, landed, contact bool (.., F); foot_speed_squared: horizontal, m^2/s^2 (.., F); fell bool (..);
-    dt: control step, s; tracking_sigma (m/s)^2: 0.25 in Rudin et al. 2022.
+    dt: control step, s; tracking_sigma (m/s)^2: 0.25 in Rudin et al. 2022; broken bool (..): worlds whose physics broke, whose
+    numbers mean nothing and whose only reward is that of a fall; None where there is none.
     """
 
     velocity: torch.Tensor
@@ -69,6 +70,27 @@ class Motion:
     fell: torch.Tensor
     dt: float
     tracking_sigma: float
+    broken: torch.Tensor | None = None
+
+    def kept(self) -> Motion:
+        """The same when the next step has been taken: copies of what engine and commands rewrite in place."""
+        return replace(
+            self,
+            angular_velocity=self.angular_velocity.clone(),
+            torque=self.torque.clone(),
+            command=self.command.clone(),
+        )
+
+
+def stacked(motions: Sequence[Motion]) -> Motion:
+    """Several steps as one, with a leading dimension: [T, P, N, ...]."""
+    first, last = motions[0], [motion.broken for motion in motions]
+    parts = {field.name: [getattr(motion, field.name) for motion in motions] for field in fields(Motion)}
+    parts["broken"] = [] if all(one is None for one in last) else [
+        torch.zeros_like(first.fell) if one is None else one for one in last
+    ]  # fmt: skip
+    tensors = {name: torch.stack(part) for name, part in parts.items() if part and isinstance(part[0], torch.Tensor)}
+    return replace(first, **tensors)
 
 
 def resolve_weights(overrides: Mapping[str, float]) -> dict[str, float]:
@@ -100,7 +122,10 @@ def total(motion: Motion, weights: Mapping[str, float]) -> torch.Tensor:
     for name, value in _others(motion).items():
         if weights.get(name):
             result.add_(value, alpha=weights[name])
-    return result.mul_(motion.dt)
+    result.mul_(motion.dt)
+    if motion.broken is not None:
+        result = torch.where(motion.broken, weights.get("termination", 0.0) * motion.dt, result)
+    return result
 
 
 def _vectors(m: Motion) -> dict[str, torch.Tensor]:

@@ -18,6 +18,7 @@ from hts.contracts import Robot, RobotSpec
 from hts.envs import rewards
 from hts.envs.commands import DRAWS, Commands
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
+from hts.envs.pose import trunk_frame, yaw_of
 from hts.envs.random import PopulationRandom
 from hts.errors import ConfigError
 from hts.fusing import anything
@@ -179,31 +180,46 @@ class VelocityEnv(EnvBase):
 
     def finish(self, action: torch.Tensor) -> TensorDict:
         """A control step after its physics: what `_step` returns. On a GPU it never waits for the device."""
-        draws = self._draws
-        self.steps = self.steps + 1
-        self._push(draws[..., DRAWS : DRAWS + 3])
-        motion = self._read(action)
+        motion = self._look(action)
         reward = rewards.total(motion, self.weights)
-        # A world whose physics broke has fallen: its episode ends there, and none of its numbers is used.
+        return self._result({"reward": reward.unsqueeze(-1), **self._go_on(motion)})
+
+    def finish_for_now(self, action: torch.Tensor) -> tuple[rewards.Motion, dict[str, torch.Tensor]]:
+        """`finish` with as little as possible: what `rewards_of` wants later, and done, terminated and truncated [P, N, 1]."""
+        motion = self._look(action).kept()
+        return motion, self._go_on(motion)
+
+    def rewards_of(self, motions: Sequence[rewards.Motion]) -> torch.Tensor:
+        """r_sim of steps that `finish_for_now` has finished, [T, P, N]."""
+        return rewards.total(rewards.stacked(motions), self.weights)
+
+    def _look(self, action: torch.Tensor) -> rewards.Motion:
+        """What has become of every world, kicks included."""
+        self.steps = self.steps + 1
+        self._push(self._draws[..., DRAWS : DRAWS + 3])
+        motion = self._read(action)
         broken = self.engine.diverged.view(self.shape2)
-        any_broken = anything(broken)
-        if any_broken:
-            reward = torch.where(broken, self.weights["termination"] * self.dt, reward)
+        if anything(broken):
+            motion.broken = broken.clone()
             self.breakdowns = self.breakdowns + broken
-        self.action, self.last_joint_velocity = action, motion.joint_velocity
+        return motion
+
+    def _go_on(self, motion: rewards.Motion) -> dict[str, torch.Tensor]:
+        """The next command and observation; whose episode is over."""
+        self.action, self.last_joint_velocity = motion.action, motion.joint_velocity
         terminated = motion.fell
         truncated = (self.steps >= self.max_steps) & ~terminated
         self.falls = self.falls + terminated
-        self.commands.advance(draws[..., :DRAWS], self._yaw)
-        self._observe(draws[..., self._fixed_draws :])
-        if any_broken:
-            self._observation = self._observation.masked_fill(broken.unsqueeze(-1), 0.0)
-            self._critic_observation = self._critic_observation.masked_fill(broken.unsqueeze(-1), 0.0)
-        out = {
-            "reward": reward.unsqueeze(-1), "terminated": terminated.unsqueeze(-1), "truncated": truncated.unsqueeze(-1),
+        self.commands.advance(self._draws[..., :DRAWS], self._yaw)
+        self._observe(self._draws[..., self._fixed_draws :])
+        if motion.broken is not None:  # it has fallen: its episode ends there, and none of its numbers is used
+            broken = motion.broken.unsqueeze(-1)
+            self._observation = self._observation.masked_fill(broken, 0.0)
+            self._critic_observation = self._critic_observation.masked_fill(broken, 0.0)
+        return {
+            "terminated": terminated.unsqueeze(-1), "truncated": truncated.unsqueeze(-1),
             "done": (terminated | truncated).unsqueeze(-1),
         }  # fmt: skip
-        return self._result(out)
 
     def _draw(self) -> torch.Tensor:
         """The uniform numbers of a step [P, N, ...]."""
@@ -213,12 +229,16 @@ class VelocityEnv(EnvBase):
         entries["observation"] = self._observation
         entries["critic_observation"] = self._critic_observation
         if self.channel_specs:
-            values = {name: self._channel_value(name) for name in self.channel_specs}
+            values = self.channel_values()
             if self.device.type != "cpu":  # the CPU engine's broken worlds hold finite numbers
                 broken = self.engine.diverged.view(*self.shape2, 1)
                 values = {name: value.masked_fill(broken, 0.0) for name, value in values.items()}
             entries["channels"] = TensorDict(values, batch_size=self.batch_size, device=self.device)
         return TensorDict(entries, batch_size=self.batch_size, device=self.device)
+
+    def channel_values(self) -> dict[str, torch.Tensor]:
+        """The channels asked for, now."""
+        return {name: self._channel_value(name) for name in self.channel_specs}
 
     def observations(self) -> tuple[torch.Tensor, torch.Tensor]:
         """What policy [P, N, O] and critic [P, N, O_c] see now."""
@@ -233,11 +253,8 @@ class VelocityEnv(EnvBase):
             return
         pushed = (draws[..., 0] < self.dt / r.push_interval).reshape(-1)
         mask = pushed & ~self.engine.diverged  # a reset would hide that
-        if not anything(mask):
-            return
-        qvel = self.engine.qvel.clone()
-        qvel[:, :2] += (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed
-        self.engine.reset(mask, self.engine.qpos, qvel)
+        if anything(mask):
+            self.engine.kick(mask, (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed)
 
     def start_episodes(self, mask: torch.Tensor) -> None:
         """Stand the robots of mask [P, N] up: joints near the default pose, a random heading and a small velocity."""
@@ -277,16 +294,8 @@ class VelocityEnv(EnvBase):
     def _read_pose(self) -> None:
         """Trunk pose and velocities in the trunk frame, from the engine's state."""
         qpos, qvel = self.engine.qpos.view(*self.shape2, -1), self.engine.qvel.view(*self.shape2, -1)
-        w, axis = qpos[..., 3:4], qpos[..., 4:7]
-        # v' = v - 2 w (q x v) + 2 q x (q x v) turns world vectors into the trunk frame, (w, q) being its orientation.
-        world = torch.stack((qvel[..., :3], self._down), -2)
-        axes = axis.unsqueeze(-2).expand_as(world)
-        across = torch.linalg.cross(axes, world)
-        turned = torch.linalg.cross(axes, across).addcmul_(w.unsqueeze(-1), across, value=-1.0)
-        self._velocity, self._gravity = turned.mul_(2.0).add_(world).unbind(-2)
-        (x, y, z), w = axis.unbind(-1), w[..., 0]
-        # In double precision: torch's single one differs in the last bit between the bulk of a tensor and its end.
-        self._yaw = torch.atan2((w * z + x * y).double(), (0.5 - (y * y + z * z)).double()).float()
+        self._velocity, self._gravity = trunk_frame(qpos, qvel, self._down)
+        self._yaw = yaw_of(qpos)
         self._height = qpos[..., 2:3]
         self._angular_velocity = qvel[..., 3:6]
         self._joint_position = qpos[..., 7:] + self.joint_offset  # as the encoders say

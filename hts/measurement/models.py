@@ -173,19 +173,45 @@ class MeasurementModel(nn.Module):
 
         A NaN or infinite input makes that world's prediction NaN, never a plausible number.
         """
-        hidden = self.config.hidden
         first, states = inputs.t(), []
         below = (first, *(first[a] * first[b] for a, b in self._pairs))
-        for (weight, bias), (h, c) in zip(self._weights(), state, strict=True):
-            gates = torch.addmm(bias, weight, torch.cat((*below, h)))
-            write, forget, show = gates[: 3 * hidden].sigmoid_().view(3, hidden, -1)
-            cell = torch.addcmul(forget * c, write, gates[3 * hidden :].tanh_())
-            below = (torch.tanh(cell).mul_(show),)
-            states.append(torch.stack((*below, cell)))
+        for layer, (h, c) in zip(self._weights(), state, strict=True):
+            h, cell = self._cell(layer, (*below, h), c)
+            below = (h,)
+            states.append(torch.stack((h, cell)))
+        return self._read(below[0], inputs), torch.stack(states)
+
+    @torch.no_grad()
+    def steps(self, inputs: Tensor, state: Tensor, ended: Tensor) -> tuple[Tensor, Tensor]:
+        """`step` T times, with the memory of a world emptied after the steps of ended (T, W): inputs (T, W, F) -> (T, W) and
+        the new state. To the bit the same, with less done per step."""
+        each = inputs.transpose(1, 2)
+        features = torch.cat((each, *(each[:, a] * each[:, b] for a, b in self._pairs)), 1)
+        empty, memory = ended.any(1).tolist(), [list(pair) for pair in state]
+        outputs = torch.empty(len(inputs), self.config.hidden, inputs.shape[1], device=inputs.device)
+        for time, below in enumerate(features):
+            for layer, pair in zip(self._weights(), memory, strict=True):
+                pair[:] = self._cell(layer, (below, pair[0]), pair[1])
+                below = pair[0]
+            outputs[time] = below
+            if empty[time]:
+                memory = [[part.masked_fill(ended[time], 0.0) for part in pair] for pair in memory]
+        predictions = [self._read(output, input) for output, input in zip(outputs, inputs, strict=True)]
+        return torch.stack(predictions), torch.stack([torch.stack(pair) for pair in memory])
+
+    def _cell(self, layer: tuple[Tensor, Tensor], below: tuple[Tensor, ...], cell: Tensor) -> tuple[Tensor, Tensor]:
+        """One layer, one sample: output and cell (hidden, W)."""
+        (weight, bias), hidden = layer, self.config.hidden
+        gates = torch.addmm(bias, weight, torch.cat(below))
+        write, forget, show = gates[: 3 * hidden].sigmoid_().view(3, hidden, -1)
+        cell = torch.addcmul(forget * cell, write, gates[3 * hidden :].tanh_())
+        return torch.tanh(cell).mul_(show), cell
+
+    def _read(self, output: Tensor, inputs: Tensor) -> Tensor:
+        """Predictions (W,) from the last layer's output (hidden, W) and the inputs (W, F)."""
+        prediction = torch.addmm(self.head.bias, output.t(), self.head.weight.t()).squeeze(1)
         # Saturating gates turn an infinite input into a finite prediction; 0·inf = NaN puts the truth back.
-        prediction = torch.addmm(self.head.bias, below[0].t(), self.head.weight.t()).squeeze(1)
-        prediction = prediction.add_(inputs.sum(1).mul_(0.0))
-        return prediction, torch.stack(states)
+        return prediction.add_(inputs.sum(1).mul_(0.0))
 
     def outside(self, inputs: Tensor) -> Tensor:
         """Share of the inputs (..., F) outside the range of the data it was fitted on, (...,); NaN is outside."""

@@ -12,7 +12,7 @@ env's reward: whoever trains adds λ·dt·(r_real − centre) to r_sim. NaN stay
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import torch
@@ -55,6 +55,17 @@ class _Measured(Transform):
         for key in self.out_keys:
             tensordict_reset.set(key, torch.zeros(*tensordict_reset.batch_size, 1, device=tensordict_reset.device))
         return tensordict_reset
+
+    def keep(self, channels: Mapping[str, Tensor]) -> Tensor:
+        """What `follow` will want to know of a step; channels: name -> [P, N, ...], now."""
+        raise NotImplementedError
+
+    def follow(self, kept: Tensor, ended: Tensor) -> Tensor:
+        """What `_step` and `_reset` do one after the other, for several steps at once: nobody needs r_real before.
+
+        kept (T, ...): of each step; ended (T, P·N): episodes that ended with the step. Returns r_real, T·P·N numbers in that order.
+        """
+        raise NotImplementedError
 
     # An env that resets itself hands the same mask to the same work.
     def _reset_on_native_autoreset(
@@ -120,13 +131,23 @@ class MeasurementTransform(_Measured):
         next_tensordict.set(outside, model.outside(inputs).view(*shape, 1))
         return next_tensordict
 
+    def keep(self, channels: Mapping[str, Tensor]) -> Tensor:
+        worlds = channels[self.inputs[0]].shape[:2].numel()
+        return gather(channels, self.inputs, worlds)
+
+    def follow(self, kept: Tensor, ended: Tensor) -> Tensor:
+        inputs = kept
+        self.prepare(inputs.shape[1], inputs.device)
+        prediction, self.memory = self._model[0].steps(inputs, self.memory, ended)
+        return self.reward(prediction.unsqueeze(-1))
+
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         mask = tensordict.get("_reset", None)
         if self.memory is not None:
             if mask is None:
                 self.memory = torch.zeros_like(self.memory)
-            else:  # where, not a product: a world that ended in NaN must start clean
-                self.memory = torch.where(mask.reshape(-1), 0.0, self.memory)
+            else:  # not a product: a world that ended in NaN must start clean
+                self.memory = self.memory.masked_fill(mask.reshape(-1), 0.0)
         return super()._reset(tensordict, tensordict_reset)
 
     def _load_from_state_dict(self, state_dict, prefix, *args, **kwargs) -> None:
@@ -148,13 +169,19 @@ class ProxyTransform(_Measured):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         channels = next_tensordict.get("channels")
-        proxy = self.objective.proxy({name: channels.get(name) for name in self.inputs})
-        if proxy is None:
-            raise SimulationError(
-                f"Objective '{self.objective.name}' has no analytic stand-in, so there is no baseline to train."
-            )
-        proxy = proxy.unsqueeze(-1)
+        proxy = self.keep(channels).unsqueeze(-1)
         measured, real_reward = self.out_keys
         next_tensordict.set(measured, proxy)
         next_tensordict.set(real_reward, self.objective.reward(proxy))
         return next_tensordict
+
+    def keep(self, channels: Mapping[str, Tensor]) -> Tensor:
+        proxy = self.objective.proxy({name: channels[name] for name in self.inputs})
+        if proxy is None:
+            raise SimulationError(
+                f"Objective '{self.objective.name}' has no analytic stand-in, so there is no baseline to train."
+            )
+        return proxy
+
+    def follow(self, kept: Tensor, ended: Tensor) -> Tensor:
+        return self.objective.reward(kept)

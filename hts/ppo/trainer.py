@@ -20,6 +20,7 @@ from hts.ppo.advantage import advantages
 from hts.ppo.anchor import Multipliers, gaussian_kl
 from hts.ppo.batched_steps import BatchedSteps
 from hts.ppo.capture import Captured
+from hts.ppo.captured_rollout import CapturedRollout
 from hts.ppo.centring import Centre
 from hts.ppo.precision import tf32
 from hts.ppo.rollout import Rollout, can_roll_out
@@ -102,8 +103,10 @@ class PopulationTrainer:
         self.rollout: Rollout | None = None
         self._captured: _CapturedLearning | None = None
         self.collector: Collector | None = None
-        if can_roll_out(env):
-            self.rollout = Rollout(
+        if can_roll_out(env) and device.type == "cpu":
+            self.rollout = Rollout(env, population, self.noise, config.horizon)
+        elif can_roll_out(env):
+            self.rollout = CapturedRollout(
                 env, population, self.noise, config.horizon, capture=capture, tf32=config.tf32,
                 aside=capture and not update_normaliser, anchor=anchor, fuse=config.fuse,
             )  # fmt: skip

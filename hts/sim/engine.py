@@ -37,6 +37,12 @@ class Engine(ABC):
     def reset(self, mask: torch.Tensor, qpos: torch.Tensor, qvel: torch.Tensor) -> None:
         """Put the worlds of mask (W,) into rows of qpos (W, nq), qvel (W, nv); other rows are not read."""
 
+    def kick(self, mask: torch.Tensor, velocity: torch.Tensor) -> None:
+        """Add velocity (W, 2), m/s, to the trunk's horizontal velocity in the worlds of mask (W,); their solver starts cold."""
+        qvel = self.qvel.clone()
+        qvel[:, :2] += velocity
+        self.reset(mask, self.qpos, qvel)
+
     @abstractmethod
     def sensor(self, name: str) -> slice:
         """Where a sensor of the MJCF lies in `sensordata`."""
