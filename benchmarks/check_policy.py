@@ -1,6 +1,7 @@
-"""How well a robot's shipped policy walks, in training simulation and on the twin.
+"""How well a policy walks, in training simulation and on the twin: the robot's shipped one, or one of your own.
 
     python benchmarks/check_policy.py --robot go1 --worlds 64 --seconds 20
+    python benchmarks/check_policy.py --robot go1 --policy DIR/pretrained.safetensors
 
 Prints JSON: for each place and speed falls, mean speed (m/s) and the share of 1 s segments within 10 % of the command
 after the first 2 s. Training simulation: its randomised models and sensor noise, mean action, no kicks.
@@ -62,13 +63,14 @@ def on_twin(registry, robot, policy, worlds: int, seconds: float) -> dict:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot", default="go1")
+    parser.add_argument("--policy", type=Path, help="a policy file; default: the one that the robot's package ships")
     parser.add_argument("--worlds", type=int, default=64)
     parser.add_argument("--seconds", type=float, default=20.0)
     given = parser.parse_args()
     torch.set_num_threads(1)
     registry = load()
     robot = registry.make_robot(given.robot, {})
-    policy = load_policy(robot.pretrained_policy(), robot.spec)
+    policy = load_policy(given.policy or robot.pretrained_policy(), robot.spec)
     result = {
         "policy": policy.card.policy_hash,
         "training simulation": in_simulation(robot, policy, given.worlds, given.seconds),
