@@ -8,6 +8,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
+from types import FunctionType, MethodType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
@@ -30,12 +31,30 @@ def fused(function: Function, device: torch.device, wanted: bool | None = None, 
         return function
     import torch
 
-    compiled = torch.compile(function, dynamic=dynamic)
+    compiled = torch.compile(_copied(function), dynamic=dynamic)
 
     def either(*args: Any) -> Any:
         return (function if _recording.get() else compiled)(*args)
 
     return either  # type: ignore[return-value]
+
+
+def _copied(function: Any) -> Any:
+    """function with a code object of its own. torch.compile counts how often it has compiled a code object, for all objects
+    and shapes that share it, and after eight times runs it as it is, without a word: a long process would become slow."""
+    if isinstance(function, MethodType):
+        return MethodType(_copied(function.__func__), function.__self__)
+    if not isinstance(function, FunctionType):
+        return function
+    copy = FunctionType(
+        function.__code__.replace(),
+        function.__globals__,
+        function.__name__,
+        function.__defaults__,
+        function.__closure__,
+    )
+    copy.__kwdefaults__ = function.__kwdefaults__
+    return copy
 
 
 def anything(mask: torch.Tensor) -> bool:

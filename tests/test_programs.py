@@ -1,11 +1,13 @@
 """Programs: what a function does to tensors, written down once and run instead of it."""
 
+import functools
+
 import pytest
 import torch
 
 from hts.config import EnvConfig, PPOConfig
 from hts.envs.random import PopulationRandom
-from hts.fusing import Program, anything
+from hts.fusing import Program, anything, fused
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig
 from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
@@ -52,6 +54,26 @@ def test_a_program_takes_both_ways_of_a_mask_that_was_empty_when_it_was_recorded
 def test_a_value_read_while_recording_is_an_error_and_not_a_constant_of_the_program():
     with pytest.raises(RuntimeError):
         Program(lambda x: x if float(x.sum()) > 0 else -x, [torch.ones(2)], compiled=False)
+
+
+class Doubler:
+    def double(self, x, *, times=2.0):
+        return x * times
+
+
+def test_however_many_shapes_a_process_trains_each_is_compiled(monkeypatch):
+    compiled = []
+
+    def backend(graph, inputs):
+        compiled.append(tuple(inputs[0].shape))
+        return graph.forward
+
+    monkeypatch.setattr(torch, "compile", functools.partial(torch.compile, backend=backend))
+    wanted = [(size,) for size in range(2, 14)]
+    for shape in wanted:
+        double = fused(Doubler().double, torch.device("cpu"), wanted=True)
+        assert double(torch.ones(shape)).tolist() == [2.0] * shape[0]
+    assert compiled == wanted
 
 
 def make_rollout() -> CapturedRollout:

@@ -54,6 +54,7 @@ def test_a_speed_that_is_not_kept_is_refused_alone():
     assert list(results) == [0.8]
     assert results[0.8].comparison.improvement == pytest.approx(0.2, abs=0.01)
     assert list(refused) == ["0.5"] and "0 of 40 segments of the policy are valid" in refused["0.5"]
+    assert "it went 0.40 m/s on average" in refused["0.5"]
 
 
 def test_nothing_is_refused_of_a_policy_that_keeps_all_speeds():
