@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
+START = 0.05  # share of a stage that says nothing of the rest: kernels are compiled, memory is taken
+
 
 class Progress:
     """Stages one after the other. total: how many there are; skipped ones do not count."""
@@ -41,14 +43,19 @@ class Progress:
         self.console.print(f"{label}: {time.perf_counter() - started:.1f} s", highlight=False)
 
     def _plain(self, started: float) -> Callable[[float], None]:
-        shown = [started]
+        shown = since = started
+        before = 0.0
 
         def report(share: float) -> None:
+            nonlocal shown, since, before
             now = time.perf_counter()
-            if now - shown[0] >= 15.0 and share > 0:  # a log file needs no more than that
-                shown[0] = now
-                left = (now - started) * (1 - share) / share
-                self.console.print(f"    {share:4.0%}, about {left:.0f} s left", highlight=False)
+            told = now - shown >= 15.0 and share > 0  # a log file needs no more than that
+            left = f", about {(now - since) * (1 - share) / (share - before):.0f} s left" if share > before else ""
+            if share < START:
+                since, before, left = now, share, ""
+            if told:
+                shown = now
+                self.console.print(f"    {share:4.0%}{left}", highlight=False)
 
         return report
 
