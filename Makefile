@@ -57,5 +57,5 @@ $(BIN)/python:
 	@touch $@
 
 .venv/installed-dev: .venv/installed
-	$(PIP) install --quiet --constraint constraints.txt --no-build-isolation -e '.[dev]'
+	$(PIP) install --quiet --constraint constraints.txt --no-build-isolation -e '.[dev,gpu]'
 	@touch $@

@@ -121,7 +121,7 @@ class PPOConfig(Config):
     tf32: bool = Field(True, description="on a GPU: matrix products of policy and critic in TF32 (10 bits of mantissa)")
     fuse: bool | None = Field(
         None,
-        description="on a GPU: the loss through torch.compile, for fewer passes over memory; null: where a C compiler is",
+        description="on a GPU: control step, loss and Adam through torch.compile; null: where a C compiler is",
     )
     capture: bool = Field(
         True, description="on a GPU: control and gradient steps as CUDA graphs; false: one by one, to look for an error"

@@ -59,7 +59,7 @@ def test_a_candidate_learns_the_same_alone_and_in_the_crowd():
 
 def test_whole_trainings_count_everything_from_nothing_to_the_last_batch():
     result = bench_sweep("go1", "power", envs=2, seconds=0.1, candidates=2, alone=(2,), whole=100)
-    assert result["whole_steps_per_candidate"] == 100  # three batches of 2 x 24
+    assert result["together_batches"] == result["one_after_another_batches"] == 3  # 100 steps in batches of 2 x 24
     for name in ("together", "one_after_another"):
         assert 0 < result[f"{name}_first_batch_s"] < result[f"{name}_s"]
     ratio = result["one_after_another_s"] / result["together_s"]

@@ -118,8 +118,10 @@ def test_training_goes_on_from_a_saved_state():
     resumed.close()
 
 
-def test_a_reward_that_waits_for_the_device_is_named_with_what_to_do():
-    trainer = make_trainer(reward=lambda x: -x if float(x.sum()) != 0.5 else x)
+@pytest.mark.parametrize("fuse", [False, True])
+def test_a_reward_that_waits_for_the_device_is_named_with_what_to_do(fuse):
+    config = CONFIG.model_copy(update={"fuse": fuse})
+    trainer = make_trainer(config, reward=lambda x: -x if float(x.sum()) != 0.5 else x)
     with pytest.raises(SimulationError, match=r"waits for the device.*ppo\.capture=false"):
         trainer.collect()
 

@@ -103,6 +103,27 @@ def test_step_by_step_and_whole_sequence_give_the_same_prediction(layers, produc
     torch.testing.assert_close(continued, whole[:, 20:])
 
 
+@pytest.mark.parametrize("layers", [1, 2])
+@pytest.mark.parametrize("products", [False, True])
+def test_many_steps_at_once_are_the_single_steps_to_the_bit_also_where_episodes_end(layers, products):
+    config = MeasurementModelConfig(inputs=("a", "b"), target="y", hidden=8, layers=layers, products=products)
+    model = MeasurementModel(config, (3, 3), 50.0, seed=1)
+    data = 4.0 + 3.0 * torch.randn(12, 5, 6, generator=torch.Generator().manual_seed(0))
+    model.set_normaliser(data.flatten(0, 1), data[..., 0].flatten() * 2.0)
+    model.requires_grad_(False).eval()
+    ended = torch.zeros(12, 5, dtype=torch.bool)
+    ended[3, 1] = ended[3, 4] = ended[7, 0] = ended[11, 2] = True
+    data[3, 4] = torch.nan  # a world that ends in NaN starts clean
+    state, expected = model.initial_state(5), []
+    for inputs, end in zip(data, ended, strict=True):
+        prediction, state = model.step(inputs, state)
+        expected.append(prediction)
+        state = state.masked_fill(end, 0.0)
+    found, memory = model.steps(data, model.initial_state(5), ended)
+    assert torch.equal(found.nan_to_num(1e9), torch.stack(expected).nan_to_num(1e9))
+    assert torch.equal(memory, state) and bool(memory.isfinite().all())
+
+
 def test_products_are_squares_and_place_by_place_products_of_inputs_of_one_size():
     config = MeasurementModelConfig(inputs=("a", "b", "c"), target="y", products=True)
     model = MeasurementModel(config, (2, 1, 2), 50.0)

@@ -5,19 +5,20 @@ import functools
 import pytest
 import torch
 
-from hts.config import EnvConfig, PPOConfig
+from hts.config import EnvConfig
 from hts.envs.random import PopulationRandom
+from hts.errors import SimulationError
 from hts.fusing import Program, anything, fused
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig
 from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
 from hts.policies.networks import Population
-from hts.ppo.captured_rollout import CapturedRollout
+from hts.ppo.captured_rollout import CapturedRollout, _program
 from hts.ppo.finetune import measured_env
 from hts_go1.plugin import make_go1
 
 CHANNELS = ("joint_torque", "joint_velocity")
-HORIZON = PPOConfig(horizon=8).horizon
+HORIZON = 8
 
 
 class Counter:
@@ -52,7 +53,7 @@ def test_a_program_takes_both_ways_of_a_mask_that_was_empty_when_it_was_recorded
 
 
 def test_a_value_read_while_recording_is_an_error_and_not_a_constant_of_the_program():
-    with pytest.raises(RuntimeError):
+    with pytest.raises(RuntimeError, match="value out of a tracing tensor"):
         Program(lambda x: x if float(x.sum()) > 0 else -x, [torch.ones(2)], compiled=False)
 
 
@@ -90,6 +91,15 @@ def make_rollout() -> CapturedRollout:
     env = measured_env(env, [MeasurementTransform(model, lambda x: -x, "cost")])
     noise = PopulationRandom([5, 6], torch.device("cpu"))
     return CapturedRollout(env, population, noise, HORIZON, capture=False, aside=True, anchor=population.frozen())
+
+
+def test_a_reward_that_reads_a_value_is_named_with_what_to_do():
+    def part():
+        reward = torch.ones(3)
+        return (-reward if float(reward.sum()) > 0.5 else reward,)
+
+    with pytest.raises(SimulationError, match=r"waits for the device.*ppo\.capture=false"):
+        _program(part, [], [torch.zeros(1)], compiled=False)
 
 
 def test_control_steps_written_down_are_the_control_steps_to_the_bit():

@@ -2,12 +2,14 @@
 
 import pytest
 import torch
+from torchrl.envs.transforms import RewardScaling, TransformedEnv
 
+from hts.channels import Channel
 from hts.config import EnvConfig, PPOConfig
 from hts.envs.random import Ahead, PopulationRandom
 from hts.envs.velocity import VelocityEnv
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig
-from hts.measurement.transform import MeasurementTransform
+from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import load_policy
 from hts.policies.networks import Population
 from hts.ppo.batched_steps import BatchedSteps
@@ -28,27 +30,69 @@ def robot():
     return make_go1({})
 
 
-def make_trainer(robot, seeds=(3, 4), worlds=6) -> PopulationTrainer:
+class TorqueObjective:
+    """As much of an objective as the baseline's transform wants."""
+
+    name, target, inputs = "cost", Channel("t", "N*m"), CHANNELS
+
+    def proxy(self, channels):
+        return channels["joint_torque"].square().sum(-1)
+
+    def reward(self, measured):
+        return -0.01 * measured
+
+
+def make_trainer(robot, seeds=(3, 4), worlds=6, proxy=False) -> PopulationTrainer:
     """Fine-tuning of two candidates, episodes of five steps, so that some end within each batch."""
     config = EnvConfig(episode_seconds=0.1, threads=1, randomisation={"models": 2})
     env = robot.make_env("mujoco", len(seeds), worlds, config, channels=CHANNELS, seeds=list(seeds))
     model = MeasurementModel(MeasurementModelConfig(inputs=CHANNELS, target="t", hidden=8), [12, 12], 50.0, seed=1)
     some = torch.randn(50, 25, generator=torch.Generator().manual_seed(0))
     model.set_normaliser(some[:, :24] * 5, some[:, 24])
+    measured = ProxyTransform(TorqueObjective()) if proxy else MeasurementTransform(model, lambda x: -x, "cost")
     policy = load_policy(robot.pretrained_policy())
     population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * len(seeds))
     population.refresh()
     return PopulationTrainer(
-        measured_env(env, [MeasurementTransform(model, lambda x: -x, "cost")]), population, CONFIG, seeds=seeds,
+        measured_env(env, [measured]), population, CONFIG, seeds=seeds,
         names=[str(seed) for seed in seeds], anchor=population.frozen(), bounds=torch.full((len(seeds),), 0.5),
         weights={"cost": torch.ones(len(seeds))},
     )  # fmt: skip
 
 
-def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot):
-    usual, other = make_trainer(robot), make_trainer(robot)
+def cpu_rollout(trainer):
+    return trainer.rollout
+
+
+def gpu_rollout(trainer):
+    return CapturedRollout(
+        trainer.env, trainer.population, trainer.noise, CONFIG.horizon, capture=False, tf32=False, fuse=False
+    )
+
+
+def break_a_world(trainer, at: int):
+    """From the at-th step on, the physics of a world breaks at every seventh."""
+    engine, count = trainer.env.base_env.engine, 0
+    step = engine.step
+
+    def breaking(ctrl):
+        nonlocal count
+        step(ctrl)
+        count += 1
+        if count >= at and (count - at) % 7 == 0:
+            engine.diverged[4] = True
+
+    engine.step = breaking
+
+
+@pytest.mark.parametrize("proxy", [False, True], ids=["model", "proxy"])
+@pytest.mark.parametrize("make_rollout", [cpu_rollout, gpu_rollout])
+def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot, make_rollout, proxy):
+    usual, other = make_trainer(robot, proxy=proxy), make_trainer(robot, proxy=proxy)
     collector = make_collector(usual.env, usual.actor, 2 * 6 * CONFIG.horizon, torch.device("cpu"))
-    stream, rollout = iter(collector), other.rollout
+    stream, rollout = iter(collector), make_rollout(other)
+    for trainer in (usual, other):
+        break_a_world(trainer, 3)
     for _ in range(2):
         expected, found = next(stream), rollout.collect()
         for key in ("observation", "critic_observation", "action", "action_mean"):
@@ -59,21 +103,26 @@ def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot):
         assert torch.equal(found["next", "critic_observation"][..., -1, :], last)
         assert found["next", "truncated"].any()  # episodes have ended, so resets are compared too
         assert (found["next", "real_reward", "cost"] != 0).any()
+    for trainer in (usual, other):
+        assert int(trainer.env.base_env.breakdowns.sum()) == 4
     collector.shutdown()
     other.close()
 
 
-def test_an_env_that_steps_in_its_own_way_goes_through_torchrls_collector(robot):
-    class Own(VelocityEnv):
-        def _step(self, tensordict):
-            return super()._step(tensordict)
+@pytest.mark.parametrize("method", ["_step", "finish", "rewards_of"])
+def test_an_env_that_steps_in_its_own_way_goes_through_torchrls_collector(robot, method):
+    def own(self, *given):
+        return getattr(VelocityEnv, method)(self, *given)
 
     env = robot.make_env(
         "mujoco", 1, 2, EnvConfig(threads=1, randomisation={"models": 1}), channels=CHANNELS, seeds=[1]
     )
     assert can_roll_out(env) and can_roll_out(measured_env(env, []))
-    env.__class__ = Own
+    env.__class__ = type("Own", (VelocityEnv,), {method: own})
     assert not can_roll_out(env)
+    env.__class__ = type("Renamed", (VelocityEnv,), {})
+    assert can_roll_out(env)
+    assert not can_roll_out(TransformedEnv(env, RewardScaling(0.0, 2.0)))
     env.close()
 
 

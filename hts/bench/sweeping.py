@@ -32,7 +32,8 @@ def bench_sweep(
 
     speedup: over one after another with the same worlds each; the two alternate, a batch of all against a batch of one,
     so that one batch of one stands for each. speedup_over_fastest: over one after another with the number of worlds at
-    which one alone is fastest, among `alone` (and `envs`). update_difference: see `same_results`.
+    which one alone is fastest, among `alone` (and `envs`). update_difference, repeat_difference: see `same_results`.
+    whole: also the keys of `whole_trainings`, each of so many control steps per candidate.
     """
     machine, chosen = find(robot, objective)
     same = same_results(machine, chosen, engine, candidates, envs, sizes)
@@ -71,9 +72,10 @@ def whole_trainings(
     sizes: Sizes | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Whole trainings of `steps` control steps per candidate, from nothing to the last batch: all together with `envs` worlds
-    each, and one alone with `envs_alone`, times candidates. Both have been run once before, so that nothing is compiled
-    for the first time. Keys, s: together_s, one_after_another_s, and of each the part before the first batch is over."""
-    model = _fitted(robot, objective, engine, envs, sizes)
+    each, and one alone with `envs_alone`, whose time counts candidates times. Both have been run for a batch before, so that nothing
+    is compiled for the first time. Keys: together_s, one_after_another_s, of each the part before the first batch is over
+    (_first_batch_s), and how many batches one training had (_batches)."""
+    model = _with_statistics(robot, objective, engine, envs, sizes)
     found: dict[str, Any] = {"whole_steps_per_candidate": steps}
     for name, count, worlds, times in (
         ("together", candidates, envs, 1),
@@ -90,10 +92,14 @@ def whole_trainings(
                 while trainer.batches * trainer.steps_per_batch < needed * count:
                     trainer.batch()
                 synchronise(device)
+                batches = trainer.batches
             finally:
                 trainer.close()
             total = time.perf_counter() - start
-        found |= {f"{name}_s": times * total, f"{name}_first_batch_s": times * first}
+            del trainer  # its memory is free before the next one begins
+            if device.type == "cuda":
+                torch.cuda.empty_cache()
+        found |= {f"{name}_s": times * total, f"{name}_first_batch_s": times * first, f"{name}_batches": batches}
     return {**found, "whole_speedup_over_fastest": found["one_after_another_s"] / found["together_s"]}
 
 
@@ -106,7 +112,7 @@ def same_results(
     start from the same parameters, seeds, worlds and measurement model; repeat_difference: alone once more. 0 on the CPU. On a GPU
     sums are taken in another order, contact makes that grow, and Adam makes a whole step of the smallest gradient.
     """
-    model = _fitted(robot, objective, engine, envs, sizes)
+    model = _with_statistics(robot, objective, engine, envs, sizes)
 
     def moved(count: int, seed: int) -> list[torch.Tensor]:
         """Parameters of all candidates after a batch, and of the first before it."""
@@ -128,7 +134,9 @@ def same_results(
     return {"update_difference": max(found), "repeat_difference": float((again - here).norm() / (here - start).norm())}
 
 
-def _fitted(robot: Robot, objective: Objective, engine: str, envs: int, sizes: Sizes | None) -> MeasurementModel:
+def _with_statistics(
+    robot: Robot, objective: Objective, engine: str, envs: int, sizes: Sizes | None
+) -> MeasurementModel:
     """A measurement model with its statistics. Taking them draws random numbers and moves robots, so none of the trainers
     that are compared does it."""
     trainer = make_trainer(robot, objective, engine, 1, envs, sizes=sizes)

@@ -44,7 +44,7 @@ DEFAULT_WEIGHTS: dict[str, float] = {
 
 @dataclass
 class Motion:
-    """What the reward terms look at; leading dimensions [P, N].
+    """What the reward terms look at; leading dimensions [P, N], or [T, P, N] of several steps (`stacked`).
 
     velocity, angular_velocity, gravity: trunk frame (.., 3); command (.., 3): vx, vy, yaw rate;
     torque, joint_velocity, last_joint_velocity, pose_error (.., J); action, last_action (.., J);
@@ -84,13 +84,14 @@ class Motion:
 
 def stacked(motions: Sequence[Motion]) -> Motion:
     """Several steps as one, with a leading dimension: [T, P, N, ...]."""
-    first, last = motions[0], [motion.broken for motion in motions]
     parts = {field.name: [getattr(motion, field.name) for motion in motions] for field in fields(Motion)}
-    parts["broken"] = [] if all(one is None for one in last) else [
-        torch.zeros_like(first.fell) if one is None else one for one in last
-    ]  # fmt: skip
-    tensors = {name: torch.stack(part) for name, part in parts.items() if part and isinstance(part[0], torch.Tensor)}
-    return replace(first, **tensors)
+    broken = parts.pop("broken")
+    tensors = {name: torch.stack(part) for name, part in parts.items() if isinstance(part[0], torch.Tensor)}
+    if any(one is not None for one in broken):
+        tensors["broken"] = torch.stack([
+            torch.zeros_like(motion.fell) if motion.broken is None else motion.broken for motion in motions
+        ])  # fmt: skip
+    return replace(motions[0], **tensors)
 
 
 def resolve_weights(overrides: Mapping[str, float]) -> dict[str, float]:
@@ -102,13 +103,13 @@ def resolve_weights(overrides: Mapping[str, float]) -> dict[str, float]:
 
 
 def terms(motion: Motion) -> dict[str, torch.Tensor]:
-    """Every unweighted term, each of shape [P, N]."""
+    """Every unweighted term, each of the leading dimensions."""
     squares = {name: vector.square().sum(-1) for name, vector in _vectors(motion).items()}
     return squares | _others(motion)
 
 
 def total(motion: Motion, weights: Mapping[str, float]) -> torch.Tensor:
-    """r_sim of one control step: sum of weight x term x dt, shape [P, N].
+    """r_sim of each control step: sum of weight x term x dt, of the leading dimensions.
 
     The squares are summed as one long vector, x_1^2 w_1 + x_2^2 w_2 + ...: on small tensors each operation costs
     more than its arithmetic.

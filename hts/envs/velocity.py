@@ -180,21 +180,21 @@ class VelocityEnv(EnvBase):
 
     def finish(self, action: torch.Tensor) -> TensorDict:
         """A control step after its physics: what `_step` returns. On a GPU it never waits for the device."""
-        motion = self._look(action)
+        motion = self._end_step(action)
         reward = rewards.total(motion, self.weights)
-        return self._result({"reward": reward.unsqueeze(-1), **self._go_on(motion)})
+        return self._result({"reward": reward.unsqueeze(-1), **self._prepare_next(motion)})
 
     def finish_for_now(self, action: torch.Tensor) -> tuple[rewards.Motion, dict[str, torch.Tensor]]:
         """`finish` with as little as possible: what `rewards_of` wants later, and done, terminated and truncated [P, N, 1]."""
-        motion = self._look(action).kept()
-        return motion, self._go_on(motion)
+        motion = self._end_step(action).kept()
+        return motion, self._prepare_next(motion)
 
     def rewards_of(self, motions: Sequence[rewards.Motion]) -> torch.Tensor:
         """r_sim of steps that `finish_for_now` has finished, [T, P, N]."""
         return rewards.total(rewards.stacked(motions), self.weights)
 
-    def _look(self, action: torch.Tensor) -> rewards.Motion:
-        """What has become of every world, kicks included."""
+    def _end_step(self, action: torch.Tensor) -> rewards.Motion:
+        """Count the step, give some robots a kick, and read what has become of every world."""
         self.steps = self.steps + 1
         self._push(self._draws[..., DRAWS : DRAWS + 3])
         motion = self._read(action)
@@ -204,8 +204,8 @@ class VelocityEnv(EnvBase):
             self.breakdowns = self.breakdowns + broken
         return motion
 
-    def _go_on(self, motion: rewards.Motion) -> dict[str, torch.Tensor]:
-        """The next command and observation; whose episode is over."""
+    def _prepare_next(self, motion: rewards.Motion) -> dict[str, torch.Tensor]:
+        """Make the next command and observation, and say whose episode is over."""
         self.action, self.last_joint_velocity = motion.action, motion.joint_velocity
         terminated = motion.fell
         truncated = (self.steps >= self.max_steps) & ~terminated

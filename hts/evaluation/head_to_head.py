@@ -210,10 +210,10 @@ def _check_enough(segments: Segments, role: str, speed: float, config: Evaluatio
     if segments.valid >= config.min_valid and len(segments) >= config.min_segments:
         return
     fell = f", with {segments.falls} falls" if segments.falls else ""
-    walked = np.concatenate([np.asarray(r.channels["base_velocity"].values)[:, 0] for r in segments.recordings]).mean()
+    walked = "" if math.isnan(segments.walked) else f"; it went {segments.walked:.2f} m/s on average"
     raise TooFewSegments(
         f"Head-to-head at {speed:g} m/s: {len(segments)} of {segments.total} segments of {name} are valid "
-        f"(within ±{config.speed_tolerance:.0%} of the commanded speed{fell}; it went {walked:.2f} m/s on average); at "
+        f"(within ±{config.speed_tolerance:.0%} of the commanded speed{fell}{walked}); at "
         f"least {config.min_segments} and "
         f"{config.min_valid:.0%} are needed. Nothing is reported: check that it walks and that base_velocity is right.",
         role,

@@ -28,7 +28,8 @@ class Segments:
     speed, commanded (S,): mean forward speed and commanded one, m/s; block (S,): numbers each block of each
     session, so that pieces with one number were recorded without interruption;
     total: pieces cut before the validity test; falls: times the trunk tipped over, or as many as a recording's note
-    `falls` says, at least one per recording that says it fell.
+    `falls` says, at least one per recording that says it fell; walked: mean forward speed of the pieces that count or would if it
+    were kept, m/s, NaN without any.
     """
 
     recordings: tuple[Recording, ...]
@@ -40,6 +41,7 @@ class Segments:
     block: np.ndarray
     total: int
     falls: int
+    walked: float
 
     def __len__(self) -> int:
         return len(self.start)
@@ -117,6 +119,7 @@ def cut(
     samples = round(rates[0] * segment_seconds) if rates else 0
     columns: list[tuple[int, int, float, float, int]] = []
     blocks: dict[tuple[str, int], int] = {}
+    walked: list[float] = []
     total = falls = 0
     for index, recording in enumerate(recordings):
         block = blocks.setdefault((recording.session, recording.block), len(blocks))
@@ -130,7 +133,10 @@ def cut(
             speed = float(forward[piece].mean())
             elapsed = recording.time[piece][-1] - recording.time[piece][0]
             whole = elapsed < 1.2 * segment_seconds  # a gap in the log stretches the piece
-            if whole and not near_fall[piece].any() and abs(speed - commanded) < speed_tolerance * abs(commanded):
+            if not whole or near_fall[piece].any():
+                continue
+            walked.append(speed)
+            if abs(speed - commanded) < speed_tolerance * abs(commanded):
                 columns.append((index, start, speed, commanded, block))
     table = np.array(columns, dtype=float).reshape(-1, 5).T
     return Segments(
@@ -143,6 +149,7 @@ def cut(
         block=table[4].astype(int),
         total=total,
         falls=falls,
+        walked=float(np.mean(walked)) if walked else float("nan"),
     )
 
 

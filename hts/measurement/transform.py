@@ -28,10 +28,9 @@ if TYPE_CHECKING:
     from hts.contracts import Objective
 
 
-class _Measured(Transform):
-    """What both transforms share: what they read and write, and their specs."""
-
-    never_waits = True  # for the device, so that a GPU's control step can be captured with them in it
+class Measured(Transform):
+    """What both transforms share: what they read and write, and their specs. None waits for the device, so that a GPU's
+    control step can be captured with them in it."""
 
     def __init__(self, inputs: tuple[str, ...], outputs: tuple[tuple[str, str], ...]) -> None:
         super().__init__(in_keys=[("channels", name) for name in inputs], out_keys=list(outputs))
@@ -77,7 +76,7 @@ class _Measured(Transform):
         raise SimulationError(f"{type(self).__name__} works inside an env only: its memory belongs to worlds.")
 
 
-class MeasurementTransform(_Measured):
+class MeasurementTransform(Measured):
     """Predicts the objective's target in every world at every step, and turns it into r_real.
 
     model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape.
@@ -156,7 +155,7 @@ class MeasurementTransform(_Measured):
         super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
 
 
-class ProxyTransform(_Measured):
+class ProxyTransform(Measured):
     """The analytic stand-in of the objective as the reward, for the baseline: r_real = reward(proxy).
 
     The proxy is in its own unit and not z-scored, which is why the baseline sweeps other weights.

@@ -39,8 +39,8 @@ class BatchedSteps(GradientSteps):
         self._fixed: dict[str, torch.Tensor] = {}
         self._rows: dict[int, torch.Tensor] = {}
         self._graphs: dict[int, torch.cuda.CUDAGraph] = {}
-        self._losses = fused(self._forward, device, config.fuse)
-        self._fuse = can_fuse(device) if config.fuse is None else config.fuse
+        self._fuse = capture and (can_fuse(device) if config.fuse is None else config.fuse)
+        self._losses = fused(self._forward, device, self._fuse)
         self._update: Callable[..., Any] | None = None
         self._sums = torch.zeros(len(REPORTED), count, device=device)
         self._columns: dict[str, tuple[int, int, bool]] = {}

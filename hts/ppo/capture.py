@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Generic, TypeVar
 
 import torch
@@ -24,15 +25,12 @@ def warm_up(function: Callable[[], Any], device: torch.device, times: int = WARM
     torch.cuda.synchronize(device)
 
 
-def captured(function: Callable[[], Result], pool: Any = None) -> tuple[torch.cuda.CUDAGraph, Result]:
-    """The graph of what function launches, and what it returned: memory that each replay fills anew.
-
-    Raises SimulationError where something in it waits for the device, which a graph cannot.
-    """
-    graph = torch.cuda.CUDAGraph()
+@contextlib.contextmanager
+def explained() -> Iterator[None]:
+    """Around what a capture does for the first time. Raises SimulationError where something in it waits for the device or
+    reads a value, which can be neither captured nor written down."""
     try:
-        with torch.cuda.graph(graph, pool=pool):
-            result = function()
+        yield
     except HtsError:
         raise
     except RuntimeError as error:
@@ -41,6 +39,16 @@ def captured(function: Callable[[], Result], pool: Any = None) -> tuple[torch.cu
             f"Capturing a step of the GPU failed ({reason}): something in it waits for the device, most likely an "
             "objective's reward or proxy. Keep its arithmetic on the tensors it is given, or set ppo.capture=false."
         ) from error
+
+
+def captured(function: Callable[[], Result], pool: Any = None) -> tuple[torch.cuda.CUDAGraph, Result]:
+    """The graph of what function launches, and what it returned: memory that each replay fills anew.
+
+    Raises SimulationError as `explained` says.
+    """
+    graph = torch.cuda.CUDAGraph()
+    with explained(), torch.cuda.graph(graph, pool=pool):
+        result = function()
     return graph, result
 
 

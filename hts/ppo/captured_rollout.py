@@ -18,7 +18,7 @@ from torchrl.envs import EnvBase
 from hts.envs.random import Ahead, PopulationRandom
 from hts.fusing import Program, anything, can_fuse
 from hts.policies.networks import Population
-from hts.ppo.capture import Pins, captured, warm_up
+from hts.ppo.capture import Pins, captured, explained, warm_up
 from hts.ppo.precision import tf32
 from hts.ppo.rollout import Key, Rollout
 
@@ -45,9 +45,9 @@ class CapturedRollout(Rollout):
         self._capture_first = capture
         self._fuse = capture and (can_fuse(self.device) if fuse is None else fuse)
         self._parts: dict[str, Part] = {
-            "decide": self._decide, "look_aside": self._look_aside, "judge": self._judge,
+            "decide": self._decide, "look_aside": self._look_aside, "end": self._end_step,
         }  # fmt: skip
-        self._judged: list[Key] = []
+        self._outcomes: list[Key] = []
 
     @property
     def captured(self) -> bool:  # type: ignore[override]
@@ -69,8 +69,8 @@ class CapturedRollout(Rollout):
         value = self.population.value(critic_observation)
         return (value,) if self.anchor is None else (value, self.anchor.mean(observation))
 
-    def _judge(self, action: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """After the physics: reward, measurement models, new episodes; last what the critic sees then."""
+    def _end_step(self, action: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """After the physics: reward and measurement models, and at last what the critic saw before new episodes began."""
         out = self.env.finish(action)
         nothing = TensorDict({}, batch_size=out.batch_size, device=self.device)
         for transform in self.transforms:
@@ -78,7 +78,7 @@ class CapturedRollout(Rollout):
         outcome: dict[Key, torch.Tensor] = {("next", name): out[name] for name in ("reward", "terminated", "truncated")}
         for name, value in out.get("real_reward", TensorDict()).items():
             outcome["next", "real_reward", name] = value
-        self._judged = list(outcome)
+        self._outcomes = list(outcome)
         last, done = out["critic_observation"], out["done"]
         if anything(done):
             self.env.start_episodes(done.view(out.batch_size))
@@ -109,8 +109,8 @@ class CapturedRollout(Rollout):
     @torch.no_grad()
     def _after(self) -> None:
         with tf32(self.tf32):
-            *outcome, last = self._parts["judge"](self._action)
-        for key, value in zip(self._judged, outcome, strict=True):
+            *outcome, last = self._parts["end"](self._action)
+        for key, value in zip(self._outcomes, outcome, strict=True):
             self._write(key, value)
         if ("last",) not in self._rows:
             self._rows["last",] = torch.zeros_like(last)
@@ -201,11 +201,11 @@ class CapturedRollout(Rollout):
                 pin.settle()
             return result
 
-        def judge(action: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        def end(action: torch.Tensor) -> tuple[torch.Tensor, ...]:
             self.env.engine.judge()  # type: ignore[attr-defined]
-            return self._judge(action)
+            return self._end_step(action)
 
-        self._parts["decide"], self._parts["judge"] = partial(settled, self._decide), partial(settled, judge)
+        self._parts["decide"], self._parts["end"] = partial(settled, self._decide), partial(settled, end)
         return pins
 
     def _one_step(self) -> None:
@@ -221,12 +221,13 @@ class CapturedRollout(Rollout):
         """Put programs in place of the parts of a pinned step that has been taken once."""
         memory = self.env.engine.memory()  # type: ignore[attr-defined]
         state = [*(tensor for pin in pins for tensor in pin.fixed.values()), *memory, self._time]
-        for name in ("decide", "look_aside", "judge") if self._with_aside else ("decide", "judge"):
-            given = [self._action] if name == "judge" else []
+        for name in ("decide", "look_aside", "end") if self._with_aside else ("decide", "end"):
+            given = [self._action] if name == "end" else []
             self._parts[name] = _program(self._parts[name], given, state, compiled)
 
 
 def _program(part: Part, given: Sequence[torch.Tensor], state: Sequence[torch.Tensor], compiled: bool) -> Part:
     """The program of a part of a step; given: what it is called with; state: what else it reads, and changes in place."""
-    program = Program(lambda *tensors: part(*tensors[: len(given)]), [*given, *state], compiled)
+    with explained():
+        program = Program(lambda *tensors: part(*tensors[: len(given)]), [*given, *state], compiled)
     return lambda *given: program(*given, *state)

@@ -18,24 +18,28 @@ from torchrl.envs.transforms import Transform, TransformedEnv
 from hts.envs.random import PopulationRandom
 from hts.envs.rewards import Motion
 from hts.envs.velocity import VelocityEnv
+from hts.measurement.transform import Measured
 from hts.policies.networks import Population
 
 Key = tuple[str, ...]
 
 
+GONE_PAST = ("_step", "_reset", "finish", "finish_for_now", "rewards_of", "_result")
+"""Methods of the task that are not called here or, being two forms of one thing, not all of them."""
+
+
 def can_roll_out(env: EnvBase) -> bool:
     """Whether env is the velocity task with nothing but measurement models in it; TorchRL's Collector takes any other, and
-    one derived from the task that steps or resets in a way of its own."""
-    bare, transforms = _parts(env)
+    one derived from the task that steps, rewards or resets in a way of its own."""
+    bare, transforms = _taken_apart(env)
     return (
         isinstance(bare, VelocityEnv)
-        and type(bare)._step is VelocityEnv._step
-        and type(bare)._reset is VelocityEnv._reset
-        and all(getattr(transform, "never_waits", False) for transform in transforms)
+        and all(getattr(type(bare), name) is getattr(VelocityEnv, name) for name in GONE_PAST)
+        and all(isinstance(transform, Measured) for transform in transforms)
     )
 
 
-def _parts(env: EnvBase) -> tuple[EnvBase, list[Transform]]:
+def _taken_apart(env: EnvBase) -> tuple[EnvBase, list[Transform]]:
     if not isinstance(env, TransformedEnv):
         return env, []
     transform = env.transform
@@ -50,7 +54,7 @@ class Rollout:
     captured = False  # whether every batch lies in the memory in which the last one lay
 
     def __init__(self, env: EnvBase, population: Population, noise: PopulationRandom, horizon: int) -> None:
-        bare, self.transforms = _parts(env)
+        bare, self.transforms = _taken_apart(env)
         assert isinstance(bare, VelocityEnv)
         self.env, self.population, self.noise, self.horizon = bare, population, noise, horizon
         self.device = bare.device
@@ -102,10 +106,8 @@ class Rollout:
         rewards = {("reward",): self.env.rewards_of(motions)}
         for index, transform in enumerate(self.transforms):
             rewards[transform.out_keys[1]] = transform.follow(torch.stack(seen[index]), ended)
-        for (
-            key,
-            value,
-        ) in rewards.items():  # laid out alike however many candidates there are: sums take the order of the memory
+        # Laid out alike however many candidates there are: sums take the order of the memory.
+        for key, value in rewards.items():
             rows["next", *key] = value.view(self.horizon, *self.env.batch_size, 1).movedim(0, 2).contiguous()
         return self._batch(rows, last)
 
