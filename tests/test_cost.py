@@ -77,7 +77,7 @@ def test_a_dry_run_prints_the_estimate_writes_nothing_and_starts_no_heavy_librar
     assert not out.exists()
     code = (
         "import sys; from hts.cli.main import main\n"
-        "main(['run', '--objective', 'power', '--robot', 'go1', '--dry-run'])\n"
+        "main(['run', '--objective', 'power', '--robot', 'go1', '--engine', 'mujoco', '--dry-run'])\n"  # auto may ask for a GPU
         "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, cwd=tmp_path).returncode == 0
