@@ -62,8 +62,6 @@ def test_whole_trainings_count_everything_from_nothing_to_the_last_batch():
     assert result["together_batches"] == result["one_after_another_batches"] == 3  # 100 steps in batches of 2 x 24
     for name in ("together", "one_after_another"):
         assert 0 < result[f"{name}_first_batch_s"] < result[f"{name}_s"]
-    ratio = result["one_after_another_s"] / result["together_s"]
-    assert result["whole_speedup_over_fastest"] == pytest.approx(ratio)
 
 
 def test_the_engine_that_ran_is_reported():

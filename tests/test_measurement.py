@@ -1,27 +1,21 @@
-"""Measurement models: fitting, files, checks, and the transform inside an env."""
+"""Measurement models: fitting, files and checks."""
 
 from __future__ import annotations
 
 import json
-import math
 
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict
-from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import EnvBase, TransformedEnv
-from torchrl.envs.utils import check_env_specs
 
 from hts.channels import Channel
 from hts.config import Command, MeasurementConfig, ScheduleConfig
 from hts.contracts import Comparison, Objective
-from hts.errors import ConfigError, PolicyError, RecordingError, RunError, SimulationError
+from hts.errors import ConfigError, PolicyError, RecordingError, RunError
 from hts.measurement import checks, files, fit_command
 from hts.measurement.baseline import check_proxy, fit_proxy, shifted
 from hts.measurement.fit import fit
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig, stack_channels
-from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.recordings.recording import Recording, Series
 
 EFFORT, RATE, HEAT = Channel("effort", "N*m", (3,)), Channel("rate", "rad/s", (3,)), Channel("heat", "W")
@@ -79,75 +73,6 @@ def fitted():
 
 def inputs_of(r: Recording) -> torch.Tensor:
     return torch.from_numpy(stack_channels({n: r.values(n) for n in SMALL.inputs}, SMALL.inputs))
-
-
-# ----------------------------------------------------------------------------------------------- the model
-
-
-@pytest.mark.parametrize("layers", [1, 2])
-@pytest.mark.parametrize("products", [False, True])
-def test_step_by_step_and_whole_sequence_give_the_same_prediction(layers, products):
-    config = MeasurementModelConfig(inputs=("a", "b"), target="y", hidden=8, layers=layers, products=products)
-    model = MeasurementModel(config, (3, 3), 50.0, seed=1)
-    data = 4.0 + 3.0 * torch.randn(5, 40, 6, generator=torch.Generator().manual_seed(0))
-    model.set_normaliser(data.flatten(0, 1), data[..., 0].flatten() * 2.0)
-    model.eval()
-    whole, final = model.sequence(data)
-    state, steps = model.initial_state(5), []
-    for t in range(40):
-        prediction, state = model.step(data[:, t], state)
-        steps.append(prediction)
-    torch.testing.assert_close(torch.stack(steps, 1), whole.detach(), atol=2e-5, rtol=1e-4)
-    torch.testing.assert_close(state, final.detach(), atol=2e-5, rtol=1e-4)
-    continued, _ = model.sequence(data[:, 20:], model.sequence(data[:, :20])[1])
-    torch.testing.assert_close(continued, whole[:, 20:])
-
-
-@pytest.mark.parametrize("layers", [1, 2])
-@pytest.mark.parametrize("products", [False, True])
-def test_many_steps_at_once_are_the_single_steps_to_the_bit_also_where_episodes_end(layers, products):
-    config = MeasurementModelConfig(inputs=("a", "b"), target="y", hidden=8, layers=layers, products=products)
-    model = MeasurementModel(config, (3, 3), 50.0, seed=1)
-    data = 4.0 + 3.0 * torch.randn(12, 5, 6, generator=torch.Generator().manual_seed(0))
-    model.set_normaliser(data.flatten(0, 1), data[..., 0].flatten() * 2.0)
-    model.requires_grad_(False).eval()
-    ended = torch.zeros(12, 5, dtype=torch.bool)
-    ended[3, 1] = ended[3, 4] = ended[7, 0] = ended[11, 2] = True
-    data[3, 4] = torch.nan  # a world that ends in NaN starts clean
-    state, expected = model.initial_state(5), []
-    for inputs, end in zip(data, ended, strict=True):
-        prediction, state = model.step(inputs, state)
-        expected.append(prediction)
-        state = state.masked_fill(end, 0.0)
-    found, memory = model.steps(data, model.initial_state(5), ended)
-    assert torch.equal(found.nan_to_num(1e9), torch.stack(expected).nan_to_num(1e9))
-    assert torch.equal(memory, state) and bool(memory.isfinite().all())
-
-
-def test_products_are_squares_and_place_by_place_products_of_inputs_of_one_size():
-    config = MeasurementModelConfig(inputs=("a", "b", "c"), target="y", products=True)
-    model = MeasurementModel(config, (2, 1, 2), 50.0)
-    features = model.features(torch.tensor([1.0, 2.0, 10.0, 3.0, 4.0]))
-    # inputs; a·a, a·c, b·b, c·c
-    assert features.tolist() == [1, 2, 10, 3, 4, 1, 4, 3, 8, 100, 9, 16]
-    assert model.num_features == 12
-
-
-def test_making_a_model_does_not_touch_the_global_random_generator():
-    torch.manual_seed(5)
-    expected = torch.rand(1)
-    torch.manual_seed(5)
-    MeasurementModel(SMALL, (3, 3), 50.0, seed=9)
-    assert torch.equal(torch.rand(1), expected)
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_bad_input_makes_that_worlds_prediction_nan_and_no_other(bad):
-    model = MeasurementModel(SMALL, (3, 3), 50.0).eval()
-    inputs = torch.zeros(4, 6)
-    inputs[2, 1] = bad
-    prediction, _ = model.step(inputs, model.initial_state(4))
-    assert torch.isnan(prediction).tolist() == [False, False, True, False]
 
 
 def test_new_statistics_leave_a_fitted_model_the_same_function(fitted):
@@ -392,138 +317,3 @@ def test_fit_and_check_uses_the_given_configuration():
     report = fit_command.fit_and_check(Heat(), [recording(1, seconds=6.0), recording(2, seconds=6.0)], config).report
     assert report["fit"]["epochs"] == 2
     assert report["held_out_r2"] == report["held_out"]["r2"]
-
-
-# -------------------------------------------------------------------------------------------------- the env
-
-
-class FakeEnv(EnvBase):
-    """[P, N] worlds whose effort counts their steps; world (0, 1) is over after 3 steps."""
-
-    def __init__(self, candidates=2, worlds=3):
-        super().__init__(batch_size=torch.Size([candidates, worlds]))
-        shape = self.batch_size
-        channels = Composite(effort=Unbounded((*shape, 3)), rate=Unbounded((*shape, 3)), shape=shape)
-        self.observation_spec = Composite(observation=Unbounded((*shape, 1)), channels=channels, shape=shape)
-        self.action_spec = Unbounded((*shape, 3))
-        self.reward_spec = Unbounded((*shape, 1))
-        flag = Binary(1, (*shape, 1), dtype=torch.bool)
-        self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=shape)
-        self.count = torch.zeros(*shape, 1)
-
-    def _set_seed(self, seed):
-        pass
-
-    def _out(self, action):
-        flags = {name: torch.zeros_like(self.count, dtype=torch.bool) for name in ("done", "terminated", "truncated")}
-        channels = TensorDict({"effort": self.count.expand(-1, -1, 3) + 0.0, "rate": action}, self.batch_size)
-        return TensorDict({"observation": self.count + 0.0, "channels": channels, **flags}, self.batch_size)
-
-    def _reset(self, tensordict=None):
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        self.count = torch.zeros_like(self.count) if mask is None else self.count * ~mask
-        return self._out(torch.zeros(*self.batch_size, 3))
-
-    def _step(self, tensordict):
-        self.count = self.count + 1
-        out = self._out(tensordict["action"])
-        out["reward"] = torch.zeros_like(self.count)
-        over = torch.zeros_like(self.count, dtype=torch.bool)
-        over[0, 1:2] = self.count[0, 1:2] >= 3
-        out["terminated"], out["done"] = over, over.clone()
-        return out
-
-
-def fake_env(model, candidates=2, worlds=3):
-    return TransformedEnv(FakeEnv(candidates, worlds), MeasurementTransform.of(Heat(), model))
-
-
-@pytest.fixture
-def model(fitted):
-    return files_copy(fitted[0].model)
-
-
-def test_an_env_with_the_model_keeps_its_specs(model):
-    check_env_specs(fake_env(model))
-    check_env_specs(TransformedEnv(FakeEnv(), ProxyTransform(Heat())))
-
-
-def test_the_transform_predicts_what_the_model_predicts_and_rewards_less(model):
-    env = fake_env(model)
-    rollout = env.rollout(3, break_when_any_done=False)
-    data = torch.cat((rollout["next", "channels", "effort"], rollout["next", "channels", "rate"]), -1)
-    expected, _ = model.sequence(data.flatten(0, 1))
-    measured = rollout["next", "measured", "heat"]
-    torch.testing.assert_close(measured, expected.view(2, 3, 3, 1), atol=1e-5, rtol=1e-4)
-    assert torch.equal(rollout["next", "real_reward", "cool"], -measured)
-    assert (rollout["measured", "heat"][:, :, 0] == 0).all()  # nothing measured before the first step
-
-
-def test_a_world_that_begins_again_forgets_and_the_others_do_not(model):
-    env = fake_env(model)
-    rollout = env.rollout(6, policy=lambda td: td.set("action", torch.ones(2, 3, 3)), break_when_any_done=False)
-    measured = rollout["next", "measured", "heat"][..., 0]
-    torch.testing.assert_close(measured[0, 1, 3:], measured[0, 1, :3])
-    assert not torch.allclose(measured[0, 0, 3:], measured[0, 0, :3])
-    torch.testing.assert_close(measured[0, 0], measured[1, 2])
-
-
-def test_a_world_beside_others_is_predicted_as_if_alone(model):
-    def ones(td):
-        return td.set("action", torch.ones(*td.batch_size, 3))
-
-    crowd = fake_env(model, 2, 3).rollout(3, ones)["next", "measured", "heat"]
-    alone = fake_env(model, 1, 1).rollout(3, ones)["next", "measured", "heat"]
-    torch.testing.assert_close(crowd[1, 2], alone[0, 0])
-
-
-def test_nan_stays_nan_until_the_world_begins_again(model):
-    env = fake_env(model)
-    td = env.reset()
-    for step in range(4):
-        td["action"] = torch.full((2, 3, 3), math.nan if step == 0 else 1.0)
-        td, following = env.step_and_maybe_reset(td)
-        broken = torch.isnan(td["next", "real_reward", "cool"])
-        assert broken.sum() == (6 if step < 3 else 5)  # (0, 1) began again after step 3
-        td = following
-
-
-def test_memory_is_part_of_the_state_and_resumes_exactly(model):
-    def ones(td):
-        return td.set("action", torch.ones(*td.batch_size, 3))
-
-    env = fake_env(model)
-    env.rollout(2, ones)
-    saved = {name: value.clone() for name, value in env.state_dict().items()}
-    assert sum(value.numel() for value in saved.values()) == 2 * 16 * 6  # the memory alone, not the weights
-    other = fake_env(model)
-    other.load_state_dict(saved)
-    channels = TensorDict({"effort": torch.ones(2, 3, 3), "rate": torch.ones(2, 3, 3)}, [2, 3])
-    steps = [
-        e.transform._step(TensorDict({}, [2, 3]), TensorDict({"channels": channels}, [2, 3])) for e in (env, other)
-    ]
-    assert torch.equal(steps[0]["measured", "heat"], steps[1]["measured", "heat"])
-    fresh = fake_env(model)
-    fresh.load_state_dict(fake_env(model).state_dict())  # nothing measured yet: nothing to load
-
-
-def test_inputs_outside_the_data_are_counted(model):
-    low, high = model.input_low.clone(), model.input_high.clone()
-    inputs = torch.stack((low, high, high + 1.0, torch.full_like(low, math.nan)))
-    inputs[2, :3] = 0.0
-    assert model.outside(inputs).tolist() == [0.0, 0.0, 0.5, 1.0]
-    rollout = fake_env(model).rollout(3, break_when_any_done=False)
-    assert rollout["next", "outside", "heat"].shape == (2, 3, 3, 1)
-
-
-def test_the_stand_in_as_reward_is_minus_the_stand_in():
-    env = TransformedEnv(FakeEnv(), ProxyTransform(Heat()))
-    rollout = env.rollout(2, lambda td: td.set("action", torch.full((2, 3, 3), 2.0)))
-    assert rollout["next", "real_reward", "cool"][0, 0, :, 0].tolist() == [-6.0, -12.0]
-
-
-def test_a_channel_the_env_does_not_write_is_named(model):
-    model.config = model.config.model_copy(update={"inputs": ("effort", "rates")})
-    env = TransformedEnv(FakeEnv(), MeasurementTransform.of(Heat(), model))
-    with pytest.raises(SimulationError, match="'rates'. Did you mean 'rate'"):
-        _ = env.observation_spec

@@ -28,8 +28,8 @@ class Segments:
     speed, commanded (S,): mean forward speed and commanded one, m/s; block (S,): numbers each block of each
     session, so that pieces with one number were recorded without interruption;
     total: pieces cut before the validity test; falls: times the trunk tipped over, or as many as a recording's note
-    `falls` says, at least one per recording that says it fell; walked: mean forward speed of the pieces that count or would if it
-    were kept, m/s, NaN without any.
+    `falls` says, at least one per recording that says it fell; walked: mean forward speed of all pieces, near
+    falls and gaps left out, whether it was kept or not, m/s; NaN without any.
     """
 
     recordings: tuple[Recording, ...]

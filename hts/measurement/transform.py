@@ -135,9 +135,8 @@ class MeasurementTransform(Measured):
         return gather(channels, self.inputs, worlds)
 
     def follow(self, kept: Tensor, ended: Tensor) -> Tensor:
-        inputs = kept
-        self.prepare(inputs.shape[1], inputs.device)
-        prediction, self.memory = self._model[0].steps(inputs, self.memory, ended)
+        self.prepare(kept.shape[1], kept.device)
+        prediction, self.memory = self._model[0].steps(kept, self.memory, ended)
         return self.reward(prediction.unsqueeze(-1))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:

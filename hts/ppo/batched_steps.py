@@ -131,6 +131,7 @@ class BatchedSteps(GradientSteps):
         self, gradient: torch.Tensor, leaf: torch.Tensor, exp_avg: torch.Tensor, exp_avg_sq: torch.Tensor,
         step: torch.Tensor, rates: torch.Tensor, running: torch.Tensor,
     ) -> None:  # fmt: skip
+        """In place: gradient, leaf and moments [P, D], step [], rates [P], running bool [P]."""
         norms = torch.linalg.vector_norm(gradient, dim=1)
         running &= norms.isfinite()
         scale = (self.config.max_grad_norm / (norms + 1e-6)).clamp(max=1.0)

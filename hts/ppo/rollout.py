@@ -23,9 +23,8 @@ from hts.policies.networks import Population
 
 Key = tuple[str, ...]
 
-
-GONE_PAST = ("_step", "_reset", "finish", "finish_for_now", "rewards_of", "_result")
-"""Methods of the task that are not called here or, being two forms of one thing, not all of them."""
+REPLACED = ("_step", "_reset", "finish", "finish_for_now", "rewards_of", "_result")
+"""Methods that the Collector reaches and a rollout may not: a task that changes one of them must go through the Collector."""
 
 
 def can_roll_out(env: EnvBase) -> bool:
@@ -34,7 +33,7 @@ def can_roll_out(env: EnvBase) -> bool:
     bare, transforms = _taken_apart(env)
     return (
         isinstance(bare, VelocityEnv)
-        and all(getattr(type(bare), name) is getattr(VelocityEnv, name) for name in GONE_PAST)
+        and all(getattr(type(bare), name) is getattr(VelocityEnv, name) for name in REPLACED)
         and all(isinstance(transform, Measured) for transform in transforms)
     )
 

@@ -103,16 +103,16 @@ class PopulationTrainer:
         self.rollout: Rollout | None = None
         self._captured: _CapturedLearning | None = None
         self.collector: Collector | None = None
-        if can_roll_out(env) and device.type == "cpu":
+        if not can_roll_out(env):
+            self.collector = make_collector(env, self.actor, per_batch, device)
+            self._stream = iter(self.collector)
+        elif device.type == "cpu":
             self.rollout = Rollout(env, population, self.noise, config.horizon)
-        elif can_roll_out(env):
+        else:
             self.rollout = CapturedRollout(
                 env, population, self.noise, config.horizon, capture=capture, tf32=config.tf32,
                 aside=capture and not update_normaliser, anchor=anchor, fuse=config.fuse,
             )  # fmt: skip
-        else:
-            self.collector = make_collector(env, self.actor, per_batch, device)
-            self._stream = iter(self.collector)
         if resume is not None and list(resume.get("transform", {}).keys()):  # now: making the collector resets the env
             self.env.transform.load_state_dict(dict(resume["transform"].items()))
         self.steps_per_batch = per_batch

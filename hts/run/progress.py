@@ -49,12 +49,11 @@ class Progress:
         def report(share: float) -> None:
             nonlocal shown, since, before
             now = time.perf_counter()
-            told = now - shown >= 15.0 and share > 0  # a log file needs no more than that
-            left = f", about {(now - since) * (1 - share) / (share - before):.0f} s left" if share > before else ""
             if share < START:
-                since, before, left = now, share, ""
-            if told:
+                since, before = now, share
+            if now - shown >= 15.0 and share > 0:  # a log file needs no more than that
                 shown = now
+                left = f", about {(now - since) * (1 - share) / (share - before):.0f} s left" if share > before else ""
                 self.console.print(f"    {share:4.0%}{left}", highlight=False)
 
         return report
