@@ -237,6 +237,12 @@ def test_the_terminal_table_has_one_row_per_speed(run):
         assert f"{100 * result['improvement']:.1f} %" in row and "56" in row
 
 
+def test_the_terminal_table_says_that_the_pretrained_policy_stays_the_best():
+    console = Console(record=True, width=100, file=io.StringIO())
+    print_table({"final": {"policy": "pretrained", "objectives": {}}}, console)
+    assert "no candidate measured better than the pretrained policy" in console.export_text()
+
+
 def test_the_terminal_table_says_when_there_is_nothing():
     console = Console(record=True, width=100, file=io.StringIO())
     print_table({"final": None}, console)

@@ -15,6 +15,12 @@ if TYPE_CHECKING:
 def print_table(summary: Mapping[str, Any], console: Console | None = None) -> None:
     """Print the final head-to-head of a summary.json, one table per objective."""
     final = summary.get("final") or {}
+    if final.get("policy") == "pretrained":
+        from rich.console import Console
+
+        why = "No final head-to-head: no candidate measured better than the pretrained policy, which stays the best."
+        (console or Console()).print(why, soft_wrap=True)
+        return
     _print(final.get("objectives") or {}, f"{final.get('policy') or 'final'} policy against pretrained", console)
     if len(summary.get("objectives") or ()) > 1 and (summary.get("front") or {}).get("real"):
         from rich.console import Console
