@@ -24,7 +24,7 @@ from hts.evaluation.simulation import simulate, test_config
 from hts.plugins import load
 from hts.policies.export import to_onnx
 from hts.policies.files import load_policy
-from hts.policies.networks import Population
+from hts.rl.population import Population
 
 SPEEDS = (0.5, 0.8, 1.1)
 

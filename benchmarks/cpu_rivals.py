@@ -32,7 +32,7 @@ def ours(robot_name: str, candidates: int, anchored: bool, engine: str = "mujoco
     """`hts`: candidates of 64 worlds; anchored: as fine-tuning does it, with anchor, bound and measurement model."""
     from hts.bench.setup import find, make_population, make_trainer
     from hts.config import EnvConfig, PPOConfig
-    from hts.ppo.trainer import PopulationTrainer
+    from hts.training.trainer import PopulationTrainer
 
     config = PPOConfig(horizon=BATCH // 64, epochs=EPOCHS, minibatches=BATCH // MINIBATCH, learning_rate=RATE)
     robot, objective = find(robot_name, None)

@@ -26,8 +26,8 @@ from hts.contracts import Robot
 from hts.evaluation.simulation import test_config as calm
 from hts.plugins import load
 from hts.policies.files import Policy, load_policy
-from hts.policies.networks import Population
-from hts.ppo.actor import Explorer
+from hts.rl.actor import Explorer
+from hts.rl.population import Population
 
 SPEEDS = (0.5, 0.8, 1.1)  # m/s
 CHANNELS = ("base_velocity", "joint_torque", "joint_velocity")

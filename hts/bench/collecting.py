@@ -9,7 +9,7 @@ from typing import Any
 
 from hts.bench.bare import Replay, synchronise
 from hts.bench.setup import Sizes, conditions, find, make_trainer
-from hts.ppo.trainer import PopulationTrainer
+from hts.training.trainer import PopulationTrainer
 
 WARM_UP, LEAST_ROUNDS = 3, 3  # batches
 

@@ -19,12 +19,12 @@ from hts.measurement.models import MeasurementModel, gather
 from hts.measurement.transform import MeasurementTransform
 from hts.plugins import load
 from hts.policies.files import load_policy
-from hts.policies.networks import Population
-from hts.ppo.actor import Explorer
-from hts.ppo.finetune import measured_env
-from hts.ppo.trainer import PopulationTrainer
+from hts.rl.actor import Explorer
+from hts.rl.population import Population
 from hts.sim.mujoco_engine import MujocoEngine
 from hts.sim.selection import select_engine
+from hts.training.finetune import measured_env
+from hts.training.trainer import PopulationTrainer
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, Robot
@@ -131,7 +131,7 @@ def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective) -
         "horizon": trainer.config.horizon, "substeps": robot.spec.substeps,
         "measurement": f"{objective.name}: unfitted model of the default size, statistics from the collected channels",
         "hidden": list(trainer.population.sizes.hidden), "device": _device(trainer.population.device), "cores": os.cpu_count() or 1,
-        "engine_threads": getattr(made, "threads", 0), "torch_threads": 1,  # see `hts.ppo.threads`
+        "engine_threads": getattr(made, "threads", 0), "torch_threads": 1,  # see `hts.rl.threads`
         "torch": str(torch.__version__),
     }  # fmt: skip
 

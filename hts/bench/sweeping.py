@@ -13,7 +13,7 @@ from hts.bench.bare import synchronise
 from hts.bench.collecting import WARM_UP
 from hts.bench.setup import Sizes, conditions, find, make_trainer
 from hts.config import PPOConfig
-from hts.ppo.trainer import PopulationTrainer
+from hts.training.trainer import PopulationTrainer
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, Robot

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hts.errors import ConfigError
-from hts.policies.networks import Sizes
+from hts.rl.population import Sizes
 
 LOWEST = 1.0  # ELU's outputs lie above minus this
 

@@ -29,8 +29,8 @@ def command(
     check_engine(settings.engine)
     machine = load().make_robot(robot)
     refuse_existing(out)
-    from hts.ppo.pretrain import pretrain_policy
     from hts.sim.selection import select_engine
+    from hts.training.pretrain import pretrain_policy
 
     engine = select_engine(settings.engine, settings.env.device, tell=lambda line: typer.echo(line, err=True))
     settings = settings.model_copy(update={"engine": engine})

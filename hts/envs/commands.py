@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import torch
 
 from hts.config import CommandConfig
-from hts.fusing import anything
+from hts.rl.tracing import anything
 
 DRAWS = 7  # uniform numbers a world needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
 

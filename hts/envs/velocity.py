@@ -19,9 +19,9 @@ from hts.envs import rewards
 from hts.envs.commands import DRAWS, Commands
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
 from hts.envs.pose import trunk_frame, yaw_of
-from hts.envs.random import PopulationRandom
 from hts.errors import ConfigError
-from hts.fusing import anything
+from hts.rl.random import PopulationRandom
+from hts.rl.tracing import anything
 from hts.sim.engine import Engine, make_engine
 from hts.sim.models import variants
 

@@ -10,8 +10,8 @@ from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig
 from hts.errors import ConfigError
-from hts.policies.networks import Population
-from hts.ppo.actor import Explorer
+from hts.rl.actor import Explorer
+from hts.rl.population import Population
 
 SETTLE_SECONDS = 2.0  # the start of a trial is not judged
 

@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
-from hts.policies.networks import Sizes
+from hts.rl.population import Sizes
 
 FORMAT = 1
 

@@ -25,7 +25,7 @@ from hts.contracts import RobotSpec
 from hts.errors import PolicyError, unknown_name
 from hts.policies.export import CARD_KEY, CLIP
 from hts.policies.files import Policy, check_robot, hash_tensors, load_policy, make_card, parse_card
-from hts.policies.networks import Population, Sizes
+from hts.rl.population import Population, Sizes
 
 # rsl_rl's EmpiricalNormalization divides by std + 0.01 (rsl_rl/modules/normalization.py).
 RSL_RL_EPSILON = 0.01

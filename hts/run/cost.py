@@ -10,7 +10,7 @@ from typing import Any
 from hts.config import RunConfig
 from hts.contracts import WorldContext
 from hts.plugins import Registry
-from hts.ppo.sweep import candidates, combinations, own_weights
+from hts.training.sweep import candidates, combinations, own_weights
 
 STEPS_PER_SECOND = {"mujoco": 4_500.0, "warp": 500_000.0}
 """Control steps per second from collection to update: what `hts bench train` shows on two cores and on one H200.

@@ -15,11 +15,11 @@ from hts.errors import ConfigError, PolicyError, RecordingError
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
-from hts.ppo.sweep import combinations, own_weights
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
 from hts.run.provenance import collect as collect_provenance
 from hts.run.stages import Stages, read_json, write_json
+from hts.training.sweep import combinations, own_weights
 
 
 class Job:

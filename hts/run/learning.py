@@ -17,13 +17,13 @@ from hts.measurement import files
 from hts.measurement.fit_command import fit_and_check
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
-from hts.policies.networks import Population
-from hts.ppo.finetune import finetune as finetune_candidates
-from hts.ppo.finetune import measured_env
-from hts.ppo.sweep import FRONT, Candidate, candidates
+from hts.rl.population import Population
 from hts.run.front import real_front
 from hts.run.job import Job
 from hts.selection.fronts import towards
+from hts.training.finetune import finetune as finetune_candidates
+from hts.training.finetune import measured_env
+from hts.training.sweep import FRONT, Candidate, candidates
 
 Report = Callable[[float], None]
 

@@ -20,7 +20,7 @@ def write_drive_policy(path: Path, name: str) -> Path:
     """Write the policy of the cart in `examples.robot` for a robot called `name`, numbers and card; returns `path`."""
     from hts.envs.observation import critic_observation_size, observation_layout
     from hts.policies.files import Policy, make_card, save_policy
-    from hts.policies.networks import Population, Sizes
+    from hts.rl.population import Population, Sizes
     from hts.testing.examples.robot.model import RADIUS, TRACK
     from hts.testing.examples.robot.robot import SPEC
 

@@ -1,7 +1,7 @@
 """How policies/pretrained.* was made: `python make_policy.py OUT`, with the run's own PPO.
 
 The suite steps one world at a time, some hundred control steps a second through all wrappers; this takes the same model
-and the same arithmetic to the engine that hts steps many worlds with. `tests/test_foreign_env.py` compares the two.
+and the same arithmetic to the engine that hts steps many worlds with. `tests/envs/test_foreign_env.py` compares the two.
 Fine-tuning, simulation tests and everything else in `hts run` use the suite's own task.
 """
 
@@ -20,9 +20,9 @@ from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from hts.config import PPOConfig, PretrainConfig
-from hts.envs.random import PopulationRandom
-from hts.ppo.pretrain import pretrain_policy
+from hts.rl.random import PopulationRandom
 from hts.sim.engine import make_engine
+from hts.training.pretrain import pretrain_policy
 from hts_walker.robot import OBSERVATION, SPEC, Settings, Walker
 
 STAND_HEIGHT, WALK_SPEED = 1.2, 1.0  # m, m/s: dm_control/suite/walker.py

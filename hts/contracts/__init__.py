@@ -1,0 +1,32 @@
+"""What a plugin implements: Robot, Objective, Instrument, World, Selector, LogReader.
+
+Interfaces only, one file each, a handful of methods each. Nothing here imports torch or mujoco, so that a
+plugin's module loads in milliseconds; heavy imports belong inside the methods.
+"""
+
+from hts.contracts.instrument import Instrument, PhysicsSample
+from hts.contracts.log_reader import LogReader
+from hts.contracts.objective import Comparison, Objective
+from hts.contracts.robot import JointMotors, Robot, RobotSpec
+from hts.contracts.selector import RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
+from hts.contracts.settings import Settings
+from hts.contracts.world import World, WorldContext
+
+__all__ = [
+    "Comparison",
+    "Instrument",
+    "JointMotors",
+    "LogReader",
+    "Objective",
+    "PhysicsSample",
+    "RacedCandidate",
+    "Robot",
+    "RobotSpec",
+    "Rounds",
+    "Selector",
+    "Settings",
+    "SimulatedCandidate",
+    "TestedCandidate",
+    "World",
+    "WorldContext",
+]

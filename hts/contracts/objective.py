@@ -1,0 +1,65 @@
+"""An objective: a measured quantity to improve, its reward and its score."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
+    import torch
+
+    from hts.channels import Channel
+    from hts.evaluation.segments import Segments
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A policy against a reference.
+
+    improvement: the objective's primary score, larger is better, in `Objective.unit`;
+    selection_score: what `hierarchical` ranks by (same unit); metrics: anything else worth reporting.
+    """
+
+    improvement: float
+    selection_score: float
+    metrics: Mapping[str, float] = field(default_factory=dict)
+
+
+class Objective(ABC):
+    """A real channel to improve.
+
+    name: as registered; unit: of the improvement ("1" for a fraction); inputs: sim channels the model reads;
+    target: the real channel; weights: default sweep over λ; baseline_weights: the same for the analytic proxy.
+    """
+
+    name: str
+    unit: str
+    inputs: tuple[str, ...]
+    target: Channel
+    weights: tuple[float, ...] = (0.5, 1.0, 5.0)
+    baseline_weights: tuple[float, ...] = ()
+    instrument: str | None = None  # name of the instrument that measures `target` on a twin
+
+    @abstractmethod
+    def measurement_model(self) -> Any:
+        """A `hts.measurement.models.MeasurementModelConfig`: which network is fitted, and how."""
+
+    @abstractmethod
+    def reward(self, prediction: torch.Tensor) -> torch.Tensor:
+        """r_real of the predicted target in units of its training data's standard deviation
+        (prediction is z-scored), per second; any shape in, same shape out."""
+
+    @abstractmethod
+    def score(self, segments: Segments) -> Mapping[str, np.ndarray]:
+        """Quantities of each 1 s segment, each of shape (segments,)."""
+
+    @abstractmethod
+    def compare(self, policy: Mapping[str, float], reference: Mapping[str, float]) -> Comparison:
+        """From the means of `score` over a policy's and its reference's segments to one comparison."""
+
+    def proxy(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
+        """The analytic stand-in of the target from sim channels (..., J) -> (...,); None if there is none."""
+        return None

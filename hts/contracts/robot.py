@@ -1,0 +1,100 @@
+"""A robot: a machine's model, numbers, channels and first policy."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torchrl.envs import EnvBase
+
+    from hts.channels import Channel
+    from hts.config import EnvConfig
+
+
+@dataclass(frozen=True)
+class JointMotors:
+    """Motor constants per joint, each a tuple of length J in joint order. Sources belong in the robot's module.
+
+    torque_constant: N·m at the joint per q-axis peak ampere; gear_ratio: rotor turns per joint turn;
+    phase_resistance_ohm: per phase at 25 °C.
+    """
+
+    torque_constant: tuple[float, ...]
+    gear_ratio: tuple[float, ...]
+    phase_resistance_ohm: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """Everything a controller must know of a machine. Tuples of length J follow `joint_names`.
+
+    default_pose rad; kp N·m/rad; kd N·m·s/rad; action_scale rad per action unit
+    (joint target = default_pose + action_scale · action); torque_limit N·m; velocity_limit rad/s;
+    position_limit (low, high) rad; control_rate_hz: policy rate; physics_dt s and substeps: training
+    simulation (physics_dt · substeps = 1 / control_rate_hz); base_height m: of the trunk in the default pose.
+    trunk_body and foot_sites (length F) name things in the MJCF.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    default_pose: tuple[float, ...]
+    kp: tuple[float, ...]
+    kd: tuple[float, ...]
+    action_scale: tuple[float, ...]
+    torque_limit: tuple[float, ...]
+    velocity_limit: tuple[float, ...]
+    position_limit: tuple[tuple[float, float], ...]
+    control_rate_hz: float
+    physics_dt: float
+    substeps: int
+    base_height: float
+    trunk_body: str = "trunk"
+    foot_sites: tuple[str, ...] = ()
+    endurance_minutes: float | None = None  # of walking on one charge, for the estimate of `--dry-run`
+    motors: JointMotors | None = None
+
+    @property
+    def num_joints(self) -> int:
+        return len(self.joint_names)
+
+
+class Robot(ABC):
+    """A machine: its model, its numbers, its channels, its first policy.
+
+    A log-only robot has a spec and channels but neither model nor policy: `mjcf` and
+    `pretrained_policy` return None; that is enough for import and fit. A robot whose `make_env` is its own may do
+    without a model too: only the default env, the twin and `hts play` ask for one.
+    """
+
+    spec: RobotSpec
+
+    @abstractmethod
+    def mjcf(self) -> Any | None:
+        """A fresh `dm_control.mjcf.RootElement` with floor, actuators and sensors; None if log-only."""
+
+    @abstractmethod
+    def channels(self) -> Mapping[str, Channel]:
+        """Sim channels that this robot gives, by name."""
+
+    @abstractmethod
+    def pretrained_policy(self) -> Path | None:
+        """Path of the starting policy's `.safetensors` (its `.json` lies beside it); None if log-only."""
+
+    def make_env(
+        self, engine: str, num_candidates: int, num_envs: int, config: EnvConfig,
+        channels: Sequence[str] = (), seeds: Sequence[int] | None = None,
+    ) -> EnvBase:  # fmt: skip
+        """A TorchRL env of batch size [num_candidates, num_envs] that writes ("channels", name).
+
+        channels: names to write, all if empty; seeds: one per candidate, so that a candidate's random numbers
+        do not depend on its neighbours. The default is the velocity task of `hts.envs`; `hts.envs.folded` helps to
+        bring another. The env has `dt`, s per control step, and may have `observation_layout` (for the card of a policy
+        that is pretrained in it), `full_state` and `load_full_state` (to go on from a checkpoint), and `engine`.
+        """
+        from hts.envs.velocity import make_velocity_env
+
+        return make_velocity_env(self, engine, num_candidates, num_envs, config, channels, seeds)

@@ -1,0 +1,83 @@
+"""A selector: which candidates are tested, and which tested one goes on."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from hts.contracts.objective import Comparison
+
+
+@dataclass(frozen=True)
+class SimulatedCandidate:
+    """A candidate after fine-tuning, judged in simulation by its mean action.
+
+    score: unweighted mean r_real, larger is better, summed over objectives; falls: worlds that fell; tracked: whether
+    it keeps the speed; scores: the parts of `score`, objective -> mean r_real, in the order of the run's objectives.
+    """
+
+    id: str
+    score: float
+    falls: int
+    tracked: bool
+    scores: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TestedCandidate:
+    """An elite after its head-to-head: one Comparison per objective, and whether it fell."""
+
+    id: str
+    comparisons: Mapping[str, Comparison]
+    fell: bool
+
+    __test__ = False  # its name begins like a pytest class
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """How a selector wants tests in rounds: length of each block of a round, s, and how many rounds at most."""
+
+    block_seconds: float
+    most: int
+
+
+@dataclass(frozen=True)
+class RacedCandidate:
+    """An elite after the rounds so far.
+
+    tested: all its rounds together, None if nothing could be reported; racing: whether it was in the last round;
+    halves: two a round, in order, each one block of the policy against one of the reference, as one Comparison per
+    objective (None if it could not be compared). Half n of one candidate was recorded beside half n of the others.
+    """
+
+    id: str
+    tested: TestedCandidate | None
+    racing: bool
+    halves: Sequence[Mapping[str, Comparison] | None]
+
+
+class Selector(ABC):
+    """Which candidates are worth the robot's time, and which of the tested ones goes on."""
+
+    @abstractmethod
+    def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
+        """Ids of the candidates to test, best first."""
+
+    @abstractmethod
+    def best(self, tested: Sequence[TestedCandidate]) -> str | None:
+        """Id of the anchor of the next iteration; None if nothing beats the reference."""
+
+    def rounds(self) -> Rounds | None:
+        """None, the default: every elite gets one whole head-to-head. Else they are tested in rounds, and `keep` is asked
+        after each."""
+        return None
+
+    def keep(self, raced: Sequence[RacedCandidate]) -> list[str]:
+        """Ids of those still racing that get another round; fewer than two end the test. By default nobody does.
+
+        raced: every elite, also those that are out. It must be a function of `raced` alone: after a stop it is asked
+        again from the first round.
+        """
+        return []

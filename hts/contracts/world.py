@@ -1,0 +1,73 @@
+"""A world: where policies run "for real"."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hts.contracts.settings import Settings
+
+if TYPE_CHECKING:
+    from hts.config import ScheduleConfig
+    from hts.recordings.recording import Recording
+
+
+@dataclass(frozen=True)
+class WorldContext:
+    """What a world is told when it is made.
+
+    robot: name as registered; robot_settings: its settings; objectives: name -> settings;
+    seed; folder: where it may write; control_rate_hz.
+    """
+
+    robot: str
+    robot_settings: Settings
+    objectives: Mapping[str, Settings]
+    seed: int
+    folder: Path
+
+
+class World(ABC):
+    """Where policies run "for real". It gets exported policies and returns recordings, nothing else."""
+
+    name: str
+
+    @abstractmethod
+    def idle(self) -> Mapping[str, float]:
+        """Measured level of each real channel with electronics on and motors idle."""
+
+    @abstractmethod
+    def collect(self, policies: Sequence[Path], schedule: ScheduleConfig) -> list[Recording]:
+        """Run each exported policy (ONNX) under the schedule; one recording each, in order."""
+
+    @abstractmethod
+    def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
+        """Policy against reference on one machine at each speed, blocks in the order A-B-B-A."""
+
+    def head_to_heads(
+        self, policies: Sequence[Path], reference: Path, speeds: Sequence[float]
+    ) -> list[list[Recording]]:
+        """`head_to_head` of several policies; a simulated world may run them side by side."""
+        return [self.head_to_head(policy, reference, speeds) for policy in policies]
+
+    def head_to_head_round(
+        self, policies: Sequence[Path], reference: Path, speed: float, number: int, block_seconds: float
+    ) -> list[list[Recording]] | None:
+        """A short head-to-head of several policies at one speed, for selectors that ask for several rounds.
+
+        number: 0, 1, ...; each round is recorded afresh, and asking for one again gives the same recordings.
+        One list a policy: two blocks of it and two of the reference, of `block_seconds` each, in a balanced order such
+        as A-B-B-A. Blocks of the reference may be shared between the lists. None, the default: this world knows
+        whole head-to-heads only, and that is what elites then get.
+        """
+        return None
+
+    def cost(self, robot_seconds: float) -> Mapping[str, float]:
+        """What so many seconds of walking will cost here, e.g. {"robot_minutes": 5.3, "wall_seconds": 12.0}."""
+        return {"robot_minutes": robot_seconds / 60.0}
+
+    def close(self) -> None:  # noqa: B027 - most hold nothing
+        """Let go of processes and files."""

@@ -1,1 +1,0 @@
-"""Learning: anchored PPO for a population of candidates, and pretraining."""

@@ -1,0 +1,48 @@
+"""The last word on the bound: a candidate leaves training inside it."""
+
+from __future__ import annotations
+
+import torch
+
+from hts.rl.kl import gaussian_kl
+from hts.rl.population import Population
+from hts.rl.rows import row_mean
+
+
+@torch.no_grad()
+def mean_kl(population: Population, anchor: Population, observation: torch.Tensor) -> torch.Tensor:
+    """Mean KL(pi || anchor) [P] over observations [P, S, O]."""
+    return row_mean(
+        gaussian_kl(population.mean(observation), population.log_std(), anchor.mean(observation), anchor.log_std())
+    )
+
+
+@torch.no_grad()
+def pull_inside(
+    population: Population, anchor: Population, observation: torch.Tensor, bounds: torch.Tensor, steps: int = 12
+) -> torch.Tensor:
+    """Shrink every candidate that ended beyond its bound towards its anchor until it is inside; returns s [P].
+
+    theta <- anchor + s (theta - anchor), the largest s in [0, 1] with KL <= c on these observations, by bisection.
+    The multiplier holds the mean over batches; a single last batch may end a little beyond.
+    """
+    ends = [vector.clone() for vector in population.vectors]
+    scale = torch.ones_like(bounds)
+
+    def place(scales: torch.Tensor) -> torch.Tensor:
+        for vector, end, start, s in zip(population.vectors, ends, anchor.vectors, scales.tolist(), strict=True):
+            vector.copy_(start + s * (end - start) if s < 1.0 else end)
+        population.refresh()
+        return mean_kl(population, anchor, observation)
+
+    outside = place(scale) > bounds
+    if not bool(outside.any()):
+        return scale
+    low, high = torch.zeros_like(scale), torch.ones_like(scale)
+    for _ in range(steps):
+        middle = torch.where(outside, (low + high) / 2, 1.0)
+        inside = place(middle) <= bounds
+        low, high = torch.where(inside, middle, low), torch.where(inside, high, middle)
+    scale = torch.where(outside, low, 1.0)
+    place(scale)
+    return scale

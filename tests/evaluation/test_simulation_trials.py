@@ -1,0 +1,138 @@
+"""Trials in the training simulation: how they judge, and that the shipped policy walks."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import Binary, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from hts.config import EnvConfig, RandomisationConfig
+from hts.errors import ConfigError
+from hts.evaluation.simulation import simulate, test_config
+from hts.policies.importing import import_policy
+from hts.rl.population import Population, Sizes
+
+
+class Treadmill(EnvBase):
+    """Every world moves at its own constant speed; some fall once, at a given step. r_real is 10 x the speed."""
+
+    def __init__(self, speeds: list[list[float]], falls: dict[tuple[int, int], int] | None = None):
+        self.speeds = torch.tensor(speeds)
+        super().__init__(batch_size=self.speeds.shape)
+        self.dt, self.falls, self.clock = 0.02, falls or {}, 0
+        shape = self.batch_size
+        self.observation_spec = Composite(
+            observation=Unbounded((*shape, 3)), channels=Composite(base_velocity=Unbounded((*shape, 3)), shape=shape),
+            real_reward=Composite(fast=Unbounded((*shape, 1)), shape=shape), shape=shape,
+        )  # fmt: skip
+        self.action_spec, self.reward_spec = Unbounded((*shape, 1)), Unbounded((*shape, 1))
+        flag = Binary(1, (*shape, 1), dtype=torch.bool)
+        self.done_spec = Composite({name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape)
+
+    def _set_seed(self, seed):
+        pass
+
+    def _write(self, fell, **entries):
+        shape = self.batch_size
+        velocity = torch.zeros(*shape, 3)
+        # The first two seconds are for settling: whatever happens in them is not judged.
+        velocity[..., 0] = 99.0 if self.clock <= 100 else self.speeds
+        return TensorDict({
+            "observation": torch.zeros(*shape, 3), "channels": {"base_velocity": velocity},
+            "real_reward": {"fast": 10 * velocity[..., :1]}, "done": fell, "terminated": fell.clone(),
+            "truncated": torch.zeros_like(fell), **entries,
+        }, batch_size=shape)  # fmt: skip
+
+    def _reset(self, tensordict=None, **kwargs):
+        return self._write(torch.zeros(*self.batch_size, 1, dtype=torch.bool))
+
+    def _step(self, tensordict):
+        self.clock += 1
+        fell = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        for world, step in self.falls.items():
+            fell[world] = self.clock == step
+        return self._write(fell, reward=torch.zeros(*self.batch_size, 1))
+
+
+def judge(speeds, falls=None, told=(0.5, 1.0), seconds=4.0):
+    population = Population(Sizes(3, 3, 1, (4,)), len(speeds))
+    return simulate(Treadmill(speeds, falls), population, told, seconds, tolerance=0.1)
+
+
+def test_worlds_are_told_the_speeds_in_turn_and_judged_by_their_own():
+    row = judge([[0.5, 1.05, 0.47, 0.8]])[0]
+    assert [(trial.speed, trial.worlds) for trial in row] == [(0.5, 2), (1.0, 2)]
+    assert row[0].mean_speed == pytest.approx((0.5 + 0.47) / 2)
+    assert row[0].valid == 1.0  # both within 10 %
+    assert row[1].valid == 0.5  # 1.05 is, 0.8 is not
+
+
+def test_settling_is_not_judged():
+    trial = judge([[0.5, 1.0]])[0][0]  # 99 m/s in the first two seconds
+    assert trial.mean_speed == pytest.approx(0.5) and trial.rewards["fast"] == pytest.approx(5.0)
+
+
+def test_a_world_that_fell_counts_as_a_fall_and_not_in_the_means():
+    row = judge([[0.5, 1.0, 5.0, 1.0]], falls={(0, 2): 30})[0]  # a fall while settling counts too
+    assert [trial.falls for trial in row] == [1, 0]
+    assert row[0].mean_speed == pytest.approx(0.5) and row[0].rewards["fast"] == pytest.approx(5.0)
+
+
+def test_where_all_fell_there_is_no_speed_and_the_worst_reward():
+    row = judge([[0.5, 1.0]], falls={(0, 0): 150})[0]
+    assert row[0].falls == 1 and math.isnan(row[0].mean_speed) and row[0].rewards["fast"] == -math.inf
+
+
+def test_candidates_are_judged_apart():
+    first, second = judge([[0.5, 1.0], [0.6, 1.0]])
+    assert (first[0].mean_speed, second[0].mean_speed) == (pytest.approx(0.5), pytest.approx(0.6))
+    assert (first[0].valid, second[0].valid) == (1.0, 0.0)
+
+
+def test_a_trial_too_short_to_judge_is_refused():
+    with pytest.raises(ConfigError, match=r"2\.5 s has no segment to judge"):
+        judge([[0.5, 1.0]], seconds=2.5)
+
+
+def test_a_trial_keeps_the_training_worlds_but_walks_straight_without_kicks_or_time_outs():
+    base = EnvConfig(episode_seconds=3.0)
+    config = test_config(base, (0.5, 0.8), 6.0, seed=9)
+    assert config.commands.fixed == (0.5, 0.8) and config.randomisation.push_speed == 0.0
+    assert config.episode_seconds > 6.0 and config.seed == 9
+    assert config.randomisation.friction == base.randomisation.friction and config.observation_noise == 1.0
+
+
+# -------------------------------------------------------------------------------------- the shipped policy
+
+
+@pytest.fixture(scope="module")
+def robot():
+    pytest.importorskip("hts_go1", reason="the robot of this test is not installed")
+    from hts_go1.robot import Go1, Go1Settings
+
+    return Go1(Go1Settings())
+
+
+def test_the_shipped_policy_walks_at_the_speed_it_is_told(robot):
+    shipped = import_policy(robot.pretrained_policy(), robot.spec)
+    base = EnvConfig(threads=1, randomisation=RandomisationConfig(models=8))
+    env = robot.make_env("mujoco", 1, 8, test_config(base, (0.8,), 6.0, seed=0), channels=("base_velocity",))
+    trial = simulate(env, Population.from_candidates(shipped.card.sizes(), [shipped.tensors]), (0.8,), 6.0, 0.1)[0][0]
+    env.close()
+    assert trial.falls == 0
+    assert trial.mean_speed == pytest.approx(0.8, rel=0.1)
+    assert trial.valid >= 0.9
+
+
+def test_the_shipped_policy_says_how_it_was_made(robot):
+    path = robot.pretrained_policy()
+    made = json.loads(path.with_suffix(".json").read_text())["made"]
+    assert made["command"] == "hts pretrain --robot go1" and made["config"]["seed"] == 0
+    curve = json.loads((path.parent / "pretraining-curve.json").read_text())
+    assert curve[-1]["steps"] == made["steps"] == made["final"]["steps"]
+    assert curve[-1]["r_sim"] > curve[0]["r_sim"]

@@ -1,0 +1,72 @@
+"""What the pages say exists, exists; what they show works."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hts.cli.commands import COMMANDS
+from hts.plugins import load
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DOCS = REPOSITORY / "docs"
+PAGES = [REPOSITORY / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("authors/*.md"))]
+LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_to_a_file_leads_somewhere(page):
+    links = [link for link in LINK.findall(page.read_text()) if not link.startswith("http")]
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+def test_every_page_is_in_the_index():
+    listed = set(LINK.findall((DOCS / "index.md").read_text()))
+    assert {page.name for page in DOCS.glob("*.md")} - {"index.md"} == listed
+
+
+def test_every_page_for_authors_is_in_their_index_and_in_the_sites_navigation():
+    there = {f"authors/{page.name}" for page in DOCS.glob("authors/*.md")}
+    assert there <= set(LINK.findall((DOCS / "plugins.md").read_text()))
+    assert there <= set(re.findall(r"authors/[a-z-]+\.md", (REPOSITORY / "mkdocs.yml").read_text()))
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(tmp_path):
+    """A link, an anchor or a name of the API reference that leads nowhere is a warning, and stops the build."""
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")],
+        cwd=REPOSITORY,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    reference = (tmp_path / "site/authors/api.html").read_text()
+    for name in ("hts.contracts.Objective.reward", "hts.hookspecs.hts_worlds", "hts.envs.folded.FoldedEnv"):
+        assert f'id="{name}"' in reference, name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_that_a_page_names_exists(page):
+    named = set(re.findall(r"(?:`|\n\s+|bin/)hts ([a-z][a-z-]*)", page.read_text()))
+    assert named - set(COMMANDS) - set(load().commands) == set()
+
+
+def test_the_objective_of_the_manual_loads_and_compares(install):
+    text = (REPOSITORY / "docs/plugins.md").read_text()
+    (code,) = re.findall(r"```python[^\n]*\n(.*?)```", text, re.DOTALL)
+    install("hts-heat", {"hts_heat": code}, {"heat": "hts_heat"})
+    registry = load()
+    assert registry.objectives["heat"].package == "hts-heat"
+    objective = registry.make_objective("heat")
+    assert objective.measurement_model().target == "motor_heat"
+    compared = objective.compare({"heat": 30.0}, {"heat": 40.0})
+    assert (compared.improvement, compared.selection_score) == (10.0, 10.0)

@@ -1,0 +1,177 @@
+"""Exported policies: ONNX and TorchScript against the population, and what drives a robot from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+from hts.contracts import RobotSpec
+from hts.envs.observation import observation_layout
+from hts.errors import PolicyError, RunError
+from hts.policies.deploy import DeployedPolicy
+from hts.policies.export import to_onnx, to_torchscript
+from hts.policies.export_command import export_policy
+from hts.policies.files import Policy, make_card, save_policy
+from hts.rl.population import Population, Sizes
+
+SPEC = RobotSpec(
+    name="dog", joint_names=("left", "right"), default_pose=(0.1, -0.1), kp=(20.0, 20.0), kd=(0.5, 0.5),
+    action_scale=(0.25, 0.5), torque_limit=(10.0, 10.0), velocity_limit=(20.0, 20.0), position_limit=((-1.0, 1.0), (-1.0, 1.0)),
+    control_rate_hz=50.0, physics_dt=0.005, substeps=4, base_height=0.3,
+)  # fmt: skip
+SIZES = Sizes(15, 21, 2, (16, 8))
+
+
+def population() -> Population:
+    made = Population(SIZES, 1, seed=2)
+    generator = torch.Generator().manual_seed(2)
+    with torch.no_grad():
+        made.observation_mean += torch.randn(15, generator=generator)
+        made.observation_std *= 0.2 + torch.rand(15, generator=generator)
+        made.split(made.vectors[0])["actor.2.weight"].mul_(100.0)
+    made.refresh()
+    return made
+
+
+@pytest.fixture(scope="module")
+def policy() -> Policy:
+    tensors = population().candidate(0)
+    return Policy(tensors, make_card(SPEC, tensors, observation_layout(2), SIZES))
+
+
+@pytest.fixture(scope="module")
+def observations() -> torch.Tensor:
+    return 4 * torch.randn(200, 15, generator=torch.Generator().manual_seed(1))
+
+
+@pytest.fixture(scope="module")
+def mean_actions(observations) -> np.ndarray:
+    return population().mean(observations[None])[0].detach().numpy()
+
+
+@pytest.fixture(scope="module")
+def exported(policy, tmp_path_factory):
+    return to_onnx(policy, tmp_path_factory.mktemp("export") / "deep" / "walk.onnx")
+
+
+def test_onnx_gives_the_populations_mean_action(exported, observations, mean_actions):
+    session = onnxruntime.InferenceSession(str(exported))
+    assert [(x.name, x.type) for x in session.get_inputs()] == [("observation", "tensor(float)")]
+    found = session.run(["action"], {"observation": observations.numpy()})[0]
+    np.testing.assert_allclose(found, mean_actions, atol=1e-5, rtol=1e-5)
+    assert np.abs(mean_actions).max() > 0.5  # it does act
+
+
+def test_torchscript_gives_the_populations_mean_action(policy, observations, mean_actions, tmp_path):
+    path = to_torchscript(policy, tmp_path / "new" / "walk.torchscript")
+    extra = {"hts.json": ""}
+    loaded = torch.jit.load(str(path), _extra_files=extra)
+    np.testing.assert_allclose(loaded(observations).numpy(), mean_actions, atol=1e-5, rtol=1e-5)
+    assert loaded(observations[:1]).shape == (1, 2)  # any batch, not the one it was traced with
+    card = json.loads(extra["hts.json"])
+    assert card["joint_names"] == ["left", "right"] and card["policy_hash"] == policy.card.policy_hash
+
+
+def test_the_onnx_carries_all_that_a_robot_must_know(exported, policy):
+    card = DeployedPolicy(exported).card
+    assert (card.robot, card.joint_names, card.control_rate_hz) == ("dog", ["left", "right"], 50.0)
+    assert (card.default_pose, card.action_scale) == ([0.1, -0.1], [0.25, 0.5])
+    assert (card.kp, card.kd, card.history) == ([20.0, 20.0], [0.5, 0.5], 1)
+    assert card.observation == observation_layout(2) and card.policy_hash == policy.card.policy_hash
+
+
+def test_numbers_are_exported_in_full_precision(exported, policy):
+    import onnx
+    from onnx import numpy_helper
+
+    arrays = {t.name: numpy_helper.to_array(t) for t in onnx.load(str(exported)).graph.initializer}
+    for name, key in (("mean", "observation_mean"), ("std", "observation_std"), ("weight1", "actor.1.weight")):
+        assert np.array_equal(arrays[name], policy.tensors[key].numpy()), name
+
+
+def readings(robots: int, seed: int = 0) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    sizes = {"angular_velocity": 3, "projected_gravity": 3, "command": 3, "joint_position": 2, "joint_velocity": 2}
+    return {name: rng.normal(size=(robots, size)) for name, size in sizes.items()}
+
+
+def observed(given: dict[str, np.ndarray], last: np.ndarray) -> torch.Tensor:
+    parts = [given["angular_velocity"], given["projected_gravity"], given["command"]]
+    parts += [given["joint_position"] - np.array([0.1, -0.1]), given["joint_velocity"], last]
+    return torch.tensor(np.concatenate(parts, 1), dtype=torch.float32)
+
+
+def test_targets_are_default_pose_plus_scaled_action_and_the_action_is_seen_in_the_next_step(exported):
+    deployed, last = DeployedPolicy(exported), np.zeros((3, 2))
+    deployed.start(3)
+    for step in range(3):
+        given = readings(3, step)
+        action = population().mean(observed(given, last)[None])[0].detach().numpy()
+        np.testing.assert_allclose(deployed.targets(given), [0.1, -0.1] + np.array([0.25, 0.5]) * action, atol=1e-5)
+        last = action
+
+
+def test_reset_forgets_the_past_of_the_robots_of_the_mask(exported):
+    deployed, fresh = DeployedPolicy(exported), DeployedPolicy(exported)
+    for each in (deployed, fresh):
+        each.start(2)
+    first = deployed.targets(readings(2, 0))
+    deployed.reset(np.array([True, False]))
+    after, new = deployed.targets(readings(2, 1)), fresh.targets(readings(2, 1))
+    np.testing.assert_array_equal(after[0], new[0])
+    assert not np.array_equal(after[1], new[1])
+    deployed.start(2)
+    np.testing.assert_array_equal(deployed.targets(readings(2, 0)), first)
+
+
+def test_a_policy_with_history_sees_its_observations_stacked_newest_last(tmp_path):
+    sizes = Sizes(30, 21, 2, (4,))
+    stacked = Population(sizes, 1, seed=1)
+    with torch.no_grad():
+        stacked.split(stacked.vectors[0])["actor.1.weight"].mul_(100.0)
+    stacked.refresh()
+    tensors = stacked.candidate(0)
+    card = dataclasses.replace(make_card(SPEC, tensors, observation_layout(2), sizes), history=2)
+    deployed = DeployedPolicy(to_onnx(Policy(tensors, card), tmp_path / "past.onnx"))
+    past, last = torch.zeros(1, 15), np.zeros((1, 2))
+    for step in range(3):
+        given = readings(1, step)
+        now = observed(given, last)
+        action = stacked.mean(torch.cat((past, now), 1)[None])[0].detach().numpy()
+        np.testing.assert_allclose(deployed.targets(given), [0.1, -0.1] + np.array([0.25, 0.5]) * action, atol=1e-5)
+        past, last = now, action
+
+
+@pytest.mark.parametrize("content", [b"", b"nothing of the kind", None])
+def test_a_file_that_is_no_exported_policy_is_one_line(tmp_path, content):
+    path = tmp_path / "walk.onnx"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(PolicyError, match="walk.onnx: not an exported policy"):
+        DeployedPolicy(path)
+
+
+def test_an_onnx_from_elsewhere_is_refused(exported, tmp_path):
+    import onnx
+
+    model = onnx.load(str(exported))
+    del model.metadata_props[:]
+    onnx.save(model, str(tmp_path / "other.onnx"))
+    with pytest.raises(PolicyError, match="not an exported policy"):
+        DeployedPolicy(tmp_path / "other.onnx")
+
+
+def test_a_policy_of_a_run_is_exported_by_name_and_nothing_is_overwritten(policy, tmp_path):
+    save_policy(tmp_path / "run" / "policies" / "best", policy)
+    target = tmp_path / "best.onnx"
+    assert export_policy(tmp_path / "run", "best", "onnx", target) == target
+    assert DeployedPolicy(target).card.policy_hash == policy.card.policy_hash
+    with pytest.raises(RunError, match="exists already"):
+        export_policy(tmp_path / "run", "best", "onnx", target)
+    with pytest.raises(PolicyError, match="No policy named 'bst'. Did you mean 'best'?"):
+        export_policy(tmp_path / "run", "bst", "onnx", tmp_path / "other.onnx")

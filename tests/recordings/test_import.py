@@ -1,0 +1,480 @@
+"""Logs become recordings: mapping, joint order, signs, gaps, resampling, and what is refused."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from hts.channels import Channel
+from hts.cli import data, import_
+from hts.cli.main import main
+from hts.contracts import Robot, RobotSpec
+from hts.errors import ConfigError, HtsError, RecordingError
+from hts.recordings import RecordingStore
+from hts.recordings.csv_reader import make
+from hts.recordings.mapping import load_mapping
+from hts.recordings.resample import window_mean
+
+LOGS = Path(os.environ.get("HTS_REAL_LOGS", Path(__file__).parents[3] / "shared" / "real-logs"))
+needs_real_logs = pytest.mark.skipif(
+    not LOGS.is_dir(), reason="real logs are not here; HTS_REAL_LOGS names their folder"
+)
+
+
+class LogOnly(Robot):
+    """A machine of which only logs exist."""
+
+    def __init__(self, joint_names: tuple[str, ...], torque: float | tuple[float, ...], speed: float = 30.0) -> None:
+        count = len(joint_names)
+        torques = torque if isinstance(torque, tuple) else (torque,) * count
+        self.spec = RobotSpec(
+            name="logger",
+            joint_names=joint_names,
+            default_pose=(0.0,) * count,
+            kp=(20.0,) * count,
+            kd=(0.5,) * count,
+            action_scale=(0.25,) * count,
+            torque_limit=torques,
+            velocity_limit=(speed,) * count,
+            position_limit=((-3.0, 3.0),) * count,
+            control_rate_hz=50.0,
+            physics_dt=0.005,
+            substeps=4,
+            base_height=0.3,
+        )
+
+    def mjcf(self) -> None:
+        return None
+
+    def pretrained_policy(self) -> None:
+        return None
+
+    def channels(self) -> Mapping[str, Channel]:
+        shape = (self.spec.num_joints,)
+        units = {"joint_position": "rad", "joint_velocity": "rad/s", "joint_torque": "N*m", "joint_target": "rad"}
+        return {name: Channel(name, unit, shape) for name, unit in units.items()}
+
+
+TWO_JOINTS = LogOnly(("hip", "knee"), torque=20.0)
+
+
+def a_mapping(**changes: Any) -> dict[str, Any]:
+    return {
+        "time": {"column": "t", "unit": "ms"},
+        "rate_hz": 50,
+        "joints": {"hip": "H", "knee": "K"},
+        "channels": {
+            "joint_torque": {"columns": "{joint}_tau", "unit": "N*m"},
+            "draw": {"columns": "amps", "unit": "A", "sign": -1, "scale": 0.001, "idle": 1.5},
+        },
+        **changes,
+    }
+
+
+def a_log(
+    folder: Path, rows: list[str] | None = None, header: str = "t,K_tau,H_tau,amps", name: str = "log.csv"
+) -> Path:
+    """Ten samples at 50 Hz: K_tau = i, H_tau = -i, amps = -1000 * i (mA, discharge negative)."""
+    file = folder / name
+    lines = [f"{1000 + 20 * i},{i},{-i},{-1000 * i}" for i in range(10)] if rows is None else rows
+    file.write_text("\n".join([header, *lines] if header else lines) + "\n")
+    return file
+
+
+def read(file: Path | list[Path], mapping: dict[str, Any], robot: Robot = TWO_JOINTS) -> Any:
+    return make({}).read(file if isinstance(file, list) else [file], mapping, robot)
+
+
+# ------------------------------------------------------------------------------------------------- what is read
+
+
+def test_columns_become_channels_in_the_robots_joint_order_with_sign_and_scale(tmp_path: Path) -> None:
+    recording = read(a_log(tmp_path), a_mapping())
+    steps = np.arange(10)
+    np.testing.assert_allclose(recording.time, steps / 50)
+    np.testing.assert_allclose(recording.values("joint_torque"), np.stack([-steps, steps], axis=1), atol=1e-5)
+    np.testing.assert_allclose(recording.values("draw"), steps, atol=1e-5)
+    assert recording.values("draw").shape == (10,)
+    assert recording.idle == {"draw": 1.5}
+    assert (recording.robot, recording.kp, recording.rate_hz) == ("logger", (20.0, 20.0), 50.0)
+
+
+def test_a_file_without_a_header_is_read_by_numbers_and_joint_order(tmp_path: Path) -> None:
+    mapping = a_mapping(
+        header=False,
+        time={"column": 0, "unit": "ms"},
+        joint_order=["knee", "hip"],
+        channels={"joint_torque": {"columns": "1..2", "unit": "N*m"}},
+    )
+    recording = read(a_log(tmp_path, header=""), mapping)
+    np.testing.assert_allclose(recording.values("joint_torque")[:, 1], np.arange(10), atol=1e-5)
+
+
+def test_nanosecond_stamps_of_today_keep_their_precision(tmp_path: Path) -> None:
+    """1.76e18 ns needs 61 bits; a double has 53 and would round to 256 ns."""
+    start = 1_763_146_355_421_617_551
+    rows = [f"{start + 10_000 * i},{i},{-i},{-1000 * i}" for i in range(20)]
+    recording = read(a_log(tmp_path, rows), a_mapping(rate_hz=1e5, time={"column": "t", "unit": "ns"}))
+    np.testing.assert_allclose(recording.values("draw"), np.arange(20), atol=1e-6)
+
+
+def test_a_fast_irregular_log_is_resampled_to_the_stated_rate(tmp_path: Path) -> None:
+    stamps = [0, 3, 10, 11, 20, 29, 33, 40, 47, 60, 75, 80]
+    recording = read(a_log(tmp_path, [f"{t},{t / 10},{-t / 10},{-t}" for t in stamps]), a_mapping(rate_hz=50))
+    np.testing.assert_allclose(recording.values("draw"), [0.0, 0.02, 0.04, 0.06, 0.08], atol=1e-6)
+
+
+def test_the_mean_over_a_window_is_exact_for_straight_lines() -> None:
+    """f(t) = 6t on irregular stamps: the mean over [t - 1/2, t + 1/2] is 6t; at the ends over half a window."""
+    times = np.array([0.0, 0.3, 1.1, 2.0, 3.0])
+    means = window_mean(times, 6 * times[:, None], np.array([0.0, 1.0, 2.0, 3.0]), 1.0)
+    np.testing.assert_allclose(means[:, 0], [1.5, 6.0, 12.0, 16.5])
+
+
+def test_a_mean_removes_what_interpolation_would_fold_down(tmp_path: Path) -> None:
+    """A 50 Hz square wave logged at 1 kHz: every 20 ms the instants see one phase, the means see the average."""
+    rows = [f"{t},{t},{-t},{-1000.0 * (t % 20 < 10) - t}" for t in range(400)]
+    file = a_log(tmp_path, rows)
+    robot = LogOnly(("hip", "knee"), torque=1000.0)
+    mapping = a_mapping()
+    instants = read(file, mapping, robot).values("draw")[2:-2]
+    mapping["channels"]["draw"]["resample"] = "mean"
+    means = read(file, mapping, robot).values("draw")[2:-2]
+    ramp = 0.02 * np.arange(2, 18)
+    assert np.all(instants - ramp > 0.99)
+    np.testing.assert_allclose(means - ramp, 0.5, atol=0.01)
+
+
+def test_empty_rows_are_dropped_and_short_gaps_filled_and_both_are_noted(tmp_path: Path) -> None:
+    rows = [f"{20 * i},{i},{-i},{-1000 * i}" for i in range(10)]
+    rows[4], rows[6] = "80,,,", "120,6,-6,"
+    recording = read(a_log(tmp_path, ["0,,,", *rows[1:]]), a_mapping())
+    np.testing.assert_allclose(recording.values("draw"), np.arange(1, 10), atol=1e-5)
+    assert recording.notes["empty_rows_dropped"] == "2"
+    assert recording.notes["incomplete_rows_filled"] == "draw 1"
+
+
+def test_one_recording_may_be_spread_over_several_files(tmp_path: Path) -> None:
+    state = a_log(tmp_path, name="run_state.csv")
+    command = a_log(tmp_path, [f"{990 + 20 * i},{i / 10},{-i / 10}" for i in range(12)], "t,K_q,H_q", "run_command.csv")
+    mapping = a_mapping(files={"state": "*state*", "command": "*command*"})
+    for channel in mapping["channels"].values():
+        channel["file"] = "state"
+    mapping["channels"]["joint_target"] = {"columns": "{joint}_q", "unit": "rad", "file": "command"}
+    recording = read([command, state], mapping)
+    # state stamps begin 10 ms after the command's: targets are half a sample further on
+    np.testing.assert_allclose(recording.values("joint_target")[:, 1], (np.arange(10) + 0.5) / 10, atol=1e-6)
+    np.testing.assert_allclose(recording.values("draw"), np.arange(10), atol=1e-5)
+    with pytest.raises(ConfigError, match=r"files.command: pattern '\*command\*' fits 0 of the files"):
+        read([state], mapping)
+
+
+def test_what_the_log_cannot_say_comes_from_the_mapping(tmp_path: Path) -> None:
+    facts = {
+        "policy_hash": "f00",
+        "mass_kg": 12.0,
+        "role": "reference",
+        "session": "s",
+        "block": 3,
+        "schedule": {"commands": [{"seconds": 0.2, "vx": 0.5}]},
+    }
+    recording = read(a_log(tmp_path), a_mapping(recording=facts))
+    assert (recording.policy_hash, recording.mass_kg, recording.role, recording.block) == ("f00", 12.0, "reference", 3)
+    assert recording.schedule.commands[0].vx == 0.5
+
+
+# -------------------------------------------------------------------------------------------------- what is refused
+
+
+def bad_logs() -> dict[str, tuple[list[str] | None, dict[str, Any], str]]:
+    rows = [f"{20 * i},{i},{-i},{-1000 * i}" for i in range(20)]
+    torque = {"columns": "{joint}_tau", "unit": "N*m"}
+    draw = {"columns": "amps", "unit": "A", "idle": 1.5}
+
+    def channels(**one: Any) -> dict[str, Any]:
+        return {"channels": {"joint_torque": torque, **one}}
+
+    return {
+        "long gap": (rows[:5] + rows[12:], {}, "has nothing for 0.16 s, from 0.080 s on; gaps up to 0.1 s are filled"),
+        "slow log": (rows[::2], {}, "was logged at 25 Hz, the mapping wants 50"),
+        "time goes back": (rows[:5] + rows[3:], {}, "time does not increase in row 6: column 't' reads 80, then 60"),
+        "text": ([*rows[:4], "80,4,high,3", *rows[5:]], {}, "invalid value 'high'"),
+        "infinite": ([*rows[:4], "80,4,inf,3", *rows[5:]], {}, "column 'H_tau' is infinite in row 5"),
+        "ragged": ([*rows[:4], "80,4", *rows[5:]], {}, "Expected 4 columns, got 2"),
+        "no stamp": ([*rows[:4], ",4,-4,-4000", *rows[5:]], {}, "row 5 has data but no time in column 't'"),
+        "empty column": ([f"{20 * i},{i},{-i}," for i in range(20)], {}, "columns of 'draw' (amps) hold no numbers"),
+        "empty file": ([], {}, "no row has a time"),
+        "no such column": (
+            None,
+            channels(draw={**draw, "columns": "amp"}),
+            "No column named 'amp'. Did you mean 'amps'?",
+        ),
+        "constant": ([f"{20 * i},{i},{-i},58" for i in range(20)], {}, "'draw' is -0.058 A in all 20 samples"),
+        "limits": (
+            rows,
+            channels(draw={**draw, "limits": [-5, 5]}),
+            "runs from -19000 to 0 A, the mapping allows -5 to 5",
+        ),
+        "too strong": (
+            [f"{20 * i},{30 + i % 2},{31 + i % 2},{-1000 * i}" for i in range(20)],
+            {},
+            (
+                "'joint_torque' of hip runs from 31 to 32 N*m, beyond its limit (20), and 1 more joint likewise; "
+                "whole numbers that hardly change, as temperatures do"
+            ),
+        ),
+    }
+
+
+@pytest.mark.parametrize("name", list(bad_logs()))
+def test_a_bad_log_is_refused_in_one_line_that_names_the_file(tmp_path: Path, name: str) -> None:
+    rows, changes, expected = bad_logs()[name]
+    file = a_log(tmp_path, rows)
+    with pytest.raises(RecordingError) as refused:
+        read(file, a_mapping(**changes))
+    assert str(refused.value).startswith(str(file))
+    assert expected in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="cannot be read"):
+        read(tmp_path / "none.csv", a_mapping())
+    (tmp_path / "binary.csv").write_bytes(bytes(range(256)) * 20)
+    (tmp_path / "nothing.csv").write_bytes(b"")
+    for name in ("binary.csv", "nothing.csv"):
+        with pytest.raises(RecordingError, match=name):
+            read(tmp_path / name, a_mapping())
+    twice = a_log(tmp_path, header="t,K_tau,K_tau,amps")
+    with pytest.raises(RecordingError, match="two columns are named 'K_tau'"):
+        read(twice, a_mapping(channels={"joint_torque": {"columns": ["K_tau", "t"], "unit": "N*m"}}))
+
+
+def bad_mappings() -> dict[str, tuple[dict[str, Any], str]]:
+    torque = {"columns": "{joint}_tau", "unit": "N*m"}
+    return {
+        "misspelt key": (a_mapping(rate_htz=50), "rate_htz: there is no key 'rate_htz'. Did you mean 'rate_hz'?"),
+        "unknown unit": (a_mapping(channels={"joint_torque": {**torque, "unit": "Nm"}}), "No unit named 'Nm'"),
+        "other unit": (a_mapping(channels={"joint_torque": {**torque, "unit": "N"}}), "'joint_torque' is in N*m"),
+        "no idle": (a_mapping(channels={"draw": {"columns": "amps", "unit": "A"}}), "give its `idle` level"),
+        "no joints": (a_mapping(joints=None), "'joint_torque' uses {joint}; give `joints`"),
+        "wrong joint": (a_mapping(joints={"hip": "H", "kne": "K"}), "No joint named 'kne'. Did you mean 'knee'"),
+        "missing joint": (a_mapping(joints={"hip": "H"}), "joints: knee missing"),
+        "too few columns": (
+            a_mapping(channels={"joint_torque": {**torque, "columns": ["K_tau"]}}),
+            "1 columns for 2 joints",
+        ),
+        "bad range": (a_mapping(channels={"joint_torque": {**torque, "columns": "2..1"}}), "are no range of numbers"),
+        "no time": ({k: v for k, v in a_mapping().items() if k != "time"}, "time: this key is needed"),
+    }
+
+
+@pytest.mark.parametrize("name", list(bad_mappings()))
+def test_a_wrong_mapping_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+    mapping, expected = bad_mappings()[name]
+    with pytest.raises(ConfigError) as refused:
+        read(a_log(tmp_path), mapping)
+    assert expected in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_mapping_that_is_no_yaml_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_mapping(tmp_path / "none.yaml")
+    for content in ("a: [", "- 1"):
+        (tmp_path / "m.yaml").write_text(content)
+        with pytest.raises(ConfigError, match="m.yaml"):
+            load_mapping(tmp_path / "m.yaml")
+
+
+# ---------------------------------------------------------------------------------------------------- the commands
+
+
+class OneRobot:
+    """A registry with one robot and the csv reader."""
+
+    def make_robot(self, name: str) -> Robot:
+        assert name == "logger"
+        return TWO_JOINTS
+
+    def make_log_reader(self, name: str) -> Any:
+        assert name == "csv"
+        return make({})
+
+
+@pytest.fixture
+def commands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    monkeypatch.setattr("hts.plugins.load", OneRobot)
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(a_mapping()))
+    return tmp_path
+
+
+def hts_import(folder: Path, *files: Path, drop: list[str] | None = None) -> None:
+    import_.command(list(files), "logger", folder / "m.yaml", folder / "data.zarr", drop)
+
+
+def test_import_stores_one_recording_a_file_and_again_changes_nothing(
+    commands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{20 * i},{i},{i},{-500 * i}" for i in range(10)]
+    files = [a_log(commands), a_log(commands, rows, name="other.csv")]
+    hts_import(commands, *files)
+    hts_import(commands, *files)
+    output = capsys.readouterr().out
+    assert len(RecordingStore(commands / "data.zarr").ids()) == 2
+    assert output.count("(was there already)") == 2
+    assert "other.csv: 0.20 s at 50 Hz, draw, joint_torque" in output
+
+
+def test_import_stores_nothing_if_one_of_the_files_is_refused(commands: Path) -> None:
+    bad = a_log(commands, [f"{20 * i},{i},{i},58" for i in range(10)], name="bad.csv")
+    with pytest.raises(RecordingError, match="bad.csv: 'draw' is -0.058 A in all 10 samples.*Nothing was stored"):
+        hts_import(commands, a_log(commands), bad)
+    assert not (commands / "data.zarr").exists()
+
+
+def test_a_channel_can_be_dropped_and_a_misspelt_one_is_named(commands: Path) -> None:
+    bad = a_log(commands, [f"{20 * i},{i},{i},58" for i in range(10)])
+    hts_import(commands, bad, drop=["draw"])
+    store = RecordingStore(commands / "data.zarr")
+    (recording_id,) = store.ids()
+    assert list(store.read(recording_id).channels) == ["joint_torque"]
+    with pytest.raises(ConfigError, match="--drop: No channel named 'drew'. Did you mean 'draw'"):
+        hts_import(commands, bad, drop=["drew"])
+
+
+def test_data_lists_shows_compares_and_validates(commands: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hts_import(
+        commands, a_log(commands), a_log(commands, [f"{20 * i},{i},{i},{-500 * i}" for i in range(10)], name="b.csv")
+    )
+    path = commands / "data.zarr"
+    first, second = RecordingStore(path).ids()
+    capsys.readouterr()
+    assert main(["data", "ls", str(path)]) == 0
+    assert capsys.readouterr().out.count("logger") == 2
+    assert main(["data", "show", str(path), first[:8]]) == 0
+    shown = capsys.readouterr().out
+    assert "joint hip: kp 20 N*m/rad" in shown and "draw" in shown
+    assert main(["data", "compare", str(path), first, second]) == 0
+    assert "mean 1" in capsys.readouterr().out
+    assert main(["data", "validate", str(path)]) == 0
+    assert "2 recordings, all whole" in capsys.readouterr().out
+    (path / first / "draw" / "c" / "0").write_bytes(b"short")
+    assert main(["data", "validate", str(path)]) == 2
+    assert f"{first}/draw: damaged" in capsys.readouterr().out
+
+
+def test_data_says_what_it_cannot_find(tmp_path: Path) -> None:
+    with pytest.raises(HtsError, match="no recording store"):
+        data.ls(tmp_path)
+    RecordingStore(tmp_path / "s.zarr", create=True)
+    with pytest.raises(HtsError, match="recording named 'abc'"):
+        data.show(tmp_path / "s.zarr", "abc")
+
+
+# -------------------------------------------------------------------------------------------------------- real logs
+
+LEGS = tuple(f"{leg}_{part}" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf"))
+QUADRUPED = LogOnly(LEGS, torque=(23.7, 23.7, 45.43) * 4)
+
+
+def stand_mapping(joints: Mapping[str, str]) -> dict[str, Any]:
+    return {
+        "time": {"column": "timestamp_ms", "unit": "ms"},
+        "rate_hz": 50,
+        "joints": dict(joints),
+        "channels": {
+            "joint_velocity": {"columns": "dq_{joint}", "unit": "rad/s"},
+            "joint_torque": {"columns": "tau_{joint}", "unit": "N*m"},
+            "supply": {"columns": "power_a_mean", "unit": "A", "sign": -1, "idle": 0.8},
+        },
+    }
+
+
+@needs_real_logs
+def test_a_standing_quadruped_is_read_with_discharge_positive() -> None:
+    file = LOGS / "go2_idle" / "nob_idle_holdout.csv"
+    recording = read(file, stand_mapping({leg: leg.lower() for leg in LEGS}), QUADRUPED)
+    assert recording.seconds == pytest.approx(60.0, abs=0.1)
+    assert recording.values("supply").mean() == pytest.approx(2.03, abs=0.01)
+    # front left calf carries about 3.8 N*m, front right 3.5: the log lists right legs first, the robot left ones
+    assert recording.values("joint_torque")[:, 2].mean() == pytest.approx(3.79, abs=0.05)
+    assert recording.notes["empty_rows_dropped"] == "1"
+
+
+@needs_real_logs
+def test_a_log_whose_torques_are_temperatures_is_refused_with_the_reason() -> None:
+    with pytest.raises(RecordingError) as refused:
+        read(LOGS / "go2_idle" / "nob_kick.csv", stand_mapping({leg: leg.lower() for leg in LEGS}), QUADRUPED)
+    message = str(refused.value)
+    assert "nob_kick.csv: the columns are not what the mapping says" in message
+    assert "'joint_torque' of RL_hip runs from 53 to 53 N*m, beyond its limit (23.7), and 7 more joints" in message
+    assert "as temperatures do" in message
+    assert "'supply' is -58 A all the time" in message
+
+
+@needs_real_logs
+def test_a_log_with_no_header_and_targets_in_another_file_is_read() -> None:
+    log_order = [f"{leg}_{part}" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf")]
+    mapping = {
+        "header": False,
+        "files": {"state": "*state*", "command": "*command*"},
+        "time": {"column": 0, "unit": "ns"},
+        "rate_hz": 50,
+        "joint_order": log_order,
+        "channels": {
+            "joint_position": {"columns": "1..12", "unit": "rad", "file": "state"},
+            "joint_velocity": {"columns": "13..24", "unit": "rad/s", "file": "state", "resample": "mean"},
+            "joint_torque": {"columns": "25..36", "unit": "N*m", "file": "state"},
+            "joint_target": {"columns": "1..12", "unit": "rad", "file": "command"},
+        },
+    }
+    files = [LOGS / "go2_rl" / f"test_1__{name}_history.csv" for name in ("state", "command")]
+    recording = read(files, mapping, QUADRUPED)
+    assert recording.seconds == pytest.approx(15.1, abs=0.1)
+    position = recording.values("joint_position")
+    assert position[0, 3] == pytest.approx(0.0217, abs=1e-3)  # FR_hip, first in the log, fourth in the robot
+    # velocity is nearly the derivative of position: same joint, same time, same unit
+    slope = np.gradient(position, 0.02, axis=0)
+    for joint in range(12):
+        assert np.corrcoef(slope[5:-5, joint], recording.values("joint_velocity")[5:-5, joint])[0, 1] > 0.85
+
+
+@needs_real_logs
+def test_an_irregular_walking_log_is_read() -> None:
+    mapping = {
+        "time": {"column": "timestamp", "unit": "s"},
+        "rate_hz": 50,
+        "joints": {leg: leg for leg in LEGS},
+        "channels": {
+            "joint_position": {"columns": "{joint}_q", "unit": "rad"},
+            "joint_velocity": {"columns": "{joint}_dq", "unit": "rad/s"},
+            "joint_torque": {"columns": "{joint}_tau", "unit": "N*m"},
+        },
+    }
+    for name, seconds in (("walking5.csv", 8.7), ("back_both_wire2.csv", 5.5)):
+        assert read(LOGS / "go2_walk" / name, mapping, QUADRUPED).seconds == pytest.approx(seconds, abs=0.1)
+
+
+@needs_real_logs
+def test_every_log_of_an_arm_is_read_although_their_line_ends_differ() -> None:
+    arm = LogOnly(tuple(f"j{i}" for i in range(6)), torque=(56.0, 56.0, 28.0, 12.0, 12.0, 12.0), speed=6.3)
+    mapping = {
+        "time": {"column": "timestamp", "unit": "s"},
+        "rate_hz": 25,
+        "joints": {f"j{i}": str(i) for i in range(6)},
+        "channels": {
+            "joint_velocity": {"columns": "actual_qd_{joint}", "unit": "rad/s"},
+            "joint_torque": {"columns": "target_moment_{joint}", "unit": "N*m"},
+            "motor_draw": {"columns": [f"actual_current_{i}" for i in range(6)], "unit": "A", "real": False},
+            "supply": {"columns": "actual_robot_current", "unit": "A", "idle": 0.3},
+        },
+    }
+    lengths = {path.stem: read(path, mapping, arm).num_samples for path in sorted((LOGS / "ur3e").glob("*.csv"))}
+    assert lengths == {"L0L1": 29, "L1L2": 65, "L2L3": 40, "L3L4": 49, "L4L5": 42, "fig9": 888}

@@ -1,0 +1,522 @@
+"""The recording store: what it refuses, what it survives, and how it names things."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zarr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from hts.channels import Channel
+from hts.config import Command, ScheduleConfig
+from hts.errors import RecordingError
+from hts.recordings import Recording, RecordingStore, Series, partial
+from hts.recordings.checks import check
+from hts.recordings.header import array_digest
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+def a_recording(samples: int = 50, **changes: object) -> Recording:
+    """Two joints and one measured channel at 50 Hz, every number exact in binary."""
+    steps = np.arange(samples)
+    channels = {
+        "joint_torque": Series(Channel("joint_torque", "N*m", (2,)), np.stack([steps / 4, -steps / 8], axis=1)),
+        "command": Series(Channel("command", "1", (3,), may_be_constant=True), np.tile([0.5, 0.0, 0.0], (samples, 1))),
+        "draw": Series(Channel("draw", "A"), 1.5 + (steps % 4) / 2),
+        "warmth": Series(Channel("warmth", "degC", may_be_constant=True), np.full(samples, 40.0)),
+    }
+    recording = Recording(
+        robot="walker",
+        world="bench",
+        policy_hash="abc",
+        iteration=1,
+        joint_names=("hip", "knee"),
+        kp=(20.0, 20.0),
+        kd=(0.5, 0.5),
+        rate_hz=50.0,
+        schedule=ScheduleConfig(commands=(Command(seconds=samples / 50, vx=0.5),)),
+        idle={"draw": 1.25, "warmth": 25.0},
+        clock="simulated",
+        time=steps / 50,
+        channels=channels,
+        mass_kg=12.5,
+        session="s1",
+        block=2,
+        role="policy",
+        notes={"by": "hand"},
+    )
+    return recording.replace(**changes)
+
+
+def with_channel(
+    recording: Recording, name: str, unit: str, values: np.ndarray, shape: tuple[int, ...] = ()
+) -> Recording:
+    return recording.replace(channels={**recording.channels, name: Series(Channel(name, unit, shape), values)})
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> RecordingStore:
+    return RecordingStore(tmp_path / "data.zarr", create=True)
+
+
+# ---------------------------------------------------------------------------------------- writing and reading
+
+
+def test_what_is_read_is_what_was_written(store: RecordingStore) -> None:
+    written = a_recording()
+    recording_id = store.write(written)
+    read = RecordingStore(store.path).read(recording_id)
+    for field in (
+        "robot",
+        "world",
+        "policy_hash",
+        "iteration",
+        "joint_names",
+        "kp",
+        "kd",
+        "rate_hz",
+        "schedule",
+        "idle",
+    ):
+        assert getattr(read, field) == getattr(written, field)
+    for field in ("clock", "mass_kg", "session", "block", "role", "fell", "notes"):
+        assert getattr(read, field) == getattr(written, field)
+    assert read.id == recording_id
+    assert read.seconds == 1.0
+    np.testing.assert_array_equal(read.time, written.time)
+    assert set(read.channels) == set(written.channels)
+    for name, series in written.channels.items():
+        assert read.channels[name].channel == series.channel
+        assert read.channels[name].values.dtype == np.float32
+        np.testing.assert_array_equal(read.channels[name].values, series.values)
+
+
+def test_one_channel_can_be_read_alone(store: RecordingStore) -> None:
+    recording_id = store.write(a_recording())
+    assert list(store.read(recording_id, ["draw"]).channels) == ["draw"]
+    with pytest.raises(RecordingError, match="No channel named 'drow'. Did you mean 'draw'"):
+        store.read(recording_id, ["drow"])
+
+
+def test_writing_twice_gives_one_recording_and_one_id(store: RecordingStore) -> None:
+    first = store.write(a_recording())
+    assert store.write(a_recording()) == first
+    assert store.write(store.read(first)) == first
+    assert store.ids() == (first,)
+
+
+def test_any_change_gives_another_id(store: RecordingStore) -> None:
+    recording = a_recording()
+    nudged = recording.values("draw").copy()
+    nudged[7] = np.nextafter(nudged[7], np.float32(9.0))
+    changed = [
+        recording,
+        recording.replace(block=3),
+        recording.replace(fell=True),
+        recording.replace(mass_kg=None),
+        recording.replace(idle={"draw": 1.26}),
+        recording.replace(time=recording.time + 0.02),
+        with_channel(recording, "draw", "A", nudged),
+        with_channel(recording, "draw", "V", recording.values("draw")),
+    ]
+    assert len({store.write(one) for one in changed}) == len(changed)
+
+
+def test_the_attributes_say_all_that_is_needed_and_every_array_its_unit_and_rate(store: RecordingStore) -> None:
+    recording_id = store.write(a_recording())
+    attributes = store.attributes(recording_id)
+    assert attributes["schema_version"] == 1
+    assert attributes["schedule"] == {"commands": [{"seconds": 1.0, "vx": 0.5, "vy": 0.0, "yaw_rate": 0.0}]}
+    assert attributes["idle"] == {"draw": 1.25, "warmth": 25.0}
+    for key in ("robot", "joint_names", "kp", "kd", "rate_hz", "policy_hash", "iteration", "world", "clock", "role"):
+        assert key in attributes
+    group = zarr.open_group(str(store.path), mode="r")[recording_id]
+    assert group["joint_torque"].attrs["unit"] == "N*m"
+    assert {array.attrs["rate_hz"] for _, array in group.arrays()} == {50.0}
+    np.testing.assert_array_equal(group["joint_torque"][:, 1], -np.arange(50) / 8)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    values=hnp.arrays(
+        np.float32, st.tuples(st.integers(2, 40), st.integers(1, 3)), elements=st.floats(-1e6, 1e6, width=32)
+    )
+)
+def test_any_finite_numbers_come_back_unchanged(values: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> None:
+    store = RecordingStore(tmp_path_factory.mktemp("any") / "data.zarr", create=True)
+    shape = values.shape[1:]
+    recording = a_recording(len(values))
+    recording = recording.replace(channels={"x": Series(Channel("x", "m", shape), values)}, idle={})
+    np.testing.assert_array_equal(store.read(store.write(recording)).values("x"), values)
+
+
+# --------------------------------------------------------------------------------------------------- refusals
+
+
+def refusals() -> dict[str, tuple[Recording, str]]:
+    good = a_recording()
+    late = good.time.copy()
+    late[10] = late[9]
+    holed = good.values("draw").copy()
+    holed[3] = np.nan
+    endless = good.values("draw").copy()
+    endless[4] = np.inf
+    stuck_column = np.stack([np.arange(50.0), np.full(50, 7.0)], axis=1)
+    unit = Channel("draw", "A")
+    object.__setattr__(unit, "unit", "Amps")
+    return {
+        "unknown unit": (
+            good.replace(channels={**good.channels, "draw": Series(unit, good.values("draw"))}),
+            "No unit named 'Amps'",
+        ),
+        "wrong shape": (with_channel(good, "joint_torque", "N*m", np.ones((50, 3)), (2,)), "'joint_torque' has shape"),
+        "scalar": (with_channel(good, "draw", "A", np.float32(1.0)), "'draw' has shape"),
+        "time repeats": (good.replace(time=late), "time does not increase at sample 10: 0.180000 s, then 0.180000 s"),
+        "time is NaN": (good.replace(time=np.where(np.arange(50) == 5, np.nan, good.time)), "'time' is NaN"),
+        "one sample": (a_recording(1), "at least 2 samples"),
+        "NaN": (
+            with_channel(good, "draw", "A", holed),
+            "'draw' is NaN or infinite in 1 of 50 samples, first at sample 3",
+        ),
+        "infinite": (with_channel(good, "draw", "A", endless), "first at sample 4"),
+        "too large": (with_channel(good, "draw", "A", np.linspace(0, 1e300, 50)), "'draw' is NaN or infinite"),
+        "constant": (with_channel(good, "draw", "A", np.full(50, 58.0)), "'draw' is 58 A in all 50 samples"),
+        "all zero": (with_channel(good, "draw", "A", np.zeros(50)), "--drop draw"),
+        "one column": (with_channel(good, "draw", "A", stuck_column, (2,)), "'draw' column 1 is 7 A in all 50 samples"),
+        "length": (with_channel(good, "draw", "A", np.arange(49.0)), "'draw' has 49 samples, time has 50"),
+        "rate": (good.replace(rate_hz=100.0), "the time stamps make 50 Hz, but rate_hz says 100"),
+        "idle name": (good.replace(idle={"drow": 1.0}), "No channel named 'drow'. Did you mean 'draw'"),
+        "idle NaN": (good.replace(idle={"draw": float("nan")}), "idle level of 'draw' is nan"),
+        "role": (good.replace(role="elite"), "No role named 'elite'"),
+        "gains": (good.replace(kp=(20.0,)), "kp has 1 values for 2 joints"),
+        "schedule": (
+            good.replace(schedule=ScheduleConfig(commands=(Command(seconds=1.0, vx=float("inf")),))),
+            "cannot be stored",
+        ),
+    }
+
+
+@pytest.mark.parametrize("name", list(refusals()))
+def test_a_bad_recording_is_refused_in_one_line_and_nothing_is_written(store: RecordingStore, name: str) -> None:
+    recording, expected = refusals()[name]
+    with pytest.raises(RecordingError) as refused:
+        store.write(recording, "walk.csv")
+    assert str(refused.value).startswith("walk.csv: ")
+    assert expected in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert sorted(os.listdir(store.path)) == ["zarr.json"]
+
+
+def test_simulated_channels_and_honest_constants_may_stand_still() -> None:
+    check(with_channel(a_recording(), "joint_torque", "N*m", np.zeros((50, 2)), (2,)))
+
+
+def test_values_that_are_no_numbers_are_refused() -> None:
+    with pytest.raises(RecordingError, match="'draw' does not hold an array of numbers"):
+        Series(Channel("draw", "A"), np.array(["one", "two"]))
+
+
+# --------------------------------------------------------------------------------------------- data set hashes
+
+
+def test_a_dataset_hash_ignores_order_and_repeats_but_not_content(store: RecordingStore) -> None:
+    ids = [store.write(a_recording(iteration=i)) for i in range(3)]
+    dataset = store.dataset(ids)
+    assert dataset == store.dataset([ids[2], ids[0], ids[1], ids[0]])
+    assert dataset.ids == tuple(sorted(ids))
+    assert len(dataset.sha256) == 64
+    assert dataset.sha256 != store.dataset(ids[:2]).sha256
+
+
+def test_chunks_and_compression_do_not_change_what_is_read_or_its_hash(store: RecordingStore) -> None:
+    recording_id = store.write(a_recording())
+    before, torque = store.dataset([recording_id]), store.read(recording_id).values("joint_torque")
+    folder = store.path / recording_id / "joint_torque"
+    shutil.rmtree(folder)
+    again = zarr.create_array(
+        str(folder), shape=(50, 2), chunks=(7, 1), dtype="float32", compressors=zarr.codecs.ZstdCodec()
+    )
+    again[...] = torque
+    assert store.validate() == []
+    assert store.dataset([recording_id]) == before
+    np.testing.assert_array_equal(store.read(recording_id).values("joint_torque"), torque)
+
+
+def test_a_digest_does_not_depend_on_memory_layout() -> None:
+    values = np.arange(12, dtype=np.float32).reshape(4, 3)
+    assert array_digest(np.asfortranarray(values)) == array_digest(values) == array_digest(values.astype(">f4"))
+    assert array_digest(values.reshape(3, 4)) != array_digest(values)
+
+
+# ------------------------------------------------------------------------------------------------------ damage
+
+
+def damages() -> dict[str, str]:
+    return {
+        "truncated chunk": "draw: damaged (ValueError: c/0 holds 25 numbers, not 50)",
+        "missing chunk": "draw: damaged (FileNotFoundError",
+        "flipped bit": "draw: damaged: its samples hash to",
+        "missing array": "draw: damaged (FileNotFoundError",
+        "garbled array metadata": "draw: damaged (JSONDecodeError",
+        "missing zarr.json": "zarr.json: missing",
+        "garbled zarr.json": "zarr.json: damaged (JSONDecodeError",
+        "changed attribute": "zarr.json: damaged: the attributes are not those that",
+        "NaN attribute": "zarr.json: damaged: the attributes are not those that",
+        "newer version": "zarr.json: schema version 99, this hts reads 1",
+    }
+
+
+def damage(name: str, folder: Path) -> None:
+    chunk, header = folder / "draw" / "c" / "0", folder / "zarr.json"
+    content = chunk.read_bytes()
+    attributes = json.loads(header.read_text())
+    if name == "truncated chunk":
+        chunk.write_bytes(content[: len(content) // 2])
+    elif name == "missing chunk":
+        chunk.unlink()
+    elif name == "flipped bit":
+        chunk.write_bytes(bytes([content[0] ^ 1]) + content[1:])
+    elif name == "missing array":
+        shutil.rmtree(folder / "draw")
+    elif name == "garbled array metadata":
+        (folder / "draw" / "zarr.json").write_text("{")
+    elif name == "missing zarr.json":
+        header.unlink()
+    elif name == "garbled zarr.json":
+        header.write_bytes(b"\x00\xff garbage")
+    elif name == "changed attribute":
+        attributes["attributes"]["mass_kg"] = 10.0
+        header.write_text(json.dumps(attributes))
+    elif name == "NaN attribute":
+        attributes["attributes"]["mass_kg"] = float("nan")
+        header.write_text(json.dumps(attributes))
+    elif name == "newer version":
+        attributes["attributes"]["schema_version"] = 99
+        header.write_text(json.dumps(attributes))
+
+
+@pytest.mark.parametrize("name", list(damages()))
+def test_damage_is_named_in_one_line_and_other_recordings_stay_usable(store: RecordingStore, name: str) -> None:
+    bad, good = store.write(a_recording()), store.write(a_recording(block=3))
+    damage(name, store.path / bad)
+    opened = RecordingStore(store.path)
+    with pytest.raises(RecordingError) as refused:
+        opened.read(bad)
+    assert damages()[name] in str(refused.value)
+    assert str(store.path / bad) in str(refused.value)
+    assert "\n" not in str(refused.value)
+    found = opened.validate()
+    assert [one.id for one in found] == [bad]
+    assert opened.read(good).block == 3
+    with pytest.raises(RecordingError):
+        opened.dataset([good, bad])
+
+
+def test_the_remedy_for_damage_works(store: RecordingStore) -> None:
+    recording_id = store.write(a_recording())
+    damage("truncated chunk", store.path / recording_id)
+    shutil.rmtree(store.path / recording_id)
+    assert store.write(a_recording()) == recording_id
+    assert store.validate() == []
+
+
+def test_a_stray_file_in_a_store_is_reported(store: RecordingStore) -> None:
+    (store.path / "notes.txt").write_text("mine")
+    assert [one.id for one in store.validate()] == ["notes.txt"]
+
+
+def test_a_path_that_is_no_store_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no recording store"):
+        RecordingStore(tmp_path / "nothing.zarr")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("dear")
+    with pytest.raises(RecordingError, match="holds 'letter.txt' and no zarr.json.*Choose a new or empty folder"):
+        RecordingStore(tmp_path / "mine", create=True)
+    with pytest.raises(RecordingError, match="making the store failed"):
+        RecordingStore(tmp_path / "mine" / "letter.txt" / "data.zarr", create=True)
+    zarr.open_group(str(tmp_path / "other.zarr"), mode="w")
+    with pytest.raises(RecordingError, match="zarr.json: damaged"):
+        RecordingStore(tmp_path / "other.zarr")
+
+
+def test_a_damaged_root_is_named_and_its_remedy_keeps_the_recordings(store: RecordingStore) -> None:
+    recording_id = store.write(a_recording())
+    (store.path / "zarr.json").write_text('{"zarr_format"')
+    with pytest.raises(RecordingError, match="zarr.json: damaged.*delete the file"):
+        RecordingStore(store.path)
+    (store.path / "zarr.json").unlink()
+    assert RecordingStore(store.path, create=True).ids() == (recording_id,)
+
+
+def test_an_unknown_recording_is_named_with_the_closest(store: RecordingStore) -> None:
+    recording_id = store.write(a_recording())
+    wrong = recording_id[:-1] + ("0" if recording_id[-1] != "0" else "1")
+    with pytest.raises(RecordingError, match=f"no recording '{wrong}' among 1. Did you mean '{recording_id}'"):
+        store.read(wrong)
+
+
+# ----------------------------------------------------------------------------------- being killed, and full disks
+
+WRITER = """
+import os, signal, sys
+sys.path.insert(0, {tests!r})
+from test_recordings import a_recording
+from hts.recordings import RecordingStore
+store = RecordingStore({store!r}, create=True)
+rename = os.rename
+def deadly(old, new):
+    if {when!r} == "after":
+        rename(old, new)
+    os.kill(os.getpid(), signal.SIGKILL)
+os.rename = deadly
+store.write(a_recording())
+"""
+
+
+def run_python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_killed_writer_leaves_nothing_or_everything(store: RecordingStore, when: str) -> None:
+    done = run_python(WRITER.format(tests=str(Path(__file__).parent), store=str(store.path), when=when))
+    assert done.returncode == -9, done.stderr
+    reader = RecordingStore(store.path)
+    assert len(reader.ids()) == (1 if when == "after" else 0)
+    assert reader.validate() == []
+    assert len(list(store.path.glob(".partial-*"))) == (0 if when == "after" else 1)  # reading cleans nothing
+    writer = RecordingStore(store.path)
+    recording_id = writer.write(a_recording())
+    assert writer.ids() == (recording_id,)
+    assert sorted(os.listdir(store.path)) == sorted([recording_id, "zarr.json"])
+
+
+BUSY_WRITER = """
+import sys
+sys.path.insert(0, {tests!r})
+from test_recordings import a_recording
+from hts.recordings import RecordingStore
+store = RecordingStore({store!r}, create=True)
+for block in range(100_000):
+    store.write(a_recording(block=block))
+"""
+
+
+@pytest.mark.parametrize("milliseconds", [3, 37, 71])
+def test_a_writer_killed_at_any_moment_leaves_only_whole_recordings(store: RecordingStore, milliseconds: int) -> None:
+    code = BUSY_WRITER.format(tests=str(Path(__file__).parent), store=str(store.path))
+    with subprocess.Popen([sys.executable, "-c", code]) as writer:
+        while not store.ids():
+            assert writer.poll() is None
+            time.sleep(0.001)
+        time.sleep(milliseconds / 1000)
+        writer.kill()
+    assert store.ids() and store.validate() == []
+    blocks = sorted(store.read(recording_id).block for recording_id in store.ids())
+    assert blocks == list(range(len(blocks)))  # none before the last one is lost
+
+
+def test_a_writer_at_work_is_not_cleaned_away(store: RecordingStore) -> None:
+    with partial.partial_folder(store.path) as alive:
+        RecordingStore(store.path, create=True).write(a_recording())
+        assert alive.is_dir()
+    assert not alive.exists()
+
+
+def test_a_store_half_made_when_its_writer_was_killed_is_made_whole(tmp_path: Path) -> None:
+    (tmp_path / "data.zarr" / ".partial-0123").mkdir(parents=True)
+    RecordingStore(tmp_path / "data.zarr", create=True)
+    assert os.listdir(tmp_path / "data.zarr") == ["zarr.json"]
+
+
+def test_two_writers_of_one_recording_do_not_disturb_each_other(
+    store: RecordingStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publish = partial.publish
+
+    def after_another(folder: Path, final: Path) -> bool:
+        monkeypatch.setattr(partial, "publish", publish)
+        RecordingStore(store.path).write(a_recording())
+        return publish(folder, final)
+
+    monkeypatch.setattr(partial, "publish", after_another)
+    recording_id = store.write(a_recording())
+    assert sorted(os.listdir(store.path)) == sorted([recording_id, "zarr.json"])
+    assert store.validate() == []
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"), [(errno.ENOSPC, "The disk is full: free some space"), (errno.EROFS, "choose another place")]
+)
+@pytest.mark.parametrize("place", ["mkdir", "fsync", "rename"])
+def test_a_full_or_read_only_disk_leaves_nothing_behind(
+    store: RecordingStore, monkeypatch: pytest.MonkeyPatch, number: int, remedy: str, place: str
+) -> None:
+    kept = store.write(a_recording())
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(partial.os, place, fail)
+        with pytest.raises(RecordingError, match=remedy) as refused:
+            store.write(a_recording(block=3))
+    assert str(store.path) in str(refused.value)
+    assert sorted(os.listdir(store.path)) == sorted([kept, "zarr.json"])
+    store.write(a_recording(block=3))
+    assert store.validate() == []
+
+
+def test_an_array_that_does_not_fit_on_the_disk_leaves_nothing_behind(store: RecordingStore) -> None:
+    """A real failing write inside zarr: the kernel refuses files above 20 kB in the child process."""
+    code = f"""
+import resource, signal, sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_recordings import a_recording
+from hts.errors import RecordingError
+from hts.recordings import RecordingStore
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+store = RecordingStore({str(store.path)!r})
+recording = a_recording(10_000)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+try:
+    store.write(recording)
+except RecordingError as error:
+    print(error)
+"""
+    done = run_python(code)
+    assert "writing a recording failed (File too large)" in done.stdout, done.stdout + done.stderr
+    assert os.listdir(store.path) == ["zarr.json"]
+
+
+# ------------------------------------------------------------------------------------------------ stored before
+
+
+def test_a_store_written_by_the_first_version_still_opens() -> None:
+    """If this fails, a stored format has changed: raise SCHEMA_VERSION, keep reading version 1, keep this store."""
+    store = RecordingStore(DATA / "recording-v1.zarr")
+    (recording_id,) = store.ids()
+    assert store.validate() == []
+    read = store.read(recording_id)
+    expected = a_recording(8)
+    for name, series in expected.channels.items():
+        np.testing.assert_array_equal(read.values(name), series.values)
+    assert (read.robot, read.idle, read.block) == ("walker", {"draw": 1.25, "warmth": 25.0}, 2)
+    assert recording_id == "4aef854e20323653"
+    assert store.dataset([recording_id]).sha256.startswith("40a8e9731574")
+
+
+def test_the_same_recording_gets_the_same_id_as_in_the_first_version(store: RecordingStore) -> None:
+    assert store.write(a_recording(8)) == "4aef854e20323653"

@@ -1,0 +1,124 @@
+"""Stacked actor-critics: what one candidate is, alone and among others."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+from hts.rl.population import Population, Sizes
+from hts.rl.random import PopulationRandom
+from hts.rl.rows import row_mean, row_standardised
+
+SIZES = Sizes(5, 7, 2, (8, 4))
+
+
+def test_parameters_have_the_shapes_of_their_layers():
+    assert SIZES.shapes() == {
+        "actor.0.weight": (8, 5), "actor.0.bias": (8,), "actor.1.weight": (4, 8), "actor.1.bias": (4,),
+        "actor.2.weight": (2, 4), "actor.2.bias": (2,),
+        "critic.0.weight": (8, 7), "critic.0.bias": (8,), "critic.1.weight": (4, 8), "critic.1.bias": (4,),
+        "critic.2.weight": (1, 4), "critic.2.bias": (1,), "log_std": (2,),
+    }  # fmt: skip
+
+
+def test_the_mean_action_is_the_network_written_out():
+    population = Population(SIZES, 2, seed=3)
+    population.observation_mean += 0.5
+    population.observation_std *= 2.0
+    x = torch.randn(2, 6, 5)
+    for index in range(2):
+        one = population.candidate(index)
+        h = (x[index] - 0.5) / 2.0
+        h = F.elu(h @ one["actor.0.weight"].T + one["actor.0.bias"])
+        h = F.elu(h @ one["actor.1.weight"].T + one["actor.1.bias"])
+        expected = h @ one["actor.2.weight"].T + one["actor.2.bias"]
+        torch.testing.assert_close(population.mean(x)[index], expected)
+
+
+def test_normalised_observations_are_clipped_at_ten():
+    population = Population(SIZES, 1)
+    assert population.normalised("observation", torch.tensor([[[-99.0, 99.0, 3.0, 0.0, 10.5]]])).tolist() == [
+        [[-10.0, 10.0, 3.0, 0.0, 10.0]]
+    ]
+
+
+def test_a_new_policy_barely_moves_and_explores_with_the_sigma_asked_for():
+    population = Population(SIZES, 1, init_std=0.5)
+    assert population.mean(torch.randn(1, 100, 5)).abs().max() < 0.1
+    torch.testing.assert_close(population.log_std().exp(), torch.full((1, 1, 2), 0.5))
+
+
+def test_a_candidate_computes_the_same_bits_alone_and_in_a_crowd():
+    crowd = Population(SIZES, 4, seed=1)
+    alone = Population.from_candidates(SIZES, [crowd.candidate(2)])
+    x, y = torch.randn(4, 33, 5), torch.randn(4, 33, 7)
+    assert torch.equal(crowd.mean(x)[2:3], alone.mean(x[2:3]))
+    assert torch.equal(crowd.value(y)[2:3], alone.value(y[2:3]))
+
+
+def test_stacked_parameters_compute_what_single_ones_do():
+    population = Population(SIZES, 3, seed=1)
+    stacked = population.split(torch.stack(list(population.vectors)))
+    x = torch.randn(3, 9, 5)
+    torch.testing.assert_close(population.mean(x, stacked), population.mean(x))
+    torch.testing.assert_close(population.log_std(stacked), population.log_std())
+
+
+def test_the_normaliser_holds_mean_and_standard_deviation_of_all_it_was_shown():
+    population = Population(SIZES, 2)
+    data = 3.0 + 2.0 * torch.randn(2, 400, 5, generator=torch.Generator().manual_seed(0))
+    for part in data.split(100, dim=1):
+        population.update_normaliser("observation", part)
+    torch.testing.assert_close(population.observation_mean[:, 0], data.mean(1))
+    torch.testing.assert_close(population.observation_std[:, 0], data.std(1, unbiased=False), rtol=1e-4, atol=1e-4)
+    assert population.observation_count.tolist() == [400.0, 400.0]
+
+
+def test_an_anchor_stays_while_its_population_moves():
+    population = Population(SIZES, 2)
+    anchor, x = population.frozen(), torch.randn(2, 3, 5)
+    before = anchor.mean(x).clone()
+    with torch.no_grad():
+        population.vectors[0].add_(1.0)
+        population.observation_mean += 1.0
+    population.refresh()
+    assert torch.equal(anchor.mean(x), before) and not torch.equal(population.mean(x), before)
+    assert not any(parameter.requires_grad for parameter in anchor.parameters())
+
+
+def test_candidates_survive_the_way_out_and_in():
+    population = Population(SIZES, 3, seed=5)
+    population.update_normaliser("critic_observation", torch.randn(3, 50, 7))
+    again = Population.from_candidates(SIZES, [population.candidate(index) for index in range(3)])
+    for index in range(3):
+        one, two = population.candidate(index), again.candidate(index)
+        assert one.keys() == two.keys() and all(torch.equal(one[name], two[name]) for name in one)
+
+
+def test_a_candidates_random_numbers_depend_on_its_seed_alone():
+    crowd, alone = (PopulationRandom(seeds, torch.device("cpu")) for seeds in ([4, 9, 5], [9]))
+    for draw in ("uniform", "normal", "permutation"):
+        assert torch.equal(getattr(crowd, draw)(6)[1:2], getattr(alone, draw)(6)), draw
+    assert not torch.equal(crowd.uniform(6)[0], crowd.uniform(6)[1])
+
+
+def test_random_numbers_go_on_from_a_saved_state():
+    random = PopulationRandom([1, 2], torch.device("cpu"))
+    random.normal(100)
+    saved, expected = random.state_dict(), random.normal(7)
+    random.load_state_dict(saved)
+    assert torch.equal(random.normal(7), expected)
+
+
+@pytest.mark.parametrize("reduce", [row_mean, row_standardised])
+def test_reductions_give_a_row_the_same_bits_among_any_others(reduce):
+    x = torch.randn(7, 1001)
+    for index in range(7):
+        assert torch.equal(reduce(x)[index], reduce(x[index : index + 1])[0])
+
+
+def test_standardised_rows_have_mean_zero_and_deviation_one():
+    rows = row_standardised(torch.tensor([[1.0, 2.0, 3.0], [10.0, 20.0, 60.0]]))
+    torch.testing.assert_close(rows[0], torch.tensor([-1.0, 0.0, 1.0]))
+    torch.testing.assert_close(rows.mean(1), torch.zeros(2), atol=1e-6, rtol=0)

@@ -1,0 +1,234 @@
+"""Collection and gradient steps as a GPU runs them, here uncaptured on the CPU against what the CPU runs."""
+
+import pytest
+import torch
+from torchrl.envs.transforms import RewardScaling, TransformedEnv
+
+from hts.channels import Channel
+from hts.config import EnvConfig, PPOConfig
+from hts.envs.velocity import VelocityEnv
+from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.measurement.transform import MeasurementTransform, ProxyTransform
+from hts.policies.files import load_policy
+from hts.rl.batched_updates import BatchedSteps
+from hts.rl.capture import Pins
+from hts.rl.captured_collector import CapturedRollout
+from hts.rl.population import Population
+from hts.rl.population_collector import can_roll_out
+from hts.rl.random import Ahead, PopulationRandom
+from hts.rl.updates import SeparateSteps
+from hts.training.finetune import measured_env
+from hts.training.trainer import PopulationTrainer, make_collector
+from hts_go1.plugin import make_go1
+
+CHANNELS = ("joint_torque", "joint_velocity")
+CONFIG = PPOConfig(horizon=12, epochs=2, minibatches=2, adaptive_rate=True)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return make_go1({})
+
+
+class TorqueObjective:
+    """As much of an objective as the baseline's transform wants."""
+
+    name, target, inputs = "cost", Channel("t", "N*m"), CHANNELS
+
+    def proxy(self, channels):
+        return channels["joint_torque"].square().sum(-1)
+
+    def reward(self, measured):
+        return -0.01 * measured
+
+
+def make_trainer(robot, seeds=(3, 4), worlds=6, proxy=False) -> PopulationTrainer:
+    """Fine-tuning of two candidates, episodes of five steps, so that some end within each batch."""
+    config = EnvConfig(episode_seconds=0.1, threads=1, randomisation={"models": 2})
+    env = robot.make_env("mujoco", len(seeds), worlds, config, channels=CHANNELS, seeds=list(seeds))
+    model = MeasurementModel(MeasurementModelConfig(inputs=CHANNELS, target="t", hidden=8), [12, 12], 50.0, seed=1)
+    some = torch.randn(50, 25, generator=torch.Generator().manual_seed(0))
+    model.set_normaliser(some[:, :24] * 5, some[:, 24])
+    measured = ProxyTransform(TorqueObjective()) if proxy else MeasurementTransform(model, lambda x: -x, "cost")
+    policy = load_policy(robot.pretrained_policy())
+    population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * len(seeds))
+    population.refresh()
+    return PopulationTrainer(
+        measured_env(env, [measured]), population, CONFIG, seeds=seeds,
+        names=[str(seed) for seed in seeds], anchor=population.frozen(), bounds=torch.full((len(seeds),), 0.5),
+        weights={"cost": torch.ones(len(seeds))},
+    )  # fmt: skip
+
+
+def cpu_rollout(trainer):
+    return trainer.rollout
+
+
+def gpu_rollout(trainer):
+    return CapturedRollout(
+        trainer.env, trainer.population, trainer.noise, CONFIG.horizon, capture=False, tf32=False, fuse=False
+    )
+
+
+def break_a_world(trainer, at: int):
+    """From the at-th step on, the physics of a world breaks at every seventh."""
+    engine, count = trainer.env.base_env.engine, 0
+    step = engine.step
+
+    def breaking(ctrl):
+        nonlocal count
+        step(ctrl)
+        count += 1
+        if count >= at and (count - at) % 7 == 0:
+            engine.diverged[4] = True
+
+    engine.step = breaking
+
+
+@pytest.mark.parametrize("proxy", [False, True], ids=["model", "proxy"])
+@pytest.mark.parametrize("make_rollout", [cpu_rollout, gpu_rollout])
+def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot, make_rollout, proxy):
+    usual, other = make_trainer(robot, proxy=proxy), make_trainer(robot, proxy=proxy)
+    collector = make_collector(usual.env, usual.actor, 2 * 6 * CONFIG.horizon, torch.device("cpu"))
+    stream, rollout = iter(collector), make_rollout(other)
+    for trainer in (usual, other):
+        break_a_world(trainer, 3)
+    for _ in range(2):
+        expected, found = next(stream), rollout.collect()
+        for key in ("observation", "critic_observation", "action", "action_mean"):
+            assert torch.equal(found[key], expected[key]), key
+        for key in ("reward", "terminated", "truncated", ("real_reward", "cost")):
+            assert torch.equal(found["next"][key], expected["next"][key]), key
+        last = expected["next", "critic_observation"][..., -1, :]
+        assert torch.equal(found["next", "critic_observation"][..., -1, :], last)
+        assert found["next", "truncated"].any()  # episodes have ended, so resets are compared too
+        assert (found["next", "real_reward", "cost"] != 0).any()
+    for trainer in (usual, other):
+        assert int(trainer.env.base_env.breakdowns.sum()) == 4
+    collector.shutdown()
+    other.close()
+
+
+@pytest.mark.parametrize("method", ["_step", "finish", "rewards_of"])
+def test_an_env_that_steps_in_its_own_way_goes_through_torchrls_collector(robot, method):
+    def own(self, *given):
+        return getattr(VelocityEnv, method)(self, *given)
+
+    env = robot.make_env(
+        "mujoco", 1, 2, EnvConfig(threads=1, randomisation={"models": 1}), channels=CHANNELS, seeds=[1]
+    )
+    assert can_roll_out(env) and can_roll_out(measured_env(env, []))
+    env.__class__ = type("Own", (VelocityEnv,), {method: own})
+    assert not can_roll_out(env)
+    env.__class__ = type("Renamed", (VelocityEnv,), {})
+    assert can_roll_out(env)
+    assert not can_roll_out(TransformedEnv(env, RewardScaling(0.0, 2.0)))
+    env.close()
+
+
+def test_what_is_computed_beside_the_physics_is_what_learning_would_compute_itself(robot):
+    trainer = make_trainer(robot)
+    rollout = CapturedRollout(
+        trainer.env, trainer.population, trainer.noise, CONFIG.horizon, capture=False, aside=True, anchor=trainer.anchor
+    )
+    data = rollout.collect()
+    with torch.no_grad():
+        reward = trainer._rewards(data)[0]
+        (found, _), (expected, _) = (
+            trainer._prepare(data, reward),
+            trainer._prepare(data.exclude("value", "anchor_mean"), reward),
+        )
+    assert {"value", "anchor_mean"} <= set(data.keys())
+    for name, value in expected.items():
+        torch.testing.assert_close(found[name], value, atol=5e-5, rtol=1e-4)  # products of other shapes round otherwise
+    trainer.close()
+
+
+def test_numbers_drawn_ahead_differ_from_step_to_step_and_depend_on_their_own_candidate_alone():
+    def steps(seeds):
+        random, time = PopulationRandom(seeds, torch.device("cpu")), torch.zeros(1, dtype=torch.int64)
+        random.ahead = Ahead(random, 3, time)
+        seen = []
+        for batch in range(2):
+            if batch:
+                random.ahead.renew()
+            for step in range(3):
+                time.fill_(step)
+                random.ahead.begin()
+                seen.append(torch.cat((random.uniform(4, 2), random.uniform(4, 2), random.normal(4, 1)), -1))
+        return torch.stack(seen)
+
+    both, alone = steps([5, 6]), steps([6])
+    assert torch.equal(both[:, 1], alone[:, 0])
+    assert len(set(both.flatten().tolist())) == both.numel()  # nothing comes twice
+    random = PopulationRandom([1], torch.device("cpu"))
+    random.ahead = Ahead(random, 3, torch.zeros(1, dtype=torch.int64))
+    random.uniform(4)
+    random.ahead.begin()
+    with pytest.raises(RuntimeError, match="draw 0"):
+        random.uniform(5)
+
+
+def test_gradient_steps_taken_together_are_those_taken_apart(robot):
+    trainer = make_trainer(robot)
+    data = trainer.collect()
+    with torch.no_grad():
+        samples, constant = trainer._prepare(data, trainer._rewards(data)[0])
+    orders = [torch.stack([torch.randperm(72) for _ in range(2)]) for _ in range(3)]
+    results = []
+    for make in (SeparateSteps, lambda *given: BatchedSteps(*given, capture=False)):
+        population = Population.from_candidates(
+            trainer.population.sizes, [trainer.population.candidate(index) for index in range(2)]
+        )
+        steps = make(population, CONFIG, lambda index, reason: pytest.fail(reason))
+        losses = steps.run(samples, constant, torch.tensor([0.0, 2.0]), orders, 1.0)
+        results.append((torch.stack(list(population.vectors)).detach(), losses, torch.tensor(steps.rates)))
+    (apart, losses, rates), (together, same_losses, same_rates) = results
+    assert not torch.equal(apart, torch.stack(list(trainer.population.vectors)))
+    # Adam's first steps have the size of the rate whatever the gradient: a tenth of the rate is close.
+    torch.testing.assert_close(together, apart, atol=0.1 * CONFIG.learning_rate, rtol=0)
+    torch.testing.assert_close(same_rates, rates)
+    for name, loss in losses.items():
+        torch.testing.assert_close(same_losses[name], loss, atol=1e-4, rtol=1e-3)
+    trainer.close()
+
+
+def test_taken_together_a_gradient_that_is_not_finite_stops_its_candidate_alone():
+    from hts.rl.population import Sizes
+
+    population = Population(Sizes(3, 3, 2, (4,)), 2)
+    before = torch.stack(list(population.vectors)).detach().clone()
+    told = []
+    steps = BatchedSteps(population, CONFIG, lambda index, reason: told.append((index, reason)), capture=False)
+    samples = {
+        "observation": torch.randn(2, 8, 3), "critic_observation": torch.randn(2, 8, 3), "action": torch.randn(2, 8, 2),
+        "old_mean": torch.zeros(2, 8, 2), "log_prob": torch.zeros(2, 8), "advantage": torch.randn(2, 8),
+        "target": torch.randn(2, 8), "old_value": torch.zeros(2, 8),
+    }  # fmt: skip
+    samples["advantage"][0, 3] = torch.inf
+    order = torch.arange(8).expand(2, 8)
+    steps.run(samples, {"old_log_std": torch.zeros(2, 1, 2)}, torch.zeros(2), [order], 1.0)
+    assert told == [(0, "the gradient is not finite")]
+    after = torch.stack(list(population.vectors)).detach()
+    assert torch.isfinite(after).all() and not torch.equal(after[1], before[1])
+    steps.halt(0)
+    now = after.clone()
+    samples["advantage"][0, 3] = 0.0  # even with finite numbers it does not move again
+    steps.run(samples, {"old_log_std": torch.zeros(2, 1, 2)}, torch.zeros(2), [order], 1.0)
+    later = torch.stack(list(population.vectors)).detach()
+    assert torch.equal(later[0], now[0]) and not torch.equal(later[1], now[1])
+
+
+def test_pinned_state_stays_in_its_memory_while_its_values_move():
+    class Owner:
+        def __init__(self):
+            self.kept, self.absent = torch.zeros(2), None
+
+    owner = Owner()
+    pins = Pins(owner, ("kept", "absent"))
+    place = owner.kept.data_ptr()
+    owner.kept = owner.kept + 1.0
+    pins.settle()
+    assert owner.kept.data_ptr() == place and owner.kept.tolist() == [1.0, 1.0]
+    pins.restore()
+    assert owner.kept.data_ptr() == place and owner.kept.tolist() == [0.0, 0.0]

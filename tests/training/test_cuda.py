@@ -1,0 +1,135 @@
+"""What only a GPU can show: captured steps do what the same steps do one operation at a time. Skipped without CUDA."""
+
+import pytest
+import torch
+
+from hts.config import EnvConfig, PPOConfig
+from hts.errors import SimulationError
+from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.measurement.transform import MeasurementTransform
+from hts.policies.files import load_policy
+from hts.rl.batched_updates import BatchedSteps
+from hts.rl.population import Population
+from hts.rl.random import Ahead
+from hts.training.finetune import measured_env
+from hts.training.trainer import PopulationTrainer
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+
+CHANNELS = ("joint_torque", "joint_velocity")
+CONFIG = PPOConfig(horizon=8, epochs=2, minibatches=2, fuse=False)
+SEEDS = (3, 4)
+
+
+def make_trainer(config: PPOConfig = CONFIG, reward=None, resume=None, seeds=SEEDS, worlds=64) -> PopulationTrainer:
+    from hts_go1.plugin import make_go1
+
+    robot = make_go1({})
+    env = robot.make_env("warp", len(seeds), worlds, EnvConfig(randomisation={"models": 2}), CHANNELS, list(seeds))
+    model = MeasurementModel(MeasurementModelConfig(inputs=CHANNELS, target="t", hidden=8), [12, 12], 50.0, seed=1)
+    some = torch.randn(50, 25, generator=torch.Generator().manual_seed(0))
+    model.set_normaliser(some[:, :24] * 5, some[:, 24])
+    policy = load_policy(robot.pretrained_policy())
+    population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * len(seeds), env.device)
+    population.refresh()
+    return PopulationTrainer(
+        measured_env(env, [MeasurementTransform(model, reward or (lambda x: -x), "cost")]), population, config,
+        seeds=seeds, names=[str(seed) for seed in seeds], anchor=population.frozen(),
+        bounds=torch.full((len(seeds),), 0.5), weights={"cost": torch.ones(len(seeds))}, resume=resume,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("fuse", [False, True])
+def test_a_captured_batch_is_the_batch_of_its_steps(fuse):
+    captured, plain = make_trainer(CONFIG.model_copy(update={"fuse": fuse})), make_trainer()
+    plain.rollout._capture_first, plain.rollout._started = False, True
+    plain.rollout.env.reset()  # the first episodes draw their numbers before any are drawn ahead
+    first = captured.collect()
+    for random in (plain.env.base_env.random, plain.noise):
+        random.ahead = Ahead(random, CONFIG.horizon, plain.rollout._time)
+    second = plain.collect()
+    assert captured.rollout._graphs and not plain.rollout._graphs
+    torch.testing.assert_close(first["action"][:, :, 0], second["action"][:, :, 0], atol=1e-3, rtol=0)
+    for key in ("observation", "critic_observation", "action", "value", "anchor_mean"):
+        worst = (
+            (first[key] - second[key]).abs().flatten(3).amax(-1)
+            if first[key].ndim > 3
+            else (first[key] - second[key]).abs()
+        )
+        # Contacts are solved in no fixed order on a GPU, so a few worlds drift apart; most must not.
+        assert float((worst < 5e-2).float().mean()) > 0.95, key
+    assert torch.equal(first["next", "truncated"], second["next", "truncated"])
+    close = (first["next", "real_reward", "cost"] - second["next", "real_reward", "cost"]).abs() < 5e-2
+    assert float(close.float().mean()) > 0.95
+    captured.close()
+    plain.close()
+
+
+def test_batches_go_on_from_each_other_and_use_fresh_numbers():
+    trainer = make_trainer()
+    first = trainer.collect()
+    actions, before = first["action"].clone(), trainer.env.base_env.steps.clone()
+    second = trainer.collect()
+    assert not torch.equal(actions, second["action"])
+    went_on = trainer.env.base_env.steps - before
+    assert float((went_on == CONFIG.horizon).float().mean()) > 0.9  # all but those whose episode ended
+    trainer.close()
+
+
+@pytest.mark.parametrize("fuse", [False, True])
+def test_captured_gradient_steps_are_those_taken_one_by_one(fuse):
+    trainer = make_trainer()
+    data = trainer.collect()
+    with torch.no_grad():
+        samples, constant = trainer._prepare(data, trainer._rewards(data)[0])
+    size = samples["advantage"].shape[1]
+    orders = [torch.stack([torch.randperm(size, device="cuda") for _ in SEEDS]) for _ in range(3)]
+    results = []
+    for capture, fused in ((False, False), (True, fuse)):
+        population = Population.from_candidates(
+            trainer.population.sizes, [trainer.population.candidate(index) for index in range(len(SEEDS))], "cuda"
+        )
+        config = CONFIG.model_copy(update={"fuse": fused, "tf32": False, "adaptive_rate": True})
+        steps = BatchedSteps(population, config, lambda index, reason: pytest.fail(reason), capture)
+        losses = steps.run(samples, constant, torch.tensor([0.0, 2.0], device="cuda"), orders, 1.0)
+        results.append((torch.stack([v.detach() for v in population.vectors]), losses, steps.rates))
+    (plain, losses, rates), (captured, same_losses, same_rates) = results
+    torch.testing.assert_close(captured, plain, atol=0.1 * CONFIG.learning_rate, rtol=0)
+    assert same_rates == pytest.approx(rates)
+    for name, loss in losses.items():
+        torch.testing.assert_close(same_losses[name], loss, atol=1e-3, rtol=1e-2)
+    trainer.close()
+
+
+def test_training_goes_on_from_a_saved_state():
+    trainer = make_trainer()
+    for _ in range(2):
+        trainer.batch()
+    state = trainer.full_state().clone()
+    expected = trainer.batch().values
+    resumed = make_trainer(resume=state)
+    for index, vector in enumerate(resumed.population.vectors):
+        assert torch.equal(vector, state["vectors", str(index)])
+    found = resumed.batch().values
+    assert resumed.batches == 3
+    for name in ("r_sim", "r_real/cost", "kl", "std"):
+        assert found[name] == pytest.approx(expected[name], rel=0.2, abs=5e-2), name
+    trainer.close()
+    resumed.close()
+
+
+@pytest.mark.parametrize("fuse", [False, True])
+def test_a_reward_that_waits_for_the_device_is_named_with_what_to_do(fuse):
+    config = CONFIG.model_copy(update={"fuse": fuse})
+    trainer = make_trainer(config, reward=lambda x: -x if float(x.sum()) != 0.5 else x)
+    with pytest.raises(SimulationError, match=r"waits for the device.*ppo\.capture=false"):
+        trainer.collect()
+
+
+def test_a_candidate_alone_and_in_a_crowd_draws_the_same_noise():
+    crowd, alone = make_trainer(), make_trainer(seeds=(4,))
+    both, single = crowd.collect(), alone.collect()
+    noise = (both["action"] - both["action_mean"])[1]
+    torch.testing.assert_close(noise, (single["action"] - single["action_mean"])[0], atol=1e-5, rtol=0)
+    crowd.close()
+    alone.close()
