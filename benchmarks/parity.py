@@ -26,7 +26,7 @@ from hts.contracts import Robot
 from hts.evaluation.simulation import test_config as calm
 from hts.plugins import load
 from hts.policies.files import Policy, load_policy
-from hts.rl.actor import Explorer
+from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 
 SPEEDS = (0.5, 0.8, 1.1)  # m/s
@@ -57,7 +57,7 @@ def walk(
     reward per second; speed forward, m/s; power: mechanical, sum over joints of max(0, torque x velocity), W.
     """
     env = make_env(robot, engine, device, worlds, seconds, training, seed)
-    act = Explorer(Population.from_candidates(policy.card.sizes(), [policy.tensors], env.device), None)
+    act = PopulationActor(Population.from_candidates(policy.card.sizes(), [policy.tensors], env.device), None)
     state, steps, counted = env.reset(), round(seconds / env.dt), 0
     fallen = torch.zeros(worlds, dtype=torch.bool, device=env.device)
     sums = torch.zeros(3, worlds, dtype=torch.float64, device=env.device)
@@ -86,7 +86,7 @@ def same_inputs(
     Median, 0.9 quantile and largest over worlds of the largest joint error (rad) and trunk error (m) after WATCHED steps.
     """
     env = make_env(robot, "mujoco", "cpu", worlds, (settle + HORIZON + 1) / robot.spec.control_rate_hz, False, seed)
-    act = Explorer(Population.from_candidates(policy.card.sizes(), [policy.tensors], env.device), None)
+    act = PopulationActor(Population.from_candidates(policy.card.sizes(), [policy.tensors], env.device), None)
     double, sent = env.engine, []
     step = double.step
     double.step = lambda ctrl: (sent.append(ctrl.clone()), step(ctrl))[1]

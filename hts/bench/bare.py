@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from hts.rl.task_env import LaunchedSimulator
 from hts.sim.engine import Engine
 
 
@@ -23,8 +24,7 @@ class Replay:
         self.physics = self.overhead = 0.0
         self.steps: list[Any] = []
         # Where control steps are captured, only the launch of the physics goes through Python.
-        self._launched = hasattr(engine, "inputs")
-        name, wrapper = ("step_raw", self._step_raw) if self._launched else ("step", self._step)
+        name, wrapper = ("launch", self._launch) if isinstance(engine, LaunchedSimulator) else ("step", self._step)
         self._engine_step = getattr(engine, name)
         setattr(engine, name, wrapper)
 
@@ -43,7 +43,7 @@ class Replay:
         synchronise(self.engine.device)
         return time.perf_counter() - start
 
-    def _step_raw(self) -> None:
+    def _launch(self) -> None:
         if self.recording:
             self.steps.append(self.engine.snapshot(self.engine.inputs))  # type: ignore[attr-defined]
         self._engine_step()

@@ -69,8 +69,8 @@ def profile(trainer: PopulationTrainer, batches: int = 3) -> dict[str, float] | 
     env = trainer.env.base_env
     clocks = {
         "physics": [Clock(env.engine, "step")], "policy": [Clock(trainer.population, "mean")],
-        "measurement": [Clock(transform, name) for transform in trainer.env.transform for name in ("keep", "follow")],
-        "env": [Clock(env, name) for name in ("begin", "finish_for_now", "rewards_of", "channel_values", "start_episodes")],
+        "measurement": [Clock(one, name) for one in trainer.env.transform for name in ("record", "forward_sequence")],
+        "env": [Clock(env, name) for name in ("begin_step", "end_step", "rewards", "channel_values", "start_episodes")],
     }  # fmt: skip
     start = time.perf_counter()
     for _ in range(batches):

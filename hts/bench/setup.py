@@ -19,7 +19,7 @@ from hts.measurement.models import MeasurementModel, gather
 from hts.measurement.transform import MeasurementTransform
 from hts.plugins import load
 from hts.policies.files import load_policy
-from hts.rl.actor import Explorer
+from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 from hts.sim.mujoco_engine import MujocoEngine
 from hts.sim.selection import select_engine
@@ -112,7 +112,7 @@ def make_trainer(
 @torch.no_grad()
 def _take_statistics(env: EnvBase, population: Population, model: MeasurementModel) -> None:
     """Walk for a second; normalise the model by what was seen, its target by a made-up one."""
-    act: TensorDictModuleBase = Explorer(population, None)
+    act: TensorDictModuleBase = PopulationActor(population, None)
     seen: list[torch.Tensor] = []
     state = env.reset()
     for _ in range(SAMPLE_STEPS):

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import torch
 
 from hts.config import CommandConfig
-from hts.rl.tracing import anything
+from hts.rl.tracing import any_or_tracing
 
 DRAWS = 7  # uniform numbers a world needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
 
@@ -59,7 +59,7 @@ class Commands:
         """One control step passes: resample where due, then steer towards the heading."""
         self.steps_left = self.steps_left - 1
         due = self.steps_left <= 0
-        if anything(due):
+        if any_or_tracing(due):
             self.resample(due, draws, yaw)
         self.steer(yaw)
 

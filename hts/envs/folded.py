@@ -12,12 +12,13 @@ from torchrl.envs import EnvBase
 
 from hts.channels import Channel
 from hts.errors import ConfigError
+from hts.rl.task_env import TaskEnv
 
 Key = str | tuple[str, ...]
 ChannelValues = Callable[[TensorDictBase, torch.Tensor], Mapping[str, torch.Tensor]]
 
 
-class FoldedEnv(EnvBase):
+class FoldedEnv(TaskEnv):
     """World n of candidate p is world p·N + n of `inner`. Nothing of the task is changed; what hts needs is added:
 
     observation, critic_observation: parts of the inner observation, one after the other, float32 [P, N, O];

@@ -43,7 +43,7 @@ DEFAULT_WEIGHTS: dict[str, float] = {
 
 
 @dataclass
-class Motion:
+class RewardInputs:
     """What the reward terms look at; leading dimensions [P, N], or [T, P, N] of several steps (`stacked`).
 
     velocity, angular_velocity, gravity: trunk frame (.., 3); command (.., 3): vx, vy, yaw rate;
@@ -72,7 +72,7 @@ class Motion:
     tracking_sigma: float
     broken: torch.Tensor | None = None
 
-    def kept(self) -> Motion:
+    def copied(self) -> RewardInputs:
         """The same when the next step has been taken: copies of what engine and commands rewrite in place."""
         return replace(
             self,
@@ -82,16 +82,19 @@ class Motion:
         )
 
 
-def stacked(motions: Sequence[Motion]) -> Motion:
+def stacked(steps: Sequence[RewardInputs]) -> RewardInputs:
     """Several steps as one, with a leading dimension: [T, P, N, ...]."""
-    parts = {field.name: [getattr(motion, field.name) for motion in motions] for field in fields(Motion)}
+    parts = {field.name: [getattr(one, field.name) for one in steps] for field in fields(RewardInputs)}
     broken = parts.pop("broken")
-    tensors = {name: torch.stack(part) for name, part in parts.items() if isinstance(part[0], torch.Tensor)}
+    tensors = {name: _stack(part) for name, part in parts.items() if isinstance(part[0], torch.Tensor)}
     if any(one is not None for one in broken):
-        tensors["broken"] = torch.stack([
-            torch.zeros_like(motion.fell) if motion.broken is None else motion.broken for motion in motions
-        ])  # fmt: skip
-    return replace(motions[0], **tensors)
+        tensors["broken"] = _stack([torch.zeros_like(one.fell) if one.broken is None else one.broken for one in steps])
+    return replace(steps[0], **tensors)
+
+
+def _stack(parts: Sequence[torch.Tensor]) -> torch.Tensor:
+    """One of several is itself, with a dimension more."""
+    return parts[0].unsqueeze(0) if len(parts) == 1 else torch.stack(list(parts))
 
 
 def resolve_weights(overrides: Mapping[str, float]) -> dict[str, float]:
@@ -102,34 +105,34 @@ def resolve_weights(overrides: Mapping[str, float]) -> dict[str, float]:
     return {**DEFAULT_WEIGHTS, **overrides}
 
 
-def terms(motion: Motion) -> dict[str, torch.Tensor]:
+def terms(inputs: RewardInputs) -> dict[str, torch.Tensor]:
     """Every unweighted term, each of the leading dimensions."""
-    squares = {name: vector.square().sum(-1) for name, vector in _vectors(motion).items()}
-    return squares | _others(motion)
+    squares = {name: vector.square().sum(-1) for name, vector in _vectors(inputs).items()}
+    return squares | _others(inputs)
 
 
-def total(motion: Motion, weights: Mapping[str, float]) -> torch.Tensor:
+def total(inputs: RewardInputs, weights: Mapping[str, float]) -> torch.Tensor:
     """r_sim of each control step: sum of weight x term x dt, of the leading dimensions.
 
     The squares are summed as one long vector, x_1^2 w_1 + x_2^2 w_2 + ...: on small tensors each operation costs
     more than its arithmetic.
     """
-    vectors = _vectors(motion)
+    vectors = _vectors(inputs)
     scale = _scale(
         tuple(weights.get(name, 0.0) for name in vectors), tuple(vector.shape[-1] for vector in vectors.values()),
-        motion.torque.device,
+        inputs.torque.device,
     )  # fmt: skip
     result = torch.cat(list(vectors.values()), -1).square_().mul_(scale).sum(-1)
-    for name, value in _others(motion).items():
+    for name, value in _others(inputs).items():
         if weights.get(name):
             result.add_(value, alpha=weights[name])
-    result.mul_(motion.dt)
-    if motion.broken is not None:
-        result = torch.where(motion.broken, weights.get("termination", 0.0) * motion.dt, result)
+    result.mul_(inputs.dt)
+    if inputs.broken is not None:
+        result = torch.where(inputs.broken, weights.get("termination", 0.0) * inputs.dt, result)
     return result
 
 
-def _vectors(m: Motion) -> dict[str, torch.Tensor]:
+def _vectors(m: RewardInputs) -> dict[str, torch.Tensor]:
     """Terms that are the squared length of a vector [P, N, ...]: the vectors."""
     return {
         "vertical_velocity": m.velocity[..., 2:3],
@@ -142,7 +145,7 @@ def _vectors(m: Motion) -> dict[str, torch.Tensor]:
     }
 
 
-def _others(m: Motion) -> dict[str, torch.Tensor]:
+def _others(m: RewardInputs) -> dict[str, torch.Tensor]:
     """All other terms, [P, N]."""
     moving = (m.command.square().sum(-1) > 0.01).float()
     error = (m.command[..., :2] - m.velocity[..., :2]).square().sum(-1)

@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import EnvBase
 
 from hts.channels import Channel
 from hts.config import EnvConfig
 from hts.contracts import Robot, RobotSpec
-from hts.envs import rewards
 from hts.envs.commands import DRAWS, Commands
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
 from hts.envs.pose import trunk_frame, yaw_of
+from hts.envs.rewards import RewardInputs, resolve_weights, stacked, total
 from hts.errors import ConfigError
 from hts.rl.random import PopulationRandom
-from hts.rl.tracing import anything
+from hts.rl.task_env import LaunchedSimulator, ReplacedState, SplitStepEnv
+from hts.rl.tracing import any_or_tracing
 from hts.sim.engine import Engine, make_engine
 from hts.sim.models import variants
 
@@ -35,7 +34,7 @@ CHANNEL_FIELDS = {
 }  # fmt: skip
 
 
-class VelocityEnv(EnvBase):
+class VelocityEnv(SplitStepEnv):
     """Follow a commanded velocity; see `hts.envs.rewards` for r_sim.
 
     Writes observation [P, N, 9 + 3 J], critic_observation [P, N, 9 + 3 J + 4 + F] (noise-free, with trunk velocity m/s,
@@ -54,7 +53,7 @@ class VelocityEnv(EnvBase):
         self.channel_specs = dict(channels)
         self.dt = spec.physics_dt * spec.substeps
         self.max_steps = round(config.episode_seconds / self.dt)
-        self.weights = rewards.resolve_weights(config.reward_weights)
+        self.weights = resolve_weights(config.reward_weights)
         self.random = PopulationRandom(seeds, engine.device)
         joints, feet, device = spec.num_joints, len(spec.foot_sites), engine.device
         self.default_pose = torch.tensor(spec.default_pose, device=device)
@@ -64,6 +63,7 @@ class VelocityEnv(EnvBase):
         self._touch = self._sensor_block([f"touch_{leg}" for leg in legs])
         self._foot_velocity = self._sensor_block([f"foot_velocity_{leg}" for leg in legs])
         self._trunk_touch = engine.sensor("trunk_touch")
+        self.observation_layout = observation_layout(joints)
         self._draw_worlds()
         shape = self.shape2
         self.commands = Commands(config.commands, shape, self.dt, device)
@@ -146,30 +146,19 @@ class VelocityEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
-            for index, generator in enumerate(self.random.generators):
-                generator.manual_seed(seed + index)
+            self.random.seed(seed)
             self.__dict__.pop("_draws", None)  # drawn with the old seed
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
-        if self._resuming:  # the first reset after `load_full_state` starts nothing: the episodes go on
+    def first_mask(self) -> torch.Tensor:
+        """Everywhere; nowhere after `load_full_state`, since the episodes go on."""
+        mask = super().first_mask()
+        if self._resuming:
             self._resuming = False
-            mask = torch.zeros(self.shape2, dtype=torch.bool, device=self.device)
-        elif tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118 - a TensorDict
-            mask = tensordict["_reset"].view(self.shape2)
-        else:
-            mask = torch.ones(self.shape2, dtype=torch.bool, device=self.device)
-        if anything(mask):
-            self.start_episodes(mask)
-        done = torch.zeros(*self.shape2, 1, dtype=torch.bool, device=self.device)
-        return self._result({"done": done, "terminated": done.clone(), "truncated": done.clone()})
+            mask = torch.zeros_like(mask)
+        return mask
 
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict["action"]
-        self.engine.step(self.begin(action))
-        return self.finish(action)
-
-    def begin(self, action: torch.Tensor) -> torch.Tensor:
-        """A control step up to its physics: actions [P, N, J] -> actuator inputs (substeps, P N, J)."""
+    def begin_step(self, action: torch.Tensor) -> torch.Tensor:
+        """Actions [P, N, J] -> actuator inputs (substeps, P·N, J)."""
         self._draws = self._draw()
         target = torch.addcmul(self.default_pose, self.action_scale, action)
         # A world with delay d applies the previous target in its first d physics steps.
@@ -178,42 +167,40 @@ class VelocityEnv(EnvBase):
         self.target = target
         return ctrl.view(self.robot_spec.substeps, -1, ctrl.shape[-1])
 
-    def finish(self, action: torch.Tensor) -> TensorDict:
-        """A control step after its physics: what `_step` returns. On a GPU it never waits for the device."""
-        motion = self._end_step(action)
-        reward = rewards.total(motion, self.weights)
-        return self._result({"reward": reward.unsqueeze(-1), **self._prepare_next(motion)})
+    def simulate(self, inputs: torch.Tensor) -> None:
+        """The physics of a control step."""
+        self.engine.step(inputs)
 
-    def finish_for_now(self, action: torch.Tensor) -> tuple[rewards.Motion, dict[str, torch.Tensor]]:
-        """`finish` with as little as possible: what `rewards_of` wants later, and done, terminated and truncated [P, N, 1]."""
-        motion = self._end_step(action).kept()
-        return motion, self._prepare_next(motion)
+    def end_step(self, action: torch.Tensor) -> tuple[RewardInputs, dict[str, torch.Tensor]]:
+        """What the reward looks at, and the flags."""
+        seen = self._after_physics(action).copied()
+        return seen, self._prepare_next(seen)
 
-    def rewards_of(self, motions: Sequence[rewards.Motion]) -> torch.Tensor:
-        """r_sim of steps that `finish_for_now` has finished, [T, P, N]."""
-        return rewards.total(rewards.stacked(motions), self.weights)
+    def rewards(self, steps: Sequence[RewardInputs]) -> torch.Tensor:
+        """r_sim of steps that have ended, [T, P, N]."""
+        return total(stacked(steps), self.weights)
 
-    def _end_step(self, action: torch.Tensor) -> rewards.Motion:
-        """Count the step, give some robots a kick, and read what has become of every world."""
+    def _after_physics(self, action: torch.Tensor) -> RewardInputs:
+        """Count the step, push some robots, and read what has become of all."""
         self.steps = self.steps + 1
         self._push(self._draws[..., DRAWS : DRAWS + 3])
-        motion = self._read(action)
+        seen = self._read(action)
         broken = self.engine.diverged.view(self.shape2)
-        if anything(broken):
-            motion.broken = broken.clone()
+        if any_or_tracing(broken):
+            seen.broken = broken.clone()
             self.breakdowns = self.breakdowns + broken
-        return motion
+        return seen
 
-    def _prepare_next(self, motion: rewards.Motion) -> dict[str, torch.Tensor]:
+    def _prepare_next(self, seen: RewardInputs) -> dict[str, torch.Tensor]:
         """Make the next command and observation, and say whose episode is over."""
-        self.action, self.last_joint_velocity = motion.action, motion.joint_velocity
-        terminated = motion.fell
+        self.action, self.last_joint_velocity = seen.action, seen.joint_velocity
+        terminated = seen.fell
         truncated = (self.steps >= self.max_steps) & ~terminated
         self.falls = self.falls + terminated
         self.commands.advance(self._draws[..., :DRAWS], self._yaw)
         self._observe(self._draws[..., self._fixed_draws :])
-        if motion.broken is not None:  # it has fallen: its episode ends there, and none of its numbers is used
-            broken = motion.broken.unsqueeze(-1)
+        if seen.broken is not None:  # it has fallen: its episode ends there, and none of its numbers is used
+            broken = seen.broken.unsqueeze(-1)
             self._observation = self._observation.masked_fill(broken, 0.0)
             self._critic_observation = self._critic_observation.masked_fill(broken, 0.0)
         return {
@@ -225,36 +212,29 @@ class VelocityEnv(EnvBase):
         """The uniform numbers of a step [P, N, ...]."""
         return self.random.uniform(self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0))
 
-    def _result(self, entries: dict[str, Any]) -> TensorDict:
-        entries["observation"] = self._observation
-        entries["critic_observation"] = self._critic_observation
-        if self.channel_specs:
-            values = self.channel_values()
-            if self.device.type != "cpu":  # the CPU engine's broken worlds hold finite numbers
-                broken = self.engine.diverged.view(*self.shape2, 1)
-                values = {name: value.masked_fill(broken, 0.0) for name, value in values.items()}
-            entries["channels"] = TensorDict(values, batch_size=self.batch_size, device=self.device)
-        return TensorDict(entries, batch_size=self.batch_size, device=self.device)
-
     def channel_values(self) -> dict[str, torch.Tensor]:
-        """The channels asked for, now."""
-        return {name: self._channel_value(name) for name in self.channel_specs}
+        """The channels asked for, now; zeros where the physics broke and left numbers that are none."""
+        values = {name: self._channel_value(name) for name in self.channel_specs}
+        if values and not self.engine.finite_when_diverged:
+            broken = self.engine.diverged.view(*self.shape2, 1)
+            values = {name: value.masked_fill(broken, 0.0) for name, value in values.items()}
+        return values
 
-    def observations(self) -> tuple[torch.Tensor, torch.Tensor]:
+    def observations(self) -> dict[str, torch.Tensor]:
         """What policy [P, N, O] and critic [P, N, O_c] see now."""
-        return self._observation, self._critic_observation
+        return {"observation": self._observation, "critic_observation": self._critic_observation}
 
     # ---------------------------------------------------------------------------------------------- physics
 
     def _push(self, draws: torch.Tensor) -> None:
-        """Now and then, a horizontal kick to the trunk's velocity."""
+        """Now and then, a horizontal push: a jump of the trunk's velocity."""
         r = self.config.randomisation
         if not r.enabled or r.push_speed == 0:
             return
         pushed = (draws[..., 0] < self.dt / r.push_interval).reshape(-1)
         mask = pushed & ~self.engine.diverged  # a reset would hide that
-        if anything(mask):
-            self.engine.kick(mask, (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed)
+        if any_or_tracing(mask):
+            self.engine.push(mask, (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed)
 
     def start_episodes(self, mask: torch.Tensor) -> None:
         """Stand the robots of mask [P, N] up: joints near the default pose, a random heading and a small velocity."""
@@ -301,7 +281,7 @@ class VelocityEnv(EnvBase):
         self._joint_position = qpos[..., 7:] + self.joint_offset  # as the encoders say
         self._joint_velocity = qvel[..., 6:].clone()
 
-    def _read(self, action: torch.Tensor) -> rewards.Motion:
+    def _read(self, action: torch.Tensor) -> RewardInputs:
         """Look at the robots after a step."""
         self._read_pose()
         sensors = self.engine.sensordata.view(*self.shape2, -1)
@@ -317,7 +297,7 @@ class VelocityEnv(EnvBase):
             | (sensors[..., self._trunk_touch.start] > 1.0)
             | self.engine.diverged.view(self.shape2)
         )
-        motion = rewards.Motion(
+        seen = RewardInputs(
             velocity=self._velocity, angular_velocity=self._angular_velocity, gravity=self._gravity,
             command=self.commands.value, torque=sensors[..., self._torques], joint_velocity=self._joint_velocity,
             last_joint_velocity=self.last_joint_velocity, pose_error=self._joint_position - self.default_pose,
@@ -328,7 +308,7 @@ class VelocityEnv(EnvBase):
         self.air_time = air_time * ~contact
         self.was_contact = now
         self._contact = now
-        return motion
+        return seen
 
     def _observe(self, draws: torch.Tensor) -> None:
         clean = torch.cat(
@@ -356,6 +336,18 @@ class VelocityEnv(EnvBase):
         "action", "last_joint_velocity", "target", "air_time", "was_contact", "steps", "falls", "breakdowns", "_draws",
         "_observation", "_critic_observation",
     )  # fmt: skip
+
+    def launched_simulator(self) -> LaunchedSimulator | None:
+        """The engine, where its step is a launch."""
+        return self.engine if isinstance(self.engine, LaunchedSimulator) else None
+
+    def replaced_state(self) -> list[ReplacedState]:
+        """What a step makes anew: the env's own buffers and the commands'."""
+        return [ReplacedState(self, self.STATE), ReplacedState(self.commands, self.commands.STATE)]
+
+    def check(self) -> None:
+        """Raise SimulationError if a buffer of the engine overflowed."""
+        self.engine.check()
 
     def full_state(self) -> TensorDict:
         """Physics, commands, buffers and random generators: everything to go on exactly from here."""

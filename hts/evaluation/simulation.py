@@ -10,7 +10,7 @@ from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig
 from hts.errors import ConfigError
-from hts.rl.actor import Explorer
+from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 
 SETTLE_SECONDS = 2.0  # the start of a trial is not judged
@@ -55,7 +55,7 @@ def simulate(
         raise ConfigError(
             f"A trial of {seconds} s has no segment to judge: {SETTLE_SECONDS} s to settle and 1 s at least. Make it longer."
         )
-    act = Explorer(population, None)
+    act = PopulationActor(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
     state = env.reset()
     fallen = torch.zeros(shape, dtype=torch.bool, device=env.device)

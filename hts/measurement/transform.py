@@ -7,7 +7,7 @@ For an env of batch size [P, N] that writes ("channels", name), each control ste
     ("outside", target)        [P, N, 1]  share of the inputs that lie outside the range the model was fitted on
 
 All three are 0 where an episode has just begun: nothing has been measured yet. They are observations, not the
-env's reward: whoever trains adds λ·dt·(r_real − centre) to r_sim. NaN stays NaN, so that it can be found.
+env's reward: `hts.rl.MeasuredReward` adds λ·dt·(r_real − centre) to r_sim. NaN stays NaN, so that it can be found.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
-from torchrl.envs.transforms import Transform
 
 from hts.errors import SimulationError, unknown_name
 from hts.measurement.models import MeasurementModel, gather
+from hts.rl.deferred import DeferrableTransform
+from hts.rl.task_env import ReplacedState
 
 if TYPE_CHECKING:
     from hts.contracts import Objective
 
 
-class Measured(Transform):
-    """What both transforms share: what they read and write, and their specs. None waits for the device, so that a GPU's
-    control step can be captured with them in it."""
+class Measured(DeferrableTransform):
+    """What both transforms share: what they read and write, and their specs."""
 
     def __init__(self, inputs: tuple[str, ...], outputs: tuple[tuple[str, str], ...]) -> None:
         super().__init__(in_keys=[("channels", name) for name in inputs], out_keys=list(outputs))
@@ -50,41 +51,20 @@ class Measured(Transform):
             observation_spec[group, name] = Unbounded((*batch, 1), device=device)
         return observation_spec
 
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        for key in self.out_keys:
-            tensordict_reset.set(key, torch.zeros(*tensordict_reset.batch_size, 1, device=tensordict_reset.device))
-        return tensordict_reset
-
-    def keep(self, channels: Mapping[str, Tensor]) -> Tensor:
-        """What `follow` will want to know of a step; channels: name -> [P, N, ...], now."""
-        raise NotImplementedError
-
-    def follow(self, kept: Tensor, ended: Tensor) -> Tensor:
-        """What `_step` and `_reset` do one after the other, for several steps at once: nobody needs r_real before.
-
-        kept (T, ...): of each step; ended (T, P·N): episodes that ended with the step. Returns r_real, T·P·N numbers in that order.
-        """
-        raise NotImplementedError
-
-    # An env that resets itself hands the same mask to the same work.
-    def _reset_on_native_autoreset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        return self._reset(tensordict, tensordict_reset)
+    def forget(self, ended: Tensor) -> None:
+        """Nothing is remembered."""
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        raise SimulationError(f"{type(self).__name__} works inside an env only: its memory belongs to worlds.")
+        raise SimulationError(f"{type(self).__name__} works inside an env only: its memory belongs to env instances.")
 
 
 class MeasurementTransform(Measured):
-    """Predicts the objective's target in every world at every step, and turns it into r_real.
+    """Predicts the objective's target in every env instance at every step, and turns it into r_real.
 
     model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape.
-    The memory, (layers, 2, hidden, P·N), is emptied where an episode begins; it is part of `state_dict()`, so a
-    run resumes in mid-episode. The model's weights are not: they have their own file (`measurement.files`).
+    The memory is emptied where an episode begins; it is part of `state_dict()`, so a run resumes in mid-episode. The
+    model's weights are not: they have their own file (`measurement.files`).
     """
-
-    STATE = ("memory",)
 
     def __init__(self, model: MeasurementModel, reward: Callable[[Tensor], Tensor], name: str) -> None:
         target = model.config.target
@@ -105,48 +85,42 @@ class MeasurementTransform(Measured):
         """The transform of an objective with its fitted model."""
         return cls(model, objective.reward, objective.name)
 
-    def prepare(self, worlds: int, device: torch.device) -> None:
+    def prepare(self, instances: int, device: torch.device) -> None:
         """Model and memory on the device: before the first step, since models are fitted on the CPU, and after loading
         a state saved on another device."""
         model = self._model[0]
         if model.feature_mean.device != device:
             model.to(device)
         if self.memory is None:
-            self.memory = model.initial_state(worlds)
+            self.memory = model.initial_state(instances)
         elif self.memory.device != device:
             self.memory = self.memory.to(device)
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        shape = next_tensordict.batch_size
-        worlds = shape.numel()
-        model = self._model[0]
-        inputs = gather(next_tensordict.get("channels"), self.inputs, worlds)
-        self.prepare(worlds, inputs.device)
-        prediction, self.memory = model.step(inputs, self.memory)
-        prediction = prediction.view(*shape, 1)
+    def replaced_state(self) -> list[ReplacedState]:
+        return [ReplacedState(self, ("memory",))]
+
+    def record(self, channels: Mapping[str, Tensor]) -> Tensor:
+        """The model's inputs, (P·N, F)."""
+        return gather(channels, self.inputs, channels[self.inputs[0]].shape[:2].numel())
+
+    def evaluate(self, recorded: Tensor) -> dict[NestedKey, Tensor]:
+        prediction, self.memory = self._model[0].step(recorded, self.memory)
+        return self._entries(prediction, recorded)
+
+    def forget(self, ended: Tensor) -> None:
+        if self.memory is not None:  # not a product: an instance that ended in NaN must start clean
+            self.memory = self.memory.masked_fill(ended, 0.0)
+
+    def forward_sequence(self, recorded: Tensor, ended: Tensor) -> dict[NestedKey, Tensor]:
+        prediction, self.memory = self._model[0].steps(recorded, self.memory, ended)
+        return self._entries(prediction, recorded)
+
+    def _entries(self, prediction: Tensor, inputs: Tensor) -> dict[NestedKey, Tensor]:
         measured, real_reward, outside = self.out_keys
-        next_tensordict.set(measured, prediction)
-        next_tensordict.set(real_reward, self.reward(prediction))
-        next_tensordict.set(outside, model.outside(inputs).view(*shape, 1))
-        return next_tensordict
-
-    def keep(self, channels: Mapping[str, Tensor]) -> Tensor:
-        worlds = channels[self.inputs[0]].shape[:2].numel()
-        return gather(channels, self.inputs, worlds)
-
-    def follow(self, kept: Tensor, ended: Tensor) -> Tensor:
-        self.prepare(kept.shape[1], kept.device)
-        prediction, self.memory = self._model[0].steps(kept, self.memory, ended)
-        return self.reward(prediction.unsqueeze(-1))
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        mask = tensordict.get("_reset", None)
-        if self.memory is not None:
-            if mask is None:
-                self.memory = torch.zeros_like(self.memory)
-            else:  # not a product: a world that ended in NaN must start clean
-                self.memory = self.memory.masked_fill(mask.reshape(-1), 0.0)
-        return super()._reset(tensordict, tensordict_reset)
+        prediction = prediction.unsqueeze(-1)
+        return {
+            measured: prediction, real_reward: self.reward(prediction), outside: self._model[0].outside(inputs).unsqueeze(-1)
+        }  # fmt: skip
 
     def _load_from_state_dict(self, state_dict, prefix, *args, **kwargs) -> None:
         saved = state_dict.get(prefix + "memory")
@@ -165,21 +139,17 @@ class ProxyTransform(Measured):
         super().__init__(objective.inputs, (("measured", objective.target.name), ("real_reward", objective.name)))
         self.objective = objective
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        channels = next_tensordict.get("channels")
-        proxy = self.keep(channels).unsqueeze(-1)
-        measured, real_reward = self.out_keys
-        next_tensordict.set(measured, proxy)
-        next_tensordict.set(real_reward, self.objective.reward(proxy))
-        return next_tensordict
-
-    def keep(self, channels: Mapping[str, Tensor]) -> Tensor:
+    def record(self, channels: Mapping[str, Tensor]) -> Tensor:
         proxy = self.objective.proxy({name: channels[name] for name in self.inputs})
         if proxy is None:
             raise SimulationError(
                 f"Objective '{self.objective.name}' has no analytic stand-in, so there is no baseline to train."
             )
-        return proxy
+        return proxy.reshape(-1, 1)
 
-    def follow(self, kept: Tensor, ended: Tensor) -> Tensor:
-        return self.objective.reward(kept)
+    def evaluate(self, recorded: Tensor) -> dict[NestedKey, Tensor]:
+        measured, real_reward = self.out_keys
+        return {measured: recorded, real_reward: self.objective.reward(recorded)}
+
+    def forward_sequence(self, recorded: Tensor, ended: Tensor) -> dict[NestedKey, Tensor]:
+        return self.evaluate(recorded)

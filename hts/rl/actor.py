@@ -1,4 +1,4 @@
-"""The exploring policy of a population, as a TensorDict module for TorchRL's Collector."""
+"""Actor and critic of a population, as TensorDict modules that TorchRL's collectors, estimators and losses take."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch.distributions import Independent, Normal
 
 from hts.rl.population import Population
 from hts.rl.random import PopulationRandom
@@ -15,30 +16,68 @@ LOG_2PI = math.log(2 * math.pi)
 
 
 def log_prob(action: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
-    """log N(action; mean, diag exp(2 log_std)), summed over actions; [..., J] -> [...]."""
+    """log N(action; mean, diag exp(2 log_std)), summed over actions; [..., A] -> [...]."""
     z = (action - mean) * torch.exp(-log_std)
     return -(0.5 * z.square() + log_std + 0.5 * LOG_2PI).sum(-1)
 
 
-class Explorer(TensorDictModuleBase):
-    """observation [P, N, O] -> action = mean + sigma x noise [P, N, J], and its mean.
+class PopulationActor(TensorDictModuleBase):
+    """The policies of P candidates: observation [P, ..., O] -> loc, action [P, ..., A] and action_log_prob [P, ...].
 
-    The noise comes from a generator per candidate; with `random=None` the mean action is taken.
+    random: where the exploration noise comes from, a generator per candidate; None: the mean action. `forward` is for
+    collecting and gives no gradient; `get_dist` is for losses.
     """
 
     in_keys = ["observation"]  # noqa: RUF012 - what TensorDictModuleBase asks for
-    out_keys = ["action", "action_mean"]  # noqa: RUF012
+    out_keys = ["loc", "action", "action_log_prob"]  # noqa: RUF012
+    dist_sample_keys = ["action"]  # noqa: RUF012 - what TorchRL's losses ask for
+    log_prob_keys = ["action_log_prob"]  # noqa: RUF012
 
-    def __init__(self, population: Population, random: PopulationRandom | None):
+    def __init__(self, population: Population, random: PopulationRandom | None = None) -> None:
         super().__init__()
         self.population, self.random = population, random
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        mean = self.population.mean(tensordict["observation"])
-        action = mean
+        observation = tensordict["observation"]
+        loc, log_std = self.loc(observation), self.log_std(observation.ndim)
+        action = loc
         if self.random is not None:
-            action = mean + self.population.log_std().exp() * self.random.normal(*mean.shape[1:])
-        tensordict["action"] = action
-        tensordict["action_mean"] = mean
+            action = loc + log_std.exp() * self.random.normal(*loc.shape[1:])
+        tensordict["loc"], tensordict["action"] = loc, action
+        tensordict["action_log_prob"] = log_prob(action, loc, log_std)
+        return tensordict
+
+    def loc(self, observation: torch.Tensor) -> torch.Tensor:
+        """Mean actions [P, ..., A], without gradients."""
+        return self.population.mean(observation.flatten(1, -2)).view(*observation.shape[:-1], -1)
+
+    def log_std(self, ndim: int, named=None) -> torch.Tensor:
+        """ln sigma, [P, 1, ..., 1, A] of ndim dimensions."""
+        log_std = self.population.log_std(named)
+        return log_std.view(len(log_std), *(1,) * (ndim - 2), -1)
+
+    def get_dist(self, tensordict: TensorDictBase) -> Independent:
+        """The policies' distribution in the states of tensordict [P, ...]; differentiable."""
+        observation = tensordict["observation"]
+        named = self.population.named()
+        loc = self.population.mean(observation.flatten(1, -2), named).view(*observation.shape[:-1], -1)
+        scale = self.log_std(observation.ndim, named).exp().expand_as(loc)
+        return Independent(Normal(loc, scale, validate_args=False), 1, validate_args=False)
+
+
+class PopulationCritic(TensorDictModuleBase):
+    """The values of P candidates: critic_observation [P, ..., O_c] -> state_value [P, ..., 1]; differentiable."""
+
+    in_keys = ["critic_observation"]  # noqa: RUF012
+    out_keys = ["state_value"]  # noqa: RUF012
+
+    def __init__(self, population: Population) -> None:
+        super().__init__()
+        self.population = population
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        observation = tensordict["critic_observation"]
+        value = self.population.value(observation.flatten(1, -2), self.population.named())
+        tensordict["state_value"] = value.view(*observation.shape[:-1], 1)
         return tensordict

@@ -9,11 +9,11 @@ import torch
 from torch.nn import functional as F
 from torch.optim.adam import adam
 
-from hts.config import PPOConfig
 from hts.rl.capture import captured, warm_up
 from hts.rl.population import ALIGNED, Population
 from hts.rl.precision import tf32
-from hts.rl.tracing import Program, can_fuse, fused
+from hts.rl.settings import UpdateSettings
+from hts.rl.tracing import TracedGraph, can_compile, compiled
 from hts.rl.updates import REPORTED, GradientSteps, Samples, Stop, adapted
 
 
@@ -24,10 +24,13 @@ class BatchedSteps(GradientSteps):
     CUDA graphs, one for each size of minibatch; without it the same steps run one operation after the other.
     """
 
-    def __init__(self, population: Population, config: PPOConfig, stop: Stop, capture: bool) -> None:
+    def __init__(
+        self, population: Population, config: UpdateSettings, stop: Stop, capture: bool, *, tf32: bool = True,
+        fuse: bool | None = None,
+    ) -> None:  # fmt: skip
         super().__init__(population, config, stop)
         count, device = population.count, population.device
-        self._capture = capture
+        self._capture, self._tf32 = capture, tf32
         self._rates = torch.full((count,), config.learning_rate, device=device)
         self._running = torch.ones(count, dtype=torch.bool, device=device)
         # One long leaf, of which the candidates' vectors are views from now on.
@@ -39,8 +42,8 @@ class BatchedSteps(GradientSteps):
         self._fixed: dict[str, torch.Tensor] = {}
         self._rows: dict[int, torch.Tensor] = {}
         self._graphs: dict[int, torch.cuda.CUDAGraph] = {}
-        self._fuse = capture and (can_fuse(device) if config.fuse is None else config.fuse)
-        self._losses = fused(self._forward, device, self._fuse)
+        self._fuse = capture and (can_compile(device) if fuse is None else fuse)
+        self._losses = compiled(self._forward, device, self._fuse)
         self._update: Callable[..., Any] | None = None
         self._sums = torch.zeros(len(REPORTED), count, device=device)
         self._columns: dict[str, tuple[int, int, bool]] = {}
@@ -106,7 +109,7 @@ class BatchedSteps(GradientSteps):
             batch[name] = taken[..., start] if flat else taken[..., start : start + size]
         # A leaf of its own: autograd remembers on which stream a leaf was first used, and a capture must know no other.
         leaf = self._leaf.detach().requires_grad_()
-        with torch.enable_grad(), tf32(config.tf32):
+        with torch.enable_grad(), tf32(self._tf32):
             total, *parts = self._losses(leaf, batch, fixed["multipliers"], fixed["policy_on"])
             (gradient,) = torch.autograd.grad(total, leaf)
         with torch.no_grad():
@@ -124,7 +127,7 @@ class BatchedSteps(GradientSteps):
         """Clip each candidate's gradient [P, D] by its own norm and take the step of all that still run."""
         memory = [gradient, self._leaf.detach(), *self._moments.values(), self._rates, self._running]
         if self._update is None:
-            self._update = Program(self._adam_step, memory) if self._fuse else self._adam_step
+            self._update = TracedGraph(self._adam_step, memory) if self._fuse else self._adam_step
         self._update(*memory)
 
     def _adam_step(

@@ -74,15 +74,13 @@ class Captured(Generic[Result]):
         return self.result
 
 
-class Pins:
-    """State that a step replaces, held in the same memory from step to step, as a captured graph needs it.
-
-    `settle`, at the end of a step, copies what the step made into the pinned memory and puts that back in place.
-    """
+class StaticBuffers:
+    """State that a step replaces, held in the same memory from step to step, as a captured graph needs it."""
 
     def __init__(self, owner: Any, names: Iterable[str]) -> None:
-        self.owner, self.names = owner, [name for name in names if getattr(owner, name, None) is not None]
-        self.fixed = {name: getattr(owner, name).clone() for name in self.names}
+        self.owner = owner
+        held = {name: getattr(owner, name) for name in names}
+        self.fixed: dict[str, torch.Tensor] = {name: now.clone() for name, now in held.items() if now is not None}
         self.begun = {name: value.clone() for name, value in self.fixed.items()}
         self._attach()
 
@@ -90,8 +88,8 @@ class Pins:
         for name, value in self.fixed.items():
             setattr(self.owner, name, value)
 
-    def settle(self) -> None:
-        """Where a step left it, in the memory where the next one looks for it."""
+    def copy_back(self) -> None:
+        """At the end of a step: copy what it made into the memory where the next one looks for it."""
         for name, value in self.fixed.items():
             made = getattr(self.owner, name)
             if made is not value:
@@ -99,7 +97,7 @@ class Pins:
         self._attach()
 
     def restore(self) -> None:
-        """Back to what it was when it was pinned."""
+        """Back to what it was when it was first held."""
         for name, value in self.fixed.items():
             value.copy_(self.begun[name])
         self._attach()

@@ -1,36 +1,42 @@
 """Reward centring (Naik, Wan, Tomar, Sutton 2024, arXiv 2405.09999), simple on-policy form.
 
-The measurement model's zero moves with every new fit (it is z-scored by its data's statistics). Subtracting a
-running mean of r_real removes that shift before anything else touches the reward; clipping first would not.
+A learned measurement's zero moves with every new fit (it is z-scored by its data's statistics). Subtracting a running
+mean removes that shift before anything else touches the reward; clipping first would not.
 """
 
 from __future__ import annotations
 
 import torch
+from torch import nn
 
 from hts.rl.rows import row_mean
 
 
-class Centre:
-    """Running mean of r_real per candidate [P], with the unbiased start beta_t = beta / o_t.
+class RewardCentring(nn.Module):
+    """Running mean of a reward, of each candidate or of all, with the unbiased start beta_t = beta / o_t.
 
-    o_t = o_{t-1} + beta (1 - o_{t-1}), o_0 = 0. Kept slow (small beta): with early termination a fast centre would
-    change the value of staying alive.
+    o_t = o_{t-1} + beta (1 - o_{t-1}), o_0 = 0: the first mean is the first batch's own. Kept slow (small beta): with
+    early termination a fast centre would change the value of staying alive.
+
+    count: P, for rewards [P, ...] with a mean each; None: one mean of everything. rate: beta, per `update`.
     """
 
-    def __init__(self, count: int, rate: float, device: torch.device):
+    mean: torch.Tensor
+    trace: torch.Tensor
+
+    def __init__(self, rate: float = 0.05, count: int | None = None, device: torch.device | str | None = None) -> None:
+        super().__init__()
         self.rate = rate
-        self.mean = torch.zeros(count, device=device)
-        self.trace = torch.zeros((), device=device)
+        self.register_buffer("mean", torch.zeros(() if count is None else (count,), device=device))
+        self.register_buffer("trace", torch.zeros((), device=device))
 
+    @torch.no_grad()
     def update(self, reward: torch.Tensor) -> None:
-        """reward [P, ...]: r_real of a batch."""
+        """Fold in a reward [P, ...] (any shape without `count`)."""
+        mean = row_mean(reward) if self.mean.ndim else reward.mean()
         self.trace = self.trace + self.rate * (1.0 - self.trace)
-        self.mean = self.mean + self.rate / self.trace * (row_mean(reward) - self.mean)
+        self.mean = self.mean + self.rate / self.trace * (mean - self.mean)
 
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        return {"mean": self.mean.clone(), "trace": self.trace.clone()}
-
-    def load_state_dict(self, state) -> None:
-        self.mean = state["mean"].to(self.mean.device).clone()
-        self.trace = state["trace"].to(self.mean.device).clone()
+    def forward(self, reward: torch.Tensor) -> torch.Tensor:
+        """reward - mean, of the same shape. Changes nothing."""
+        return reward - self.mean.view(*self.mean.shape, *(1,) * (reward.ndim - self.mean.ndim))

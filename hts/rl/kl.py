@@ -1,43 +1,48 @@
-"""The bound of Algorithm 1: E_{s~pi}[KL(pi || anchor)] <= c, held by a Lagrange multiplier per candidate."""
+"""The KL divergence to a reference policy: KL(pi || reference), the policy that is trained first."""
 
 from __future__ import annotations
 
 import torch
+from torch.distributions import Distribution, Independent, TransformedDistribution, kl_divergence
 
 
 def gaussian_kl(
-    mean: torch.Tensor, log_std: torch.Tensor, anchor_mean: torch.Tensor, anchor_log_std: torch.Tensor
+    mean: torch.Tensor, log_std: torch.Tensor, reference_mean: torch.Tensor, reference_log_std: torch.Tensor
 ) -> torch.Tensor:
-    """KL(pi || anchor) of diagonal Gaussians, summed over actions; [..., J] -> [...], nats.
+    """KL(pi || reference) of diagonal Gaussians, summed over actions; [..., J] -> [...], nats.
 
     KL(p||q) = sum_j ln(s_q / s_p) + (s_p^2 + (m_p - m_q)^2) / (2 s_q^2) - 1/2.
     Order matters: the expectation is under the policy being trained, so pi comes first. Swapping the two would
-    forbid what the anchor does and pi does not, instead of what pi does and the anchor does not.
+    forbid what the reference does and pi does not, instead of what pi does and the reference does not.
     """
-    ratio = log_std - anchor_log_std
-    scaled = (mean - anchor_mean) * torch.exp(-anchor_log_std)
+    ratio = log_std - reference_log_std
+    scaled = (mean - reference_mean) * torch.exp(-reference_log_std)
     return (0.5 * (torch.exp(2 * ratio) + scaled.square() - 1.0) - ratio).sum(-1)
 
 
-class Multipliers:
-    """alpha <- [alpha + eta (KL - c)]_+ for each candidate, once per batch.
+def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tensor:
+    """KL(policy || reference) in each state, shape of `policy.batch_shape`, nats; differentiable in policy.
 
-    bounds [P]: c in nats, infinity switches a candidate's bound off. eta acts on KL / c, so that tight and
-    loose bounds are approached in the same number of batches; alpha starts at 0: nothing pulls until the bound is near.
+    In closed form where torch knows one. Both squashed by the same bijection (a tanh): that of what was squashed, since
+    a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action a ~ policy, which has
+    the right mean.
     """
+    inner = [_unsquashed(one) for one in (policy, reference)]
+    if type(policy) is type(reference) and None not in inner:
+        first, second = inner
+    else:
+        first, second = policy, reference
+    try:
+        divergence = kl_divergence(first, second)
+    except NotImplementedError:
+        action = policy.rsample()
+        return policy.log_prob(action) - reference.log_prob(action)
+    extra = divergence.ndim - len(policy.batch_shape)
+    return divergence.sum(tuple(range(-extra, 0))) if extra else divergence
 
-    def __init__(self, bounds: torch.Tensor, rate: float):
-        self.bounds, self.rate = bounds, rate
-        self.value = torch.zeros_like(bounds)
 
-    def update(self, kl: torch.Tensor) -> None:
-        """kl [P]: mean KL over the batch, measured with the parameters it ends with."""
-        free = torch.isinf(self.bounds)
-        excess = torch.where(free, 0.0, kl / self.bounds - 1.0).clamp(max=2.0)
-        self.value = (self.value + self.rate * excess).clamp(min=0.0)
-
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        return {"value": self.value.clone(), "bounds": self.bounds.clone()}
-
-    def load_state_dict(self, state) -> None:
-        self.value = state["value"].to(self.bounds.device).clone()
+def _unsquashed(distribution: Distribution) -> Distribution | None:
+    """The base of a squashed distribution; None for any other, and for limits that depend on the state."""
+    if isinstance(distribution, Independent):
+        return _unsquashed(distribution.base_dist)
+    return distribution.base_dist if isinstance(distribution, TransformedDistribution) else None

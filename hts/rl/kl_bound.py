@@ -10,30 +10,32 @@ from hts.rl.rows import row_mean
 
 
 @torch.no_grad()
-def mean_kl(population: Population, anchor: Population, observation: torch.Tensor) -> torch.Tensor:
-    """Mean KL(pi || anchor) [P] over observations [P, S, O]."""
+def mean_kl(population: Population, reference: Population, observation: torch.Tensor) -> torch.Tensor:
+    """Mean KL(pi || reference) [P] over observations [P, S, O]."""
     return row_mean(
-        gaussian_kl(population.mean(observation), population.log_std(), anchor.mean(observation), anchor.log_std())
+        gaussian_kl(
+            population.mean(observation), population.log_std(), reference.mean(observation), reference.log_std()
+        )
     )
 
 
 @torch.no_grad()
-def pull_inside(
-    population: Population, anchor: Population, observation: torch.Tensor, bounds: torch.Tensor, steps: int = 12
+def project_to_kl_bound(
+    population: Population, reference: Population, observation: torch.Tensor, bounds: torch.Tensor, steps: int = 12
 ) -> torch.Tensor:
-    """Shrink every candidate that ended beyond its bound towards its anchor until it is inside; returns s [P].
+    """Shrink every candidate that ended beyond its bound towards its reference until it is inside; returns s [P].
 
-    theta <- anchor + s (theta - anchor), the largest s in [0, 1] with KL <= c on these observations, by bisection.
+    theta <- reference + s (theta - reference), the largest s in [0, 1] with KL <= c on these observations, by bisection.
     The multiplier holds the mean over batches; a single last batch may end a little beyond.
     """
     ends = [vector.clone() for vector in population.vectors]
     scale = torch.ones_like(bounds)
 
     def place(scales: torch.Tensor) -> torch.Tensor:
-        for vector, end, start, s in zip(population.vectors, ends, anchor.vectors, scales.tolist(), strict=True):
+        for vector, end, start, s in zip(population.vectors, ends, reference.vectors, scales.tolist(), strict=True):
             vector.copy_(start + s * (end - start) if s < 1.0 else end)
         population.refresh()
-        return mean_kl(population, anchor, observation)
+        return mean_kl(population, reference, observation)
 
     outside = place(scale) > bounds
     if not bool(outside.any()):

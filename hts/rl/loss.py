@@ -1,64 +1,196 @@
-"""The anchored PPO loss of a population: clipped surrogate + value loss + alpha x KL(pi || anchor).
-
-TorchRL's `KLPENPPOLoss` is not this: it penalises the KL to the behaviour policy, in the other direction.
-Nothing here reduces over candidates before the last sum, so nobody's gradient depends on the others.
-`forward` computes; multipliers and centres change elsewhere, once per batch.
-"""
+"""The KL-constrained PPO loss as a TorchRL loss module."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
 from dataclasses import dataclass
 
 import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import nn
+from torchrl.objectives.common import LossModule
+from torchrl.objectives.utils import ValueEstimators
+from torchrl.objectives.value import GAE
 
-from hts.rl.actor import log_prob
-from hts.rl.kl import gaussian_kl
-from hts.rl.population import Population
-from hts.rl.rows import row_mean
-
-
-@dataclass(frozen=True)
-class LossParts:
-    """Mean over the minibatch of each part, shape [P]: to minimise `total`, the rest to report."""
-
-    total: torch.Tensor
-    policy: torch.Tensor
-    value: torch.Tensor
-    entropy: torch.Tensor
-    kl_anchor: torch.Tensor
-    kl_old: torch.Tensor
+from hts.rl.kl import distribution_kl
+from hts.rl.multiplier import LagrangeMultiplier
+from hts.rl.rows import row_mean, row_standardised
+from hts.rl.surrogate import surrogate, value_error
 
 
-def anchored_ppo_loss(
-    population: Population, batch: Mapping[str, torch.Tensor], multipliers: torch.Tensor, *,
-    clip: float, value_coef: float, entropy_coef: float, policy_on: float | torch.Tensor = 1.0,
-    members: slice = slice(None), normalised: bool = False, named: Mapping[str, torch.Tensor] | None = None,
-) -> LossParts:  # fmt: skip
-    """One minibatch [P, B]: observation, critic_observation, action, old_mean, log_prob, advantage (normalised per
-    candidate), target (value target), old_value, old_log_std [P, 1, J]; anchor_mean, anchor_log_std if there is an anchor.
+def frozen(module: nn.Module) -> nn.Module:
+    """A copy whose parameters are buffers: it is saved and moved with its owner, and no optimiser ever sees it."""
+    copied = copy.deepcopy(module).eval()
+    for part in copied.modules():
+        for name, parameter in list(part.named_parameters(recurse=False)):
+            delattr(part, name)
+            part.register_buffer(name, parameter.detach().clone())
+    return copied
 
-    L = -E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)] + v E[max((V - G)^2, (V_clip - G)^2)] - h H + alpha KL(pi || anchor).
-    policy_on: 0 fits the critic only. members: whose rows batch and multipliers hold, all without it; normalised: the
-    observations are as the networks see them, which needs doing once for many minibatches; named: parameters to use
-    instead of the population's own, stacked, [P, ...] by name.
+
+class KLConstrainedPPOLoss(LossModule):
+    """Clipped PPO whose mean KL to a frozen reference policy is held below c by a Lagrange multiplier.
+
+        loss_objective = -E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)] + alpha E[KL(pi || reference)]
+        loss_critic    =  v E[(V - G)^2], the larger of it and its clipped form where clip_value is set
+        loss_entropy   = -h E[H(pi)]
+        kl             =  E[KL(pi || reference)], nats, without gradient
+
+    The expectation of the KL is under the policy being trained (its own states, pi first). TorchRL's `KLPENPPOLoss`
+    is not this: it penalises the KL to the behaviour policy, in the other direction. `forward` computes and changes
+    nothing; once a batch, after its gradient steps:
+
+        loss.update_multiplier(loss.kl_to_reference(data))
+
+    actor_network: has `get_dist`, as a `ProbabilisticActor`; critic_network: writes the value; reference: the policy to stay
+    close to, copied and frozen with everything it holds (its observation normaliser too); None: the actor as it is now.
+    kl_bound: c, nats, infinity for no bound (then, with equal settings, this is `ClipPPOLoss`).
+
+    With a float kl_bound everything is a mean over the batch and every output a scalar. With a tensor [P] the batch's first dimension
+    is P candidates, outputs are [P], nothing is reduced over candidates, and c = inf switches single ones off. Sum the
+    losses before `backward`: candidates share no parameter.
+
+    multiplier_rate: eta of `LagrangeMultiplier`; clip_epsilon: eps; critic_coeff: v; entropy_coeff: h; clip_value: None
+    for no clipping of the value, True for eps; normalize_advantage: to mean 0 and deviation 1, of each candidate.
     """
-    parameters = population.named(members) if named is None else named
-    mean, log_std = population.mean(batch["observation"], parameters, normalised), population.log_std(parameters)
-    ratio = (log_prob(batch["action"], mean, log_std) - batch["log_prob"]).exp()
-    advantage = batch["advantage"]
-    policy = -row_mean(torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage))
-    value = population.value(batch["critic_observation"], parameters, normalised)
-    old, target = batch["old_value"], batch["target"]
-    clipped = old + (value - old).clamp(-clip, clip)
-    value_loss = row_mean(torch.maximum((value - target).square(), (clipped - target).square()))
-    entropy = log_std.sum(-1).squeeze(1)  # up to a constant
-    total = policy_on * (policy - entropy_coef * entropy) + value_coef * value_loss
-    if "anchor_mean" in batch:
-        kl_anchor = row_mean(gaussian_kl(mean, log_std, batch["anchor_mean"], batch["anchor_log_std"]))
-        total = total + multipliers * kl_anchor
-    else:
-        kl_anchor = torch.zeros_like(policy)
-    with torch.no_grad():
-        kl_old = row_mean(gaussian_kl(batch["old_mean"], batch["old_log_std"], mean, log_std))
-    return LossParts(total, policy.detach(), value_loss.detach(), entropy.detach(), kl_anchor.detach(), kl_old)
+
+    @dataclass
+    class _AcceptedKeys:
+        """What `set_keys` takes, and where things are otherwise.
+
+        advantage, value_target: of GAE; value: the critic's, also that of the old critic in the batch; sample_log_prob:
+        ln pi_old(a); action; reward, done, terminated: for the value estimator.
+        """
+
+        advantage: NestedKey = "advantage"
+        value_target: NestedKey = "value_target"
+        value: NestedKey = "state_value"
+        sample_log_prob: NestedKey = "action_log_prob"
+        action: NestedKey = "action"
+        reward: NestedKey = "reward"
+        done: NestedKey = "done"
+        terminated: NestedKey = "terminated"
+
+    tensor_keys: _AcceptedKeys
+    default_keys = _AcceptedKeys
+    default_value_estimator = ValueEstimators.GAE
+    out_keys = ["loss_objective", "loss_critic", "loss_entropy", "kl", "kl_approx", "clip_fraction"]  # noqa: RUF012
+
+    def __init__(
+        self, actor_network: TensorDictModuleBase, critic_network: TensorDictModuleBase, *,
+        reference: TensorDictModuleBase | None = None, kl_bound: float | torch.Tensor = 0.5, multiplier_rate: float = 0.05,
+        clip_epsilon: float = 0.2, critic_coeff: float = 1.0, entropy_coeff: float = 0.0,
+        clip_value: float | bool | None = True, normalize_advantage: bool = False,
+    ) -> None:  # fmt: skip
+        super().__init__()
+        self.actor_network, self.critic_network = actor_network, critic_network
+        self.reference = frozen(actor_network if reference is None else reference)
+        self.multiplier = LagrangeMultiplier(kl_bound, multiplier_rate)
+        self.clip_epsilon, self.critic_coeff, self.entropy_coeff = clip_epsilon, critic_coeff, entropy_coeff
+        self.clip_value = clip_epsilon if clip_value is True else (clip_value or None)
+        self.normalize_advantage = normalize_advantage
+        parameter = next(actor_network.parameters(), None)
+        if parameter is not None:
+            self.multiplier.to(parameter.device)
+
+    @property
+    def functional(self) -> bool:
+        """False: the networks are used as they are, no parameters are taken out of them."""
+        return False
+
+    @property
+    def kl_bound(self) -> torch.Tensor:
+        """c, nats, [] or [P]. Change it in place between batches: `loss.kl_bound.fill_(0.2)`."""
+        return self.multiplier.bounds
+
+    @property
+    def in_keys(self) -> list[NestedKey]:  # type: ignore[override]
+        keys = self.tensor_keys
+        found = [*self.actor_network.in_keys, *self.critic_network.in_keys, keys.action, keys.sample_log_prob]
+        found += [keys.advantage, keys.value_target, *((keys.value,) if self.clip_value else ())]
+        return list(dict.fromkeys(found))
+
+    def _forward_value_estimator_keys(self, **kwargs: NestedKey) -> None:
+        if self._value_estimator is not None:
+            self._value_estimator.set_keys(**{name: getattr(self.tensor_keys, name) for name in ESTIMATED})
+
+    def make_value_estimator(self, value_type: ValueEstimators | None = None, **hyperparams) -> LossModule:
+        """GAE on this loss's critic and keys, as `loss.value_estimator`; hyperparams: gamma, lmbda, ... Raises
+        NotImplementedError for any other estimator: give its advantage and value_target in the batch instead."""
+        if value_type not in (None, ValueEstimators.GAE):
+            raise NotImplementedError(
+                f"{value_type} is not supported, GAE is. Put advantage and value_target into the batch."
+            )
+        self._value_estimator = GAE(value_network=self.critic_network, **{"gamma": 0.99, "lmbda": 0.95, **hyperparams})
+        self._forward_value_estimator_keys()
+        return self
+
+    # --------------------------------------------------------------------------------------------------- computing
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """tensordict [...], or [P, ...]: see `in_keys`. Raises KeyError naming what the batch lacks."""
+        keys, batch = self.tensor_keys, tensordict.copy()
+        for key in (keys.action, keys.sample_log_prob, keys.advantage, keys.value_target):
+            if batch.get(key, None) is None:
+                raise KeyError(
+                    f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. GAE gives advantages."
+                )
+        old_value = batch.get(keys.value, None)
+        policy = self.actor_network.get_dist(batch)
+        log_ratio = policy.log_prob(batch[keys.action]) - batch[keys.sample_log_prob]
+        advantage = batch[keys.advantage].view(log_ratio.shape)
+        if self.normalize_advantage:
+            advantage = self._standardised(advantage)
+        kl = distribution_kl(policy, self._reference_in(batch))
+        value = self.critic_network(batch.exclude(keys.value))[keys.value].view(log_ratio.shape)
+        target = batch[keys.value_target].view(log_ratio.shape)
+        if self.clip_value is not None and old_value is None:
+            raise KeyError(f"The batch has no {keys.value!r} of the old critic, which clip_value needs. GAE gives it.")
+        old_value = value.detach() if old_value is None else old_value.view(log_ratio.shape)
+        mean_kl = self._mean(kl)
+        objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon)) + self.multiplier(mean_kl)
+        with torch.no_grad():
+            clipped = ((log_ratio.exp() - 1.0).abs() > self.clip_epsilon).to(log_ratio.dtype)
+        losses = {
+            "loss_objective": objective,
+            "loss_critic": self.critic_coeff * self._mean(value_error(value, target, old_value, self.clip_value)),
+            "loss_entropy": -self.entropy_coeff * self._mean(_entropy(policy, log_ratio)),
+            "kl": mean_kl.detach(), "kl_approx": self._mean(-log_ratio.detach()), "clip_fraction": self._mean(clipped),
+        }  # fmt: skip
+        return TensorDict(losses, batch_size=self.multiplier.value.shape)
+
+    @torch.no_grad()
+    def kl_to_reference(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Mean KL(pi || reference) over the states of a batch, with the parameters as they are; [] or [P], nats."""
+        batch = tensordict.copy()
+        return self._mean(distribution_kl(self.actor_network.get_dist(batch), self._reference_in(batch)))
+
+    def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
+        """alpha <- [alpha + eta (KL / c - 1)]_+, once per batch; see `LagrangeMultiplier`. Returns the new alpha."""
+        return self.multiplier.update(kl)
+
+    @torch.no_grad()
+    def _reference_in(self, batch: TensorDictBase):
+        return self.reference.get_dist(batch.copy())
+
+    def _mean(self, x: torch.Tensor) -> torch.Tensor:
+        return row_mean(x) if self.multiplier.value.ndim else x.mean()
+
+    def _standardised(self, x: torch.Tensor) -> torch.Tensor:
+        rows = x.flatten(1) if self.multiplier.value.ndim else x.reshape(1, -1)
+        return row_standardised(rows).view(x.shape)
+
+
+ESTIMATED = ("advantage", "value_target", "value", "reward", "done", "terminated")
+"""Keys that the value estimator shares with the loss."""
+
+
+def _entropy(policy: torch.distributions.Distribution, like: torch.Tensor) -> torch.Tensor:
+    """Entropy in each state, of the shape of like; by one sample where there is no closed form."""
+    try:
+        entropy = policy.entropy()
+    except NotImplementedError:
+        entropy = -policy.log_prob(policy.rsample())
+    return entropy.expand(like.shape)

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from hts.rl.tracing import fused
+from hts.rl.tracing import compiled
 
 LONG = 8192  # samples per candidate from which on a GPU takes candidates in turn: a product adds its bias only there
 ALIGNED = 8  # numbers; rows of matrices on a GPU begin at a multiple
@@ -25,7 +25,7 @@ def _activated(device: torch.device) -> Callable[[torch.Tensor, torch.Tensor], t
     def activated(x: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
         return F.elu(x + bias)
 
-    return fused(activated, device, dynamic=True)
+    return compiled(activated, device, dynamic=True)
 
 
 def split_of(count: int, length: int) -> int:
@@ -90,6 +90,7 @@ class Population(nn.Module):
             self.register_buffer(f"{name}_std", torch.ones(count, 1, size, device=device))
             self.register_buffer(f"{name}_count", torch.zeros(count, device=device))
         self._stacked: torch.Tensor | None = None
+        self._versions: list[int] = []
         self._cache: list[dict[str, torch.Tensor]] | dict[str, torch.Tensor] | None = None
 
     def _initial_vector(self, init_std: float, seed: int) -> torch.Tensor:
@@ -137,6 +138,7 @@ class Population(nn.Module):
         On the CPU weights are copied, laid out by column: a product with few observations is then twice as fast. On a
         GPU they are copied to where they were before, which is where a captured graph reads them.
         """
+        self._versions = [vector._version for vector in self.vectors]
         with torch.no_grad():
             if self.device.type == "cpu":
                 self._cache = [
@@ -199,10 +201,11 @@ class Population(nn.Module):
                 x = _activated(x.device)(x, bias)
         return x.reshape(count, length, -1)
 
-    def normalised(self, name: str, x: torch.Tensor) -> torch.Tensor:
+    def normalised(self, name: str, x: torch.Tensor, members: slice = slice(None)) -> torch.Tensor:
         """Observations or critic observations [P, B, size] as the networks see them; on a GPU with zeros up to a size
-        that its matrix units can read."""
-        x = (x - getattr(self, f"{name}_mean")).div_(getattr(self, f"{name}_std")).clamp_(-10.0, 10.0)
+        that its matrix units can read. members: whose rows x holds."""
+        mean, std = getattr(self, f"{name}_mean")[members], getattr(self, f"{name}_std")[members]
+        x = (x - mean).div_(std).clamp(-10.0, 10.0)  # not in place: `vmap` knows no clamp_
         return x if x.device.type == "cpu" else F.pad(x, (0, -x.shape[-1] % ALIGNED))
 
     def mean(self, observation: torch.Tensor, named=None, normalised: bool = False) -> torch.Tensor:
@@ -226,8 +229,17 @@ class Population(nn.Module):
         x = critic_observation if normalised else self.normalised("critic_observation", critic_observation)
         return self._mlp("critic", x, named).squeeze(-1)
 
+    def value_of(self, index: int, critic_observation: torch.Tensor) -> torch.Tensor:
+        """V [B] of one candidate, of critic observations [B, O_c]."""
+        named, member = self._ready(), slice(index, index + 1)
+        one = named[member] if isinstance(named, list) else {name: value[member] for name, value in named.items()}
+        x = self.normalised("critic_observation", critic_observation.unsqueeze(0), member)
+        return self._mlp("critic", x, one).view(-1)
+
     def _ready(self):
-        if self._cache is None:
+        # The version of a parameter counts its changes, also an optimiser's, after which the copies are renewed.
+        versions = [vector._version for vector in self.vectors]
+        if self._cache is None or versions != self._versions:
             self.refresh()
         return self._cache
 

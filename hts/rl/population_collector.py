@@ -1,119 +1,217 @@
-"""Collection of the velocity task: what TorchRL's Collector would collect, to the bit, with less around the physics.
+"""A TorchRL collector for populations: the batches of TorchRL's own `Collector`, to the bit, with less around the physics.
 
-The Collector asks after every step whether an episode has ended, and puts each step together as nested TensorDicts. `Rollout`
-is for a CPU: it does in a step only what the next step waits for, and the rest once per batch, in fewer and larger
-operations. On a GPU `hts.rl.captured_collector` launches each step as CUDA graphs.
+TorchRL's `Collector` puts each step together as nested TensorDicts and asks after each one whether an episode has ended.
+`PopulationCollector` steps a `SplitStepEnv` by its parts and does in a step only what the next step waits for; the rest is
+done once per batch, in fewer and larger operations. `hts.rl.captured_collector` launches each step as CUDA graphs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import nn
+from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import EnvBase
-from torchrl.envs.transforms import Transform, TransformedEnv
 
-from hts.envs.rewards import Motion
-from hts.envs.velocity import VelocityEnv
-from hts.measurement.transform import Measured
-from hts.rl.population import Population
-from hts.rl.random import PopulationRandom
+from hts.rl.actor import PopulationActor, log_prob
+from hts.rl.deferred import DeferrableTransform, base_and_transforms
+from hts.rl.task_env import SplitStepEnv
 
 Key = tuple[str, ...]
-
-REPLACED = ("_step", "_reset", "finish", "finish_for_now", "rewards_of", "_result")
-"""Methods that the Collector reaches and a rollout may not: a task that changes one of them must go through the Collector."""
+FLAGS = ("terminated", "truncated", "done")
 
 
-def can_roll_out(env: EnvBase) -> bool:
-    """Whether env is the velocity task with nothing but measurement models in it; TorchRL's Collector takes any other, and
-    one derived from the task that steps, rewards or resets in a way of its own."""
-    bare, transforms = _taken_apart(env)
-    return (
-        isinstance(bare, VelocityEnv)
-        and all(getattr(type(bare), name) is getattr(VelocityEnv, name) for name in REPLACED)
-        and all(isinstance(transform, Measured) for transform in transforms)
-    )
+def can_split(env: EnvBase) -> bool:
+    """Whether a collector may step env by its parts: a `SplitStepEnv` with none but deferrable transforms around it."""
+    bare, transforms = base_and_transforms(env)
+    return isinstance(bare, SplitStepEnv) and all(isinstance(one, DeferrableTransform) for one in transforms)
 
 
-def _taken_apart(env: EnvBase) -> tuple[EnvBase, list[Transform]]:
-    if not isinstance(env, TransformedEnv):
-        return env, []
-    transform = env.transform
-    return env.base_env, list(transform) if isinstance(transform, Iterable) else [transform]
+def torchrl_collector(env: EnvBase, actor: TensorDictModuleBase, frames_per_batch: int) -> Collector:
+    """TorchRL's own collector of endless batches [P, N, T], set up for envs and actors of populations."""
+    device = env.device or torch.device("cpu")
+    return Collector(
+        env, actor, frames_per_batch=frames_per_batch, total_frames=-1, device=device, track_traj_ids=False,
+        trust_policy=True, use_buffers=False, track_policy_version=False,
+        return_same_td=device.type != "cuda",  # each batch is a fresh one, so there is nothing to copy it for
+        auto_register_policy_transforms=False,  # nothing here is recurrent: the memory is the transform's own
+    )  # fmt: skip
 
 
-class Rollout:
-    """Batches [P, N, T] of a population's steps. Keys: observation, critic_observation, action, action_mean, and under
-    "next": reward, terminated, truncated, ("real_reward", objective), critic_observation [P, N, 1, O_c] of the last step.
-    """
+class SplitStepCollector(BaseCollector):
+    """What collectors that step an env by its parts share; see `PopulationCollector`."""
 
-    captured = False  # whether every batch lies in the memory in which the last one lay
+    def __init__(self, env: EnvBase, policy: PopulationActor, *, frames_per_batch: int, total_frames: int = -1) -> None:
+        super().__init__()
+        bare, transforms = base_and_transforms(env)
+        if not can_split(env):
+            strangers = [type(one).__name__ for one in transforms if not isinstance(one, DeferrableTransform)]
+            raise TypeError(
+                f"{type(self).__name__} steps an env by its parts: expected a SplitStepEnv with deferrable transforms, found "
+                f"{' + '.join([type(bare).__name__, *strangers])}. Take torchrl.collectors.Collector."
+            )
+        assert isinstance(bare, SplitStepEnv)
+        per_step = bare.batch_size.numel()
+        if frames_per_batch % per_step:
+            raise ValueError(
+                f"frames_per_batch is {frames_per_batch}, expected a multiple of the {per_step} env instances."
+            )
+        self.env, self.policy = env, policy
+        self.bare_env = bare
+        self.transforms: list[DeferrableTransform] = list(transforms)
+        self.horizon = frames_per_batch // per_step
+        self.frames_per_batch = self.requested_frames_per_batch = frames_per_batch
+        self.total_frames = total_frames
+        self._frames = 0
+        self._begun = self._closed = False
 
-    def __init__(self, env: EnvBase, population: Population, noise: PopulationRandom, horizon: int) -> None:
-        bare, self.transforms = _taken_apart(env)
-        assert isinstance(bare, VelocityEnv)
-        self.env, self.population, self.noise, self.horizon = bare, population, noise, horizon
-        self.device = bare.device
-        self._started = False
+    # -------------------------------------------------------------------------------------------------- iteration
+
+    def iterator(self) -> Iterator[TensorDictBase]:
+        """Batches [P, N, T] until total_frames are reached, without end if they are -1. Each goes on where the last one
+        ended.
+
+        Of every step: observation, critic_observation, loc, action, action_log_prob, the flags, and under "next": reward,
+        the flags, the observations that the step ended in (of the old episode where it ended one), and the entries
+        that transforms add.
+        """
+        while self.total_frames < 0 or self._frames < self.total_frames:
+            if self.pre_collect_hook is not None:
+                self.pre_collect_hook()
+            batch = self.collect()
+            self._frames += self.frames_per_batch
+            if self.post_collect_hook is not None:
+                self.post_collect_hook(batch)
+            yield batch
 
     @torch.no_grad()
     def collect(self) -> TensorDict:
-        """The next T steps of every world."""
-        if not self._started:
-            self._started = True
-            self.env.reset()  # goes on where a checkpoint ended, if one was loaded
-            self._start()
+        """The next T steps of every env instance."""
+        self.update_policy_weights_()
+        if not self._begun:
+            self._begun = True
+            instances = self.bare_env.batch_size.numel()
+            for transform in self.transforms:
+                transform.prepare(instances, self.bare_env.device)
+            self.bare_env.reset()  # goes on where a saved state ended, if one was loaded
+            self._begin()
         return self._collect()
 
-    def _start(self) -> None:
+    def _begin(self) -> None:
         """After the first episodes have begun."""
 
-    def _decide(self) -> tuple[torch.Tensor, ...]:
-        """A step before its physics: observation, critic observation, action, its mean, actuator inputs."""
-        observation, critic_observation = self.env.observations()
-        mean = self.population.mean(observation)
-        action = mean + self.population.log_std().exp() * self.noise.normal(*mean.shape[1:])
-        return observation, critic_observation, action, mean, self.env.begin(action)
+    def _collect(self) -> TensorDict:
+        raise NotImplementedError
+
+    def _decide(self) -> tuple[dict[Key, torch.Tensor], torch.Tensor]:
+        """A step before its physics: what was seen and done, by key, and the simulator's inputs."""
+        env, policy = self.bare_env, self.policy
+        seen = env.observations()
+        loc = policy.loc(seen["observation"])
+        action = loc
+        if policy.random is not None:
+            action = loc + policy.log_std(loc.ndim).exp() * policy.random.normal(*loc.shape[1:])
+        step = {(name,): value for name, value in seen.items()} | {("loc",): loc, ("action",): action}
+        return step, env.begin_step(action)
+
+    def _batch(self, rows: Mapping[Key, torch.Tensor]) -> TensorDict:
+        """rows [P, N, T, ...] by key, as a TensorDict. The flags at a step's beginning are always false."""
+        shape = torch.Size((*self.bare_env.batch_size, self.horizon))
+        begun = torch.zeros((), dtype=torch.bool, device=self.bare_env.device).expand(*shape, 1)
+        batch: dict[str, Any] = dict.fromkeys(FLAGS, begun) | {"next": {}}
+        for key, value in rows.items():
+            place = batch
+            for name in key[:-1]:
+                place = place.setdefault(name, {})
+            place[key[-1]] = value
+        return TensorDict(batch, batch_size=shape, device=self.bare_env.device)
+
+    # ------------------------------------------------------------------------------------------------- BaseCollector
+
+    def update_policy_weights_(self, policy_or_weights: Any = None, **kwargs: Any) -> None:  # type: ignore[override]
+        """Collect with the policy's parameters as they are now; each batch begins with it. Weights given here are
+        loaded into the policy first: a module of the same kind, or its state dict."""
+        given = policy_or_weights if policy_or_weights is not None else kwargs.get("policy", kwargs.get("weights"))
+        if given is not None:
+            self.policy.load_state_dict(given.state_dict() if isinstance(given, nn.Module) else dict(given))
+        self.policy.population.refresh()
+
+    def set_seed(self, seed: int, static_seed: bool = False) -> int:
+        """Seed the env and, beside it, the exploration noise."""
+        after = self.env.set_seed(seed, static_seed=static_seed)
+        if self.policy.random is not None:
+            self.policy.random.seed(seed)
+        return after
+
+    def state_dict(self) -> OrderedDict:
+        """Env, memory of transforms, exploration noise and frames: everything to go on from here but the policy.
+        Raises RuntimeError for an env that cannot be saved in mid-episode."""
+        env = self.bare_env.full_state()
+        if env is None:
+            raise RuntimeError(f"{type(self.bare_env).__name__} cannot be saved in mid-episode.")
+        noise = {} if self.policy.random is None else self.policy.random.state_dict()
+        memory = [dict(transform.state_dict()) for transform in self.transforms]
+        return OrderedDict(env_state_dict=env, transforms=memory, noise=noise, frames=self._frames)
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:  # type: ignore[override]
+        """Go on from `state_dict`. Before the first batch, since a captured step keeps the memory it was made with."""
+        self.bare_env.load_full_state(state_dict["env_state_dict"])
+        for transform, memory in zip(self.transforms, state_dict["transforms"], strict=True):
+            transform.load_state_dict(memory)
+        if self.policy.random is not None:
+            self.policy.random.load_state_dict(state_dict["noise"])
+        self._frames = int(state_dict["frames"])
+
+    def shutdown(self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True) -> None:
+        """Close the env, once."""
+        if close_env and not self._closed:
+            self._closed = True
+            self.env.close()
+
+
+class PopulationCollector(SplitStepCollector):
+    """Batches [P, N, T] of a population, on a CPU.
+
+        collector = PopulationCollector(env, PopulationActor(population, noise), frames_per_batch=P * N * T)
+        for data in collector: ...
+
+    env: a `SplitStepEnv`, with deferrable transforms around it if any; policy: whose exploration noise comes from a
+    generator per candidate; frames_per_batch: P N T. Rewards and the transforms' entries are evaluated once a batch.
+    Parameters are read at the beginning of each batch.
+    """
 
     def _collect(self) -> TensorDict:
+        env = self.bare_env
         steps: dict[Key, list[torch.Tensor]] = {}
-        seen: dict[int, list[torch.Tensor]] = {index: [] for index in range(len(self.transforms))}
-        motions: list[Motion] = []
+        recorded: list[list[torch.Tensor]] = [[] for _ in self.transforms]
+        rewarded: list[Any] = []
         for _ in range(self.horizon):
-            observation, critic_observation, action, mean, ctrl = self._decide()
-            self.env.engine.step(ctrl)
-            motion, out = self.env.finish_for_now(action)
-            motions.append(motion)
-            channels = self.env.channel_values()
-            for index, transform in enumerate(self.transforms):
-                seen[index].append(transform.keep(channels))
-            step = {
-                ("observation",): observation, ("critic_observation",): critic_observation, ("action",): action,
-                ("action_mean",): mean, ("next", "terminated"): out["terminated"], ("next", "truncated"): out["truncated"],
-                ("done",): out["done"],
-            }  # fmt: skip
+            step, inputs = self._decide()
+            env.simulate(inputs)
+            ended, flags = env.end_step(step["action",])
+            rewarded.append(ended)
+            if self.transforms:
+                channels = env.channel_values()
+                for row, transform in zip(recorded, self.transforms, strict=True):
+                    row.append(transform.record(channels))
+            step |= {("next", name): value for name, value in (*env.observations().items(), *flags.items())}
             for key, value in step.items():
                 steps.setdefault(key, []).append(value)
-            last = self.env.observations()[1]
-            if bool(out["done"].any()):
-                self.env.start_episodes(out["done"].squeeze(-1))
+            if bool(flags["done"].any()):
+                env.start_episodes(flags["done"].squeeze(-1))
         rows = {key: torch.stack(values, 2) for key, values in steps.items()}
-        ended = rows.pop(("done",)).movedim(2, 0).reshape(self.horizon, -1)
-        rewards = {("reward",): self.env.rewards_of(motions)}
-        for index, transform in enumerate(self.transforms):
-            rewards[transform.out_keys[1]] = transform.follow(torch.stack(seen[index]), ended)
-        # Laid out alike however many candidates there are: sums take the order of the memory.
-        for key, value in rewards.items():
-            rows["next", *key] = value.view(self.horizon, *self.env.batch_size, 1).movedim(0, 2).contiguous()
-        return self._batch(rows, last)
-
-    def _batch(self, rows: dict[Key, torch.Tensor], last: torch.Tensor) -> TensorDict:
-        """rows [P, N, T, ...] by name; last: what the critic saw after the last step."""
-        batch = TensorDict({}, batch_size=self.env.batch_size, device=self.device)
-        everything: dict[Any, torch.Tensor] = {**rows, ("next", "critic_observation"): last.unsqueeze(2)}
-        for key, value in everything.items():
-            batch[key] = value
-        return batch
+        ended = rows["next", "done"].movedim(2, 0).reshape(self.horizon, -1)
+        late: dict[Key, torch.Tensor] = {("reward",): env.rewards(rewarded)}
+        for row, transform in zip(recorded, self.transforms, strict=True):
+            late |= transform.forward_sequence(torch.stack(row), ended)
+        for key, value in late.items():
+            # Laid out alike however many candidates there are: sums take the order of the memory.
+            rows["next", *key] = value.view(self.horizon, *env.batch_size, 1).movedim(0, 2).contiguous()
+        loc = rows["loc",]
+        rows["action_log_prob",] = log_prob(rows["action",], loc, self.policy.log_std(loc.ndim))
+        return self._batch(rows)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import torch
 
 
-class Ahead:
+class PrefetchedNoise:
     """The numbers of several steps drawn at once, before the first of them: a step that is a captured graph then only
     looks up its row, and many small draws become few large ones.
 
@@ -19,7 +19,7 @@ class Ahead:
         self._drawn: list[tuple[str, tuple[int, ...], torch.Tensor]] = []
         self._count = 0
 
-    def begin(self) -> None:
+    def begin_step(self) -> None:
         """A step begins; it makes the same draws in the same order as every other."""
         self._count = 0
 
@@ -44,12 +44,18 @@ class PopulationRandom:
     """P generators on one device; every draw has shape [P, ...].
 
     seeds: one per candidate. A candidate that keeps its seed draws the same numbers alone and in a crowd.
+    prefetched: where the numbers of a step come from instead, once a collector has set it.
     """
 
     def __init__(self, seeds: Sequence[int], device: torch.device):
         self.device = device
         self.generators = [torch.Generator(device).manual_seed(int(seed)) for seed in seeds]
-        self.ahead: Ahead | None = None
+        self.prefetched: PrefetchedNoise | None = None
+
+    def seed(self, seed: int) -> None:
+        """Begin anew: candidate p draws from seed + p."""
+        for index, generator in enumerate(self.generators):
+            generator.manual_seed(seed + index)
 
     def uniform(self, *shape: int) -> torch.Tensor:
         """Uniform in [0, 1), shape [P, *shape]."""
@@ -59,9 +65,19 @@ class PopulationRandom:
         """Standard normal, shape [P, *shape]."""
         return self._draw("normal_", shape)
 
+    def begin_step(self) -> None:
+        """A step begins, for numbers that are prefetched."""
+        if self.prefetched is not None:
+            self.prefetched.begin_step()
+
+    def renew(self) -> None:
+        """A batch of steps begins, for numbers that are prefetched."""
+        if self.prefetched is not None:
+            self.prefetched.renew()
+
     def _draw(self, kind: str, shape: tuple[int, ...]) -> torch.Tensor:
-        if self.ahead is not None:
-            return self.ahead.next(kind, shape)
+        if self.prefetched is not None:
+            return self.prefetched.next(kind, shape)
         return self.fill(kind, torch.empty(len(self.generators), *shape, device=self.device))
 
     def fill(self, kind: str, out: torch.Tensor) -> torch.Tensor:
@@ -69,12 +85,6 @@ class PopulationRandom:
         for row, generator in zip(out, self.generators, strict=True):
             getattr(row, kind)(generator=generator)
         return out
-
-    def permutation(self, count: int) -> torch.Tensor:
-        """A random order of range(count) for each candidate, shape [P, count]."""
-        if self.device.type != "cpu":  # one sort for all of them
-            return self.fill("uniform_", torch.empty(len(self.generators), count, device=self.device)).argsort(dim=1)
-        return torch.stack([torch.randperm(count, generator=g, device=self.device) for g in self.generators])
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         return {"generators": torch.stack([generator.get_state() for generator in self.generators])}

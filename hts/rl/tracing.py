@@ -15,26 +15,26 @@ if TYPE_CHECKING:
     import torch
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-_recording: ContextVar[bool] = ContextVar("recording", default=False)
+_tracing: ContextVar[bool] = ContextVar("tracing", default=False)
 
 
-def can_fuse(device: torch.device) -> bool:
+def can_compile(device: torch.device) -> bool:
     """Whether torch.compile has what it needs: a GPU, Triton, and a C compiler for its launchers."""
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     return device.type == "cuda" and compiler is not None and importlib.util.find_spec("triton") is not None
 
 
-def fused(function: Function, device: torch.device, wanted: bool | None = None, dynamic: bool = False) -> Function:
-    """function, compiled; itself where that cannot be. wanted: None decides by `can_fuse`; dynamic: once for all shapes,
+def compiled(function: Function, device: torch.device, wanted: bool | None = None, dynamic: bool = False) -> Function:
+    """function, compiled; itself where that cannot be. wanted: None decides by `can_compile`; dynamic: once for all shapes,
     otherwise anew for each."""
-    if not (can_fuse(device) if wanted is None else wanted):
+    if not (can_compile(device) if wanted is None else wanted):
         return function
     import torch
 
-    compiled = torch.compile(_copied(function), dynamic=dynamic)
+    fast = torch.compile(_copied(function), dynamic=dynamic)
 
     def either(*args: Any) -> Any:
-        return (function if _recording.get() else compiled)(*args)
+        return (function if _tracing.get() else fast)(*args)
 
     return either  # type: ignore[return-value]
 
@@ -57,22 +57,22 @@ def _copied(function: Any) -> Any:
     return copy
 
 
-def anything(mask: torch.Tensor) -> bool:
+def any_or_tracing(mask: torch.Tensor) -> bool:
     """Whether anything is to be done where mask: on a GPU always, since asking would wait for it, and so in a program
     that is recorded for one."""
-    return _recording.get() or mask.device.type != "cpu" or bool(mask.any())
+    return _tracing.get() or mask.device.type != "cpu" or bool(mask.any())
 
 
 @contextlib.contextmanager
-def _recorded() -> Iterator[None]:
-    token = _recording.set(True)
+def _traced() -> Iterator[None]:
+    token = _tracing.set(True)
     try:
         yield
     finally:
-        _recording.reset(token)
+        _tracing.reset(token)
 
 
-class Program:
+class TracedGraph:
     """What a function does to tensors, written down operation by operation, and then compiled as a whole.
 
     torch.compile alone cannot read a control step, whose state lies in the attributes of many objects. So the step runs once
@@ -88,7 +88,7 @@ class Program:
         import torch
         from torch.fx.experimental.proxy_tensor import make_fx
 
-        with _recorded(), torch.no_grad():
+        with _traced(), torch.no_grad():
             before = [tensor.clone() for tensor in inputs]
             graph = make_fx(lambda *tensors: function(*tensors))(*inputs)  # it counts the arguments of a method wrongly
             for tensor, value in zip(inputs, before, strict=True):

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import torch
 
-from hts.config import PPOConfig
-from hts.rl.loss import LossParts, anchored_ppo_loss
 from hts.rl.population import Population
+from hts.rl.settings import UpdateSettings
+from hts.rl.surrogate import LossParts, population_loss
 from hts.rl.threads import pool
 
 LEAST_RATE, MOST_RATE = 1e-5, 1e-2  # of the adaptive rate (rsl_rl)
@@ -32,7 +32,7 @@ class GradientSteps(ABC):
     stop(index, reason): called when a candidate's gradient is not finite; from then on it is not changed any more.
     """
 
-    def __init__(self, population: Population, config: PPOConfig, stop: Stop) -> None:
+    def __init__(self, population: Population, config: UpdateSettings, stop: Stop) -> None:
         self.population, self.config, self.stop = population, config, stop
         self.stopped: set[int] = set()
 
@@ -72,7 +72,7 @@ class GradientSteps(ABC):
         self, batch: Samples, multipliers: torch.Tensor, policy_on: float | torch.Tensor, members: slice, named=None
     ) -> LossParts:
         config = self.config
-        return anchored_ppo_loss(
+        return population_loss(
             self.population, batch, multipliers, clip=config.clip, value_coef=config.value_coef,
             entropy_coef=config.entropy_coef, policy_on=policy_on, members=members, normalised=True, named=named,
         )  # fmt: skip
@@ -81,7 +81,7 @@ class GradientSteps(ABC):
 class SeparateSteps(GradientSteps):
     """On a CPU: candidates share nothing, so each takes all its steps alone, as many side by side as there are cores."""
 
-    def __init__(self, population: Population, config: PPOConfig, stop: Stop) -> None:
+    def __init__(self, population: Population, config: UpdateSettings, stop: Stop) -> None:
         super().__init__(population, config, stop)
         self.optimisers = [
             torch.optim.Adam([vector], lr=config.learning_rate, eps=1e-8, fused=True) for vector in population.vectors

@@ -28,6 +28,8 @@ class Engine(ABC):
     qvel: torch.Tensor
     sensordata: torch.Tensor
     diverged: torch.Tensor
+    finite_when_diverged = True
+    """Whether qpos, qvel and sensordata of a world whose physics broke still hold numbers."""
 
     @abstractmethod
     def step(self, ctrl: torch.Tensor) -> None:
@@ -37,7 +39,7 @@ class Engine(ABC):
     def reset(self, mask: torch.Tensor, qpos: torch.Tensor, qvel: torch.Tensor) -> None:
         """Put the worlds of mask (W,) into rows of qpos (W, nq), qvel (W, nv); other rows are not read."""
 
-    def kick(self, mask: torch.Tensor, velocity: torch.Tensor) -> None:
+    def push(self, mask: torch.Tensor, velocity: torch.Tensor) -> None:
         """Add velocity (W, 2), m/s, to the trunk's horizontal velocity in the worlds of mask (W,); their solver starts cold."""
         qvel = self.qvel.clone()
         qvel[:, :2] += velocity

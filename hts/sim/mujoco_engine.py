@@ -98,7 +98,7 @@ class MujocoEngine(Engine):
         self.qvel[rows] = qvel[rows]
         self.diverged[rows] = False
 
-    def kick(self, mask: torch.Tensor, velocity: torch.Tensor) -> None:
+    def push(self, mask: torch.Tensor, velocity: torch.Tensor) -> None:
         rows = mask.nonzero().squeeze(-1)
         self.qvel[rows, :2] += velocity[rows]
         self._state[rows.numpy(), 1:] = torch.cat((self.qpos[rows], self.qvel[rows]), -1).numpy()

@@ -9,6 +9,7 @@ import mujoco
 import torch
 
 from hts.errors import ConfigError, HtsError, SimulationError
+from hts.rl.task_env import LaunchedSimulator
 from hts.sim.engine import Engine, sensor_slices
 from hts.sim.warp_setup import buffer_sizes, explained, import_warp, put_models, torch_device, warp_device
 
@@ -38,13 +39,15 @@ def make_warp_engine(
         raise explained(error, len(assignment), place) from error
 
 
-class WarpEngine(Engine):
+class WarpEngine(Engine, LaunchedSimulator):
     """See `Engine`. Physics runs in single precision; `qpos`, `qvel` and `sensordata` are the physics' own memory.
 
     Nothing in `step` and `reset` waits for the device: the graph is launched on torch's current stream, so torch and
     Warp work is ordered by that stream. Unlike the CPU engine the solver starts warm from the last step, which is
     therefore part of the saved state. `check` tells, at the price of a wait, whether a buffer has overflowed.
     """
+
+    finite_when_diverged = False
 
     def __init__(
         self, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, device: torch.device,
@@ -109,8 +112,8 @@ class WarpEngine(Engine):
 
     def step(self, ctrl: torch.Tensor) -> None:
         self.load(ctrl)
-        self.step_raw()
-        self.judge()
+        self.launch()
+        self.flag_diverged()
 
     def load(self, ctrl: torch.Tensor) -> None:
         """Take the actuator inputs of the next control step, (substeps, W, nu)."""
@@ -122,7 +125,7 @@ class WarpEngine(Engine):
         return self._ctrl
 
     def memory(self) -> list[torch.Tensor]:
-        """Every tensor that `load`, `judge` and `reset` read or change, in place."""
+        """Every tensor that `load`, `flag_diverged` and `reset` read or change, in place."""
         return [*self._saved().values(), self._ctrl, self._bad_input]
 
     def replay(self, steps: Sequence[tuple[Mapping[str, torch.Tensor], torch.Tensor]]) -> None:
@@ -130,17 +133,17 @@ class WarpEngine(Engine):
         for state, ctrl in steps:
             self.load_state_dict(state)
             self.load(ctrl)
-            self.step_raw()
+            self.launch()
         self.load_state_dict(here)
 
-    def judge(self) -> None:
+    def flag_diverged(self) -> None:
         """After physics: which worlds have broken, and whether an input was not finite."""
         self._bad_input |= ~self._ctrl.isfinite().all(dim=2).all(dim=0)
         # Not-a-number compares false, so it counts as broken too.
         fine = (self.qpos.abs() < BROKEN).all(dim=1) & (self.qvel.abs() < BROKEN).all(dim=1)
         self.diverged |= ~fine
 
-    def step_raw(self) -> None:
+    def launch(self) -> None:
         """Physics alone, from the buffers as they are: what `hts bench` calls bare."""
         if self._graph is None:
             with self._wp.ScopedDevice(self._place):

@@ -16,14 +16,16 @@ from torchrl.envs.transforms import Compose, Transform, TransformedEnv
 from hts.config import FinetuneConfig
 from hts.contracts import Robot
 from hts.policies.files import Policy
-from hts.rl.kl_bound import mean_kl, pull_inside
+from hts.rl.kl_bound import mean_kl, project_to_kl_bound
 from hts.rl.population import Population
+from hts.rl.task_env import TaskEnv
 from hts.training.checkpoint import load_checkpoint, load_notes, save_checkpoint
 from hts.training.sweep import Candidate
 from hts.training.trainer import BatchStats, PopulationTrainer
 
 CHECKPOINT_SECONDS = 60.0
-KL_SLACK = 1.05  # of c, on a fresh batch; beyond it a candidate is pulled inside once more
+KL_SLACK = 1.05  # of c, on a fresh batch; beyond it a candidate is projected back
+MOST_PROJECTIONS = 3
 
 
 @dataclass(frozen=True)
@@ -48,17 +50,21 @@ def measured_env(env: EnvBase, transforms: Sequence[Transform]) -> EnvBase:
     return TransformedEnv(env, Compose(*transforms), auto_unwrap=False) if transforms else env
 
 
-def check_engine(env: EnvBase) -> None:
-    """Raise SimulationError if a buffer of the env's physics overflowed; an env may have no engine of ours to ask."""
-    engine = getattr(env, "engine", None)
-    if engine is not None:
-        engine.check()
+def check_env(env: EnvBase) -> None:
+    """Raise SimulationError if something went wrong in the simulator since the start; an env of another kind than `TaskEnv`
+    cannot be asked."""
+    if isinstance(env, TaskEnv):
+        env.check()
+
+
+Log = Callable[[BatchStats, Sequence[Candidate]], None]
+Share = Callable[[float], None]
 
 
 def finetune(
     robot: Robot, engine: str, config: FinetuneConfig, candidates: Sequence[Candidate], anchors: Mapping[str, Policy],
     transforms: Callable[[], Sequence[Transform]], inputs: Sequence[str], *, seed: int, checkpoint: Path | None = None,
-    key: str = "", progress: Callable[[float], None] | None = None, log: Callable[[BatchStats, Sequence[Candidate]], None] | None = None,
+    key: str = "", progress: Share | None = None, log: Log | None = None,
 ) -> tuple[list[Finetuned], int]:  # fmt: skip
     """Fine-tune candidates (in groups of `max_candidates`); returns them and the number of control steps.
 
@@ -69,84 +75,123 @@ def finetune(
     results: list[Finetuned] = []
     steps = 0
     groups = [candidates[i : i + config.max_candidates] for i in range(0, len(candidates), config.max_candidates)]
-    for number, group in enumerate(groups):
+    for number, members in enumerate(groups):
 
         def share(part: float, number: int = number) -> None:
             if progress is not None:
                 progress((number + part) / len(groups))
 
-        place = checkpoint.with_name(f"{checkpoint.name}-{number}") if checkpoint is not None else None
-        tuned, used = _finetune_group(
-            robot, engine, config, group, anchors, transforms, inputs, seed, place, f"{key}/{number}", share, log
+        env_config = config.env.model_copy(update={"seed": seed})
+        bare = robot.make_env(
+            engine, len(members), config.num_envs, env_config, channels=tuple(inputs), seeds=[seed] * len(members)
         )
-        results += tuned
-        steps += used
+        place = checkpoint.with_name(f"{checkpoint.name}-{number}") if checkpoint is not None else None
+        saved = Saved(place, {"robot": robot.spec.name, "key": f"{key}/{number}", "worlds": bare.batch_size.numel()})
+        group = Group(members, [anchors[member.anchor] for member in members], bare, transforms(), config, seed, saved)
+        try:
+            group.train(share, log)
+            results += group.finished()
+            steps += group.steps
+        finally:
+            group.trainer.close()
     return results, steps
 
 
-def _finetune_group(
-    robot, engine, config, group, anchors, transforms, inputs, seed, checkpoint, key, progress, log
-) -> tuple[list[Finetuned], int]:  # fmt: skip
-    count = len(group)
-    starts = [anchors[candidate.anchor] for candidate in group]
-    sizes = starts[0].card.sizes()
-    env_config = config.env.model_copy(update={"seed": seed})
-    bare = robot.make_env(engine, count, config.num_envs, env_config, channels=tuple(inputs), seeds=[seed] * count)
-    env = measured_env(bare, transforms())
-    population = Population.from_candidates(sizes, [start.tensors for start in starts], bare.device)
-    bounds = torch.tensor([candidate.kl_bound for candidate in group])
-    weights = {name: torch.tensor([candidate.weights[name] for candidate in group]) for name in group[0].weights}
-    metadata = {"robot": robot.spec.name, "key": key, "worlds": count * config.num_envs}
-    if not hasattr(bare, "full_state"):  # an env that cannot say where it is: if stopped, this stage starts again
-        checkpoint = None
-    resume = TensorDict(dict(load_checkpoint(checkpoint, metadata))) if checkpoint and checkpoint.exists() else None
-    anchor = population.frozen()
-    trainer = PopulationTrainer(
-        env, population, config.ppo, seeds=[seed] * count, names=[candidate.id for candidate in group],
-        anchor=anchor, bounds=bounds, weights=weights, resume=resume,
-    )  # fmt: skip
-    batches = max(1, round(config.steps * count / trainer.steps_per_batch))
-    saved = time.monotonic()
-    history: list[dict[str, Any]] = []
-    if checkpoint is not None and resume is not None:  # what was before it, as if the process had never ended
-        notes = load_notes(checkpoint)
-        history = notes["history"]
-        trainer.stopped.update({int(index): reason for index, reason in notes["stopped"].items()})
-    while trainer.batches < batches:
-        stats = trainer.batch()
-        history.append({"steps": stats.steps // count, **stats.values})
-        if log is not None:
-            log(stats, group)
-        progress(trainer.batches / batches)
-        if checkpoint is not None and time.monotonic() - saved > CHECKPOINT_SECONDS and trainer.batches < batches:
-            notes = {"history": history, "stopped": {str(index): why for index, why in trainer.stopped.items()}}
-            save_checkpoint(checkpoint, trainer.full_state().to_dict(), metadata, notes)
-            saved = time.monotonic()
-    kl, extra = _settle(trainer, bounds.to(bare.device))
-    check_engine(bare)
-    std = population.log_std().exp().mean((1, 2)).tolist()
-    anchor_std = anchor.log_std().exp().mean((1, 2)).tolist()
-    tuned = [
-        Finetuned(
-            candidate, population.candidate(index), kl[index], std[index], anchor_std[index], trainer.stopped.get(index),
-            [{name: (value[index] if isinstance(value, list) else value) for name, value in sorted(row.items())} for row in history],
+class Saved:
+    """The checkpoint of one group. path: None for none; metadata: what it belongs to."""
+
+    def __init__(self, path: Path | None, metadata: Mapping[str, Any]) -> None:
+        self.path, self.metadata = path, metadata
+        self._when = time.monotonic()
+
+    def load(self) -> tuple[TensorDict, dict[str, Any]] | None:
+        """State and notes, if there are any."""
+        if self.path is None or not self.path.exists():
+            return None
+        return TensorDict(dict(load_checkpoint(self.path, self.metadata))), load_notes(self.path)
+
+    def keep(self, trainer: PopulationTrainer, history: Sequence[Mapping[str, Any]]) -> None:
+        """Save, if it is time to, and if the env can be saved; if not, a stopped fine-tuning starts again."""
+        if self.path is None or time.monotonic() - self._when <= CHECKPOINT_SECONDS or not trainer.resumable:
+            return
+        notes = {"history": history, "stopped": {str(index): why for index, why in trainer.stopped.items()}}
+        save_checkpoint(self.path, trainer.full_state().to_dict(), self.metadata, notes)
+        self._when = time.monotonic()
+
+
+class Group:
+    """Candidates that are trained together.
+
+    starts: the anchor of each; bare: an env for them, without measurement; the rest as in `finetune`.
+    """
+
+    def __init__(
+        self, members: Sequence[Candidate], starts: Sequence[Policy], bare: EnvBase, transforms: Sequence[Transform],
+        config: FinetuneConfig, seed: int, saved: Saved,
+    ) -> None:  # fmt: skip
+        count = len(members)
+        self.members, self.bare, self.saved = members, bare, saved
+        self.population = Population.from_candidates(
+            starts[0].card.sizes(), [start.tensors for start in starts], bare.device
         )
-        for index, candidate in enumerate(group)
-    ]  # fmt: skip
-    steps = (trainer.batches + extra) * trainer.steps_per_batch
-    trainer.close()
-    return tuned, steps
+        self.anchor = self.population.frozen()
+        self.bounds = torch.tensor([member.kl_bound for member in members])
+        self.history: list[dict[str, Any]] = []
+        before = saved.load()
+        self.trainer = PopulationTrainer(
+            measured_env(bare, transforms), self.population, config.ppo, seeds=[seed] * count,
+            names=[member.id for member in members], anchor=self.anchor, bounds=self.bounds,
+            weights={name: torch.tensor([member.weights[name] for member in members]) for name in members[0].weights},
+            resume=before[0] if before is not None else None,
+        )  # fmt: skip
+        self.batches = max(1, round(config.steps * count / self.trainer.steps_per_batch))
+        self._extra = 0
+        if before is not None:  # what was before it, as if the process had never ended
+            self.history = before[1]["history"]
+            self.trainer.stopped.update({int(index): reason for index, reason in before[1]["stopped"].items()})
+
+    @property
+    def steps(self) -> int:
+        """Control steps so far, of all candidates."""
+        return (self.trainer.batches + self._extra) * self.trainer.steps_per_batch
+
+    def train(self, progress: Share, log: Log | None) -> None:
+        """All batches that are left."""
+        trainer = self.trainer
+        while trainer.batches < self.batches:
+            stats = trainer.batch()
+            self.history.append({"steps": stats.steps // len(self.members), **stats.values})
+            if log is not None:
+                log(stats, self.members)
+            progress(trainer.batches / self.batches)
+            if trainer.batches < self.batches:
+                self.saved.keep(trainer, self.history)
+
+    def finished(self) -> list[Finetuned]:
+        """The candidates, inside their bounds."""
+        kl = self._project()
+        check_env(self.bare)
+        std, anchor_std = (each.log_std().exp().mean((1, 2)).tolist() for each in (self.population, self.anchor))
+        return [
+            Finetuned(
+                member, self.population.candidate(index), kl[index], std[index], anchor_std[index],
+                self.trainer.stopped.get(index), [_of_member(row, index) for row in self.history],
+            )
+            for index, member in enumerate(self.members)
+        ]  # fmt: skip
+
+    def _project(self) -> list[float]:
+        """Measure the KL on fresh batches of the finished candidates' own states; project who ended beyond its bound."""
+        bounds = self.bounds.to(self.bare.device)
+        while True:
+            observation = self.trainer.collect()["observation"].flatten(1, 2)
+            self._extra += 1
+            kl = mean_kl(self.population, self.anchor, observation)
+            if bool((kl <= KL_SLACK * bounds).all()) or self._extra > MOST_PROJECTIONS:
+                return kl.tolist()
+            project_to_kl_bound(self.population, self.anchor, observation, bounds)
 
 
-def _settle(trainer: PopulationTrainer, bounds: torch.Tensor) -> tuple[list[float], int]:
-    """Measure the KL on fresh batches of the finished candidates' own states; pull inside who ended beyond its bound."""
-    population, anchor = trainer.population, trainer.anchor
-    assert anchor is not None
-    kl = torch.zeros_like(bounds)
-    for attempt in range(1, 5):
-        observation = trainer.collect()["observation"].flatten(1, 2)
-        kl = mean_kl(population, anchor, observation)
-        if bool((kl <= KL_SLACK * bounds).all()) or attempt == 4:
-            break
-        pull_inside(population, anchor, observation, bounds)
-    return kl.tolist(), attempt
+def _of_member(row: Mapping[str, Any], index: int) -> dict[str, float]:
+    """A row of the history as one candidate sees it."""
+    return {name: (value[index] if isinstance(value, list) else value) for name, value in sorted(row.items())}

@@ -10,10 +10,11 @@ from typing import Any
 
 from hts.config import PretrainConfig
 from hts.contracts import Robot
-from hts.envs.observation import observation_layout
+from hts.errors import ConfigError
 from hts.policies.files import Policy, make_card, save_policy
 from hts.rl.population import Population, Sizes
-from hts.training.finetune import check_engine
+from hts.rl.task_env import TaskEnv
+from hts.training.finetune import check_env
 from hts.training.trainer import PopulationTrainer
 
 
@@ -27,6 +28,12 @@ def pretrain_policy(
     started = time.perf_counter()
     env_config = config.env.model_copy(update={"seed": config.seed})
     env = robot.make_env(config.engine, 1, config.num_envs, env_config, channels=("joint_torque",), seeds=[config.seed])
+    layout = env.observation_layout if isinstance(env, TaskEnv) else None
+    if layout is None:
+        raise ConfigError(
+            f"The env of robot '{robot.spec.name}' does not say what a policy sees in it, which the policy's card must hold. "
+            'Derive it from hts.rl.TaskEnv and give it observation_layout = [{"name": ..., "size": ...}, ...].'
+        )
     spaces = env.observation_spec
     sizes = Sizes(
         spaces["observation"].shape[-1], spaces["critic_observation"].shape[-1], robot.spec.num_joints, config.hidden
@@ -46,13 +53,12 @@ def pretrain_policy(
             if progress is not None:
                 progress(row)
     tensors = population.candidate(0)
-    check_engine(env)
+    check_env(env)
     made = {
         "command": f"hts pretrain --robot {robot.spec.name}", "config": config.model_dump(mode="json"),
         "steps": trainer.batches * trainer.steps_per_batch, "seconds": round(time.perf_counter() - started, 1),
         "final": curve[-1],
     }  # fmt: skip
-    layout = getattr(env, "observation_layout", None) or observation_layout(robot.spec.num_joints)
     card = make_card(robot.spec, tensors, layout, sizes, **made)
     path = save_policy(Path(out) / "pretrained.safetensors", Policy(tensors, card))
     (Path(out) / "curve.json").write_text(json.dumps(curve, indent=1) + "\n")

@@ -1,34 +1,31 @@
-"""Training of P candidates at once: one TorchRL Collector, one loss, one optimiser step."""
+"""Training of P candidates at once: a collector, one loss, one optimiser step."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
 from hts.config import PPOConfig
 from hts.errors import SimulationError
-from hts.rl.actor import Explorer, log_prob
-from hts.rl.advantage import advantages
-from hts.rl.batched_updates import BatchedSteps
-from hts.rl.capture import Captured
-from hts.rl.captured_collector import CapturedRollout
-from hts.rl.centring import Centre
-from hts.rl.kl import Multipliers, gaussian_kl
+from hts.rl.actor import PopulationActor
+from hts.rl.backend import backend_for
+from hts.rl.captured_collector import CapturedCollector
+from hts.rl.centring import RewardCentring
+from hts.rl.deferred import base_and_transforms
+from hts.rl.measured_reward import MeasuredReward
+from hts.rl.multiplier import LagrangeMultiplier
 from hts.rl.population import Population
-from hts.rl.population_collector import Rollout, can_roll_out
 from hts.rl.precision import tf32
 from hts.rl.random import PopulationRandom
-from hts.rl.rows import row_mean, row_standardised
+from hts.rl.rows import row_mean
+from hts.rl.samples import Samples, kl_of_batch, samples_of
+from hts.rl.settings import UpdateSettings
+from hts.rl.task_env import TaskEnv
 from hts.rl.threads import one_thread
-from hts.rl.updates import GradientSteps, Samples, SeparateSteps
-
-KL_STRIDE = 4  # on a GPU the multiplier's KL is the mean over every fourth state: some thousands a candidate are plenty
 
 
 @dataclass
@@ -39,22 +36,20 @@ class BatchStats:
     values: dict[str, list[float]]
 
 
-class _CapturedLearning(NamedTuple):
-    """What learning launches as graphs: reward [P, N, T], where `samples` reads it; and the KL after the update [P]."""
+@dataclass(frozen=True)
+class _Learning:
+    """What learning does again and again with batches that lie in the same memory: the reward [P, N, T] where `samples`
+    reads it; samples of a batch; and the KL after the update [P]."""
 
     reward: torch.Tensor
-    samples: Captured[tuple[Samples, Samples]]
-    kl: Captured[torch.Tensor]
+    samples: Callable[[], tuple[Samples, Samples]]
+    kl: Callable[[], torch.Tensor]
 
 
-def make_collector(env: EnvBase, actor: Explorer, frames_per_batch: int, device: torch.device) -> Collector:
-    """TorchRL's collector of batches [P, N, T]."""
-    return Collector(
-        env, actor, frames_per_batch=frames_per_batch, total_frames=-1, device=device, track_traj_ids=False,
-        trust_policy=True, use_buffers=False, track_policy_version=False,
-        return_same_td=device.type == "cpu",  # each batch is a fresh one, so there is nothing to copy it for
-        auto_register_policy_transforms=False,  # nothing here is recurrent: the memory is the transform's own
-    )  # fmt: skip
+def update_settings(config: PPOConfig) -> UpdateSettings:
+    """As much of the configuration as gradient steps want."""
+    names = UpdateSettings.__dataclass_fields__
+    return UpdateSettings(**{name: getattr(config, name) for name in names})
 
 
 class PopulationTrainer:
@@ -64,11 +59,8 @@ class PopulationTrainer:
     bounds [P]: c per candidate, nats; weights: objective -> lambda [P]; seeds: one per candidate;
     names: what candidates are called in errors.
 
-    On the CPU each candidate takes its gradient steps alone, as many side by side as there are cores; on a GPU all
-    of them take each step together.
-
-    A candidate whose numbers stop being finite is stopped, named in `stopped`, and put back to its anchor; the
-    others go on. If none is left, SimulationError.
+    Collection and gradient steps are those of the device's `hts.rl.backend`. A candidate whose numbers stop being
+    finite is stopped, named in `stopped`, and put back to its anchor; the others go on. If none is left, SimulationError.
     """
 
     def __init__(
@@ -82,47 +74,46 @@ class PopulationTrainer:
         self.dt = env.dt
         self.noise = PopulationRandom([seed + 101 for seed in seeds], device)
         self.order = PopulationRandom([seed + 202 for seed in seeds], device)
-        capture = config.capture and device.type == "cuda"
-        self.steps: GradientSteps = (
-            SeparateSteps(population, config, self._stop_in_batch)
-            if device.type == "cpu"
-            else BatchedSteps(population, config, self._stop_in_batch, capture)
-        )
+        self.backend = backend_for(device, capture=config.capture, tf32=config.tf32, fuse=config.fuse)
+        self.steps = self.backend.gradient_steps(population, update_settings(config), self._stop_in_batch)
         bounds = bounds if bounds is not None else torch.full((count,), torch.inf)
-        self.multipliers = Multipliers(bounds.to(device), config.multiplier_rate)
-        self.weights = {name: value.to(device) for name, value in (weights or {}).items()}
-        self.centres = {name: Centre(count, config.centring_rate, device) for name in self.weights}
+        self.multipliers = LagrangeMultiplier(bounds.to(device), config.multiplier_rate)
+        # A batch is rewarded as a whole: the centre moves once, with all of it.
+        self.measured = {
+            name: MeasuredReward(
+                weight.to(device), self.dt, in_key=("real_reward", name),
+                centring=RewardCentring(config.centring_rate, count, device),
+            )
+            for name, weight in (weights or {}).items()
+        }  # fmt: skip
         self.stopped: dict[int, str] = {}
         self.batches = 0
         self.kl = torch.zeros(count, device=device)
         population.refresh()
         if resume is not None:
             self._load(resume)
-        per_batch = count * env.batch_size[1] * config.horizon
-        self.actor = Explorer(population, self.noise)
-        self.rollout: Rollout | None = None
-        self._captured: _CapturedLearning | None = None
-        self.collector: Collector | None = None
-        if not can_roll_out(env):
-            self.collector = make_collector(env, self.actor, per_batch, device)
-            self._stream = iter(self.collector)
-        elif device.type == "cpu":
-            self.rollout = Rollout(env, population, self.noise, config.horizon)
-        else:
-            self.rollout = CapturedRollout(
-                env, population, self.noise, config.horizon, capture=capture, tf32=config.tf32,
-                aside=capture and not update_normaliser, anchor=anchor, fuse=config.fuse,
-            )  # fmt: skip
-        if resume is not None and list(resume.get("transform", {}).keys()):  # now: making the collector resets the env
-            self.env.transform.load_state_dict(dict(resume["transform"].items()))
-        self.steps_per_batch = per_batch
+        self.steps_per_batch = count * env.batch_size[1] * config.horizon
+        self.actor = PopulationActor(population, self.noise)
+        self.collector = self.backend.collector(
+            env, self.actor, self.steps_per_batch, anchor, fixed_normaliser=not update_normaliser
+        )
+        self._batches = iter(self.collector)
+        self._learning: _Learning | None = None
+        if resume is not None:  # now: making a collector may reset the env
+            before = resume.get("transform", None)  # as versions before 0.2 wrote it
+            if before is not None and list(before.keys()):
+                env.transform.load_state_dict(dict(before.items()))
+            for index, transform in enumerate(base_and_transforms(env)[1]):
+                memory = resume.get(("transforms", str(index)), None)
+                if memory is not None:
+                    transform.load_state_dict(dict(memory.items()))
 
     # --------------------------------------------------------------------------------------------------- a batch
 
     def collect(self) -> TensorDictBase:
         """One batch [P, N, T] from the env."""
         with one_thread():
-            return next(self._stream) if self.rollout is None else self.rollout.collect()
+            return next(self._batches)
 
     def batch(self) -> BatchStats:
         """Collect, then learn from it."""
@@ -146,11 +137,8 @@ class PopulationTrainer:
                 self.population.update_normaliser("observation", data["observation"].flatten(1, 2))
             self.population.refresh()
             if self.anchor is not None:
-                self.kl = (
-                    self._measure_kl(data, samples["anchor_mean"])
-                    if self._captured is None
-                    else self._captured.kl().clone()
-                )
+                learning = self._learning
+                self.kl = self._measure_kl(data, samples) if learning is None else learning.kl().clone()
                 if self.batches >= self.config.warmup_batches:
                     self.multipliers.update(self.kl)
         self.batches += 1
@@ -162,7 +150,7 @@ class PopulationTrainer:
         return BatchStats(self.batches * self.steps_per_batch, values)
 
     def _rewards(self, data: TensorDictBase) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """r = r_sim + sum_j lambda_j dt (r_real_j - centre_j), [P, N, T]; centred first, never clipped.
+        """r = r_sim + sum_j lambda_j dt (r_real_j - centre_j), [P, N, T]; see `hts.rl.MeasuredReward`.
 
         lambda's unit: task reward per second, for one standard deviation of the measured channel (the model's
         prediction is z-scored by its data), so that r_sim's weights, also rates per second, are on the same scale.
@@ -171,12 +159,11 @@ class PopulationTrainer:
         self._stop_if_bad({"r_sim": simulated})
         stats = {"r_sim": row_mean(simulated) / self.dt}
         total = simulated
-        for name, weight in self.weights.items():
+        for name, measured in self.measured.items():
             real = data["next", "real_reward", name].squeeze(-1)
             self._stop_if_bad({f"r_real of {name}": real})
-            centre = self.centres[name]
-            centre.update(real)
-            total = total + (weight * self.dt).view(-1, 1, 1) * (real - centre.mean.view(-1, 1, 1))
+            measured.centring.update(real)
+            total = total + measured.added(real)
             stats[f"r_real/{name}"] = row_mean(real)
         return total, stats
 
@@ -208,60 +195,42 @@ class PopulationTrainer:
     def _stop_in_batch(self, index: int, reason: str) -> None:
         self._stop(index, f"{reason} in batch {self.batches}")
 
-    def _prepare(self, data: TensorDictBase, reward: torch.Tensor) -> tuple[Samples, Samples]:
-        """Flatten [P, N, T] to [P, S] samples with everything the loss needs, observations as the networks see them;
-        and what is one per candidate, [P, 1, J]."""
-        population = self.population
-        observation, critic_observation = (data[name].flatten(1, 2) for name in ("observation", "critic_observation"))
-        known = data.keys()
-        value = data["value"].flatten(1, 2) if "value" in known else population.value(critic_observation)
-        last = population.value(data["next", "critic_observation"][..., -1, :])
-        shape = reward.shape
-        terminated, truncated = (data["next", key].squeeze(-1) for key in ("terminated", "truncated"))
-        advantage, target = advantages(
-            reward, value.view(shape), last, terminated, truncated, self.config.gamma, self.config.gae_lambda
-        )
-        action, mean = data["action"].flatten(1, 2), data["action_mean"].flatten(1, 2)
-        constant = {"old_log_std": population.log_std().clone()}
-        samples = {
-            "observation": population.normalised("observation", observation),
-            "critic_observation": population.normalised("critic_observation", critic_observation),
-            "action": action, "old_mean": mean, "log_prob": log_prob(action, mean, constant["old_log_std"]),
-            "advantage": row_standardised(advantage.flatten(1)), "target": target.flatten(1), "old_value": value,
-        }  # fmt: skip
-        if self.anchor is not None:
-            there = "anchor_mean" in known
-            samples["anchor_mean"] = data["anchor_mean"].flatten(1, 2) if there else self.anchor.mean(observation)
-            constant["anchor_log_std"] = self.anchor.log_std()
-        return samples, constant
+    def _samples(self, data: TensorDictBase, reward: torch.Tensor) -> tuple[Samples, Samples]:
+        """See `samples_of`."""
+        return samples_of(
+            data, reward, self.population, self.anchor, gamma=self.config.gamma, lam=self.config.gae_lambda,
+            next_values=self.backend.next_values,
+        )  # fmt: skip
 
     def _prepared(self, data: TensorDictBase, reward: torch.Tensor) -> tuple[Samples, Samples]:
-        """`_prepare`, as a captured graph where a rollout leaves its batches in the same memory each time."""
-        if self.rollout is None or not self.rollout.captured:
-            return self._prepare(data, reward)
-        if self._captured is None:
-            kept = reward.clone()
-            samples = Captured(lambda: self._prepare(data, kept), reward.device)
-            kl = Captured(lambda: self._measure_kl(data, samples.result[0]["anchor_mean"]), reward.device)
-            self._captured = _CapturedLearning(kept, samples, kl)
-        self._captured.reward.copy_(reward)
-        return self._captured.samples()
+        """`_samples`, launched as one where the collector leaves its batches in the same memory each time."""
+        if not (isinstance(self.collector, CapturedCollector) and self.collector.captured):
+            return self._samples(data, reward)
+        if self._learning is None:
+            fixed, found = reward.clone(), {}
+
+            def prepare() -> tuple[Samples, Samples]:
+                found["samples"], constant = self._samples(data, fixed)
+                return found["samples"], constant
+
+            samples = self.backend.repeated(prepare)
+            kl = self.backend.repeated(lambda: self._measure_kl(data, found["samples"]))
+            self._learning = _Learning(fixed, samples, kl)
+        self._learning.reward.copy_(reward)
+        return self._learning.samples()
 
     def _epochs(self, samples: Samples, constant: Samples) -> dict[str, torch.Tensor]:
         """All gradient steps of all candidates on this batch; mean losses, each [P]."""
-        orders = [self.order.permutation(samples["advantage"].shape[1]) for _ in range(self.config.epochs)]
+        size = samples["advantage"].shape[1]
+        orders = [self.backend.permutation(self.order, size) for _ in range(self.config.epochs)]
         policy_on = 0.0 if self.batches < self.config.warmup_batches else 1.0
         losses = self.steps.run(samples, constant, self.multipliers.value, orders, policy_on)
         return {f"loss/{name}": value for name, value in losses.items()}
 
-    def _measure_kl(self, data: TensorDictBase, anchor_mean: torch.Tensor) -> torch.Tensor:
-        """Mean KL(pi || anchor) [P] over the batch's states, with the parameters as they are now. On a GPU, whose batches
-        are large, over every fourth of them."""
+    def _measure_kl(self, data: TensorDictBase, samples: Samples) -> torch.Tensor:
+        """Mean KL(pi || anchor) [P] over the batch's states, with the parameters as they are now."""
         assert self.anchor is not None
-        observation = data["observation"].flatten(1, 2)
-        some = slice(None, None, 1 if observation.device.type == "cpu" else KL_STRIDE)
-        mean = self.population.mean(observation[:, some])
-        return row_mean(gaussian_kl(mean, self.population.log_std(), anchor_mean[:, some], self.anchor.log_std()))
+        return kl_of_batch(data, self.population, self.anchor, samples["reference_mean"], self.backend.kl_stride)
 
     # -------------------------------------------------------------------------------------------- saving, loading
 
@@ -271,17 +240,30 @@ class PopulationTrainer:
         rates = torch.tensor(self.steps.rates, dtype=torch.float64)
         parts = {
             "vectors": vectors, "optimiser": self.steps.state(), "rates": rates, "noise": self.noise.state_dict(), "order": self.order.state_dict(),
-            "normaliser": {name: value.clone() for name, value in self.population.named_buffers()}, "multipliers": self.multipliers.state_dict(),
-            "centres": {name: centre.state_dict() for name, centre in self.centres.items()}, "kl": self.kl.clone(),
+            "normaliser": {name: value.clone() for name, value in self.population.named_buffers()}, "multipliers": _plain(self.multipliers),
+            "centres": {name: _plain(measured.centring) for name, measured in self.measured.items()}, "kl": self.kl.clone(),
             "batches": torch.tensor(self.batches), "stopped": torch.tensor(sorted(self.stopped), dtype=torch.int64),
-            "env": self.env.full_state(), "transform": self._transform_state(),
+            "env": self._env_state(), "transforms": self._transform_state(),
         }  # fmt: skip
         return TensorDict(parts, batch_size=[])
 
-    def _transform_state(self) -> dict[str, torch.Tensor]:
-        """The memory of measurement models inside the env, world by world."""
-        transform = getattr(self.env, "transform", None)
-        return {name: value.clone() for name, value in transform.state_dict().items()} if transform is not None else {}
+    @property
+    def resumable(self) -> bool:
+        """Whether `full_state` can be had: the env must know how to be saved in mid-episode."""
+        bare = base_and_transforms(self.env)[0]
+        return isinstance(bare, TaskEnv) and bare.full_state() is not None
+
+    def _env_state(self) -> TensorDictBase:
+        bare = base_and_transforms(self.env)[0]
+        state = bare.full_state() if isinstance(bare, TaskEnv) else None
+        if state is None:
+            raise SimulationError(f"{type(bare).__name__} cannot be saved in mid-episode: it has no full_state.")
+        return state
+
+    def _transform_state(self) -> dict[str, dict[str, torch.Tensor]]:
+        """The memory of measurement models inside the env."""
+        transforms = base_and_transforms(self.env)[1]
+        return {str(index): _plain(transform) for index, transform in enumerate(transforms)}
 
     def _load(self, state: TensorDictBase) -> None:
         with torch.no_grad():
@@ -294,9 +276,9 @@ class PopulationTrainer:
         self.steps.rates = state["rates"].tolist()
         self.noise.load_state_dict(state["noise"])
         self.order.load_state_dict(state["order"])
-        self.multipliers.load_state_dict(state["multipliers"])
-        for name, centre in self.centres.items():
-            centre.load_state_dict(state["centres", name])
+        self.multipliers.load_state_dict(dict(state["multipliers"].items()))
+        for name, measured in self.measured.items():
+            measured.centring.load_state_dict(dict(state["centres", name].items()))
         self.kl = state["kl"].to(self.kl.device)
         self.batches = int(state["batches"])
         self.stopped = {
@@ -305,13 +287,15 @@ class PopulationTrainer:
         }
         for index in self.stopped:
             self.steps.halt(index)
-        self.env.load_full_state(state["env"])
+        base_and_transforms(self.env)[0].load_full_state(state["env"])
         self.population.refresh()
 
     def close(self) -> None:
-        """Shut the collector (and its env) down."""
-        if self.collector is not None:
-            self.collector.shutdown()
-        else:
-            self.env.close()
+        """Shut the collector and its env down, and let go of threads."""
+        self.collector.shutdown()
         self.steps.close()
+
+
+def _plain(module: torch.nn.Module) -> dict[str, torch.Tensor]:
+    """Copies of a module's state, by name."""
+    return {name: value.clone() for name, value in module.state_dict().items()}

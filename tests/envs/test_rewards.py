@@ -12,10 +12,10 @@ from hts.envs import rewards
 from hts.errors import ConfigError
 
 
-def still(**changes) -> rewards.Motion:
-    """One world that stands still on four feet, told to; with changes."""
+def still(**changes) -> rewards.RewardInputs:
+    """One world that stands still on four feet, commanded to; with changes."""
     zeros = torch.zeros
-    motion = rewards.Motion(
+    inputs = rewards.RewardInputs(
         velocity=zeros(1, 1, 3), angular_velocity=zeros(1, 1, 3), gravity=torch.tensor([[[0.0, 0.0, -1.0]]]),
         command=zeros(1, 1, 3), torque=zeros(1, 1, 2), joint_velocity=zeros(1, 1, 2), last_joint_velocity=zeros(1, 1, 2),
         pose_error=zeros(1, 1, 2), action=zeros(1, 1, 2), last_action=zeros(1, 1, 2), air_time=zeros(1, 1, 4),
@@ -23,14 +23,14 @@ def still(**changes) -> rewards.Motion:
         foot_speed_squared=zeros(1, 1, 4), fell=zeros(1, 1, dtype=torch.bool), dt=0.02, tracking_sigma=0.05,
     )  # fmt: skip
     made = {name: torch.tensor([[value]]) for name, value in changes.items()}
-    return dataclasses.replace(motion, **made)
+    return dataclasses.replace(inputs, **made)
 
 
 def term(name: str, **changes) -> float:
     return float(rewards.terms(still(**changes))[name])
 
 
-def test_standing_still_when_told_to_earns_both_tracking_terms_and_nothing_else():
+def test_standing_still_when_commanded_to_earns_both_tracking_terms_and_nothing_else():
     # (2.0 + 0.75) x 0.02 s
     assert float(rewards.total(still(), rewards.DEFAULT_WEIGHTS)) == pytest.approx(0.055)
 
@@ -75,7 +75,7 @@ def test_a_landing_pays_for_its_flight_above_a_tenth_of_a_second_and_only_up_to_
     # Landed: feet 0 (0.3 s -> 0.2) and 1 (0.05 s -> -0.05) and 2 (1 s -> 0.25, the limit); foot 3 still flies.
     air = {"air_time": [0.3, 0.05, 1.0, 0.9], "landed": [True, True, True, False]}
     assert term("air_time", **air, **walking) == pytest.approx(0.2 - 0.05 + 0.25)
-    assert term("air_time", **air) == 0.0  # told to stand
+    assert term("air_time", **air) == 0.0  # commanded to stand
 
 
 def test_only_feet_on_the_floor_can_slip():
@@ -83,7 +83,7 @@ def test_only_feet_on_the_floor_can_slip():
     assert slip == pytest.approx(0.05)
 
 
-def test_standing_still_is_asked_only_of_those_told_to_stand():
+def test_standing_still_is_asked_only_of_those_commanded_to_stand():
     assert term("stand_still", pose_error=[0.5, 0.5], command=[0.3, 0.0, 0.0]) == 0.0
 
 

@@ -10,9 +10,9 @@ from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
 from hts.rl.batched_updates import BatchedSteps
 from hts.rl.population import Population
-from hts.rl.random import Ahead
+from hts.rl.random import PrefetchedNoise
 from hts.training.finetune import measured_env
-from hts.training.trainer import PopulationTrainer
+from hts.training.trainer import PopulationTrainer, update_settings
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 
@@ -42,15 +42,18 @@ def make_trainer(config: PPOConfig = CONFIG, reward=None, resume=None, seeds=SEE
 @pytest.mark.parametrize("fuse", [False, True])
 def test_a_captured_batch_is_the_batch_of_its_steps(fuse):
     captured, plain = make_trainer(CONFIG.model_copy(update={"fuse": fuse})), make_trainer()
-    plain.rollout._capture_first, plain.rollout._started = False, True
-    plain.rollout.env.reset()  # the first episodes draw their numbers before any are drawn ahead
+    plain.collector._wants_capture = False
+    plain.collector._begun = True
+    for transform in plain.collector.transforms:
+        transform.prepare(plain.env.batch_size.numel(), plain.population.device)
+    plain.collector.bare_env.reset()  # the first episodes draw their numbers before any are drawn ahead
     first = captured.collect()
     for random in (plain.env.base_env.random, plain.noise):
-        random.ahead = Ahead(random, CONFIG.horizon, plain.rollout._time)
+        random.prefetched = PrefetchedNoise(random, CONFIG.horizon, plain.collector._time)
     second = plain.collect()
-    assert captured.rollout._graphs and not plain.rollout._graphs
+    assert captured.collector.captured and not plain.collector.captured
     torch.testing.assert_close(first["action"][:, :, 0], second["action"][:, :, 0], atol=1e-3, rtol=0)
-    for key in ("observation", "critic_observation", "action", "value", "anchor_mean"):
+    for key in ("observation", "critic_observation", "action", "state_value", "reference_loc"):
         worst = (
             (first[key] - second[key]).abs().flatten(3).amax(-1)
             if first[key].ndim > 3
@@ -81,7 +84,7 @@ def test_captured_gradient_steps_are_those_taken_one_by_one(fuse):
     trainer = make_trainer()
     data = trainer.collect()
     with torch.no_grad():
-        samples, constant = trainer._prepare(data, trainer._rewards(data)[0])
+        samples, constant = trainer._samples(data, trainer._rewards(data)[0])
     size = samples["advantage"].shape[1]
     orders = [torch.stack([torch.randperm(size, device="cuda") for _ in SEEDS]) for _ in range(3)]
     results = []
@@ -89,8 +92,9 @@ def test_captured_gradient_steps_are_those_taken_one_by_one(fuse):
         population = Population.from_candidates(
             trainer.population.sizes, [trainer.population.candidate(index) for index in range(len(SEEDS))], "cuda"
         )
-        config = CONFIG.model_copy(update={"fuse": fused, "tf32": False, "adaptive_rate": True})
-        steps = BatchedSteps(population, config, lambda index, reason: pytest.fail(reason), capture)
+        settings = update_settings(CONFIG.model_copy(update={"adaptive_rate": True}))
+        stop = lambda index, reason: pytest.fail(reason)
+        steps = BatchedSteps(population, settings, stop, capture, tf32=False, fuse=fused)
         losses = steps.run(samples, constant, torch.tensor([0.0, 2.0], device="cuda"), orders, 1.0)
         results.append((torch.stack([v.detach() for v in population.vectors]), losses, steps.rates))
     (plain, losses, rates), (captured, same_losses, same_rates) = results
@@ -129,7 +133,7 @@ def test_a_reward_that_waits_for_the_device_is_named_with_what_to_do(fuse):
 def test_a_candidate_alone_and_in_a_crowd_draws_the_same_noise():
     crowd, alone = make_trainer(), make_trainer(seeds=(4,))
     both, single = crowd.collect(), alone.collect()
-    noise = (both["action"] - both["action_mean"])[1]
-    torch.testing.assert_close(noise, (single["action"] - single["action_mean"])[0], atol=1e-5, rtol=0)
+    noise = (both["action"] - both["loc"])[1]
+    torch.testing.assert_close(noise, (single["action"] - single["loc"])[0], atol=1e-5, rtol=0)
     crowd.close()
     alone.close()

@@ -8,13 +8,13 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig, PPOConfig, RandomisationConfig
 from hts.errors import PolicyError, SimulationError
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig
 from hts.measurement.transform import MeasurementTransform
 from hts.rl.population import Population, Sizes
+from hts.rl.task_env import TaskEnv
 from hts.training.checkpoint import load_checkpoint, save_checkpoint
 from hts.training.finetune import measured_env
 from hts.training.trainer import PopulationTrainer
@@ -23,7 +23,7 @@ SIZES = Sizes(3, 3, 2, (8,))
 QUICK = PPOConfig(horizon=6, epochs=2, minibatches=2)
 
 
-class Target(EnvBase):
+class Target(TaskEnv):
     """Worlds with a fixed number each, to be hit by the sum of the action. Small, deterministic, with falls and time-outs.
 
     r_sim = -(sum of action - number)^2 x dt; ("real_reward", "calm") = 7 - |action|. `poison`: (candidate, step) whose
@@ -132,7 +132,7 @@ def test_the_bounded_kl_is_seen_from_the_policy_being_trained():
         made.population.split(made.population.vectors[0])["log_std"].add_(math.log(2.0))  # twice as wide as its anchor
     made.population.refresh()
     observation = torch.rand(1, 5, 3)
-    kl = made._measure_kl({"observation": observation.unsqueeze(2)}, made.anchor.mean(observation))
+    kl = made._measure_kl({"observation": observation.unsqueeze(2)}, {"reference_mean": made.anchor.mean(observation)})
     assert float(kl) == pytest.approx(2 * (1.5 - math.log(2)), rel=1e-5)  # two actions; the other way round 0.64
 
 

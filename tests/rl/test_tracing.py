@@ -10,10 +10,12 @@ from hts.errors import SimulationError
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig
 from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
-from hts.rl.captured_collector import CapturedRollout, _program
+from hts.rl.actor import PopulationActor
+from hts.rl.captured_collector import CapturedCollector, _traced
 from hts.rl.population import Population
 from hts.rl.random import PopulationRandom
-from hts.rl.tracing import Program, anything, fused
+from hts.rl.tracing import TracedGraph, any_or_tracing
+from hts.rl.tracing import compiled as compile_it
 from hts.training.finetune import measured_env
 from hts_go1.plugin import make_go1
 
@@ -36,7 +38,7 @@ class Counter:
 
 def test_a_program_changes_the_memory_that_its_function_changes():
     counter = Counter()
-    program = Program(lambda add, _: counter.step(add), [torch.ones(3), counter.place], compiled=False)
+    program = TracedGraph(lambda add, _: counter.step(add), [torch.ones(3), counter.place], compiled=False)
     assert counter.place.tolist() == [0.0, 0.0, 0.0]  # recording leaves what it was given as it was
     assert program(torch.full((3,), 2.0), counter.place).tolist() == [4.0, 4.0, 4.0]
     assert program(torch.ones(3), counter.place).tolist() == [6.0, 6.0, 6.0]
@@ -46,15 +48,15 @@ def test_a_program_changes_the_memory_that_its_function_changes():
 def test_a_program_takes_both_ways_of_a_mask_that_was_empty_when_it_was_recorded():
     def clipped(x):
         large = x > 1.0
-        return torch.where(large, 1.0, x) if anything(large) else x
+        return torch.where(large, 1.0, x) if any_or_tracing(large) else x
 
-    program = Program(clipped, [torch.zeros(2)], compiled=False)
+    program = TracedGraph(clipped, [torch.zeros(2)], compiled=False)
     assert program(torch.tensor([0.5, 3.0])).tolist() == [0.5, 1.0]
 
 
 def test_a_value_read_while_recording_is_an_error_and_not_a_constant_of_the_program():
     with pytest.raises(RuntimeError, match="value out of a tracing tensor"):
-        Program(lambda x: x if float(x.sum()) > 0 else -x, [torch.ones(2)], compiled=False)
+        TracedGraph(lambda x: x if float(x.sum()) > 0 else -x, [torch.ones(2)], compiled=False)
 
 
 class Doubler:
@@ -72,12 +74,12 @@ def test_however_many_shapes_a_process_trains_each_is_compiled(monkeypatch):
     monkeypatch.setattr(torch, "compile", functools.partial(torch.compile, backend=backend))
     wanted = [(size,) for size in range(2, 14)]
     for shape in wanted:
-        double = fused(Doubler().double, torch.device("cpu"), wanted=True)
+        double = compile_it(Doubler().double, torch.device("cpu"), wanted=True)
         assert double(torch.ones(shape)).tolist() == [2.0] * shape[0]
     assert compiled == wanted
 
 
-def make_rollout() -> CapturedRollout:
+def make_rollout() -> CapturedCollector:
     """Two candidates of six worlds with episodes of five steps, as a GPU would run them."""
     robot = make_go1({})
     config = EnvConfig(episode_seconds=0.1, device="cpu", randomisation={"models": 2})
@@ -90,7 +92,10 @@ def make_rollout() -> CapturedRollout:
     population.refresh()
     env = measured_env(env, [MeasurementTransform(model, lambda x: -x, "cost")])
     noise = PopulationRandom([5, 6], torch.device("cpu"))
-    return CapturedRollout(env, population, noise, HORIZON, capture=False, aside=True, anchor=population.frozen())
+    return CapturedCollector(
+        env, PopulationActor(population, noise), frames_per_batch=2 * 6 * HORIZON, capture=False, side_stream=True,
+        reference=population.frozen(),
+    )  # fmt: skip
 
 
 def test_a_reward_that_reads_a_value_is_named_with_what_to_do():
@@ -99,7 +104,7 @@ def test_a_reward_that_reads_a_value_is_named_with_what_to_do():
         return (-reward if float(reward.sum()) > 0.5 else reward,)
 
     with pytest.raises(SimulationError, match=r"waits for the device.*ppo\.capture=false"):
-        _program(part, [], [torch.zeros(1)], compiled=False)
+        _traced(part, [], [torch.zeros(1)], compiled=False)
 
 
 def test_control_steps_written_down_are_the_control_steps_to_the_bit():
@@ -107,29 +112,33 @@ def test_control_steps_written_down_are_the_control_steps_to_the_bit():
     batches = []
     for written in (False, True):
         rollout = make_rollout()
-        rollout.env.reset()
-        physics = rollout.env.engine.state_dict()
-        pins = rollout._pin()
+        engine = rollout.bare_env.engine
+        rollout.update_policy_weights_()
+        for transform in rollout.transforms:
+            transform.prepare(12, engine.device)
+        rollout.bare_env.reset()
+        physics = engine.state_dict()
+        buffers = rollout._hold_state()
         rollout._one_step()
         if written:
-            rollout._write_programs(pins, compiled=False)
-        for pin in pins:
-            pin.restore()
-        rollout.env.engine.load_state_dict(physics)
+            rollout._trace(buffers, compiled=False)
+        for one in buffers:
+            one.restore()
+        engine.load_state_dict(physics)
         rollout._rows.clear()
         for _ in range(2):
-            for random in (rollout.env.random, rollout.noise):
-                random.ahead.renew()
+            for random in rollout._randoms():
+                random.renew()
             rollout._time.zero_()
             for _ in range(HORIZON):
-                rollout.env.engine.load(rollout._before())
-                rollout._aside()
-                rollout.env.engine.step_raw()
+                engine.load(rollout._before())
+                rollout._beside()
+                engine.launch()
                 rollout._after()
         batches.append({key: rows.clone() for key, rows in rollout._rows.items()})
         rollout.env.close()
-    plain, programs = batches
-    assert plain.keys() == programs.keys() and ("next", "real_reward", "cost") in plain
+    plain, traced = batches
+    assert plain.keys() == traced.keys() and ("next", "real_reward", "cost") in plain
     assert plain["next", "truncated"].any()  # episodes have ended, so that new ones are compared too
     for key, rows in plain.items():
-        assert torch.equal(programs[key], rows), key
+        assert torch.equal(traced[key], rows), key

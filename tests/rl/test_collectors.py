@@ -6,19 +6,20 @@ from torchrl.envs.transforms import RewardScaling, TransformedEnv
 
 from hts.channels import Channel
 from hts.config import EnvConfig, PPOConfig
-from hts.envs.velocity import VelocityEnv
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import load_policy
 from hts.rl.batched_updates import BatchedSteps
-from hts.rl.capture import Pins
-from hts.rl.captured_collector import CapturedRollout
+from hts.rl.capture import StaticBuffers
+from hts.rl.captured_collector import CapturedCollector
 from hts.rl.population import Population
-from hts.rl.population_collector import can_roll_out
-from hts.rl.random import Ahead, PopulationRandom
+from hts.rl.population_collector import PopulationCollector, can_split, torchrl_collector
+from hts.rl.random import PopulationRandom, PrefetchedNoise
+from hts.rl.settings import UpdateSettings
+from hts.rl.task_env import SplitStepEnv, TaskEnv
 from hts.rl.updates import SeparateSteps
 from hts.training.finetune import measured_env
-from hts.training.trainer import PopulationTrainer, make_collector
+from hts.training.trainer import PopulationTrainer, update_settings
 from hts_go1.plugin import make_go1
 
 CHANNELS = ("joint_torque", "joint_velocity")
@@ -60,13 +61,17 @@ def make_trainer(robot, seeds=(3, 4), worlds=6, proxy=False) -> PopulationTraine
     )  # fmt: skip
 
 
-def cpu_rollout(trainer):
-    return trainer.rollout
+FRAMES = 2 * 6 * CONFIG.horizon
 
 
-def gpu_rollout(trainer):
-    return CapturedRollout(
-        trainer.env, trainer.population, trainer.noise, CONFIG.horizon, capture=False, tf32=False, fuse=False
+def cpu_collector(trainer):
+    assert isinstance(trainer.collector, PopulationCollector)
+    return trainer.collector
+
+
+def gpu_collector(trainer):
+    return CapturedCollector(
+        trainer.env, trainer.actor, frames_per_batch=FRAMES, capture=False, tf32=False, compiled=False
     )
 
 
@@ -86,21 +91,37 @@ def break_a_world(trainer, at: int):
 
 
 @pytest.mark.parametrize("proxy", [False, True], ids=["model", "proxy"])
-@pytest.mark.parametrize("make_rollout", [cpu_rollout, gpu_rollout])
-def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot, make_rollout, proxy):
+@pytest.mark.parametrize("make_collector", [cpu_collector, gpu_collector])
+def test_a_population_collector_collects_what_torchrls_collector_collects_bit_by_bit(robot, make_collector, proxy):
     usual, other = make_trainer(robot, proxy=proxy), make_trainer(robot, proxy=proxy)
-    collector = make_collector(usual.env, usual.actor, 2 * 6 * CONFIG.horizon, torch.device("cpu"))
-    stream, rollout = iter(collector), make_rollout(other)
+    collector = torchrl_collector(usual.env, usual.actor, FRAMES)
+    stream, batches = iter(collector), iter(make_collector(other))
     for trainer in (usual, other):
         break_a_world(trainer, 3)
     for _ in range(2):
-        expected, found = next(stream), rollout.collect()
-        for key in ("observation", "critic_observation", "action", "action_mean"):
+        expected, found = next(stream), next(batches)
+        assert found.batch_size == expected.batch_size == (2, 6, CONFIG.horizon)
+        missing = set(expected.keys(True, True)) - set(found.keys(True, True))
+        assert {key[0] for key in missing if isinstance(key, tuple)} <= {
+            "channels",
+            "collector",
+            "next",
+            "measured",
+            "real_reward",
+            "outside",
+        }
+        for key in found.keys(True, True):
             assert torch.equal(found[key], expected[key]), key
-        for key in ("reward", "terminated", "truncated", ("real_reward", "cost")):
-            assert torch.equal(found["next"][key], expected["next"][key]), key
-        last = expected["next", "critic_observation"][..., -1, :]
-        assert torch.equal(found["next", "critic_observation"][..., -1, :], last)
+        for key in (
+            ("next", "observation"),
+            ("next", "critic_observation"),
+            ("next", "reward"),
+            ("next", "done"),
+            "action_log_prob",
+            ("next", "measured", "t"),
+            ("next", "real_reward", "cost"),
+        ):
+            assert key in found.keys(True), key
         assert found["next", "truncated"].any()  # episodes have ended, so resets are compared too
         assert (found["next", "real_reward", "cost"] != 0).any()
     for trainer in (usual, other):
@@ -109,36 +130,52 @@ def test_a_rollout_collects_what_torchrls_collector_collects_bit_by_bit(robot, m
     other.close()
 
 
-@pytest.mark.parametrize("method", ["_step", "finish", "rewards_of"])
-def test_an_env_that_steps_in_its_own_way_goes_through_torchrls_collector(robot, method):
-    def own(self, *given):
-        return getattr(VelocityEnv, method)(self, *given)
+def test_under_next_stands_what_the_old_episode_ended_in_and_not_the_new_episodes_beginning(robot):
+    trainer = make_trainer(robot)
+    data = trainer.collect()
+    done = data["next", "done"][:, :, :-1].squeeze(-1)
+    assert done.any()
+    following, begun = data["next", "critic_observation"][:, :, :-1], data["critic_observation"][:, :, 1:]
+    assert torch.equal(following[~done], begun[~done])  # a step ends where the next one begins,
+    assert (following[done] != begun[done]).any(-1).all()  # but for those that ended an episode
+    trainer.close()
 
+
+def test_a_task_that_would_be_passed_by_is_refused_when_it_is_written():
+    with pytest.raises(TypeError, match="Own overrides _step: a collector that steps by parts would pass it by"):
+
+        class Own(SplitStepEnv):
+            def _step(self, tensordict): ...
+
+    class Other(TaskEnv):  # any other env may
+        def _step(self, tensordict): ...
+
+
+def test_a_transform_that_changes_the_step_goes_through_torchrls_collector(robot):
     env = robot.make_env(
         "mujoco", 1, 2, EnvConfig(threads=1, randomisation={"models": 1}), channels=CHANNELS, seeds=[1]
     )
-    assert can_roll_out(env) and can_roll_out(measured_env(env, []))
-    env.__class__ = type("Own", (VelocityEnv,), {method: own})
-    assert not can_roll_out(env)
-    env.__class__ = type("Renamed", (VelocityEnv,), {})
-    assert can_roll_out(env)
-    assert not can_roll_out(TransformedEnv(env, RewardScaling(0.0, 2.0)))
+    assert can_split(env) and can_split(measured_env(env, []))
+    scaled = TransformedEnv(env, RewardScaling(0.0, 2.0))
+    assert not can_split(scaled)
+    with pytest.raises(TypeError, match=r"found VelocityEnv \+ RewardScaling. Take torchrl.collectors.Collector"):
+        PopulationCollector(scaled, None, frames_per_batch=2)
     env.close()
 
 
 def test_what_is_computed_beside_the_physics_is_what_learning_would_compute_itself(robot):
     trainer = make_trainer(robot)
-    rollout = CapturedRollout(
-        trainer.env, trainer.population, trainer.noise, CONFIG.horizon, capture=False, aside=True, anchor=trainer.anchor
+    collector = CapturedCollector(
+        trainer.env, trainer.actor, frames_per_batch=FRAMES, capture=False, side_stream=True, reference=trainer.anchor
     )
-    data = rollout.collect()
+    data = collector.collect()
     with torch.no_grad():
         reward = trainer._rewards(data)[0]
         (found, _), (expected, _) = (
-            trainer._prepare(data, reward),
-            trainer._prepare(data.exclude("value", "anchor_mean"), reward),
+            trainer._samples(data, reward),
+            trainer._samples(data.exclude("state_value", "reference_loc"), reward),
         )
-    assert {"value", "anchor_mean"} <= set(data.keys())
+    assert {"state_value", "reference_loc"} <= set(data.keys())
     for name, value in expected.items():
         torch.testing.assert_close(found[name], value, atol=5e-5, rtol=1e-4)  # products of other shapes round otherwise
     trainer.close()
@@ -147,14 +184,14 @@ def test_what_is_computed_beside_the_physics_is_what_learning_would_compute_itse
 def test_numbers_drawn_ahead_differ_from_step_to_step_and_depend_on_their_own_candidate_alone():
     def steps(seeds):
         random, time = PopulationRandom(seeds, torch.device("cpu")), torch.zeros(1, dtype=torch.int64)
-        random.ahead = Ahead(random, 3, time)
+        random.prefetched = PrefetchedNoise(random, 3, time)
         seen = []
         for batch in range(2):
             if batch:
-                random.ahead.renew()
+                random.renew()
             for step in range(3):
                 time.fill_(step)
-                random.ahead.begin()
+                random.begin_step()
                 seen.append(torch.cat((random.uniform(4, 2), random.uniform(4, 2), random.normal(4, 1)), -1))
         return torch.stack(seen)
 
@@ -162,9 +199,9 @@ def test_numbers_drawn_ahead_differ_from_step_to_step_and_depend_on_their_own_ca
     assert torch.equal(both[:, 1], alone[:, 0])
     assert len(set(both.flatten().tolist())) == both.numel()  # nothing comes twice
     random = PopulationRandom([1], torch.device("cpu"))
-    random.ahead = Ahead(random, 3, torch.zeros(1, dtype=torch.int64))
+    random.prefetched = PrefetchedNoise(random, 3, torch.zeros(1, dtype=torch.int64))
     random.uniform(4)
-    random.ahead.begin()
+    random.begin_step()
     with pytest.raises(RuntimeError, match="draw 0"):
         random.uniform(5)
 
@@ -173,14 +210,14 @@ def test_gradient_steps_taken_together_are_those_taken_apart(robot):
     trainer = make_trainer(robot)
     data = trainer.collect()
     with torch.no_grad():
-        samples, constant = trainer._prepare(data, trainer._rewards(data)[0])
+        samples, constant = trainer._samples(data, trainer._rewards(data)[0])
     orders = [torch.stack([torch.randperm(72) for _ in range(2)]) for _ in range(3)]
     results = []
     for make in (SeparateSteps, lambda *given: BatchedSteps(*given, capture=False)):
         population = Population.from_candidates(
             trainer.population.sizes, [trainer.population.candidate(index) for index in range(2)]
         )
-        steps = make(population, CONFIG, lambda index, reason: pytest.fail(reason))
+        steps = make(population, update_settings(CONFIG), lambda index, reason: pytest.fail(reason))
         losses = steps.run(samples, constant, torch.tensor([0.0, 2.0]), orders, 1.0)
         results.append((torch.stack(list(population.vectors)).detach(), losses, torch.tensor(steps.rates)))
     (apart, losses, rates), (together, same_losses, same_rates) = results
@@ -199,7 +236,9 @@ def test_taken_together_a_gradient_that_is_not_finite_stops_its_candidate_alone(
     population = Population(Sizes(3, 3, 2, (4,)), 2)
     before = torch.stack(list(population.vectors)).detach().clone()
     told = []
-    steps = BatchedSteps(population, CONFIG, lambda index, reason: told.append((index, reason)), capture=False)
+    steps = BatchedSteps(
+        population, UpdateSettings(minibatches=2), lambda index, reason: told.append((index, reason)), capture=False
+    )
     samples = {
         "observation": torch.randn(2, 8, 3), "critic_observation": torch.randn(2, 8, 3), "action": torch.randn(2, 8, 2),
         "old_mean": torch.zeros(2, 8, 2), "log_prob": torch.zeros(2, 8), "advantage": torch.randn(2, 8),
@@ -219,16 +258,16 @@ def test_taken_together_a_gradient_that_is_not_finite_stops_its_candidate_alone(
     assert torch.equal(later[0], now[0]) and not torch.equal(later[1], now[1])
 
 
-def test_pinned_state_stays_in_its_memory_while_its_values_move():
+def test_held_state_stays_in_its_memory_while_its_values_move():
     class Owner:
         def __init__(self):
             self.kept, self.absent = torch.zeros(2), None
 
     owner = Owner()
-    pins = Pins(owner, ("kept", "absent"))
+    buffers = StaticBuffers(owner, ("kept", "absent"))
     place = owner.kept.data_ptr()
     owner.kept = owner.kept + 1.0
-    pins.settle()
+    buffers.copy_back()
     assert owner.kept.data_ptr() == place and owner.kept.tolist() == [1.0, 1.0]
-    pins.restore()
+    buffers.restore()
     assert owner.kept.data_ptr() == place and owner.kept.tolist() == [0.0, 0.0]

@@ -9,12 +9,11 @@ import torch
 from torch.distributions import Independent, Normal, kl_divergence
 
 from hts.rl.actor import log_prob
-from hts.rl.centring import Centre
-from hts.rl.kl import Multipliers, gaussian_kl
-from hts.rl.kl_bound import mean_kl, pull_inside
+from hts.rl.centring import RewardCentring
+from hts.rl.kl import gaussian_kl
+from hts.rl.kl_bound import mean_kl, project_to_kl_bound
+from hts.rl.multiplier import LagrangeMultiplier
 from hts.rl.population import Population, Sizes
-
-CPU = torch.device("cpu")
 
 
 def test_a_policy_has_zero_kl_to_itself():
@@ -57,7 +56,7 @@ def test_log_probabilities_agree_with_torch():
 
 
 def test_the_multiplier_rises_above_the_bound_and_falls_below_it():
-    multipliers = Multipliers(torch.tensor([0.5, 0.5]), rate=0.1)
+    multipliers = LagrangeMultiplier(torch.tensor([0.5, 0.5]), rate=0.1)
     multipliers.update(torch.tensor([1.0, 0.5]))  # twice the bound; on it
     torch.testing.assert_close(multipliers.value, torch.tensor([0.1, 0.0]))
     multipliers.update(torch.tensor([0.25, 0.75]))
@@ -65,35 +64,35 @@ def test_the_multiplier_rises_above_the_bound_and_falls_below_it():
 
 
 def test_the_multiplier_never_pulls_towards_leaving_the_anchor():
-    multipliers = Multipliers(torch.tensor([0.5]), rate=0.1)
+    multipliers = LagrangeMultiplier(torch.tensor([0.5]), rate=0.1)
     for _ in range(20):
         multipliers.update(torch.tensor([0.0]))
     assert float(multipliers.value) == 0.0
 
 
 def test_one_wild_batch_raises_the_multiplier_by_a_limited_step():
-    multipliers = Multipliers(torch.tensor([0.5]), rate=0.1)
+    multipliers = LagrangeMultiplier(torch.tensor([0.5]), rate=0.1)
     multipliers.update(torch.tensor([1e9]))
     assert float(multipliers.value) == pytest.approx(0.2)
 
 
 def test_without_a_bound_nothing_pulls():
-    multipliers = Multipliers(torch.tensor([math.inf, 0.5]), rate=0.1)
+    multipliers = LagrangeMultiplier(torch.tensor([math.inf, 0.5]), rate=0.1)
     for _ in range(50):
         multipliers.update(torch.tensor([1e6, 1.0]))
     assert multipliers.value[0] == 0.0 and multipliers.value[1] > 1.0
 
 
 def test_bounds_are_approached_in_the_same_number_of_batches_whatever_their_size():
-    multipliers = Multipliers(torch.tensor([0.2, 1.0]), rate=0.05)
+    multipliers = LagrangeMultiplier(torch.tensor([0.2, 1.0]), rate=0.05)
     multipliers.update(torch.tensor([0.3, 1.5]))
     assert multipliers.value[0] == pytest.approx(float(multipliers.value[1]))
 
 
 def test_multipliers_go_on_from_a_saved_state():
-    multipliers = Multipliers(torch.tensor([0.5]), rate=0.1)
+    multipliers = LagrangeMultiplier(torch.tensor([0.5]), rate=0.1)
     multipliers.update(torch.tensor([1.0]))
-    other = Multipliers(torch.tensor([0.5]), rate=0.1)
+    other = LagrangeMultiplier(torch.tensor([0.5]), rate=0.1)
     other.load_state_dict(multipliers.state_dict())
     assert torch.equal(other.value, multipliers.value)
 
@@ -116,7 +115,7 @@ def test_a_candidate_that_ended_beyond_its_bound_is_pulled_back_onto_it_and_no_o
     population, anchor, seen = moved()
     torch.testing.assert_close(mean_kl(population, anchor, seen), torch.full((3,), 0.25))  # 2 x 0.5^2 / 2
     before = [vector.detach().clone() for vector in population.vectors]
-    scale = pull_inside(population, anchor, seen, torch.tensor([0.04, 0.3, math.inf]))
+    scale = project_to_kl_bound(population, anchor, seen, torch.tensor([0.04, 0.3, math.inf]))
     # KL goes with the square of the distance: sqrt(0.04 / 0.25) = 0.4.
     assert scale[0] == pytest.approx(0.4, abs=1e-3) and scale[1:].tolist() == [1.0, 1.0]
     kl = mean_kl(population, anchor, seen)
@@ -128,13 +127,13 @@ def test_a_candidate_that_ended_beyond_its_bound_is_pulled_back_onto_it_and_no_o
 
 
 def test_the_first_batch_sets_the_centre_to_its_own_mean():
-    centre = Centre(2, rate=0.05, device=CPU)
+    centre = RewardCentring(0.05, 2)
     centre.update(torch.tensor([[1.0, 3.0], [-5.0, -7.0]]))
     torch.testing.assert_close(centre.mean, torch.tensor([2.0, -6.0]))  # beta / o = 1, not 0.05
 
 
 def test_the_centre_follows_the_unbiased_formula():
-    centre = Centre(1, rate=0.5, device=CPU)
+    centre = RewardCentring(0.5, 1)
     # o: 0.5, 0.75, 0.875; beta: 1, 2/3, 4/7. Means of 1, 4, 0: 1, then 1 + 2/3 x 3 = 3, then 3 - 4/7 x 3.
     for reward, mean in ((1.0, 1.0), (4.0, 3.0), (0.0, 3.0 - 12.0 / 7.0)):
         centre.update(torch.full((1, 8), reward))
@@ -143,7 +142,7 @@ def test_the_centre_follows_the_unbiased_formula():
 
 def test_a_constant_added_to_the_measured_reward_moves_the_centre_by_it():
     rewards = torch.randn(5, 1, 64, generator=torch.Generator().manual_seed(2))
-    plain, shifted = Centre(1, 0.2, CPU), Centre(1, 0.2, CPU)
+    plain, shifted = RewardCentring(0.2, 1), RewardCentring(0.2, 1)
     for reward in rewards:
         plain.update(reward)
         shifted.update(reward + 7.0)
@@ -152,7 +151,7 @@ def test_a_constant_added_to_the_measured_reward_moves_the_centre_by_it():
 
 def test_one_candidates_centre_does_not_depend_on_the_others():
     rewards = torch.randn(3, 4, 32, generator=torch.Generator().manual_seed(3))
-    crowd, alone = Centre(4, 0.1, CPU), Centre(1, 0.1, CPU)
+    crowd, alone = RewardCentring(0.1, 4), RewardCentring(0.1, 1)
     for reward in rewards:
         crowd.update(reward)
         alone.update(reward[2:3])
@@ -160,7 +159,7 @@ def test_one_candidates_centre_does_not_depend_on_the_others():
 
 
 def test_centres_go_on_from_a_saved_state():
-    centre, other = Centre(1, 0.1, CPU), Centre(1, 0.1, CPU)
+    centre, other = RewardCentring(0.1, 1), RewardCentring(0.1, 1)
     centre.update(torch.ones(1, 4))
     other.load_state_dict(centre.state_dict())
     for both in (centre, other):

@@ -1,0 +1,58 @@
+"""A measured reward beside the task's own, as a TorchRL transform: r = r_task + lambda dt (r_measured - centre)."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torchrl.envs.transforms import Transform
+
+from hts.rl.centring import RewardCentring
+
+STEP_RATE = 2e-3  # beta per control step inside an env: about that of one update of 0.05 per batch of 24 steps
+
+
+class MeasuredReward(Transform):
+    """Adds lambda dt (r_measured - centre) to the reward.
+
+    weight: lambda, reward per second and unit of the measured reward, a float or [P] (then every tensor begins with P);
+    dt: control step, s: r_measured is a rate; in_key: where r_measured [..., 1] is written, by a transform before this
+    one or by the env; centring: its running mean.
+
+    Inside an env (`TransformedEnv`) each step's reward is changed, and the centre follows step by step at its `rate`.
+    On a batch from a collector (called as a module) the centre is updated once with the whole batch and then
+    subtracted. Centred before anything else, never clipped; NaN stays NaN, so that it can be found.
+    """
+
+    def __init__(
+        self, weight: float | torch.Tensor, dt: float, *, in_key: NestedKey, reward_key: NestedKey = "reward",
+        centring: RewardCentring | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(in_keys=[in_key, reward_key], out_keys=[reward_key])
+        self.dt = dt
+        self.register_buffer("weight", torch.as_tensor(weight, dtype=torch.get_default_dtype()))
+        count = self.weight.numel() if self.weight.ndim else None
+        self.centring = centring if centring is not None else RewardCentring(STEP_RATE, count)
+
+    def added(self, measured: torch.Tensor) -> torch.Tensor:
+        """lambda dt (r_measured - centre), of measured's shape; with [P] weights its first dimension is P."""
+        centred = self.centring(measured)
+        return self.weight.view(*self.weight.shape, *(1,) * (measured.ndim - self.weight.ndim)) * self.dt * centred
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._with_reward(next_tensordict)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """A batch of steps, as a collector gives it: changes ("next", reward_key)."""
+        self._with_reward(tensordict["next"])
+        return tensordict
+
+    def _with_reward(self, outcome: TensorDictBase) -> TensorDictBase:
+        measured_key, reward_key = self.in_keys
+        measured = outcome.get(measured_key)
+        self.centring.update(measured)
+        outcome.set(reward_key, outcome.get(reward_key) + self.added(measured))
+        return outcome
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset
