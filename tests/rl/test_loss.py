@@ -1,0 +1,235 @@
+"""The loss module beside TorchRL's `ClipPPOLoss`, and what its bound adds."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torch.distributions import Independent, Normal, StudentT
+from torchrl.modules import IndependentNormal, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+
+from hts.rl import KLConstrainedPPOLoss, Population, PopulationActor, PopulationCritic, Sizes, gaussian_kl
+from hts.rl.kl import distribution_kl
+from hts.rl.surrogate import population_loss
+
+
+class Head(nn.Module):
+    """A mean and a sigma that does not depend on the state."""
+
+    def __init__(self, sizes=(3, 8, 2)):
+        super().__init__()
+        self.net = nn.Sequential(nn.Linear(sizes[0], sizes[1]), nn.Tanh(), nn.Linear(sizes[1], sizes[2]))
+        self.log_std = nn.Parameter(torch.full((sizes[2],), -0.3))
+
+    def forward(self, observation):
+        loc = self.net(observation)
+        return loc, self.log_std.exp().expand_as(loc)
+
+
+def networks(distribution=IndependentNormal, seed=0):
+    torch.manual_seed(seed)
+    head = TensorDictModule(Head(), in_keys=["observation"], out_keys=["loc", "scale"])
+    actor = ProbabilisticActor(head, in_keys=["loc", "scale"], distribution_class=distribution, return_log_prob=True)
+    critic = ValueOperator(nn.Sequential(nn.Linear(3, 8), nn.Tanh(), nn.Linear(8, 1)), in_keys=["observation"])
+    return actor, critic
+
+
+@torch.no_grad()
+def batch_of(actor, critic, count=64, seed=1) -> TensorDict:
+    """Samples of a policy that has since moved, with advantages large enough to be clipped on both sides."""
+    generator = torch.Generator().manual_seed(seed)
+    data = TensorDict({"observation": torch.randn(count, 3, generator=generator)}, [count])
+    torch.manual_seed(seed)
+    critic(actor(data))
+    data["action_log_prob"] += 0.4 * torch.randn(count, generator=generator)
+    data["state_value"] += 0.4 * torch.randn(count, 1, generator=generator)
+    data["advantage"] = torch.randn(count, 1, generator=generator)
+    data["value_target"] = data["state_value"] + data["advantage"]
+    return data
+
+
+def gradients(losses: TensorDict, *modules: nn.Module) -> list[torch.Tensor]:
+    total = losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]
+    parameters = [parameter for module in modules for parameter in module.parameters()]
+    return list(torch.autograd.grad(total.sum(), parameters))
+
+
+# -------------------------------------------------------------------------------------------- beside ClipPPOLoss
+
+
+@pytest.mark.parametrize("clip_value", [None, 0.2])
+@pytest.mark.parametrize("normalise", [False, True])
+def test_without_a_bound_it_is_clip_ppo_loss(clip_value, normalise):
+    actor, critic = networks()
+    data = batch_of(actor, critic)
+    ours = KLConstrainedPPOLoss(
+        actor, critic, kl_bound=math.inf, clip_epsilon=0.2, critic_coeff=0.7, entropy_coeff=0.01, clip_value=clip_value,
+        normalize_advantage=normalise,
+    )  # fmt: skip
+    found = ours(data)
+    slopes = gradients(found, actor, critic)
+    stock = ClipPPOLoss(
+        actor, critic, clip_epsilon=0.2, critic_coeff=0.7, entropy_coeff=0.01, clip_value=clip_value, loss_critic_type="l2",
+        normalize_advantage=normalise,
+    )  # fmt: skip
+    expected = stock(data)
+    for name in ("loss_objective", "loss_critic", "loss_entropy", "kl_approx", "clip_fraction"):
+        torch.testing.assert_close(found[name], expected[name], msg=name)
+    assert 0.1 < float(found["clip_fraction"]) < 0.9  # both sides of the clip are compared
+    theirs = torch.autograd.grad(
+        sum(expected[name] for name in ("loss_objective", "loss_critic", "loss_entropy")),
+        [*stock.actor_network_params.parameters(), *stock.critic_network_params.parameters()],
+    )
+    for one, other in zip(sorted(slopes, key=torch.sum), sorted(theirs, key=torch.sum), strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_a_population_of_one_is_the_same_loss():
+    population = Population(Sizes(3, 3, 2, (8,)), 1, seed=3)
+    actor, critic = PopulationActor(population), PopulationCritic(population)
+    data = population_batch(population)
+    ours = KLConstrainedPPOLoss(actor, critic, kl_bound=torch.tensor([math.inf]), clip_value=None, entropy_coeff=0.02)
+    stock = ClipPPOLoss(actor, critic, loss_critic_type="l2", entropy_coeff=0.02)
+    found, expected = ours(data), stock(data)
+    for name in ("loss_objective", "loss_critic", "loss_entropy"):
+        assert found[name].shape == (1,)
+        torch.testing.assert_close(found[name][0], expected[name], msg=name)
+
+
+@torch.no_grad()
+def population_batch(population: Population, count=40, seed=2) -> TensorDict:
+    """Samples [P, B] as a collector and GAE would leave them."""
+    generator = torch.Generator().manual_seed(seed)
+    size, shape = population.sizes, (population.count, count)
+    data = TensorDict({
+        "observation": torch.randn(*shape, size.observation, generator=generator),
+        "critic_observation": torch.randn(*shape, size.critic_observation, generator=generator),
+    }, shape)  # fmt: skip
+    PopulationCritic(population)(PopulationActor(population)(data))
+    data["action"] = data["loc"] + torch.randn(data["loc"].shape, generator=generator)
+    data["action_log_prob"] = -2.0 + 0.3 * torch.randn(*shape, generator=generator)
+    data["advantage"] = torch.randn(*shape, 1, generator=generator)
+    data["value_target"] = data["state_value"] + data["advantage"]
+    return data
+
+
+# ------------------------------------------------------------------------------------------------- the bound
+
+
+def test_the_kl_is_added_times_the_multiplier_and_forward_changes_nothing():
+    actor, critic = networks()
+    data = batch_of(actor, critic)
+    loss = KLConstrainedPPOLoss(actor, critic, reference=networks(seed=5)[0], kl_bound=0.1, multiplier_rate=0.05)
+    before = loss(data)
+    assert float(before["kl"]) > 0.0
+    assert float(loss.update_multiplier(torch.tensor(0.2))) == pytest.approx(0.05)  # 0.05 x (0.2 / 0.1 - 1)
+    state = {name: value.clone() for name, value in loss.state_dict().items()}
+    after = loss(data)
+    torch.testing.assert_close(after["loss_objective"], before["loss_objective"] + 0.05 * before["kl"])
+    assert all(torch.equal(loss.state_dict()[name], value) for name, value in state.items())
+
+
+def test_the_reference_is_frozen_and_no_optimiser_sees_it():
+    actor, critic = networks()
+    loss = KLConstrainedPPOLoss(actor, critic, kl_bound=0.5)
+    assert {id(p) for p in loss.parameters()} == {id(p) for p in (*actor.parameters(), *critic.parameters())}
+    data = batch_of(actor, critic)
+    assert float(loss.kl_to_reference(data)) == pytest.approx(0.0, abs=1e-6)
+    with torch.no_grad():
+        for parameter in actor.parameters():
+            parameter.add_(0.3)
+    assert float(loss.kl_to_reference(data)) > 0.1
+    again = KLConstrainedPPOLoss(*networks(seed=9), kl_bound=0.5)
+    again.load_state_dict(loss.state_dict())  # the reference is saved with it
+    assert float(again.kl_to_reference(data)) == pytest.approx(float(loss.kl_to_reference(data)))
+
+
+def test_the_fast_path_is_the_same_mathematics():
+    population = Population(Sizes(3, 4, 2, (8,)), 3, seed=3)
+    reference = Population.from_candidates(population.sizes, [Population(population.sizes, 1, 0.7, 8).candidate(0)] * 3)
+    data = population_batch(population)
+    loss = KLConstrainedPPOLoss(
+        PopulationActor(population), PopulationCritic(population), reference=PopulationActor(reference),
+        kl_bound=torch.tensor([0.1, 0.5, math.inf]), critic_coeff=0.8, entropy_coeff=0.01,
+    )  # fmt: skip
+    loss.update_multiplier(torch.tensor([0.4, 0.6, 5.0]))
+    assert loss.multiplier.value.tolist() == pytest.approx([0.1, 0.01, 0.0])
+    found = loss(data)
+    slopes = gradients(found, population)
+    batch = {
+        "observation": data["observation"], "critic_observation": data["critic_observation"], "action": data["action"],
+        "log_prob": data["action_log_prob"], "advantage": data["advantage"].squeeze(-1),
+        "target": data["value_target"].squeeze(-1), "old_value": data["state_value"].squeeze(-1),
+        "old_mean": data["loc"], "old_log_std": population.log_std(),
+        "reference_mean": reference.mean(data["observation"]), "reference_log_std": reference.log_std(),
+    }  # fmt: skip
+    parts = population_loss(population, batch, loss.multiplier.value, clip=0.2, value_coef=0.8, entropy_coef=0.01)
+    torch.testing.assert_close(parts.kl_reference, found["kl"])
+    total = found["loss_objective"] + found["loss_critic"] + found["loss_entropy"]
+    torch.testing.assert_close(parts.total, total)
+    expected = torch.autograd.grad(parts.total.sum(), list(population.parameters()))
+    for one, other in zip(slopes, expected, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_candidates_do_not_see_each_other():
+    population = Population(Sizes(3, 3, 2, (8,)), 2, seed=3)
+    data = population_batch(population)
+    data["advantage"][1] = float("nan")
+    loss = KLConstrainedPPOLoss(PopulationActor(population), PopulationCritic(population), kl_bound=torch.ones(2))
+    first, second = gradients(loss(data), population)
+    assert torch.isfinite(first).all() and not torch.isfinite(second).all()
+
+
+def test_what_a_batch_lacks_is_named():
+    actor, critic = networks()
+    loss = KLConstrainedPPOLoss(actor, critic)
+    with pytest.raises(KeyError, match=r"no 'advantage'; it has .*GAE gives advantages"):
+        loss(batch_of(actor, critic).exclude("advantage"))
+    with pytest.raises(KeyError, match="'state_value' of the old critic, which clip_value needs"):
+        loss(batch_of(actor, critic).exclude("state_value"))
+    with pytest.raises(ValueError, match=r"kl_bound is -1.0; expected positive numbers"):
+        KLConstrainedPPOLoss(actor, critic, kl_bound=-1.0)
+
+
+def test_keys_can_be_renamed_and_stock_gae_fills_them():
+    actor, critic = networks()
+    loss = KLConstrainedPPOLoss(actor, critic)
+    loss.set_keys(advantage="adv", value_target="goal")
+    assert {"adv", "goal", "observation", "action", "action_log_prob", "state_value"} == set(loss.in_keys)
+    data = batch_of(actor, critic).exclude("advantage", "value_target", "state_value").view(8, 8)
+    flags = {name: torch.zeros(8, 8, 1, dtype=torch.bool) for name in ("done", "terminated")}
+    data["next"] = TensorDict({"observation": data["observation"], "reward": torch.ones(8, 8, 1), **flags}, [8, 8])
+    loss.make_value_estimator(gamma=0.9, lmbda=0.8)
+    assert isinstance(loss.value_estimator, GAE)
+    loss.value_estimator(data)
+    assert torch.isfinite(loss(data.flatten())["loss_objective"])
+
+
+# -------------------------------------------------------------------------------------------------- divergences
+
+
+def test_squashing_changes_no_kl():
+    loc, other = torch.randn(2, 5, 3)
+    scale, wide = torch.full((5, 3), 0.4), torch.full((5, 3), 0.7)
+    squashed = distribution_kl(TanhNormal(loc, scale), TanhNormal(other, wide))
+    torch.testing.assert_close(squashed, gaussian_kl(loc, scale.log(), other, wide.log()))
+    plain = distribution_kl(IndependentNormal(loc, scale), IndependentNormal(other, wide))
+    torch.testing.assert_close(plain, squashed)
+
+
+def test_where_no_formula_is_known_one_sample_has_the_right_mean():
+    torch.manual_seed(0)
+    policy = Independent(Normal(torch.zeros(50_000, 1), 0.5), 1)
+    reference = Independent(StudentT(torch.full((50_000, 1), 3.0)), 1)
+    x = torch.linspace(-4.0, 4.0, 4001)  # the integral of p (ln p - ln q)
+    density = Normal(0.0, 0.5).log_prob(x)
+    expected = float((density.exp() * (density - StudentT(3.0).log_prob(x))).sum() * (x[1] - x[0]))
+    assert expected > 0.2
+    assert float(distribution_kl(policy, reference).mean()) == pytest.approx(expected, rel=0.02)
