@@ -18,7 +18,7 @@ import yaml
 from pydantic import ValidationError
 
 from hts.config import Config, RunConfig
-from hts.contracts import WorldContext
+from hts.contracts import MODEL, ModelContext, WorldContext, chosen_model, robot_signals
 from hts.errors import ConfigError, unknown_name
 from hts.explain import Location, dotted, explain
 from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
@@ -59,7 +59,7 @@ def load_config(
     if len(set(objectives) or written.get("objectives") or ()) > 1:
         base = merged(base, SEVERAL[chosen])
     base = merged(base, BASELINES[chosen] if reward_source == "proxy" else {})
-    values = merged(base, written)
+    values = with_named_models(merged(base, with_named_models(written)))
     values["preset"] = chosen
     if objectives:
         settings = values.get("objectives") or {}
@@ -125,9 +125,13 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     check_engine(config.engine)
     if config.executor not in EXECUTORS:
         raise ConfigError(unknown_name("executor", config.executor, EXECUTORS))
-    for name, settings in config.objectives.items():
-        registry.make_objective(name, settings)
     robot = registry.make_robot(config.robot.name, config.robot.settings)
+    for name, settings in config.objectives.items():
+        objective = registry.make_objective(name, settings)
+        choice, signals = chosen_model(objective, settings), robot_signals(objective, robot)
+        registry.make_measurement_model(
+            choice.name, choice.settings, ModelContext(signals, objective.measurement_model())
+        )
     registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     with tempfile.TemporaryDirectory() as nowhere:
         context = WorldContext(
@@ -157,6 +161,21 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
         else:
             result[key] = value
     return result
+
+
+def with_named_models(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with every `objectives.NAME.model: MODEL` written out as `{name: MODEL}`, so that settings merge with it."""
+    objectives = values.get("objectives")
+    if not isinstance(objectives, Mapping):
+        return dict(values)
+    return {**values, "objectives": {name: with_named_model(one) for name, one in objectives.items()}}
+
+
+def with_named_model(settings: Any) -> Any:
+    """The same for what stands under one objective."""
+    if isinstance(settings, Mapping) and isinstance(settings.get(MODEL), str):
+        return {**settings, MODEL: {"name": settings[MODEL]}}
+    return settings
 
 
 def plain(value: Any) -> Any:
@@ -216,6 +235,7 @@ def _with_override(values: Mapping[str, Any], override: str) -> dict[str, Any]:
     laid: Any = value
     for step in reversed(path):
         laid = {step: laid}
+    laid, values = with_named_models(laid), with_named_models(values)
     below: Any = values
     for depth, step in enumerate(path[:-1]):
         below = below.get(step, {})

@@ -12,7 +12,7 @@ from hts import hookspecs
 from hts.errors import ConfigError, PluginError
 from hts.plugins import KINDS, load
 
-HEAD = "from hts import hookimpl\nHTS_API = 1\n"
+HEAD = "from hts import hookimpl\nHTS_API = 2\n"
 
 
 def offering(kind: str, name: str, factory: str = "lambda *given: given") -> str:

@@ -21,8 +21,10 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
+from hts.contracts import MeasurementModel, Prediction
 from hts.errors import SimulationError, unknown_name
-from hts.measurement.models import MeasurementModel, gather
+from hts.measurement.data import gather
+from hts.measurement.pessimism import pessimistic_reward
 
 if TYPE_CHECKING:
     from hts.contracts import Objective
@@ -79,17 +81,17 @@ class Measured(Transform):
 class MeasurementTransform(Measured):
     """Predicts the objective's target in every world at every step, and turns it into r_real.
 
-    model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape.
-    The memory, (layers, 2, hidden, P·N), is emptied where an episode begins; it is part of `state_dict()`, so a
+    model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape. A model that
+    knows how far it may be wrong may be looked at from its worse side, see `measurement.pessimism`.
+    The memory, (P·N, ...), is emptied where an episode begins; it is part of `state_dict()`, so a
     run resumes in mid-episode. The model's weights are not: they have their own file (`measurement.files`).
     """
 
     STATE = ("memory",)
 
     def __init__(self, model: MeasurementModel, reward: Callable[[Tensor], Tensor], name: str) -> None:
-        target = model.config.target
-        super().__init__(model.config.inputs, (("measured", target), ("real_reward", name), ("outside", target)))
-        model.requires_grad_(False).eval()
+        target = model.signals.target.name
+        super().__init__(model.signals.names, (("measured", target), ("real_reward", name), ("outside", target)))
         # In a tuple, so that the model is not a submodule: its weights would be saved with every checkpoint.
         self._model = (model,)
         self.reward = reward
@@ -109,7 +111,7 @@ class MeasurementTransform(Measured):
         """Model and memory on the device: before the first step, since models are fitted on the CPU, and after loading
         a state saved on another device."""
         model = self._model[0]
-        if model.feature_mean.device != device:
+        if model.device != device:
             model.to(device)
         if self.memory is None:
             self.memory = model.initial_state(worlds)
@@ -123,10 +125,10 @@ class MeasurementTransform(Measured):
         inputs = gather(next_tensordict.get("channels"), self.inputs, worlds)
         self.prepare(worlds, inputs.device)
         prediction, self.memory = model.step(inputs, self.memory)
-        prediction = prediction.view(*shape, 1)
+        prediction = Prediction(*(None if part is None else part.view(*shape, 1) for part in prediction))
         measured, real_reward, outside = self.out_keys
-        next_tensordict.set(measured, prediction)
-        next_tensordict.set(real_reward, self.reward(prediction))
+        next_tensordict.set(measured, prediction.mean)
+        next_tensordict.set(real_reward, pessimistic_reward(self.reward, prediction, model.pessimism))
         next_tensordict.set(outside, model.outside(inputs).view(*shape, 1))
         return next_tensordict
 
@@ -136,20 +138,27 @@ class MeasurementTransform(Measured):
 
     def follow(self, kept: Tensor, ended: Tensor) -> Tensor:
         self.prepare(kept.shape[1], kept.device)
-        prediction, self.memory = self._model[0].steps(kept, self.memory, ended)
-        return self.reward(prediction.unsqueeze(-1))
+        model = self._model[0]
+        prediction, self.memory = model.steps(kept, self.memory, ended)
+        prediction = Prediction(*(None if part is None else part.unsqueeze(-1) for part in prediction))
+        return pessimistic_reward(self.reward, prediction, model.pessimism)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         mask = tensordict.get("_reset", None)
         if self.memory is not None:
+            model, worlds = self._model[0], len(self.memory)
             if mask is None:
-                self.memory = torch.zeros_like(self.memory)
-            else:  # not a product: a world that ended in NaN must start clean
-                self.memory = self.memory.masked_fill(mask.reshape(-1), 0.0)
+                self.memory = model.initial_state(worlds)
+            else:
+                self.prepare(worlds, mask.device)
+                self.memory = model.reset(self.memory, mask.reshape(-1))
         return super()._reset(tensordict, tensordict_reset)
 
     def _load_from_state_dict(self, state_dict, prefix, *args, **kwargs) -> None:
         saved = state_dict.get(prefix + "memory")
+        own = self._model[0].initial_state(1).shape[1:]
+        if saved is not None and saved.shape[1:] != own and saved.movedim(-1, 0).shape[1:] == own:
+            saved = state_dict[prefix + "memory"] = saved.movedim(-1, 0)  # of an earlier version: worlds came last
         self.memory = None if saved is None else torch.empty_like(saved)
         super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
 

@@ -7,7 +7,7 @@ from hts.testing.examples.objective import plugin as objective
 from hts.testing.examples.robot import plugin as robot
 from hts.testing.examples.selector import plugin as selector
 
-HTS_API = 1
+HTS_API = 2
 
 
 def make_known(settings, context):

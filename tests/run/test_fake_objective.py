@@ -19,7 +19,7 @@ PLUGIN = '''
 
 from hts import hookimpl
 
-HTS_API = 1
+HTS_API = 2
 
 
 @hookimpl
