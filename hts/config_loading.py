@@ -24,6 +24,7 @@ from hts.explain import Location, dotted, explain
 from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
 
 if TYPE_CHECKING:
+    from hts.contracts import Objective, Robot
     from hts.plugins import Registry
 
 Section = TypeVar("Section", bound=Config)
@@ -125,13 +126,9 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     check_engine(config.engine)
     if config.executor not in EXECUTORS:
         raise ConfigError(unknown_name("executor", config.executor, EXECUTORS))
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
     for name, settings in config.objectives.items():
-        objective = registry.make_objective(name, settings)
-        choice, signals = chosen_model(objective, settings), robot_signals(objective, robot)
-        registry.make_measurement_model(
-            choice.name, choice.settings, ModelContext(signals, objective.measurement_model())
-        )
+        registry.make_objective(name, settings)
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
     registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     with tempfile.TemporaryDirectory() as nowhere:
         context = WorldContext(
@@ -148,6 +145,16 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     strangers = sorted(set(config.sweep.weights) - set(config.objectives))
     if strangers:
         raise ConfigError("sweep.weights: " + unknown_name("objective of this run", strangers[0], config.objectives))
+    if config.reward_source == "model":
+        for name, settings in config.objectives.items():
+            check_model(registry, registry.make_objective(name, settings), settings, robot)
+
+
+def check_model(registry: Registry, objective: Objective, settings: Mapping[str, Any], robot: Robot) -> None:
+    """The measurement model of an objective can be made for the robot's channels. Raises ConfigError."""
+    choice, signals = chosen_model(objective, settings), robot_signals(objective, robot)
+    context = ModelContext(signals, objective.measurement_model())
+    registry.make_measurement_model(choice.name, choice.settings, context)
 
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

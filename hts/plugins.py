@@ -215,7 +215,8 @@ def _other_version(module: ModuleType, package: str, written_for: Any) -> str:
     if change is None:
         return said + f"install a version of {package} made for this hts"
     return (
-        said + f"since then {change}. Change that, then {_line_of_version(module)} to HTS_API = {hookspecs.API_VERSION}"
+        said
+        + f"since then {change}. Mend that, then change {_line_of_version(module)} to HTS_API = {hookspecs.API_VERSION}"
     )
 
 

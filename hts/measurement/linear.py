@@ -85,7 +85,7 @@ class Linear(TorchModel):
         if progress is not None:
             progress(1, 1, errors[ridge])
         return {
-            "samples": inner.count + ends.count,
+            "samples": sum(len(piece.target) for piece in pieces),
             "recordings": len(recordings),
             "seed": seed,
             "epochs": 1,
@@ -108,7 +108,10 @@ class Linear(TorchModel):
             design = torch.cat((*columns, features.new_ones(len(features), 1)), 1)
             target = self.normalise_target(piece.target).double()
             cut = len(target) - max(1, round(VALIDATION_SHARE * len(target)))
-            inner.add(design[:cut], target[:cut])
+            start = min(
+                self.lags[-1], cut // 2
+            )  # before a recording the robot did walk: its past there is not the mean
+            inner.add(design[start:cut], target[start:cut])
             ends.add(design[cut:], target[cut:])
         return inner, ends
 
