@@ -10,9 +10,16 @@ from typing import TYPE_CHECKING
 from hts import hookimpl
 
 if TYPE_CHECKING:
-    from hts.contracts import LogReader, Selector, Settings, World, WorldContext
+    from hts.contracts import LogReader, MeasurementModel, ModelContext, Selector, Settings, World, WorldContext
 
-HTS_API = 1
+HTS_API = 2
+
+
+@hookimpl
+def hts_measurement_models(register):
+    register("lstm", make_lstm)
+    register("linear", make_linear)
+    register("ensemble", make_ensemble)
 
 
 @hookimpl
@@ -31,6 +38,27 @@ def hts_selectors(register):
 @hookimpl
 def hts_log_readers(register):
     register("csv", make_csv)
+
+
+def make_lstm(settings: Settings, context: ModelContext) -> MeasurementModel:
+    """A small recurrent network: for what depends on the past in ways nobody wrote down."""
+    from hts.measurement.lstm import make
+
+    return make(settings, context)
+
+
+def make_linear(settings: Settings, context: ModelContext) -> MeasurementModel:
+    """Ridge regression on inputs, their products and their past: for little data, and to compare with."""
+    from hts.measurement.linear import make
+
+    return make(settings, context)
+
+
+def make_ensemble(settings: Settings, context: ModelContext) -> MeasurementModel:
+    """Several models of one kind, fitted to samples of the recordings: mean and spread, and a reward that doubts."""
+    from hts.measurement.ensemble import make
+
+    return make(settings, context)
 
 
 def make_twin(settings: Settings, context: WorldContext) -> World:

@@ -18,12 +18,13 @@ import yaml
 from pydantic import ValidationError
 
 from hts.config import Config, RunConfig
-from hts.contracts import WorldContext
+from hts.contracts import MODEL, ModelContext, WorldContext, chosen_model, robot_signals
 from hts.errors import ConfigError, unknown_name
 from hts.explain import Location, dotted, explain
 from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
 
 if TYPE_CHECKING:
+    from hts.contracts import Objective, Robot
     from hts.plugins import Registry
 
 Section = TypeVar("Section", bound=Config)
@@ -59,7 +60,7 @@ def load_config(
     if len(set(objectives) or written.get("objectives") or ()) > 1:
         base = merged(base, SEVERAL[chosen])
     base = merged(base, BASELINES[chosen] if reward_source == "proxy" else {})
-    values = merged(base, written)
+    values = with_named_models(merged(base, with_named_models(written)))
     values["preset"] = chosen
     if objectives:
         settings = values.get("objectives") or {}
@@ -144,6 +145,16 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     strangers = sorted(set(config.sweep.weights) - set(config.objectives))
     if strangers:
         raise ConfigError("sweep.weights: " + unknown_name("objective of this run", strangers[0], config.objectives))
+    if config.reward_source == "model":
+        for name, settings in config.objectives.items():
+            check_model(registry, registry.make_objective(name, settings), settings, robot)
+
+
+def check_model(registry: Registry, objective: Objective, settings: Mapping[str, Any], robot: Robot) -> None:
+    """The measurement model of an objective can be made for the robot's channels. Raises ConfigError."""
+    choice, signals = chosen_model(objective, settings), robot_signals(objective, robot)
+    context = ModelContext(signals, objective.measurement_model())
+    registry.make_measurement_model(choice.name, choice.settings, context)
 
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -157,6 +168,21 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
         else:
             result[key] = value
     return result
+
+
+def with_named_models(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with every `objectives.NAME.model: MODEL` written out as `{name: MODEL}`, so that settings merge with it."""
+    objectives = values.get("objectives")
+    if not isinstance(objectives, Mapping):
+        return dict(values)
+    return {**values, "objectives": {name: with_named_model(one) for name, one in objectives.items()}}
+
+
+def with_named_model(settings: Any) -> Any:
+    """The same for what stands under one objective."""
+    if isinstance(settings, Mapping) and isinstance(settings.get(MODEL), str):
+        return {**settings, MODEL: {"name": settings[MODEL]}}
+    return settings
 
 
 def plain(value: Any) -> Any:
@@ -216,6 +242,7 @@ def _with_override(values: Mapping[str, Any], override: str) -> dict[str, Any]:
     laid: Any = value
     for step in reversed(path):
         laid = {step: laid}
+    laid, values = with_named_models(laid), with_named_models(values)
     below: Any = values
     for depth, step in enumerate(path[:-1]):
         below = below.get(step, {})

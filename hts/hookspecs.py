@@ -6,7 +6,7 @@ A package offers hooks by an entry point in the group ``hts``:
     mine = "my_package.plugin"
 
 The module behind it is imported when any `hts` command needs the registry, so it must not import torch.
-It states the version of these hooks it was written for, ``HTS_API = 1``, and implements any of them
+It states the version of these hooks it was written for, ``HTS_API = 2``, and implements any of them
 with ``from hts import hookimpl``. Each hook gets ``register``; call it once for every thing offered.
 Two plugins may not use one name: that stops the run and names both packages.
 """
@@ -15,7 +15,13 @@ from __future__ import annotations
 
 import pluggy
 
-API_VERSION = 1
+API_VERSION = 2
+
+CHANGES: dict[int, str] = {
+    1: "an objective's measurement_model() returns hts.config.Named(name='lstm', …) with the settings beside the name instead "
+    "of a MeasurementModelConfig (inputs and target are the objective's own), and there is a new hook, hts_measurement_models",
+}
+"""Version of the hooks -> what a plugin that was written for it has to change for the next one."""
 
 hookspec = pluggy.HookspecMarker("hts")
 hookimpl = pluggy.HookimplMarker("hts")
@@ -27,6 +33,16 @@ def hts_objectives(register):
 
     Called once, after plugins load and before the config is read.
     Call ``register(name, factory)``; ``factory(settings)`` returns a ``hts.contracts.Objective``.
+    """
+
+
+@hookspec
+def hts_measurement_models(register):
+    """Offer measurement models: what predicts a real channel from sim channels, fitted to recordings.
+
+    Call ``register(name, factory)``; ``factory(settings, context)`` returns a fresh, unfitted
+    ``hts.contracts.MeasurementModel``; context is a ``hts.contracts.ModelContext``: what the model will read and predict.
+    An objective names its default; ``objectives.NAME.model`` in the configuration chooses another.
     """
 
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import pluggy
@@ -18,12 +20,24 @@ from hts import hookspecs
 from hts.errors import ConfigError, HtsError, PluginError, unknown_name
 
 if TYPE_CHECKING:
-    from hts.contracts import Instrument, LogReader, Objective, Robot, Selector, Settings, World, WorldContext
+    from hts.contracts import (
+        Instrument,
+        LogReader,
+        MeasurementModel,
+        ModelContext,
+        Objective,
+        Robot,
+        Selector,
+        Settings,
+        World,
+        WorldContext,
+    )
 
 GROUP = "hts"
 
 KINDS: dict[str, str] = {
     "objectives": "objective",
+    "measurement_models": "measurement model",
     "robots": "robot",
     "worlds": "world",
     "instruments": "instrument",
@@ -68,6 +82,7 @@ class Registry:
 
     robots: Mapping[str, Entry] = field(default_factory=dict)
     objectives: Mapping[str, Entry] = field(default_factory=dict)
+    measurement_models: Mapping[str, Entry] = field(default_factory=dict)
     worlds: Mapping[str, Entry] = field(default_factory=dict)
     instruments: Mapping[str, Entry] = field(default_factory=dict)
     selectors: Mapping[str, Entry] = field(default_factory=dict)
@@ -80,7 +95,23 @@ class Registry:
         return self._make("robots", name, dict(settings or {}))
 
     def make_objective(self, name: str, settings: Settings | None = None) -> Objective:
-        return self._make("objectives", name, dict(settings or {}))
+        """settings: what stands under `objectives.NAME`; the choice of a measurement model in it is not the objective's."""
+        from hts.contracts import own_settings
+
+        return self._make("objectives", name, own_settings(settings or {}))
+
+    def make_measurement_model(self, name: str, settings: Settings | None, context: ModelContext) -> MeasurementModel:
+        """A fresh, unfitted model; its factory also gets this registry, for models that are made of others."""
+        from hts.contracts import MeasurementModel
+
+        model = self._make("measurement_models", name, dict(settings or {}), replace(context, registry=self))
+        if not isinstance(model, MeasurementModel):
+            raise PluginError(
+                f"Measurement model '{name}' (from {self.measurement_models[name].package}): its factory gives a "
+                f"{type(model).__name__}, not a hts.contracts.MeasurementModel."
+            )
+        model.name = name
+        return model
 
     def make_world(self, name: str, settings: Settings | None, context: WorldContext) -> World:
         return self._make("worlds", name, dict(settings or {}), context)
@@ -158,10 +189,7 @@ def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[st
             f"add the line HTS_API = {hookspecs.API_VERSION} to it"
         )
     if written_for != hookspecs.API_VERSION:
-        raise PluginError(
-            f"{package} was written for version {written_for} of the hooks, this hts has version "
-            f"{hookspecs.API_VERSION}; install a version of {package} made for this hts"
-        )
+        raise PluginError(_other_version(module, package, written_for))
     manager = pluggy.PluginManager(GROUP)  # one each, so that what it registers can be told from the others'
     manager.add_hookspecs(hookspecs)
     manager.register(module, name=point.name)
@@ -176,6 +204,31 @@ def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[st
 
         getattr(manager.hook, f"hts_{kind}")(register=register)
     return offered
+
+
+def _other_version(module: ModuleType, package: str, written_for: Any) -> str:
+    """What whoever wrote the plugin has to do, or else whoever installed it."""
+    said = (
+        f"{package} was written for version {written_for} of the hooks, this hts has version {hookspecs.API_VERSION}; "
+    )
+    change = hookspecs.CHANGES.get(written_for) if isinstance(written_for, int) else None
+    if change is None:
+        return said + f"install a version of {package} made for this hts"
+    return (
+        said
+        + f"since then {change}. Mend that, then change {_line_of_version(module)} to HTS_API = {hookspecs.API_VERSION}"
+    )
+
+
+def _line_of_version(module: ModuleType) -> str:
+    """ "line 7 of …/plugin.py", where the module says its version."""
+    try:
+        file = Path(module.__file__ or "")
+        lines = file.read_text(encoding="utf-8").splitlines()
+        number = next(index for index, line in enumerate(lines, start=1) if line.startswith("HTS_API"))
+    except (OSError, UnicodeDecodeError, StopIteration):
+        return f"HTS_API of {module.__name__}"
+    return f"line {number} of {file}"
 
 
 def _package(point: importlib.metadata.EntryPoint) -> str:

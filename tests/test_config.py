@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,8 +13,10 @@ from pydantic import ValidationError
 from hts.config import RunConfig
 from hts.config_loading import check_names, dump_config, load_config, merged, read_config
 from hts.errors import ConfigError
-from hts.plugins import Entry, Registry
+from hts.plugins import Entry, Registry, load
 from hts.presets import BASELINES, PRESETS
+from hts.testing.examples.objective.objective import Fake
+from hts.testing.examples.robot.robot import Tiny
 
 
 def fake_config(**given) -> RunConfig:
@@ -185,8 +188,12 @@ def registry() -> Registry:
     def entry(name: str) -> dict[str, Entry]:
         return {name: Entry(name, lambda *given: SimpleNamespace(close=lambda: None), "lab")}
 
-    return Registry(
-        robots=entry("hopper"), objectives=entry("fake"), worlds=entry("twin"), selectors=entry("hierarchical")
+    return replace(
+        load(),
+        robots={"hopper": Entry("hopper", lambda settings: Tiny(), "lab")},
+        objectives={"fake": Entry("fake", lambda settings: Fake(), "lab")},
+        worlds=entry("twin"),
+        selectors=entry("hierarchical"),
     )
 
 

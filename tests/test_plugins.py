@@ -9,10 +9,13 @@ from types import SimpleNamespace
 import pytest
 
 from hts import hookspecs
+from hts.channels import Channel
+from hts.contracts import ModelContext, Signals
 from hts.errors import ConfigError, PluginError
 from hts.plugins import KINDS, load
 
-HEAD = "from hts import hookimpl\nHTS_API = 1\n"
+SIGNALS = Signals((Channel("a", "1"),), Channel("b", "1"), 50.0)
+HEAD = "from hts import hookimpl\nHTS_API = 2\n"
 
 
 def offering(kind: str, name: str, factory: str = "lambda *given: given") -> str:
@@ -28,6 +31,18 @@ def test_hook_objectives(install):
     entry = one_of("objectives", install)
     assert (entry.name, entry.package) == ("thing", "stranger")
     assert load().make_objective("thing", {"a": 1}) == ({"a": 1},)
+
+
+def test_hook_measurement_models(install):
+    install(
+        "made",
+        {"made": offering("measurement_models", "mean", "lambda settings, context: dict")},
+        {"made": "made"},
+    )
+    registry = load()
+    assert registry.measurement_models["mean"].package == "made"
+    with pytest.raises(PluginError, match="'mean' .from made.: its factory gives a type, not a hts.contracts.Measure"):
+        registry.make_measurement_model("mean", {}, ModelContext(SIGNALS))
 
 
 def test_hook_robots(install):
@@ -106,7 +121,7 @@ def test_a_robot_and_an_objective_may_share_a_name(install):
         ("def (", "SyntaxError"),
         ("raise RuntimeError('two\\nlines')", "RuntimeError: two lines"),
         ("x = 1", "does not say which version of the hooks"),
-        ("HTS_API = 99", "stranger was written for version 99 of the hooks, this hts has version 1"),
+        ("HTS_API = 99", "stranger was written for version 99 of the hooks, this hts has version 2"),
         (HEAD + "@hookimpl\ndef hts_robot(register): pass", "hts_robot"),  # misspelt: pluggy alone would accept it
         (HEAD + "@hookimpl\ndef hts_robots(registry): pass", "registry"),
         (HEAD + "@hookimpl\ndef hts_robots(register): register('spot', 'no factory')", "something to call"),
@@ -190,3 +205,20 @@ def test_an_entry_point_without_a_distribution_is_named_by_its_module():
     point = SimpleNamespace(name="x", value="somewhere.plugin", dist=None, load=fail)
     (broken,) = load([point]).broken
     assert (broken.package, broken.reason) == ("somewhere.plugin", "ImportError: gone")
+
+
+def test_a_plugin_of_the_hooks_before_is_told_what_changed_and_which_line_to_edit(install):
+    source = "from hts import hookimpl\n\nHTS_API = 1\n\n@hookimpl\ndef hts_robots(register): pass\n"
+    folder = install("old-lab", {"old_lab": source}, {"old": "old_lab"})
+    (broken,) = [broken for broken in load().broken if broken.package == "old-lab"]
+    assert broken.reason.startswith(
+        "old-lab was written for version 1 of the hooks, this hts has version 2; since then "
+    )
+    assert "measurement_model() returns hts.config.Named" in broken.reason
+    assert "a new hook, hts_measurement_models" in broken.reason
+    assert broken.reason.endswith(f"then change line 3 of {folder / 'old_lab.py'} to HTS_API = 2")
+
+
+def test_the_choice_of_a_model_is_not_among_the_settings_of_the_objective(install):
+    one_of("objectives", install)
+    assert load().make_objective("thing", {"a": 1, "model": {"name": "linear"}}) == ({"a": 1},)

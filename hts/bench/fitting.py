@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
 from collections.abc import Sequence
@@ -13,9 +14,9 @@ import torch
 
 from hts.bench.setup import find
 from hts.config import Command, ScheduleConfig
-from hts.contracts import Objective, Robot
+from hts.contracts import MODEL, Objective, Robot
 from hts.cores import available
-from hts.measurement.fit import fit
+from hts.measurement.fit_command import new_model
 from hts.recordings.recording import Recording, Series
 from hts.recordings.store import RecordingStore
 
@@ -36,18 +37,17 @@ def bench_fit(
     length = SHORT if samples <= SAMPLES else LONG
     count = max(1, round(samples / (length * machine.spec.control_rate_hz)))
     recordings, reading = from_store([made_up(chosen, machine, seed, length) for seed in range(count)], chosen)
-    config = chosen.measurement_model()
-    fit(config, recordings[:1], epochs=1)  # the first call also pays for loading libraries
+    choice = chosen.measurement_model()
+    patience = epochs or 10_000
+    model = new_model(chosen, recordings[0], {MODEL: {**choice.settings, "patience": patience}})
+    model.fit(recordings[:1], epochs=1)  # the first call also pays for loading libraries
     start = time.perf_counter()
-    if epochs:
-        report = fit(config, recordings, epochs=epochs, patience=epochs).report
-    else:
-        report = fit(config, recordings, epochs=10_000, patience=10_000, max_seconds=seconds).report
+    report = model.fit(recordings, epochs=patience, max_seconds=math.inf if epochs else seconds)
     spent = time.perf_counter() - start
     return {
         "bench": "fit", "samples_per_s": report["samples"] * report["epochs"] / spent, "samples": report["samples"],
         "epochs": report["epochs"], "seconds": spent, **reading, "recordings_read": len(recordings), "robot": machine.spec.name,
-        "objective": chosen.name, "hidden": config.hidden, "cores": available(),
+        "objective": chosen.name, "model": choice.name, "hidden": model.settings["hidden"], "cores": available(),
         "recordings": "made up: slow sines and noise on the robot's channels", "torch": str(torch.__version__),
     }  # fmt: skip
 

@@ -8,17 +8,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from hts.bench.widening import widened
-from hts.config import EnvConfig, PPOConfig
+from hts.config import Command, EnvConfig, PPOConfig, ScheduleConfig
+from hts.contracts import MODEL, MeasurementModel, ModelContext, chosen_model, robot_signals
 from hts.errors import ConfigError
-from hts.measurement.models import MeasurementModel, gather
+from hts.measurement.data import gather
 from hts.measurement.transform import MeasurementTransform
 from hts.plugins import load
 from hts.policies.files import load_policy
+from hts.recordings.recording import Recording, Series
 from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 from hts.sim.mujoco_engine import MujocoEngine
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
     from hts.contracts import Objective, Robot
 
 KL_BOUND, WEIGHT = 0.5, 1.0
-SAMPLE_STEPS = 50  # control steps from which an unfitted model takes its input statistics
+SAMPLE_STEPS, SAMPLE_WORLDS = 50, 16  # control steps and worlds from which a model takes its input statistics
 
 
 def find(robot: str | None, objective: str | None) -> tuple[Robot, Objective]:
@@ -48,7 +51,7 @@ def find(robot: str | None, objective: str | None) -> tuple[Robot, Objective]:
     fitting = [one for one in offered if set(one.inputs) <= set(machine.channels())]
     if not fitting:
         raise ConfigError(f"No objective is installed whose inputs robot '{machine.spec.name}' gives.")
-    return machine, max(fitting, key=lambda one: new_model(one, machine).num_features)
+    return machine, max(fitting, key=lambda one: size(new_model(one, machine)))
 
 
 @dataclass(frozen=True)
@@ -65,12 +68,15 @@ class Sizes:
 
 
 def new_model(objective: Objective, robot: Robot, memory: int = 0) -> MeasurementModel:
-    """The objective's network of its default configuration, unfitted: it costs what a fitted one costs."""
-    channels = robot.channels()
-    sizes = [max(1, torch.Size(channels[name].shape).numel()) for name in objective.inputs]
-    config = objective.measurement_model()
-    config = config.model_copy(update={"hidden": memory}) if memory else config
-    return MeasurementModel(config, sizes, robot.spec.control_rate_hz)
+    """The objective's model of its default configuration, unfitted: it costs what a fitted one costs."""
+    choice = chosen_model(objective, {MODEL: {"hidden": memory}} if memory else None)
+    context = ModelContext(robot_signals(objective, robot), objective.measurement_model())
+    return load().make_measurement_model(choice.name, choice.settings, context)
+
+
+def size(model: MeasurementModel) -> int:
+    """How many numbers were, or will be, fitted."""
+    return sum(tensor.numel() for tensor in model.tensors().values())
 
 
 def make_population(robot: Robot, count: int, hidden: Sequence[int] = ()) -> Population:
@@ -90,7 +96,7 @@ def make_trainer(
 ) -> PopulationTrainer:  # fmt: skip
     """A trainer as fine-tuning makes it: anchored, bounded, with the measurement model's reward, already walking.
 
-    model: one with its input statistics; without it a new one, which takes them from a second of walking.
+    model: one with its input statistics; without it a new one, barely fitted to a second of walking.
     """
     sizes = sizes or Sizes()
     seeds = [seed + index for index in range(candidates)]
@@ -101,7 +107,7 @@ def make_trainer(
     population.refresh()
     if model is None:
         model = new_model(objective, robot, sizes.memory)
-        _take_statistics(env, population, model)
+        _fit_barely(env, population, model, robot)
     env = measured_env(env, [MeasurementTransform.of(objective, model)])
     return PopulationTrainer(
         env, population, ppo or PPOConfig(), seeds=seeds, names=[str(seed) for seed in seeds], anchor=population.frozen(),
@@ -109,17 +115,33 @@ def make_trainer(
     )  # fmt: skip
 
 
-@torch.no_grad()
-def _take_statistics(env: EnvBase, population: Population, model: MeasurementModel) -> None:
-    """Walk for a second; normalise the model by what was seen, its target by a made-up one."""
-    act: TensorDictModuleBase = PopulationActor(population, None)
+def _fit_barely(env: EnvBase, population: Population, model: MeasurementModel, robot: Robot) -> None:
+    """Walk for a second; one pass over what some worlds gave, with a made-up target: the model has its statistics then."""
+    act: TensorDictModuleBase = PopulationActor(population)
     seen: list[torch.Tensor] = []
-    state = env.reset()
-    for _ in range(SAMPLE_STEPS):
-        data, state = env.step_and_maybe_reset(act(state))
-        seen.append(gather(data["next", "channels"], model.config.inputs, env.batch_size.numel()).cpu())
-    inputs = torch.cat(seen)
-    model.set_normaliser(inputs, inputs.square().mean(1))
+    with torch.no_grad():
+        state = env.reset()
+        for _ in range(SAMPLE_STEPS):
+            data, state = env.step_and_maybe_reset(act(state))
+            seen.append(gather(data["next", "channels"], model.signals.names, env.batch_size.numel()).cpu())
+    walked = torch.stack(seen, 1)[:SAMPLE_WORLDS]  # (W, T, F)
+    model.fit([_recording(one, model, robot) for one in walked], epochs=1)
+
+
+def _recording(inputs: torch.Tensor, model: MeasurementModel, robot: Robot) -> Recording:
+    """A recording of the model's channels from inputs (T, F); the target is their mean square."""
+    signals, spec = model.signals, robot.spec
+    parts = inputs.split(list(signals.sizes), 1)
+    pairs = zip(signals.inputs, parts, strict=True)
+    channels = {channel.name: Series(channel, part.reshape(-1, *channel.shape).numpy()) for channel, part in pairs}
+    square = inputs.square().mean(1).reshape(-1, *signals.target.shape)
+    channels[signals.target.name] = Series(signals.target, square.numpy())
+    seconds = len(inputs) / signals.rate_hz
+    return Recording(
+        robot=spec.name, world="made up", policy_hash="", iteration=0, joint_names=spec.joint_names, kp=spec.kp, kd=spec.kd,
+        rate_hz=signals.rate_hz, schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=0.0),)),
+        idle={signals.target.name: 0.0}, clock="simulated", time=np.arange(len(inputs)) / signals.rate_hz, channels=channels,
+    )  # fmt: skip
 
 
 def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective) -> dict[str, Any]:
@@ -129,7 +151,7 @@ def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective) -
     return {
         "robot": robot.spec.name, "engine": "mujoco" if isinstance(made, MujocoEngine) else "warp", "candidates": shape[0], "envs": shape[1],
         "horizon": trainer.config.horizon, "substeps": robot.spec.substeps,
-        "measurement": f"{objective.name}: unfitted model of the default size, statistics from the collected channels",
+        "measurement": f"{objective.name}: unfitted model of the default size (one pass), statistics from the collected channels",
         "hidden": list(trainer.population.sizes.hidden), "device": _device(trainer.population.device), "cores": os.cpu_count() or 1,
         "engine_threads": getattr(made, "threads", 0), "torch_threads": 1,  # see `hts.rl.threads`
         "torch": str(torch.__version__),

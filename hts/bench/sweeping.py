@@ -16,8 +16,7 @@ from hts.config import PPOConfig
 from hts.training.trainer import PopulationTrainer
 
 if TYPE_CHECKING:
-    from hts.contracts import Objective, Robot
-    from hts.measurement.models import MeasurementModel
+    from hts.contracts import MeasurementModel, Objective, Robot
 
 SWEEP = 6  # candidates
 ALONE = {"cpu": (64, 128, 256, 512), "cuda": (2048, 4096, 8192, 16384, 32768)}

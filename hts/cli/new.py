@@ -9,7 +9,7 @@ import typer
 
 
 def command(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="objective, robot or selector.")],
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="objective, measurement-model, robot or selector.")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="What it is called on the command line.")],
     to: Annotated[Path, typer.Option(metavar="DIR", help="Where the package's folder goes.")] = Path("."),
 ) -> None:

@@ -1,4 +1,4 @@
-"""What a plugin implements: Robot, Objective, Instrument, World, Selector, LogReader.
+"""What a plugin implements: Robot, Objective, MeasurementModel, Instrument, World, Selector, LogReader.
 
 Interfaces only, one file each, a handful of methods each. Nothing here imports torch or mujoco, so that a
 plugin's module loads in milliseconds; heavy imports belong inside the methods.
@@ -6,6 +6,16 @@ plugin's module loads in milliseconds; heavy imports belong inside the methods.
 
 from hts.contracts.instrument import Instrument, PhysicsSample
 from hts.contracts.log_reader import LogReader
+from hts.contracts.measurement_model import (
+    MODEL,
+    MeasurementModel,
+    ModelContext,
+    Prediction,
+    Signals,
+    chosen_model,
+    own_settings,
+    robot_signals,
+)
 from hts.contracts.objective import Comparison, Objective
 from hts.contracts.robot import JointMotors, Robot, RobotSpec
 from hts.contracts.selector import RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
@@ -13,20 +23,28 @@ from hts.contracts.settings import Settings
 from hts.contracts.world import World, WorldContext
 
 __all__ = [
+    "MODEL",
     "Comparison",
     "Instrument",
     "JointMotors",
     "LogReader",
+    "MeasurementModel",
+    "ModelContext",
     "Objective",
     "PhysicsSample",
+    "Prediction",
     "RacedCandidate",
     "Robot",
     "RobotSpec",
     "Rounds",
     "Selector",
     "Settings",
+    "Signals",
     "SimulatedCandidate",
     "TestedCandidate",
     "World",
     "WorldContext",
+    "chosen_model",
+    "own_settings",
+    "robot_signals",
 ]

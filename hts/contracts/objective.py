@@ -5,7 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from hts.config import Named
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,9 +45,13 @@ class Objective(ABC):
     baseline_weights: tuple[float, ...] = ()
     instrument: str | None = None  # name of the instrument that measures `target` on a twin
 
-    @abstractmethod
-    def measurement_model(self) -> Any:
-        """A `hts.measurement.models.MeasurementModelConfig`: which network is fitted, and how."""
+    def measurement_model(self) -> Named:
+        """The measurement model it uses where nobody chose another, by registered name, with settings.
+
+        `objectives.NAME.model` in the configuration chooses; that key is the core's, so an objective's own settings have none
+        of that name.
+        """
+        return Named(name="lstm")
 
     @abstractmethod
     def reward(self, prediction: torch.Tensor) -> torch.Tensor:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from hts.measurement.checks import SETTLE_SECONDS, Trace, scores
+from hts.measurement.scoring import SETTLE_SECONDS, Trace, scores
 
 if TYPE_CHECKING:
     from hts.contracts import Objective

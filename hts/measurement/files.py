@@ -1,7 +1,9 @@
 """Measurement models on disk: `NAME.safetensors` with the numbers, `NAME.json` beside it with the rest.
 
-No pickle: opening a file never runs code. The JSON names the SHA-256 of its numbers, so that two files of
-different models cannot be mistaken for one.
+No pickle: opening a file runs no code of its own. The JSON names the model as it is registered, so that what is installed makes
+it again, and the SHA-256 of its numbers, so that two files of different models cannot be mistaken for one.
+
+Format 2 is written. Format 1, which knew one kind of model and no units, is read as `lstm`.
 """
 
 from __future__ import annotations
@@ -11,19 +13,24 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from pydantic import ValidationError
 from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as dump_tensors
 
-from hts.errors import PolicyError
-from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.channels import Channel
+from hts.contracts import MeasurementModel, ModelContext, Signals
+from hts.errors import ConfigError, HtsError, PolicyError
+
+if TYPE_CHECKING:
+    from hts.plugins import Registry
 
 FORMAT = "hts-measurement-model"
-VERSION = 1
+VERSION = 2
+KEYS = {1: ("config", "input_sizes", "rate_hz", "sha256"), 2: ("model", "settings", "signals", "sha256")}
+"""Version of the format -> what its JSON must hold."""
 
 
 def save(model: MeasurementModel, path: Path, notes: Mapping[str, Any] | None = None) -> Path:
@@ -32,13 +39,18 @@ def save(model: MeasurementModel, path: Path, notes: Mapping[str, Any] | None = 
     notes: anything JSON can hold, such as the dataset it was fitted on. Each file appears whole or not at all.
     """
     path = Path(path).with_suffix(".safetensors")
-    numbers = dump_tensors({name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()})
+    numbers = dump_tensors({name: value.detach().cpu().contiguous() for name, value in model.tensors().items()})
     card = {
         "format": FORMAT,
         "version": VERSION,
-        "config": model.config.model_dump(mode="json"),
-        "input_sizes": list(model.input_sizes),
-        "rate_hz": model.rate_hz,
+        "model": model.name,
+        "settings": dict(model.settings),
+        "signals": {
+            "inputs": [_written(channel) for channel in model.signals.inputs],
+            "target": _written(model.signals.target),
+            "rate_hz": model.signals.rate_hz,
+            "units_known": model.signals.units_known,
+        },
         "sha256": hashlib.sha256(numbers).hexdigest(),
         "notes": dict(notes or {}),
     }
@@ -48,8 +60,11 @@ def save(model: MeasurementModel, path: Path, notes: Mapping[str, Any] | None = 
     return path
 
 
-def load(path: Path, device: torch.device | str = "cpu") -> MeasurementModel:
-    """The model saved at `path`, in evaluation mode. Raises PolicyError with what is wrong with which file."""
+def load(path: Path, device: torch.device | str = "cpu", registry: Registry | None = None) -> MeasurementModel:
+    """The model saved at `path`. Raises PolicyError with what is wrong with which file.
+
+    registry: where the model is made by its name; None: of everything that is installed.
+    """
     path = Path(path).with_suffix(".safetensors")
     card = read_card(path)
     numbers = _read(path)
@@ -58,18 +73,19 @@ def load(path: Path, device: torch.device | str = "cpu") -> MeasurementModel:
             f"{path}: its {len(numbers)} bytes are not those that {path.with_suffix('.json').name} describes. "
             "The file is truncated, changed, or belongs to another model. Copy both files again, or fit anew."
         )
+    model = _made(path, card, registry)
     try:
-        config = MeasurementModelConfig.model_validate(card["config"])
-        model = MeasurementModel(config, card["input_sizes"], card["rate_hz"])
-        model.load_state_dict(load_tensors(numbers))
-    except (SafetensorError, ValidationError, RuntimeError, ValueError, TypeError) as error:
-        reason = str(error).splitlines()[0]
-        raise PolicyError(f"{path}: not a measurement model this version can read ({reason}). Fit anew.") from error
-    return model.eval().to(device)
+        tensors = load_tensors(numbers)
+    except SafetensorError as error:
+        raise _unreadable(path, str(error)) from error
+    _check_tensors(path, tensors, model.tensors())
+    model.load_tensors(tensors)
+    return model.to(device)
 
 
 def read_card(path: Path) -> dict[str, Any]:
-    """The JSON beside a model: config, input_sizes, rate_hz, sha256, notes. Raises PolicyError."""
+    """The JSON beside a model: model, settings, signals, sha256, notes (in format 1 config, input_sizes, rate_hz).
+    Raises PolicyError."""
     side = Path(path).with_suffix(".json")
     try:
         card = json.loads(_read(side))
@@ -78,15 +94,74 @@ def read_card(path: Path) -> dict[str, Any]:
     if not isinstance(card, dict) or card.get("format") != FORMAT:
         found = card.get("format") if isinstance(card, dict) else type(card).__name__
         raise PolicyError(f"{side}: describes {found!r}, expected {FORMAT!r}. Give the path of a measurement model.")
-    if card.get("version") != VERSION:
+    version = card.get("version")
+    if version not in KEYS:
         raise PolicyError(
-            f"{side}: format version {card.get('version')}, this hts reads version {VERSION}. "
+            f"{side}: format version {version}, this hts reads versions up to {VERSION}. "
             "Open it with the hts that wrote it, or fit anew."
         )
-    missing = [key for key in ("config", "input_sizes", "rate_hz", "sha256") if key not in card]
+    missing = [key for key in KEYS[version] if key not in card]
     if missing:
         raise PolicyError(f"{side}: '{missing[0]}' is missing. The file was edited or cut off. Fit anew.")
     return card
+
+
+def _made(path: Path, card: Mapping[str, Any], registry: Registry | None) -> MeasurementModel:
+    """The unfitted model that the card describes."""
+    if registry is None:
+        from hts import plugins
+
+        registry = plugins.load()
+    try:
+        name, settings, signals = _described_1(card) if card["version"] == 1 else _described_2(card)
+        return registry.make_measurement_model(name, settings, ModelContext(signals))
+    except ConfigError as error:  # another plugin, or other settings
+        raise PolicyError(f"{path.with_suffix('.json')}: {error} The file needs what it was made with.") from error
+    except (HtsError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise _unreadable(path, f"{type(error).__name__}: {error}") from error
+
+
+def _described_2(card: Mapping[str, Any]) -> tuple[str, dict[str, Any], Signals]:
+    signals = card["signals"]
+    inputs = tuple(_channel(one) for one in signals["inputs"])
+    known = bool(signals.get("units_known", True))
+    return (
+        str(card["model"]),
+        dict(card["settings"]),
+        Signals(inputs, _channel(signals["target"]), float(signals["rate_hz"]), known),
+    )
+
+
+def _described_1(card: Mapping[str, Any]) -> tuple[str, dict[str, Any], Signals]:
+    config, sizes = dict(card["config"]), card["input_sizes"]
+    names, target = config.pop("inputs"), config.pop("target")
+    kind = config.pop("kind", "lstm")
+    inputs = tuple(Channel(str(name), "1", (int(size),)) for name, size in zip(names, sizes, strict=True))
+    return kind, config, Signals(inputs, Channel(str(target), "1"), float(card["rate_hz"]), units_known=False)
+
+
+def _check_tensors(path: Path, found: Mapping[str, torch.Tensor], wanted: Mapping[str, torch.Tensor]) -> None:
+    """Raises PolicyError unless names and shapes are those of the model: a file is a stranger's until it fits."""
+    for name in sorted({*found, *wanted}):
+        if name not in wanted:
+            raise _unreadable(path, f"it holds '{name}', which the model does not have")
+        if name not in found:
+            raise _unreadable(path, f"'{name}' is missing")
+        shape, right = tuple(found[name].shape), tuple(wanted[name].shape)
+        if shape != right:
+            raise _unreadable(path, f"'{name}' has shape {shape}, the model has {right}")
+
+
+def _unreadable(path: Path, reason: str) -> PolicyError:
+    return PolicyError(f"{path}: not a measurement model this version can read ({' '.join(reason.split())}). Fit anew.")
+
+
+def _written(channel: Channel) -> dict[str, Any]:
+    return {"name": channel.name, "unit": channel.unit, "shape": list(channel.shape)}
+
+
+def _channel(written: Mapping[str, Any]) -> Channel:
+    return Channel(str(written["name"]), str(written["unit"]), tuple(int(size) for size in written["shape"]))
 
 
 def _read(path: Path) -> bytes:

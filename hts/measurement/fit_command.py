@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +17,43 @@ import yaml
 from pydantic import ValidationError
 
 from hts.config import MeasurementConfig
+from hts.config_loading import merged, with_named_model
+from hts.contracts import MeasurementModel, ModelContext, chosen_model
 from hts.errors import ConfigError, RecordingError, RunError, unknown_name
-from hts.measurement import checks, files
-from hts.measurement.fit import FitResult, Progress, fit
+from hts.measurement import files
+from hts.measurement.checks import check
+from hts.measurement.data import recorded_signals
+from hts.measurement.split import split
 
 if TYPE_CHECKING:
-    from hts.contracts import Objective
-    from hts.measurement.models import MeasurementModel
+    from hts.contracts import Objective, Settings
+    from hts.contracts.measurement_model import Progress
+    from hts.plugins import Registry
     from hts.recordings.recording import Recording
+
+
+@dataclass
+class FitResult:
+    """A fitted model, and a report of plain JSON values."""
+
+    model: MeasurementModel
+    report: dict[str, Any] = field(default_factory=dict)
+
+
+def new_model(
+    objective: Objective, recording: Recording, settings: Settings | None = None, registry: Registry | None = None
+) -> MeasurementModel:
+    """The objective's model, unfitted, for the channels as the recording has them.
+
+    settings: what stands under `objectives.NAME`, of which `model` chooses; registry: None, everything that is installed.
+    """
+    if registry is None:
+        from hts import plugins
+
+        registry = plugins.load()
+    choice = chosen_model(objective, settings)
+    context = ModelContext(recorded_signals(objective, recording), objective.measurement_model())
+    return registry.make_measurement_model(choice.name, choice.settings, context)
 
 
 def fit_and_check(
@@ -31,20 +61,22 @@ def fit_and_check(
     recordings: Sequence[Recording],
     config: MeasurementConfig | None = None,
     *,
+    settings: Settings | None = None,
+    registry: Registry | None = None,
     keep: Collection[str] = (),
     warm_start: MeasurementModel | None = None,
     progress: Progress | None = None,
 ) -> FitResult:
     """Split, fit on the larger part, check on the rest. The report is plain JSON values:
 
-    fit: see `measurement.fit`; held_out: see `checks.check`; training: ids fitted to;
+    model: name and settings; fit: see the model's `fit`; held_out: see `checks.check`; training: ids fitted to;
     held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing).
-    keep: hashes of policies never held out whole.
+    settings, registry: see `new_model`; keep: hashes of policies never held out whole.
     """
     config = config or MeasurementConfig()
-    training, held_out = checks.split(recordings, config.held_out, config.seed, keep)
-    result = fit(
-        objective.measurement_model(),
+    training, held_out = split(recordings, config.held_out, config.seed, keep)
+    model = new_model(objective, training[0], settings, registry)
+    fitted = model.fit(
         training,
         seed=config.seed,
         epochs=config.epochs,
@@ -52,18 +84,19 @@ def fit_and_check(
         warm_start=warm_start,
         progress=progress,
     )
-    checked = checks.check(objective, result.model, held_out, training)
-    result.report = {
+    checked = check(objective, model, held_out, training)
+    report = {
         "objective": objective.name,
+        "model": {"name": model.name, **model.settings},
         "target": objective.target.name,
         "inputs": list(objective.inputs),
         "held_out_r2": checked["r2"],
         "rank_correlation": checked["rank_correlation"],
         "held_out": checked,
         "training": [recording.id for recording in training],
-        "fit": result.report,
+        "fit": fitted,
     }
-    return result
+    return FitResult(model, report)
 
 
 def fit_store(
@@ -84,7 +117,8 @@ def fit_store(
     from hts.recordings.store import RecordingStore
 
     settings = _settings(overrides, objective_name)
-    objective = plugins.load().make_objective(objective_name, settings["objectives"])
+    registry = plugins.load()
+    objective = registry.make_objective(objective_name, settings["objectives"])
     config = _measurement_config(settings["measurement"])
     report_file = Path(out) / "fit.json"
     if report_file.exists():
@@ -104,7 +138,10 @@ def fit_store(
             f"`hts data show` lists their channels; import logs that hold these."
         )
     dataset = store.dataset(usable)
-    result = fit_and_check(objective, [store.read(i, wanted) for i in usable], config, progress=progress)
+    recordings = [store.read(i, wanted) for i in usable]
+    result = fit_and_check(
+        objective, recordings, config, settings=settings["objectives"], registry=registry, progress=progress
+    )
     report = {**result.report, "dataset": dataset.sha256, "left_out": left_out, "store": str(store_path)}
     try:
         files.save(result.model, Path(out) / "model", {"objective": objective.name, "dataset": dataset.sha256})
@@ -120,7 +157,9 @@ def summary_line(report: Mapping[str, Any]) -> str:
     """One line for a person, from the report of `fit_and_check`."""
     held = report["held_out"]
     proxy = (held["proxy"] or {}).get("smoothed")
-    against = f", analytic stand-in {_number(proxy['r2'])}" if proxy else ""
+    linear = held.get("linear")
+    against = f", linear {_number(linear['r2'])}" if linear else ""
+    against += f", analytic stand-in {_number(proxy['r2'])}" if proxy else ""
     return (
         f"{report['target']}: R² {_number(report['held_out_r2'])} on {len(held['recordings'])} held-out recordings{against}; "
         f"rank correlation across {len(held['policies'])} policies {_number(report['rank_correlation'])}"
@@ -148,12 +187,15 @@ def _settings(overrides: Sequence[str], objective_name: str) -> dict[str, dict[s
                     f"--set {override}: " + unknown_name("objective of this fit", path[0], [objective_name])
                 )
             path = path[1:]
-        if len(path) != 1:
+        if not all(path):
             raise ConfigError(f"--set {override}: '{key}' is not a key with a value.")
         try:
-            found[section][path[0]] = yaml.safe_load(text)
+            value = yaml.safe_load(text)
         except yaml.YAMLError as error:
             raise ConfigError(f"--set {override}: the value '{text}' is not YAML.") from error
+        for step in reversed(path):
+            value = {step: value}
+        found[section] = merged(found[section], with_named_model(value))
     return found
 
 

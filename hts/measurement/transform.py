@@ -21,8 +21,10 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
+from hts.contracts import MeasurementModel, Prediction
 from hts.errors import SimulationError, unknown_name
-from hts.measurement.models import MeasurementModel, gather
+from hts.measurement.data import gather
+from hts.measurement.pessimism import pessimistic_reward
 from hts.rl.deferred import DeferrableTransform
 from hts.rl.task_env import ReplacedState
 
@@ -61,15 +63,15 @@ class Measured(DeferrableTransform):
 class MeasurementTransform(Measured):
     """Predicts the objective's target in every env instance at every step, and turns it into r_real.
 
-    model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape.
-    The memory is emptied where an episode begins; it is part of `state_dict()`, so a run resumes in mid-episode. The
-    model's weights are not: they have their own file (`measurement.files`).
+    model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape. A model that
+    knows how far it may be wrong may be looked at from its worse side, see `measurement.pessimism`.
+    The memory, (P·N, ...), is emptied where an episode begins; it is part of `state_dict()`, so a run resumes in
+    mid-episode. The model's weights are not: they have their own file (`measurement.files`).
     """
 
     def __init__(self, model: MeasurementModel, reward: Callable[[Tensor], Tensor], name: str) -> None:
-        target = model.config.target
-        super().__init__(model.config.inputs, (("measured", target), ("real_reward", name), ("outside", target)))
-        model.requires_grad_(False).eval()
+        target = model.signals.target.name
+        super().__init__(model.signals.names, (("measured", target), ("real_reward", name), ("outside", target)))
         # In a tuple, so that the model is not a submodule: its weights would be saved with every checkpoint.
         self._model = (model,)
         self.reward = reward
@@ -89,7 +91,7 @@ class MeasurementTransform(Measured):
         """Model and memory on the device: before the first step, since models are fitted on the CPU, and after loading
         a state saved on another device."""
         model = self._model[0]
-        if model.feature_mean.device != device:
+        if model.device != device:
             model.to(device)
         if self.memory is None:
             self.memory = model.initial_state(instances)
@@ -108,22 +110,29 @@ class MeasurementTransform(Measured):
         return self._entries(prediction, recorded)
 
     def forget(self, ended: Tensor) -> None:
-        if self.memory is not None:  # not a product: an instance that ended in NaN must start clean
-            self.memory = self.memory.masked_fill(ended, 0.0)
+        if self.memory is not None:
+            self.prepare(len(ended), ended.device)
+            self.memory = self._model[0].reset(self.memory, ended)
 
     def forward_sequence(self, recorded: Tensor, ended: Tensor) -> dict[NestedKey, Tensor]:
         prediction, self.memory = self._model[0].steps(recorded, self.memory, ended)
         return self._entries(prediction, recorded)
 
-    def _entries(self, prediction: Tensor, inputs: Tensor) -> dict[NestedKey, Tensor]:
+    def _entries(self, prediction: Prediction, inputs: Tensor) -> dict[NestedKey, Tensor]:
+        model = self._model[0]
         measured, real_reward, outside = self.out_keys
-        prediction = prediction.unsqueeze(-1)
+        prediction = Prediction(*(None if part is None else part.unsqueeze(-1) for part in prediction))
         return {
-            measured: prediction, real_reward: self.reward(prediction), outside: self._model[0].outside(inputs).unsqueeze(-1)
-        }  # fmt: skip
+            measured: prediction.mean,
+            real_reward: pessimistic_reward(self.reward, prediction, model.pessimism),
+            outside: model.outside(inputs).unsqueeze(-1),
+        }
 
     def _load_from_state_dict(self, state_dict, prefix, *args, **kwargs) -> None:
         saved = state_dict.get(prefix + "memory")
+        own = self._model[0].initial_state(1).shape[1:]
+        if saved is not None and saved.shape[1:] != own and saved.movedim(-1, 0).shape[1:] == own:
+            saved = state_dict[prefix + "memory"] = saved.movedim(-1, 0)  # of an earlier version: worlds came last
         self.memory = None if saved is None else torch.empty_like(saved)
         super()._load_from_state_dict(state_dict, prefix, *args, **kwargs)
 

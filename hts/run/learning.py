@@ -40,7 +40,10 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         def share(epoch: int, epochs: int, error: float, number: int = number) -> None:
             report((number + epoch / epochs) / len(job.objectives))
 
-        fitted = fit_and_check(objective, recordings, job.config.measurement, keep=keep, progress=share)
+        fitted = fit_and_check(
+            objective, recordings, job.config.measurement, settings=job.config.objectives[name], registry=job.registry,
+            keep=keep, progress=share,
+        )  # fmt: skip
         notes = {"dataset": dataset.sha256, "iteration": iteration}
         files.save(fitted.model, model_path(job, iteration, name), notes)
         result[name] = {**fitted.report, "dataset": dataset.sha256, "recordings": list(dataset.ids)}
@@ -57,7 +60,7 @@ def transforms(job: Job, iteration: int) -> list[Transform]:
     if job.config.reward_source == "proxy":
         return [ProxyTransform(objective) for objective in job.objectives.values()]
     return [
-        MeasurementTransform.of(objective, files.load(model_path(job, iteration, name)))
+        MeasurementTransform.of(objective, files.load(model_path(job, iteration, name), registry=job.registry))
         for name, objective in job.objectives.items()
     ]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hts.measurement.checks import spearman
+from hts.measurement.scoring import spearman
 from hts.run.front import PRETRAINED, front_entry
 from hts.run.job import Job
 

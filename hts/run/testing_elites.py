@@ -166,6 +166,6 @@ def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:
     tried = job.recordings(ids)
     known = job.recordings(job.known(iteration))
     return {
-        name: check(objective, files.load(model_path(job, iteration, name)), tried, known)
+        name: check(objective, files.load(model_path(job, iteration, name), registry=job.registry), tried, known)
         for name, objective in job.objectives.items()
     }

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from hts import hookimpl
+from hts.testing.examples.measurement_model import plugin as measurement_model
 from hts.testing.examples.objective import plugin as objective
 from hts.testing.examples.robot import plugin as robot
 from hts.testing.examples.selector import plugin as selector
 
-HTS_API = 1
+HTS_API = 2
 
 
 def make_known(settings, context):
@@ -20,6 +21,11 @@ def make_known(settings, context):
 @hookimpl
 def hts_objectives(register):
     objective.hts_objectives(register)
+
+
+@hookimpl
+def hts_measurement_models(register):
+    measurement_model.hts_measurement_models(register)
 
 
 @hookimpl

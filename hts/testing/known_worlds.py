@@ -23,9 +23,6 @@ class CostObjective(Objective):
     inputs = ("base_velocity",)
     target = COST
 
-    def measurement_model(self) -> None:
-        return None
-
     def reward(self, prediction):
         return -prediction
 

@@ -17,11 +17,12 @@ from hts.testing.packages import kit_installed
 
 HERE = Path(__file__).parent
 
-EXAMPLES = {"objective": "fake", "robot": "tiny", "selector": "plain"}
+EXAMPLES = {"objective": "fake", "measurement-model": "fading", "robot": "tiny", "selector": "plain"}
 """Kind -> what the example of that kind is called in its own code."""
 
 RUN = {
     "objective": "hts run --objective $name --robot ROBOT --preset smoke",
+    "measurement-model": "hts run --objective OBJECTIVE --set objectives.OBJECTIVE.model=$name --robot ROBOT --preset smoke",
     "robot": "hts run --objective OBJECTIVE --robot $name --preset smoke",
     "selector": "hts run --objective OBJECTIVE --robot ROBOT --preset smoke --set selection.selector.name=$name",
 }
@@ -29,7 +30,7 @@ RUN = {
 
 
 def write_starter(kind: str, name: str, parent: Path) -> Path:
-    """Write a package for one objective, robot or selector into `parent`/hts-NAME; the folder.
+    """Write a package for one objective, measurement model, robot or selector into `parent`/hts-NAME; the folder.
 
     Raises ConfigError for a kind or name that cannot be, RunError if the folder exists or cannot be written.
     """
@@ -46,10 +47,12 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
     if folder.exists():
         raise RunError(f"{folder}: exists already. Choose another name, or another place with --to DIR.")
     words = {
-        "name": name, "Name": _class_name(name), "module": module, "package": folder.name, "kind": kind,
+        "name": name, "Name": _class_name(name), "module": module, "package": folder.name, "kind": kind.replace("-", " "),
         "version": __version__, "run": first_run(kind, name),
     }  # fmt: skip
-    files = {f"{module}/{file.name}": _renamed(file, kind, words) for file in (HERE / "examples" / kind).glob("*.py")}
+    files = {
+        f"{module}/{file.name}": _renamed(file, kind, words) for file in (HERE / "examples" / _field(kind)).glob("*.py")
+    }
     for file, template in (
         ("pyproject.toml", "pyproject.toml"),
         ("README.md", "README.md"),
@@ -81,9 +84,14 @@ def first_run(kind: str, name: str) -> str:
 def _refuse_taken(kind: str, name: str) -> None:
     """Two things of one kind and name would stop every command, so that name is refused now."""
     with kit_installed():  # whose names tests of the package need
-        entry = getattr(load(), f"{kind}s").get(name)
+        entry = getattr(load(), f"{_field(kind)}s").get(name)
     if entry is not None:
         raise ConfigError(f"'{name}' is taken: {entry.package} offers the {kind} of that name. Choose another one.")
+
+
+def _field(kind: str) -> str:
+    """As Python names it: folder of the example, and without the s the field of the registry."""
+    return kind.replace("-", "_")
 
 
 def _class_name(name: str) -> str:
@@ -93,6 +101,6 @@ def _class_name(name: str) -> str:
 def _renamed(file: Path, kind: str, words: dict[str, str]) -> str:
     """The example's source with the new name in place of its own."""
     own = EXAMPLES[kind]
-    text = file.read_text(encoding="utf-8").replace(f"hts.testing.examples.{kind}", words["module"])
+    text = file.read_text(encoding="utf-8").replace(f"hts.testing.examples.{_field(kind)}", words["module"])
     text = re.sub(rf"\b{own.capitalize()}\b", words["Name"], text)
     return re.sub(rf"\b{own}(?=\b|_)", words["name"], text)

@@ -13,7 +13,7 @@ pytest.importorskip("hts_power", reason="a bench needs an installed objective")
 
 from hts.bench import Sizes, bench_env, bench_fit, bench_sweep, bench_train
 from hts.bench.bare import Replay
-from hts.bench.setup import find, make_population, make_trainer, new_model
+from hts.bench.setup import find, make_population, make_trainer, new_model, size
 from hts.bench.sweeping import same_results
 from hts.errors import ConfigError
 
@@ -91,7 +91,7 @@ def test_narrower_networks_are_refused(hidden):
 
 def test_the_size_of_the_measurement_model_can_be_chosen():
     machine, objective = find("go1", "power")
-    assert new_model(objective, machine, 128).config.hidden == 128
+    assert new_model(objective, machine, 128).settings["hidden"] == 128
 
 
 @pytest.mark.parametrize("text", ["512,256", "512-", "big", "0-128"])
@@ -120,7 +120,7 @@ def test_without_names_the_largest_measurement_model_is_in_the_loop():
     _, largest = find(None, None)
     _, other = find(None, "noise")
     robot, _ = find(None, None)
-    assert new_model(largest, robot).num_features >= new_model(other, robot).num_features
+    assert size(new_model(largest, robot)) >= size(new_model(other, robot))
 
 
 def test_a_wrong_name_gets_the_closest_right_one():

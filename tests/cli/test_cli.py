@@ -21,7 +21,7 @@ from hts.errors import RunError, WaitingForRobot
 
 FAKES = """
 from hts import hookimpl
-HTS_API = 1
+HTS_API = 2
 
 class Thing:
     def __init__(self, settings): self.settings = settings
@@ -285,7 +285,7 @@ def test_plugins_lists_everything_and_what_broke(fakes, install, capsys):
 
 COMMAND = '''
 from hts import hookimpl
-HTS_API = 1
+HTS_API = 2
 
 @hookimpl
 def hts_commands(register): register("weigh", make)

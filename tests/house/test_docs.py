@@ -67,6 +67,6 @@ def test_the_objective_of_the_manual_loads_and_compares(install):
     registry = load()
     assert registry.objectives["heat"].package == "hts-heat"
     objective = registry.make_objective("heat")
-    assert objective.measurement_model().target == "motor_heat"
+    assert (objective.measurement_model().name, objective.target.name) == ("lstm", "motor_heat")
     compared = objective.compare({"heat": 30.0}, {"heat": 40.0})
     assert (compared.improvement, compared.selection_score) == (10.0, 10.0)

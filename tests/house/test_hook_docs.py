@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from hts import hookspecs
+from hts.config import Named
 from hts.contracts import Comparison, PhysicsSample, SimulatedCandidate, TestedCandidate
 from hts.errors import ConfigError, RecordingError, WorldError
 from hts.plugins import KINDS, Registry, load
@@ -135,7 +136,7 @@ def exported(robot: str, folder: Path) -> Path:
 def test_hook_objectives(example):
     registry = example("hts_objectives")
     objective = registry.make_objective("current", {"hidden": 8})
-    assert (objective.measurement_model().hidden, objective.measurement_model().target) == (8, "supply_current")
+    assert objective.measurement_model() == Named(name="lstm", hidden=8)
     assert objective.compare({"current": 3.0}, {"current": 5.0}).improvement == 2.0
     with pytest.raises(ConfigError, match="objective 'current' .from hts-example.*Did you mean 'hidden'"):
         registry.make_objective("current", {"hiden": 8})

@@ -1,6 +1,7 @@
 """The measurement model inside an env: what it writes, remembers and forgets."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,9 +11,12 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from hts.channels import Channel
+from hts.contracts import Prediction, Signals
 from hts.errors import SimulationError
-from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.measurement.lstm import LSTM, LSTMSettings
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
+
+SIGNALS = Signals((Channel("effort", "N*m", (3,)), Channel("rate", "rad/s", (3,))), Channel("heat", "W"), 50.0)
 
 
 class Cool:
@@ -71,12 +75,10 @@ def fake_env(model, candidates=2, worlds=3):
 @pytest.fixture
 def model():
     """Unfitted, with statistics of its own."""
-    made = MeasurementModel(
-        MeasurementModelConfig(inputs=("effort", "rate"), target="heat", hidden=16), (3, 3), 50.0, seed=3
-    )
+    made = LSTM(LSTMSettings(hidden=16), SIGNALS, seed=3)
     data = torch.randn(200, 6, generator=torch.Generator().manual_seed(0))
-    made.set_normaliser(data, 5.0 + 2.0 * data[:, 0])
-    return made.requires_grad_(False).eval()
+    made.set_statistics(data, 5.0 + 2.0 * data[:, 0])
+    return made
 
 
 def test_an_env_with_the_model_keeps_its_specs(model):
@@ -90,7 +92,7 @@ def test_the_transform_predicts_what_the_model_predicts_and_rewards_less(model):
     data = torch.cat((rollout["next", "channels", "effort"], rollout["next", "channels", "rate"]), -1)
     expected, _ = model.sequence(data.flatten(0, 1))
     measured = rollout["next", "measured", "heat"]
-    torch.testing.assert_close(measured, expected.view(2, 3, 3, 1), atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(measured, expected.mean.view(2, 3, 3, 1), atol=1e-5, rtol=1e-4)
     assert torch.equal(rollout["next", "real_reward", "cool"], -measured)
     assert (rollout["measured", "heat"][:, :, 0] == 0).all()  # nothing measured before the first step
 
@@ -159,7 +161,48 @@ def test_the_stand_in_as_reward_is_minus_the_stand_in():
 
 
 def test_a_channel_the_env_does_not_write_is_named(model):
-    model.config = model.config.model_copy(update={"inputs": ("effort", "rates")})
+    inputs = SIGNALS.inputs[0], Channel("rates", "rad/s", (3,))
+    model.signals = replace(SIGNALS, inputs=inputs)
     env = TransformedEnv(FakeEnv(), MeasurementTransform.of(Cool(), model))
     with pytest.raises(SimulationError, match="'rates'. Did you mean 'rate'"):
         _ = env.observation_spec
+
+
+class Unsure(LSTM):
+    """The same mean, and a spread of 0.5 standard deviations that the reward looks at twice."""
+
+    pessimism = 2.0
+
+    def step(self, inputs, state):
+        (mean, _), state = super().step(inputs, state)
+        return Prediction(mean, torch.full_like(mean, 0.5)), state
+
+    def steps(self, inputs, state, ended):
+        (mean, _), state = super().steps(inputs, state, ended)
+        return Prediction(mean, torch.full_like(mean, 0.5)), state
+
+
+def test_doubt_lowers_the_reward_and_leaves_the_prediction(model):
+    unsure = Unsure(model.config, SIGNALS)
+    unsure.load_tensors(model.tensors())
+    rollout = fake_env(unsure).rollout(3, break_when_any_done=False)
+    measured = rollout["next", "measured", "heat"]
+    torch.testing.assert_close(rollout["next", "real_reward", "cool"], -(measured + 2.0 * 0.5))
+    transform = MeasurementTransform.of(Cool(), unsure)
+    inputs = torch.cat((rollout["next", "channels", "effort"], rollout["next", "channels", "rate"]), -1)
+    kept = inputs.flatten(0, 1).transpose(0, 1).contiguous()
+    transform.prepare(kept.shape[1], kept.device)
+    found = transform.forward_sequence(kept, torch.zeros(kept.shape[:2], dtype=torch.bool))
+    torch.testing.assert_close(found["real_reward", "cool"], rollout["next", "real_reward", "cool"].flatten(0, 1).transpose(0, 1))
+
+
+def test_a_memory_that_an_earlier_version_saved_worlds_last_is_taken_over(model):
+    env = fake_env(model)
+    env.rollout(2, lambda td: td.set("action", torch.ones(*td.batch_size, 3)))
+    (key,) = [name for name in env.state_dict() if name.endswith("memory")]
+    now = env.state_dict()[key]
+    before = {**env.state_dict(), key: now.movedim(0, -1).contiguous()}
+    assert before[key].shape == (1, 2, 16, 6)
+    other = fake_env(model)
+    other.load_state_dict(before)
+    assert torch.equal(other.state_dict()[key], now)

@@ -6,7 +6,8 @@ from torchrl.envs.transforms import RewardScaling, TransformedEnv
 
 from hts.channels import Channel
 from hts.config import EnvConfig, PPOConfig
-from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.contracts import Signals
+from hts.measurement.lstm import LSTM, LSTMSettings
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import load_policy
 from hts.rl.batched_updates import BatchedSteps
@@ -47,9 +48,10 @@ def make_trainer(robot, seeds=(3, 4), worlds=6, proxy=False) -> PopulationTraine
     """Fine-tuning of two candidates, episodes of five steps, so that some end within each batch."""
     config = EnvConfig(episode_seconds=0.1, threads=1, randomisation={"models": 2})
     env = robot.make_env("mujoco", len(seeds), worlds, config, channels=CHANNELS, seeds=list(seeds))
-    model = MeasurementModel(MeasurementModelConfig(inputs=CHANNELS, target="t", hidden=8), [12, 12], 50.0, seed=1)
+    signals = Signals(tuple(Channel(name, "1", (12,)) for name in CHANNELS), Channel("t", "N*m"), 50.0)
+    model = LSTM(LSTMSettings(hidden=8), signals, seed=1)
     some = torch.randn(50, 25, generator=torch.Generator().manual_seed(0))
-    model.set_normaliser(some[:, :24] * 5, some[:, 24])
+    model.set_statistics(some[:, :24] * 5, some[:, 24])
     measured = ProxyTransform(TorqueObjective()) if proxy else MeasurementTransform(model, lambda x: -x, "cost")
     policy = load_policy(robot.pretrained_policy())
     population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * len(seeds))

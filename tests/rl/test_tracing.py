@@ -5,9 +5,11 @@ import functools
 import pytest
 import torch
 
+from hts.channels import Channel
 from hts.config import EnvConfig
+from hts.contracts import Signals
 from hts.errors import SimulationError
-from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.measurement.lstm import LSTM, LSTMSettings
 from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
 from hts.rl.actor import PopulationActor
@@ -84,9 +86,10 @@ def make_rollout() -> CapturedCollector:
     robot = make_go1({})
     config = EnvConfig(episode_seconds=0.1, device="cpu", randomisation={"models": 2})
     env = robot.make_env("warp", 2, 6, config, channels=CHANNELS, seeds=[3, 4])
-    model = MeasurementModel(MeasurementModelConfig(inputs=CHANNELS, target="t", hidden=8), [12, 12], 50.0, seed=1)
+    signals = Signals(tuple(Channel(name, "1", (12,)) for name in CHANNELS), Channel("t", "N*m"), 50.0)
+    model = LSTM(LSTMSettings(hidden=8), signals, seed=1)
     some = torch.randn(50, 25, generator=torch.Generator().manual_seed(0))
-    model.set_normaliser(some[:, :24] * 5, some[:, 24])
+    model.set_statistics(some[:, :24] * 5, some[:, 24])
     policy = load_policy(robot.pretrained_policy())
     population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * 2)
     population.refresh()

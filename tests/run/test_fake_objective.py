@@ -19,7 +19,7 @@ PLUGIN = '''
 
 from hts import hookimpl
 
-HTS_API = 1
+HTS_API = 2
 
 
 @hookimpl
@@ -52,7 +52,7 @@ EFFORT = '''
 import numpy as np
 
 from hts.channels import Channel
-from hts.config import Config
+from hts.config import Config, Named
 from hts.contracts import Comparison, Instrument, Objective
 
 IDLE = 5.0
@@ -76,11 +76,7 @@ class FakeObjective(Objective):
         self.settings = settings
 
     def measurement_model(self):
-        from hts.measurement.models import MeasurementModelConfig
-
-        return MeasurementModelConfig(
-            inputs=self.inputs, target=self.target.name, hidden=self.settings.hidden, sequence=20, stream=100
-        )
+        return Named(name="lstm", hidden=self.settings.hidden, sequence=20, stream=100)
 
     def reward(self, prediction):
         return -prediction

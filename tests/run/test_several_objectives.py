@@ -22,7 +22,7 @@ PLUGIN = '''
 
 from hts import hookimpl
 
-HTS_API = 1
+HTS_API = 2
 
 
 @hookimpl
@@ -38,6 +38,7 @@ def hts_worlds(register):
 
 def make(called):
     from hts.channels import Channel
+    from hts.config import Named
     from hts.testing.examples.objective.objective import Fake
 
     class Toy(Fake):
@@ -46,9 +47,7 @@ def make(called):
         instrument = None
 
         def measurement_model(self):
-            from hts.measurement.models import MeasurementModelConfig
-
-            return MeasurementModelConfig(inputs=self.inputs, target=self.target.name, hidden=8)
+            return Named(name="lstm", hidden=8)
 
         def score(self, segments):
             return {"net": segments.values(self.target.name).mean(axis=1) - segments.idle(self.target.name), "gross": 1.0 + 0 * segments.speed}

@@ -50,7 +50,7 @@ def test_every_kind_has_checks_and_every_check_a_demand_on_one_line():
 WORLD = """
 from hts import hookimpl
 
-HTS_API = 1
+HTS_API = 2
 
 
 def make(settings, context):
@@ -119,7 +119,7 @@ from hts.contracts import LogReader
 from hts.config import Config
 from hts.errors import RecordingError
 
-HTS_API = 1
+HTS_API = 2
 
 
 class Settings(Config):
@@ -163,7 +163,7 @@ def test_a_log_reader_is_honest_about_bad_files(install, body, fault):
 COMMAND = """
 from hts import hookimpl
 
-HTS_API = 1
+HTS_API = 2
 
 
 def make():
@@ -206,7 +206,7 @@ def test_a_package_that_is_not_installed_is_answered_with_the_closest():
 
 
 def test_a_package_that_registers_nothing_is_named(install):
-    install("silent", {"silent": "HTS_API = 1"}, {"silent": "silent"})
+    install("silent", {"silent": "HTS_API = 2"}, {"silent": "silent"})
     (line,) = faults("silent")
     assert line.startswith("silent: module silent: registers nothing. Expected: ")
 

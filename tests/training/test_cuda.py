@@ -3,9 +3,11 @@
 import pytest
 import torch
 
+from hts.channels import Channel
 from hts.config import EnvConfig, PPOConfig
+from hts.contracts import Signals
 from hts.errors import SimulationError
-from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.measurement.lstm import LSTM, LSTMSettings
 from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
 from hts.rl.batched_updates import BatchedSteps
@@ -26,9 +28,10 @@ def make_trainer(config: PPOConfig = CONFIG, reward=None, resume=None, seeds=SEE
 
     robot = make_go1({})
     env = robot.make_env("warp", len(seeds), worlds, EnvConfig(randomisation={"models": 2}), CHANNELS, list(seeds))
-    model = MeasurementModel(MeasurementModelConfig(inputs=CHANNELS, target="t", hidden=8), [12, 12], 50.0, seed=1)
+    signals = Signals(tuple(Channel(name, "1", (12,)) for name in CHANNELS), Channel("t", "N*m"), 50.0)
+    model = LSTM(LSTMSettings(hidden=8), signals, seed=1)
     some = torch.randn(50, 25, generator=torch.Generator().manual_seed(0))
-    model.set_normaliser(some[:, :24] * 5, some[:, 24])
+    model.set_statistics(some[:, :24] * 5, some[:, 24])
     policy = load_policy(robot.pretrained_policy())
     population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * len(seeds), env.device)
     population.refresh()

@@ -9,9 +9,11 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Binary, Composite, Unbounded
 
+from hts.channels import Channel
 from hts.config import EnvConfig, PPOConfig, RandomisationConfig
+from hts.contracts import Signals
 from hts.errors import PolicyError, SimulationError
-from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.measurement.lstm import LSTM, LSTMSettings
 from hts.measurement.transform import MeasurementTransform
 from hts.rl.population import Population, Sizes
 from hts.rl.task_env import TaskEnv
@@ -310,7 +312,8 @@ def walking(seeds, resume=None) -> PopulationTrainer:
     config = EnvConfig(randomisation=RandomisationConfig(models=2), threads=1, episode_seconds=0.24)
     inputs = ("joint_torque", "joint_velocity")
     env = robot.make_env("mujoco", len(seeds), 3, config, inputs, seeds)
-    model = MeasurementModel(MeasurementModelConfig(inputs=inputs, target="cost", hidden=8), (12, 12), 50.0)
+    signals = Signals(tuple(Channel(name, "1", (12,)) for name in inputs), Channel("cost", "1"), 50.0)
+    model = LSTM(LSTMSettings(hidden=8), signals)
     env = measured_env(env, [MeasurementTransform(model, torch.neg, "cheap")])
     shipped = load_policy(robot.pretrained_policy(), robot.spec)
     population = Population.from_candidates(shipped.card.sizes(), [shipped.tensors] * len(seeds))

@@ -5,7 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from hts.plugins import Entry, Registry
-from hts.testing.checks import instruments, names, objectives, rest, rewards, robots, selectors, settings, worlds
+from hts.testing.checks import (
+    instruments,
+    measurement_models,
+    names,
+    objectives,
+    rest,
+    rewards,
+    robots,
+    selectors,
+    settings,
+    worlds,
+)
 
 Check = Callable[[Entry, Registry], None]
 
@@ -14,6 +25,7 @@ MADE: tuple[Check, ...] = (names.name_can_be_typed, settings.settings_are_left_a
 
 CHECKS: Mapping[str, tuple[Check, ...]] = {
     "objectives": (*MADE, *objectives.CHECKS, *rewards.CHECKS),
+    "measurement_models": (*MADE, *measurement_models.CHECKS),
     "robots": (*MADE, *robots.CHECKS),
     "worlds": (*MADE, *worlds.CHECKS),
     "instruments": (*MADE, *instruments.CHECKS),

@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 
 from hts.channels import Channel
-from hts.contracts import Objective, PhysicsSample, Robot, World, WorldContext
+from hts.config import Named
+from hts.contracts import ModelContext, Objective, PhysicsSample, Robot, World, WorldContext
 from hts.errors import HtsError
 from hts.evaluation.segments import Segments, cut
-from hts.plugins import Entry, Registry
+from hts.plugins import KINDS, Entry, Registry
 from hts.recordings.recording import Recording
 from hts.testing.examples.objective.objective import Fake
 from hts.testing.examples.robot.robot import Tiny
+from hts.testing.known_signals import SIGNALS
 from hts.testing.known_worlds import made_up_recording
 
 WORLDS = 3
@@ -26,11 +28,7 @@ NOWHERE = Path(tempfile.gettempdir()) / "hts-check-nowhere"  # a name only: worl
 
 def kind_of(entry: Entry, registry: Registry) -> str:
     """The kind (as in `hts.plugins.KINDS`) under which the registry has it."""
-    return next(
-        kind
-        for kind in ("objectives", "robots", "worlds", "instruments", "selectors", "log_readers", "commands")
-        if getattr(registry, kind).get(entry.name) is entry
-    )
+    return next(kind for kind in KINDS if getattr(registry, kind).get(entry.name) is entry)
 
 
 @dataclass(frozen=True)
@@ -70,6 +68,8 @@ def rest_of(kind: str, entry: Entry, registry: Registry) -> tuple[Any, ...]:
     """What a factory of that kind gets after the settings."""
     if kind == "worlds":
         return (crew_for(entry, registry).context(),)
+    if kind == "measurement_models":
+        return (ModelContext(SIGNALS, Named(name="linear"), registry),)
     return (Tiny(),) if kind == "instruments" else ()
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from hts.channels import UNITS, Channel
-from hts.config import MeasurementConfig
-from hts.contracts import Comparison, Objective
+from hts.config import MeasurementConfig, Named
+from hts.contracts import MODEL, Comparison, Objective
 from hts.errors import PluginError, unknown_name
 from hts.evaluation.segments import Segments
 from hts.plugins import Entry, Registry
@@ -58,12 +58,22 @@ def instrument_measures_the_target(entry: Entry, registry: Registry) -> None:
     )
 
 
-def model_reads_inputs_and_predicts_target(entry: Entry, registry: Registry) -> None:
-    """Its measurement model reads its inputs and predicts its target."""
+def model_is_registered(entry: Entry, registry: Registry) -> None:
+    """measurement_model() names a model that is installed, with settings that it takes, for its inputs and its target."""
+    from hts.measurement.fit_command import new_model
+
     objective = entry.factory({})
-    model = objective.measurement_model()
-    ensure(tuple(model.inputs) == tuple(objective.inputs), f"its model reads {listed(model.inputs)}")
-    ensure(model.target == objective.target.name, f"its model predicts '{model.target}'")
+    choice = objective.measurement_model()
+    ensure(isinstance(choice, Named), f"measurement_model() gives a {type(choice).__name__}, not a hts.config.Named")
+    new_model(objective, walk(objective, registry), registry=registry)
+    try:
+        entry.factory({MODEL: choice.name})
+    except Exception:  # noqa: BLE001 - whatever it says: it refuses the key, as it should
+        return
+    ensure(
+        False,
+        f"takes a setting '{MODEL}' of its own; that key is the core's, which chooses the measurement model by it",
+    )
 
 
 def model_is_fitted_saved_and_loaded(entry: Entry, registry: Registry) -> None:
@@ -75,13 +85,15 @@ def model_is_fitted_saved_and_loaded(entry: Entry, registry: Registry) -> None:
 
     objective = entry.factory({})
     recordings = [walk(objective, registry, seed=seed) for seed in range(3)]
-    first, second = (fit_and_check(objective, recordings, MeasurementConfig(epochs=1)).model for _ in range(2))
-    states = [{name: value.numpy() for name, value in model.state_dict().items()} for model in (first, second)]
+    first, second = (
+        fit_and_check(objective, recordings, MeasurementConfig(epochs=1), registry=registry).model for _ in range(2)
+    )
+    states = [{name: value.numpy() for name, value in model.tensors().items()} for model in (first, second)]
     ensure(all(same(value, states[1][name]) for name, value in states[0].items()), "fitting it twice gives two models")
     with tempfile.TemporaryDirectory() as folder:
-        loaded = files.load(files.save(first, Path(folder) / "model"))
-    inputs = torch.rand(4, sum(loaded.input_sizes), generator=torch.Generator().manual_seed(0))
-    before, after = (model.eval().step(inputs, model.initial_state(4))[0] for model in (first, loaded))
+        loaded = files.load(files.save(first, Path(folder) / "model"), registry=registry)
+    inputs = torch.rand(4, loaded.signals.num_inputs, generator=torch.Generator().manual_seed(0))
+    before, after = (model.step(inputs, model.initial_state(4))[0].mean for model in (first, loaded))
     ensure(bool(torch.equal(before, after)), "it predicts something else after it was saved and loaded")
 
 
@@ -163,6 +175,6 @@ def _all_values(made_up: Segments) -> dict[str, np.ndarray]:
 
 
 CHECKS = (
-    has_its_parts, channels_are_known, instrument_measures_the_target, model_reads_inputs_and_predicts_target,
+    has_its_parts, channels_are_known, instrument_measures_the_target, model_is_registered,
     model_is_fitted_saved_and_loaded, scores_each_segment, score_lets_nan_through, compares_means, reward_and_score_agree,
 )  # fmt: skip

@@ -7,13 +7,13 @@ which averages sound energy, because a loud second is not made up for by a quiet
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from pydantic import Field
 
 from hts.channels import Channel
-from hts.config import Config
+from hts.config import Config, Named
 from hts.contracts import Comparison, Objective
 from hts_noise.proxy import contact_motion
 
@@ -60,11 +60,9 @@ class Noise(Objective):
         self.weights = self.settings.weights
         self.baseline_weights = self.settings.baseline_weights
 
-    def measurement_model(self) -> Any:
-        from hts.measurement.models import MeasurementModelConfig
-
-        s = self.settings
-        return MeasurementModelConfig(inputs=self.inputs, target=self.target.name, hidden=s.hidden, products=s.products)
+    def measurement_model(self) -> Named:
+        """`footfall_level`, of the size that the settings ask for."""
+        return Named(name="footfall_level", hidden=self.settings.hidden, products=self.settings.products)
 
     def reward(self, prediction: torch.Tensor) -> torch.Tensor:
         """−ẑ, per second."""

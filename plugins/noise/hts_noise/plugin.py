@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from hts import hookimpl
 
 if TYPE_CHECKING:
-    from hts.contracts import Instrument, Objective, Robot, Settings
+    from hts.contracts import Instrument, MeasurementModel, ModelContext, Objective, Robot, Settings
 
-HTS_API = 1
+HTS_API = 2
 
 
 def make_noise(settings: Settings) -> Objective:
@@ -17,6 +17,13 @@ def make_noise(settings: Settings) -> Objective:
     from hts_noise.objective import Noise, NoiseSettings
 
     return Noise(NoiseSettings.model_validate(dict(settings)))
+
+
+def make_footfall_level(settings: Settings, context: ModelContext) -> MeasurementModel:
+    """Measurement model `footfall_level`: an LSTM on joint speeds, foot forces and their squares."""
+    from hts_noise import model
+
+    return model.make(settings, context)
 
 
 def make_microphone(settings: Settings, robot: Robot) -> Instrument:
@@ -29,6 +36,11 @@ def make_microphone(settings: Settings, robot: Robot) -> Instrument:
 @hookimpl
 def hts_objectives(register):
     register("noise", make_noise)
+
+
+@hookimpl
+def hts_measurement_models(register):
+    register("footfall_level", make_footfall_level)
 
 
 @hookimpl

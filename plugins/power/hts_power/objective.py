@@ -8,12 +8,12 @@ robot: mean of current times voltage, less what the robot draws with its motors 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
 from hts.channels import Channel
-from hts.config import Config
+from hts.config import Config, Named
 from hts.contracts import Comparison, Objective
 from hts_power.proxy import JOULE_COEFFICIENT, analytic_power
 
@@ -67,12 +67,9 @@ class Power(Objective):
         self.weights = self.settings.weights
         self.baseline_weights = self.settings.baseline_weights
 
-    def measurement_model(self) -> Any:
-        from hts.measurement.models import MeasurementModelConfig
-
-        return MeasurementModelConfig(
-            inputs=self.inputs, target=self.target.name, hidden=self.settings.hidden, products=self.settings.products
-        )
+    def measurement_model(self) -> Named:
+        """`battery_current`, of the size that the settings ask for."""
+        return Named(name="battery_current", hidden=self.settings.hidden, products=self.settings.products)
 
     def reward(self, prediction: torch.Tensor) -> torch.Tensor:
         """−ẑ, per second; with the analytic proxy, whose prediction is in W, −P."""

@@ -9,9 +9,9 @@ from hts import hookimpl
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hts.contracts import Instrument, Objective, Robot, Settings
+    from hts.contracts import Instrument, MeasurementModel, ModelContext, Objective, Robot, Settings
 
-HTS_API = 1
+HTS_API = 2
 
 
 def make_power(settings: Settings) -> Objective:
@@ -19,6 +19,13 @@ def make_power(settings: Settings) -> Objective:
     from hts_power.objective import Power, PowerSettings
 
     return Power(PowerSettings.model_validate(dict(settings)))
+
+
+def make_battery_current(settings: Settings, context: ModelContext) -> MeasurementModel:
+    """Measurement model `battery_current`: an LSTM on torque, speed and their products."""
+    from hts_power import model
+
+    return model.make(settings, context)
 
 
 def make_battery_gauge(settings: Settings, robot: Robot) -> Instrument:
@@ -38,6 +45,11 @@ def make_calibrate_twin() -> Callable[..., Any]:
 @hookimpl
 def hts_objectives(register):
     register("power", make_power)
+
+
+@hookimpl
+def hts_measurement_models(register):
+    register("battery_current", make_battery_current)
 
 
 @hookimpl

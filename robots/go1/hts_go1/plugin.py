@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hts import hookimpl
 
-HTS_API = 1
+HTS_API = 2
 
 
 def make_go1(settings):

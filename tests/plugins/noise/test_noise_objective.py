@@ -104,10 +104,10 @@ def test_the_reward_is_minus_the_standardised_level():
 def test_the_model_reads_the_inputs_and_predicts_the_level():
     for settings in (NoiseSettings(), NoiseSettings(torque=True, hidden=8, products=False)):
         objective = Noise(settings)
-        model = objective.measurement_model()
-        assert (model.inputs, model.target) == (objective.inputs, "sound_level")
-        assert ("joint_torque" in model.inputs) == settings.torque
-    assert (model.hidden, model.products) == (8, False)
+        choice = objective.measurement_model()
+        assert choice.name == "footfall_level" and objective.target.name == "sound_level"
+        assert ("joint_torque" in objective.inputs) == settings.torque
+    assert choice.settings == {"hidden": 8, "products": False}
 
 
 def test_the_stand_in_is_load_times_squared_speed_leg_by_leg():

@@ -87,8 +87,8 @@ def test_the_sweeps_are_those_of_the_paper():
 
 
 def test_settings_reach_the_measurement_model_and_wrong_ones_are_refused():
-    config = plugin.make_power({"hidden": 32, "products": False}).measurement_model()
-    assert (config.hidden, config.products, config.target) == (32, False, "battery_current")
+    choice = plugin.make_power({"hidden": 32, "products": False}).measurement_model()
+    assert (choice.name, choice.settings) == ("battery_current", {"hidden": 32, "products": False})
     with pytest.raises(ValidationError, match="criterion"):
         plugin.make_power({"criterion": "gross"})
     with pytest.raises(ValidationError, match="hiden"):
@@ -102,8 +102,9 @@ def test_importing_the_plugin_does_not_import_torch():
 
 def test_the_plugin_offers_what_it_says():
     offered = {}
-    for hook in (plugin.hts_objectives, plugin.hts_instruments, plugin.hts_commands):
+    for hook in (plugin.hts_objectives, plugin.hts_measurement_models, plugin.hts_instruments, plugin.hts_commands):
         hook(register=lambda name, factory: offered.update({name: factory}))
-    assert sorted(offered) == ["battery_gauge", "calibrate-twin", "power"]
+    assert sorted(offered) == ["battery_current", "battery_gauge", "calibrate-twin", "power"]
     objective = offered["power"]({})
-    assert objective.instrument in offered and objective.target.unit == "A"
+    assert objective.instrument in offered and objective.measurement_model().name in offered
+    assert objective.target.unit == "A"

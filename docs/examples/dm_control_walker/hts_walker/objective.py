@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from hts.channels import Channel
-from hts.config import Config
+from hts.config import Config, Named
 from hts.contracts import Comparison, Objective
 
 POWER = Channel("motor_power", "W", (), "electrical power, with what the electronics take")
@@ -31,11 +31,7 @@ class Effort(Objective):
         self.settings = settings
 
     def measurement_model(self):
-        from hts.measurement.models import MeasurementModelConfig
-
-        return MeasurementModelConfig(
-            inputs=self.inputs, target=self.target.name, hidden=self.settings.hidden, sequence=20, stream=100
-        )
+        return Named(name="lstm", hidden=self.settings.hidden, sequence=20, stream=100)
 
     def reward(self, prediction):
         return -prediction

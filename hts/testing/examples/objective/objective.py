@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from hts.channels import Channel
-from hts.config import Config
+from hts.config import Config, Named
 from hts.contracts import Comparison, Objective
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     import torch
 
     from hts.evaluation.segments import Segments
-    from hts.measurement.models import MeasurementModelConfig
 
 # The real channel: its name in recordings and logs, its unit (hts.channels.UNITS), the shape of a sample, what it is.
 TARGET = Channel("fake_level", "W", (), "what the sensor on the robot reads")
@@ -51,11 +50,9 @@ class Fake(Objective):
         self.weights = self.settings.weights
         self.baseline_weights = self.settings.baseline_weights
 
-    def measurement_model(self) -> MeasurementModelConfig:
-        """A small recurrent network from `inputs` to `target`."""
-        from hts.measurement.models import MeasurementModelConfig  # imports torch, so it stays inside
-
-        return MeasurementModelConfig(inputs=self.inputs, target=self.target.name, hidden=self.settings.hidden)
+    def measurement_model(self) -> Named:
+        """A small recurrent network from `inputs` to `target`, by its registered name (`hts plugins` lists them)."""
+        return Named(name="lstm", hidden=self.settings.hidden)
 
     def reward(self, prediction: torch.Tensor) -> torch.Tensor:
         """More reward for less of it: minus the prediction, which is in standard deviations of the recorded data.

@@ -5,18 +5,20 @@ import math
 import pytest
 import torch
 
-from hts.measurement.models import MeasurementModel, MeasurementModelConfig
+from hts.channels import Channel
+from hts.contracts import Signals
+from hts.measurement.lstm import LSTM, LSTMSettings, worlds_last
 
-SMALL = MeasurementModelConfig(inputs=("effort", "rate"), target="heat", hidden=16, products=True)
+SMALL = LSTMSettings(hidden=16, products=True)
+HEAT = Signals((Channel("effort", "N*m", (3,)), Channel("rate", "rad/s", (3,))), Channel("heat", "W"), 50.0)
 
 
-def model_and_data(layers: int, products: bool, *shape: int) -> tuple[MeasurementModel, torch.Tensor]:
+def model_and_data(layers: int, products: bool, *shape: int) -> tuple[LSTM, torch.Tensor]:
     """An unfitted model with the statistics of data, which are (*shape, 6)."""
-    config = MeasurementModelConfig(inputs=("a", "b"), target="y", hidden=8, layers=layers, products=products)
-    model = MeasurementModel(config, (3, 3), 50.0, seed=1)
+    model = LSTM(LSTMSettings(hidden=8, layers=layers, products=products), HEAT, seed=1)
     data = 4.0 + 3.0 * torch.randn(*shape, 6, generator=torch.Generator().manual_seed(0))
-    model.set_normaliser(data.flatten(0, 1), data[..., 0].flatten() * 2.0)
-    return model.requires_grad_(False).eval(), data
+    model.set_statistics(data.flatten(0, 1), data[..., 0].flatten() * 2.0)
+    return model, data
 
 
 @pytest.mark.parametrize("layers", [1, 2])
@@ -27,11 +29,11 @@ def test_step_by_step_and_whole_sequence_give_the_same_prediction(layers, produc
     state, steps = model.initial_state(5), []
     for t in range(40):
         prediction, state = model.step(data[:, t], state)
-        steps.append(prediction)
-    torch.testing.assert_close(torch.stack(steps, 1), whole.detach(), atol=2e-5, rtol=1e-4)
-    torch.testing.assert_close(state, final.detach(), atol=2e-5, rtol=1e-4)
+        steps.append(prediction.mean)
+    torch.testing.assert_close(torch.stack(steps, 1), whole.mean, atol=2e-5, rtol=1e-4)
+    torch.testing.assert_close(state, final, atol=2e-5, rtol=1e-4)
     continued, _ = model.sequence(data[:, 20:], model.sequence(data[:, :20])[1])
-    torch.testing.assert_close(continued, whole[:, 20:])
+    torch.testing.assert_close(continued.mean, whole.mean[:, 20:])
 
 
 @pytest.mark.parametrize("layers", [1, 2])
@@ -44,16 +46,16 @@ def test_many_steps_at_once_are_the_single_steps_to_the_bit_also_where_episodes_
     state, expected = model.initial_state(5), []
     for inputs, end in zip(data, ended, strict=True):
         prediction, state = model.step(inputs, state)
-        expected.append(prediction)
-        state = state.masked_fill(end, 0.0)
+        expected.append(prediction.mean)
+        state = model.reset(state, end)
     found, memory = model.steps(data, model.initial_state(5), ended)
-    assert torch.equal(found.nan_to_num(1e9), torch.stack(expected).nan_to_num(1e9))
+    assert torch.equal(found.mean.nan_to_num(1e9), torch.stack(expected).nan_to_num(1e9))
     assert torch.equal(memory, state) and bool(memory.isfinite().all())
 
 
 def test_products_are_squares_and_place_by_place_products_of_inputs_of_one_size():
-    config = MeasurementModelConfig(inputs=("a", "b", "c"), target="y", products=True)
-    model = MeasurementModel(config, (2, 1, 2), 50.0)
+    inputs = Channel("a", "1", (2,)), Channel("b", "1"), Channel("c", "1", (2,))
+    model = LSTM(LSTMSettings(products=True), Signals(inputs, Channel("y", "1"), 50.0))
     features = model.features(torch.tensor([1.0, 2.0, 10.0, 3.0, 4.0]))
     # inputs; a·a, a·c, b·b, c·c
     assert features.tolist() == [1, 2, 10, 3, 4, 1, 4, 3, 8, 100, 9, 16]
@@ -64,14 +66,31 @@ def test_making_a_model_does_not_touch_the_global_random_generator():
     torch.manual_seed(5)
     expected = torch.rand(1)
     torch.manual_seed(5)
-    MeasurementModel(SMALL, (3, 3), 50.0, seed=9)
+    LSTM(SMALL, HEAT, seed=9)
     assert torch.equal(torch.rand(1), expected)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_bad_input_makes_that_worlds_prediction_nan_and_no_other(bad):
-    model = MeasurementModel(SMALL, (3, 3), 50.0).eval()
+    model = LSTM(SMALL, HEAT)
     inputs = torch.zeros(4, 6)
     inputs[2, 1] = bad
     prediction, _ = model.step(inputs, model.initial_state(4))
-    assert torch.isnan(prediction).tolist() == [False, False, True, False]
+    assert torch.isnan(prediction.mean).tolist() == [False, False, True, False]
+
+
+def test_a_state_that_is_laid_out_worlds_first_gives_the_same_bits_and_no_world_is_copied_otherwise():
+    model, data = model_and_data(2, True, 1, 5)
+    _, state = model.step(data[0], model.initial_state(5))
+    packed = state.contiguous()
+    assert packed.stride() != state.stride()
+    assert torch.equal(model.step(data[0], packed)[0].mean, model.step(data[0], state)[0].mean)
+    assert worlds_last(state).data_ptr() == state.data_ptr()  # a view, nothing moved
+
+
+def test_what_begins_anew_is_empty_and_the_other_worlds_keep_their_bits():
+    model, data = model_and_data(1, False, 1, 5)
+    _, state = model.step(data[0], model.initial_state(5))
+    after = model.reset(state, torch.tensor([False, True, False, False, False]))
+    assert torch.equal(after[1], model.initial_state(1)[0])
+    assert torch.equal(after[[0, 2, 3, 4]], state[[0, 2, 3, 4]])

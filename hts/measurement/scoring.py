@@ -1,0 +1,160 @@
+"""Measured against predicted, along recordings: variance explained, errors, ranks of policies, and whether a spread is honest.
+
+The first second of each recording is not scored: the model's memory starts empty, the real sensor's does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hts.recordings.recording import Recording
+
+SETTLE_SECONDS = 1.0
+
+
+def r2(measured: np.ndarray, predicted: np.ndarray) -> float | None:
+    """Share of the variance explained, 1 - SSE/SST; None if nothing varies."""
+    total = float(((measured - measured.mean()) ** 2).sum()) if measured.size else 0.0
+    return 1.0 - float(((measured - predicted) ** 2).sum()) / total if total > 0 else None
+
+
+def spearman(first: Sequence[float], second: Sequence[float]) -> float | None:
+    """Rank correlation; None with fewer than two values or if one side does not vary."""
+    if len(first) < 2 or len(set(first)) < 2 or len(set(second)) < 2:
+        return None
+    from scipy.stats import spearmanr
+
+    return float(spearmanr(first, second).statistic)
+
+
+@dataclass(frozen=True)
+class PolicyCost:
+    """Mean of the target over one policy's samples at one commanded speed, measured and predicted."""
+
+    policy: str
+    speed: float
+    measured: float
+    predicted: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Measured and predicted target along one recording, after the first second, each (T',).
+
+    spread: standard deviation of the prediction, where the model gives one.
+    """
+
+    recording: Recording
+    measured: np.ndarray
+    predicted: np.ndarray
+    spread: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, recording: Recording, target: str, predicted: np.ndarray, spread: np.ndarray | None = None) -> Trace:
+        skip = round(SETTLE_SECONDS * recording.rate_hz)
+        measured = recording.values(target).reshape(-1).astype(np.float64)
+        kept = None if spread is None else spread[skip:].astype(np.float64)
+        return cls(recording, measured[skip:], predicted[skip:].astype(np.float64), kept)
+
+
+def policy_costs(traces: Sequence[Trace]) -> list[PolicyCost]:
+    """Costs of all policies at the commanded speed that most of them share, ordered by measured cost.
+
+    Costs at different speeds must not be ranked together: that walking faster costs more is no news.
+    """
+    sums: dict[float, dict[str, np.ndarray]] = defaultdict(dict)
+    for trace in traces:
+        speeds = commanded_speed(trace.recording)[-len(trace.measured) :]
+        for speed in np.unique(speeds):
+            at = speeds == speed
+            row = np.array([trace.measured[at].sum(), trace.predicted[at].sum(), at.sum()])
+            table = sums[float(speed)]
+            table[trace.recording.policy_hash] = table.get(trace.recording.policy_hash, np.zeros(3)) + row
+    if not sums:
+        return []
+    speed = max(sums, key=lambda s: (len(sums[s]), sum(row[2] for row in sums[s].values())))
+    costs = [PolicyCost(p, speed, float(m / n), float(f / n), int(n)) for p, (m, f, n) in sums[speed].items()]
+    return sorted(costs, key=lambda cost: cost.measured)
+
+
+def commanded_speed(recording: Recording) -> np.ndarray:
+    """Commanded forward speed at each sample, m/s rounded to 0.01, shape (T,)."""
+    ends = np.cumsum([command.seconds for command in recording.schedule.commands])
+    speeds = np.array([round(command.vx, 2) for command in recording.schedule.commands])
+    elapsed = recording.time - recording.time[0]
+    return speeds[np.minimum(np.searchsorted(ends, elapsed, side="right"), len(speeds) - 1)]
+
+
+def scores(traces: Sequence[Trace], seen_policies: Collection[str] = ()) -> dict[str, Any]:
+    """Errors of predictions along recordings, as plain JSON values.
+
+    r2: over all samples together; r2_policies: over those of policies not in `seen_policies`, None if there are
+    none; rmse: in the target's unit; rank_correlation: across policies at the commanded speed most of them
+    share, None with one policy.
+    """
+    if not traces:
+        return {"r2": None, "r2_policies": None, "rmse": None, "rank_correlation": None, "policies": [], "samples": 0}
+    measured = np.concatenate([trace.measured for trace in traces])
+    predicted = np.concatenate([trace.predicted for trace in traces])
+    new = [trace for trace in traces if trace.recording.policy_hash not in seen_policies]
+    costs = policy_costs(traces)
+    return {
+        "r2": r2(measured, predicted),
+        "r2_policies": _pooled_r2(new),
+        "rmse": math.sqrt(float(((measured - predicted) ** 2).mean())) if measured.size else None,
+        "rank_correlation": spearman([c.measured for c in costs], [c.predicted for c in costs]),
+        "policies": [asdict(cost) for cost in costs],
+        "samples": int(measured.size),
+    }
+
+
+def _pooled_r2(traces: Sequence[Trace]) -> float | None:
+    if not traces:
+        return None
+    return r2(np.concatenate([t.measured for t in traces]), np.concatenate([t.predicted for t in traces]))
+
+
+def calibration(traces: Sequence[Trace]) -> dict[str, Any] | None:
+    """Whether errors are as large as the model's own standard deviations say; None without them, or without samples.
+
+    within_1, within_2: share of samples whose error is at most one, two standard deviations (of a Gaussian: 0.68, 0.95);
+    error_over_spread: root mean square of one over the other, the factor that the spread would need; policies:
+    per policy the error of its mean, and the mean spread, target's unit, with the same shares over policies. The spread
+    of a mean over time is at most the mean of the spreads, so those shares are on the generous side.
+    """
+    known = [(trace, trace.spread) for trace in traces if trace.spread is not None and trace.measured.size]
+    if not known:
+        return None
+    error = np.concatenate([trace.predicted - trace.measured for trace, _ in known])
+    spread = np.concatenate([spread for _, spread in known])
+    by_policy: dict[str, list[tuple[Trace, np.ndarray]]] = defaultdict(list)
+    for trace, own in known:
+        by_policy[trace.recording.policy_hash].append((trace, own))
+    off, wide = [], []
+    for own_traces in by_policy.values():
+        off.append(float(np.concatenate([trace.predicted - trace.measured for trace, _ in own_traces]).mean()))
+        wide.append(float(np.concatenate([own for _, own in own_traces]).mean()))
+    squared = float((spread**2).mean())
+    over_policies = _within(np.abs(np.array(off)), np.array(wide))
+    return {
+        **_within(np.abs(error), spread),
+        "error_over_spread": math.sqrt(float((error**2).mean()) / squared) if squared > 0 else None,
+        "rms_spread": math.sqrt(squared),
+        **{f"policies_{name}": share for name, share in over_policies.items()},
+        "policies": [
+            {"policy": policy, "error": error, "spread": spread}
+            for policy, error, spread in zip(by_policy, off, wide, strict=True)
+        ],
+    }
+
+
+def _within(error: np.ndarray, spread: np.ndarray) -> dict[str, float]:
+    return {f"within_{times}": float((error <= times * spread).mean()) for times in (1, 2)}

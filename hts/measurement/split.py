@@ -1,0 +1,61 @@
+"""Which recordings a model is fitted to, and which are held out."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from hts.recordings.recording import Recording
+
+WHOLE_POLICIES_FROM = 4  # with fewer policies each one is needed for fitting
+
+
+def split(
+    recordings: Sequence[Recording], share: float, seed: int = 0, keep: Collection[str] = ()
+) -> tuple[list[Recording], list[Recording]]:
+    """Recordings to fit on, and about `share` of them held out: whole policies first, then single recordings.
+
+    From four policies on, `share` of them are held out whole, at least one; never the one with the most
+    recordings nor those whose hash is in `keep`. Then one recording each of other policies that have several,
+    until the share is reached. Of a single recording its end is held out. Same recordings and seed, same split.
+    """
+    if len(recordings) == 1:
+        only = recordings[0]
+        at = round((1.0 - share) * only.num_samples)
+        return [part(only, 0, at)], [part(only, at, only.num_samples)]
+    rng = np.random.default_rng(seed)
+    by_policy: dict[str, list[int]] = defaultdict(list)
+    for index, recording in enumerate(recordings):
+        by_policy[recording.policy_hash].append(index)
+    policies = [list(by_policy)[i] for i in rng.permutation(len(by_policy))]
+    budget = max(1, round(share * len(recordings)))
+    held: list[int] = []
+    if len(policies) >= WHOLE_POLICIES_FROM:
+        most = max(policies, key=lambda policy: len(by_policy[policy]))
+        free = [policy for policy in policies if policy != most and policy not in keep]
+        for policy in free[: max(1, round(share * len(policies)))]:
+            held += by_policy.pop(policy)
+    queues = {policy: [indices[i] for i in rng.permutation(len(indices))] for policy, indices in by_policy.items()}
+    while len(held) < budget and any(len(queue) > 1 for queue in queues.values()):
+        for policy in policies:
+            if len(held) < budget and len(queues.get(policy, ())) > 1:
+                held.append(queues[policy].pop())
+    if not held:  # every policy has one recording, and there are too few to spare a whole policy by the rule above
+        held.append(queues[policies[-1]].pop())
+    chosen = set(held)
+    return (
+        [recording for index, recording in enumerate(recordings) if index not in chosen],
+        [recording for index, recording in enumerate(recordings) if index in chosen],
+    )
+
+
+def part(recording: Recording, start: int, stop: int) -> Recording:
+    """Samples start to stop of a recording, as a recording."""
+    from hts.recordings.recording import Series
+
+    channels = {name: Series(s.channel, s.values[start:stop]) for name, s in recording.channels.items()}
+    return recording.replace(time=recording.time[start:stop], channels=channels)

@@ -1,0 +1,376 @@
+"""Measurement models: fitted to made-up recordings, then run as the training env runs them."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hts.config import Named
+from hts.contracts import MeasurementModel, ModelContext
+from hts.errors import HtsError, PolicyError
+from hts.plugins import Entry, Registry
+from hts.recordings.recording import Recording, Series
+from hts.testing.checks.ensure import ensure
+from hts.testing.checks.made_up import walk
+from hts.testing.known_signals import SIGNALS, known_heat
+
+if TYPE_CHECKING:
+    import torch
+
+Check = Callable[[Entry, Registry], None]
+
+WORLDS, STEPS = 5, 12
+MEMBER = Named(name="linear", lags=2)  # stands for the objective's own model, for models that are made of others
+
+
+def context_for(entry: Entry, registry: Registry) -> tuple[ModelContext, list[Recording]]:
+    """What to try a model on: channels and walks of an objective whose own model it is, else of the kit's known signals."""
+    from hts.measurement.data import recorded_signals
+
+    for one in registry.objectives.values():
+        if one.package == entry.package:
+            objective = registry.make_objective(one.name)
+            if objective.measurement_model().name == entry.name:
+                recordings = [walk(objective, registry, seed=seed) for seed in range(3)]
+                return ModelContext(recorded_signals(objective, recordings[0]), MEMBER, registry), recordings
+    return ModelContext(SIGNALS, MEMBER, registry), [known_heat(seed, seconds=6.0) for seed in range(3)]
+
+
+def is_made_unfitted(entry: Entry, registry: Registry) -> None:
+    """It is made without settings for the channels and units that it is given; its settings are JSON and make it again."""
+    context, _ = context_for(entry, registry)
+    model = entry.factory({}, context)
+    ensure(isinstance(model, MeasurementModel), f"is a {type(model).__name__}, not a hts.contracts.MeasurementModel")
+    found, wanted = model.signals, context.signals
+    for was, now in zip((*wanted.inputs, wanted.target), (*found.inputs, found.target), strict=False):
+        ensure(now == was, f"is made for '{was.name}' in {was.unit} and says '{now.name}' in {now.unit}")
+    ensure(found == wanted, f"is made for {len(wanted.inputs)} inputs at {wanted.rate_hz:g} Hz and says {found}")
+    settings = json.loads(json.dumps(dict(model.settings), allow_nan=False))
+    again = registry.make_measurement_model(entry.name, settings, context)
+    ensure(dict(again.settings) == dict(model.settings), "its settings, given to its factory, make another model")
+
+
+def after(*first: Check) -> Callable[[Check], Check]:
+    """A check that is worth its line only where others are kept: a model that cannot be made would fail all of them."""
+
+    def gated(check: Check) -> Check:
+        @wraps(check)
+        def tried(entry: Entry, registry: Registry) -> None:
+            try:
+                for one in first:
+                    one(entry, registry)
+            except Exception:  # noqa: BLE001 - it is said already, in the line of that check
+                return
+            check(entry, registry)
+
+        return tried
+
+    return gated
+
+
+@after(is_made_unfitted)
+def is_fitted_the_same_again(entry: Entry, registry: Registry) -> None:
+    """fit gives a report that JSON can hold and the same numbers from the same seed, and draws from no global generator."""
+    import torch
+
+    before = torch.random.get_rng_state(), str(np.random.get_state())
+    first, report = _fitted_anew(entry, registry)
+    after = torch.random.get_rng_state(), str(np.random.get_state())
+    json.dumps(report, allow_nan=False)
+    second, _ = _fitted_anew(entry, registry)
+    for name, value in first.tensors().items():
+        ensure(bool(torch.equal(value, second.tensors()[name])), f"fitting it twice gives two '{name}'")
+    ensure(bool(torch.equal(before[0], after[0])) and before[1] == after[1], "fit draws from a global random generator")
+
+
+@after(is_made_unfitted)
+def counts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None:
+    """target_mean and target_std are those of the recordings, in the target's unit: rewards count in them."""
+    context, recordings = context_for(entry, registry)
+    model = _fitted(entry, registry)
+    target = np.concatenate([one.values(context.signals.target.name).reshape(-1) for one in recordings])
+    for name, found, wanted in (("mean", model.target_mean, target.mean()), ("std", model.target_std, target.std())):
+        ensure(
+            abs(float(found) - wanted) <= 0.05 * target.std(),
+            f"target_{name} is {float(found):g}, of the recordings it is {wanted:g} {context.signals.target.unit}",
+        )
+
+
+@after(is_made_unfitted)
+def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
+    """step and sequence give a finite float32 per world and sample, a deviation of at least 0 or none; the state leads with worlds."""
+    import torch
+
+    model = _fitted(entry, registry)
+    data = _inputs(entry, registry)
+    found, after = model.step(data[0], model.initial_state(WORLDS))
+    along, last = model.sequence(data.movedim(0, 1))
+    for what, prediction, shape in (("step", found, (WORLDS,)), ("sequence", along, (WORLDS, STEPS))):
+        for name, values in (("mean", prediction.mean), ("std", prediction.std)):
+            if values is None:
+                continue
+            ensure(tuple(values.shape) == shape, f"{what}: {name} has shape {tuple(values.shape)}, not {shape}")
+            ensure(values.dtype == torch.float32, f"{what}: {name} is {str(values.dtype).removeprefix('torch.')}")
+            ensure(bool(torch.isfinite(values).all()), f"{what}: {name} is not finite for inputs like the recordings'")
+        ensure(prediction.std is None or bool((prediction.std >= 0).all()), f"{what}: std is below 0")
+    wanted = tuple(model.initial_state(WORLDS).shape)
+    ensure(wanted[:1] == (WORLDS,), f"initial_state({WORLDS}) has shape {wanted}: worlds do not lead")
+    for what, state in (("step", after), ("sequence", last)):
+        ensure(tuple(state.shape) == wanted, f"{what}: the state has shape {tuple(state.shape)}, not {wanted}")
+
+
+@after(is_made_unfitted, predicts_for_each_world)
+def step_and_sequence_agree(entry: Entry, registry: Registry) -> None:
+    """Step by step, along a whole recording, and with `steps`, it predicts the same."""
+    import torch
+
+    model = _fitted(entry, registry)
+    data = _inputs(entry, registry)
+    walked, state = _stepped(model, data)
+    along, last = model.sequence(data.movedim(0, 1))
+    together, end = model.steps(data, model.initial_state(WORLDS), torch.zeros(STEPS, WORLDS, dtype=torch.bool))
+    for what, mean, after in (("sequence", along.mean.t(), last), ("steps", together.mean, end)):
+        off = float((mean - walked).abs().max())
+        ensure(_close(mean, walked), f"{what} is off from step after step by up to {off:g} standard deviations")
+        ensure(_close(after, state), f"{what} leaves another state than step after step")
+
+
+@after(is_made_unfitted, predicts_for_each_world)
+def keeps_worlds_apart(entry: Entry, registry: Registry) -> None:
+    """A world's prediction does not depend on the worlds beside it, now or before: the state is per world."""
+    model = _fitted(entry, registry)
+    data = _inputs(entry, registry)
+    crowd, _ = _stepped(model, data)
+    for world in range(WORLDS):
+        alone, _ = _stepped(model, data[:, world : world + 1])
+        ensure(_close(alone[:, 0], crowd[:, world]), f"the prediction of world {world} depends on the worlds beside it")
+    others = data.clone()
+    others[:, 1:] *= 3.0
+    changed, _ = _stepped(model, others)
+    ensure(_close(changed[:, 0], crowd[:, 0]), "the prediction of world 0 depends on the worlds beside it")
+
+
+@after(is_made_unfitted, predicts_for_each_world)
+def forgets_only_who_begins(entry: Entry, registry: Registry) -> None:
+    """reset empties the memory of the worlds that begin, to what initial_state gives, and leaves the others to the bit."""
+    import torch
+
+    model = _fitted(entry, registry)
+    data = _inputs(entry, registry)
+    _, state = _stepped(model, data)
+    begun = torch.zeros(WORLDS, dtype=torch.bool)
+    begun[1] = True
+    after, fresh = model.reset(state, begun), model.initial_state(WORLDS)
+    ensure(bool(torch.equal(after[1], fresh[1])), "reset leaves something in the memory of the world that begins")
+    ensure(bool(torch.equal(after[~begun], state[~begun])), "reset of one world changes the memory of others")
+    lost = torch.full_like(state, torch.nan) if state.is_floating_point() else state
+    clean = model.reset(lost, torch.ones(WORLDS, dtype=torch.bool))
+    ensure(bool(torch.equal(clean, fresh)), "reset leaves NaN in the memory of a world that ended in it")
+
+
+@after(is_made_unfitted, predicts_for_each_world)
+def lets_nan_through(entry: Entry, registry: Registry) -> None:
+    """A NaN or infinite input makes its own world's prediction no finite number, and no other's."""
+    import torch
+
+    model = _fitted(entry, registry)
+    data = _inputs(entry, registry)[0]
+    clean, _ = model.step(data, model.initial_state(WORLDS))
+    for value in (torch.nan, torch.inf, -torch.inf):
+        dirty = data.clone()
+        dirty[2, 0] = value
+        found = model.step(dirty, model.initial_state(WORLDS))[0].mean
+        ensure(not bool(torch.isfinite(found[2])), f"makes {float(found[2]):g} of an input that is {value}")
+        found[2] = clean.mean[2]
+        ensure(_close(found, clean.mean), f"an input that is {value} in one world changes the prediction of others")
+
+
+@after(is_made_unfitted, predicts_for_each_world)
+def changes_nothing(entry: Entry, registry: Registry) -> None:
+    """step, steps and sequence only read the inputs and the state: the env goes on with them."""
+    import torch
+
+    model = _fitted(entry, registry)
+    data, (_, state) = _inputs(entry, registry), _stepped(model, _inputs(entry, registry))
+    given, before = data.clone(), state.clone()
+    model.step(data[0], state)
+    model.steps(data, state, torch.zeros(STEPS, WORLDS, dtype=torch.bool))
+    model.sequence(data.movedim(0, 1), state)
+    ensure(bool(torch.equal(data, given)), "changes its inputs in place")
+    ensure(bool(torch.equal(state, before)), "changes its state in place")
+
+
+@after(is_made_unfitted)
+def is_saved_and_loaded(entry: Entry, registry: Registry) -> None:
+    """Its file gives the same model back, to the bit, by its name and settings: all that was fitted is in `tensors`."""
+    import torch
+
+    from hts.measurement import files
+
+    model = _fitted(entry, registry)
+    data = _inputs(entry, registry)
+    with tempfile.TemporaryDirectory() as folder:
+        loaded = files.load(files.save(model, Path(folder) / "model"), registry=registry)
+    before, after = _stepped(model, data)[0], _stepped(loaded, data)[0]
+    ensure(bool(torch.equal(before, after)), "it predicts something else after it was saved and loaded")
+    same = torch.equal(model.denormalise(before), loaded.denormalise(before))
+    ensure(bool(same), "its z-scores mean something else after it was saved and loaded")
+    ensure(loaded.pessimism == model.pessimism, "its pessimism is another after it was saved and loaded")
+
+
+@after(is_made_unfitted, is_saved_and_loaded)
+def refuses_foreign_files(entry: Entry, registry: Registry) -> None:
+    """A file that lacks a number, has one too many or one of another shape is refused in one line."""
+    import torch
+
+    from hts.measurement import files
+
+    model = _fitted(entry, registry)
+    own = dict(model.tensors())
+    ensure(bool(own), "tensors() is empty: nothing that was fitted would be saved")
+    name = min(own)
+    wrong = {
+        f"without '{name}'": {key: value for key, value in own.items() if key != name},
+        "with one too many": {**own, "stranger": torch.zeros(1)},
+        f"with '{name}' of another shape": {**own, name: torch.zeros(2, *own[name].shape)},
+    }
+    for what, tensors in wrong.items():
+        with tempfile.TemporaryDirectory() as folder:
+            path = files.save(_Given(model, tensors), Path(folder) / "model")  # type: ignore[arg-type]
+            try:
+                files.load(path, registry=registry)
+            except PolicyError as error:
+                ensure("\n" not in str(error), f"says of a file {what} in several lines: {error}")
+            else:
+                ensure(False, f"takes a file {what}")
+
+
+@after(is_made_unfitted)
+def refuses_recordings(entry: Entry, registry: Registry) -> None:
+    """Recordings that it cannot learn from (none, other units, NaN, a constant target) are an error of hts.errors, one line."""
+    context, recordings = context_for(entry, registry)
+    first, target = recordings[0], context.signals.target
+    still = Series(target, np.full_like(first.values(target.name), 3.0))
+    channel = context.signals.inputs[0]
+    lost = np.full_like(first.values(channel.name), np.nan)
+    other = type(channel)(channel.name, "s" if channel.unit != "s" else "m", channel.shape)
+    wrong = {
+        "no recordings": [],
+        "a target that never varies": [_with(first, still)],
+        "an input that is NaN": [_with(first, Series(channel, lost))],
+        f"'{channel.name}' in {other.unit}, not {channel.unit}": [
+            _with(first, Series(other, first.values(channel.name)))
+        ],
+    }
+    for what, given in wrong.items():
+        try:
+            entry.factory({}, context).fit(given, epochs=1)
+        except HtsError as error:
+            ensure("\n" not in str(error), f"says of {what} in several lines: {error}")
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is no line for a person
+            ensure(False, f"{what} ends in a traceback, {type(error).__name__}: {error}")
+        else:
+            ensure(False, f"is fitted to {what}")
+
+
+@after(is_made_unfitted, predicts_for_each_world)
+def stays_on_its_device(entry: Entry, registry: Registry) -> None:
+    """step and reset stay on the device, look at no value and move with `to`: training may be a captured graph on a GPU."""
+    import torch
+
+    device = torch.device("cuda" if torch.cuda.is_available() else "meta")  # "meta" has shapes and no values to look at
+    model, _ = _fitted_anew(entry, registry)  # it is moved
+    data = _inputs(entry, registry)[0]
+    moved = model.to(device)
+    ensure(moved is model, "to() gives another object than the model itself")
+    ensure(model.device.type == device.type, f"to('{device}') leaves it on {model.device}")
+    try:
+        state = model.initial_state(WORLDS)
+        found, state = model.step(data.to(device), state)
+        state = model.reset(state, torch.zeros(WORLDS, dtype=torch.bool, device=device))
+    except (RuntimeError, TypeError, NotImplementedError) as error:
+        ensure(False, f"step leaves the device or looks at a value ({' '.join(str(error).split())[:100]})")
+    for what, tensor in (("the prediction", found.mean), ("the state", state)):
+        ensure(tensor.device.type == device.type, f"{what} is on {tensor.device}, the model on {device}")
+
+
+class _Given:
+    """The model, with other tensors: what `files.save` asks of one."""
+
+    def __init__(self, model: MeasurementModel, tensors: dict[str, torch.Tensor]) -> None:
+        self.name, self.settings, self.signals = model.name, model.settings, model.signals
+        self._tensors = tensors
+
+    def tensors(self) -> dict[str, Any]:
+        return self._tensors
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What was fitted, so that it is not fitted again for every check."""
+
+    entry: Entry
+    registry: Registry = field(compare=False)
+
+
+@lru_cache(maxsize=1)
+def _once(key: _Key) -> MeasurementModel:
+    return _fitted_anew(key.entry, key.registry)[0]
+
+
+def _fitted(entry: Entry, registry: Registry) -> MeasurementModel:
+    """A fitted one, for checks that only read it."""
+    return _once(_Key(entry, registry))
+
+
+def _fitted_anew(entry: Entry, registry: Registry) -> tuple[MeasurementModel, dict[str, Any]]:
+    context, recordings = context_for(entry, registry)
+    model = registry.make_measurement_model(entry.name, {}, context)
+    return model, model.fit(recordings, epochs=1)
+
+
+def _inputs(entry: Entry, registry: Registry) -> torch.Tensor:
+    """Samples of different places of the recordings, (STEPS, WORLDS, F)."""
+    import torch
+
+    from hts.measurement.data import input_tensor
+
+    context, recordings = context_for(entry, registry)
+    whole = torch.cat([input_tensor(context.signals, one) for one in recordings])
+    places = [torch.arange(STEPS) + 37 * world for world in range(WORLDS)]
+    return torch.stack([whole[place] for place in places], 1)
+
+
+def _stepped(model: MeasurementModel, data: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Means (T, W) and the last state of step after step."""
+    import torch
+
+    state, means = model.initial_state(data.shape[1]), []
+    for inputs in data:
+        prediction, state = model.step(inputs, state)
+        means.append(prediction.mean)
+    return torch.stack(means), state
+
+
+def _with(recording: Recording, *series: Series) -> Recording:
+    return recording.replace(channels={**recording.channels, **{one.channel.name: one for one in series}})
+
+
+def _close(first: torch.Tensor, second: torch.Tensor) -> bool:
+    import torch
+
+    return bool(torch.allclose(first, second, rtol=1e-3, atol=1e-4))
+
+
+CHECKS: Sequence[Check] = (
+    is_made_unfitted, is_fitted_the_same_again, counts_in_deviations_of_the_target, predicts_for_each_world,
+    step_and_sequence_agree, keeps_worlds_apart, forgets_only_who_begins, lets_nan_through, changes_nothing,
+    is_saved_and_loaded, refuses_foreign_files, refuses_recordings, stays_on_its_device,
+)  # fmt: skip

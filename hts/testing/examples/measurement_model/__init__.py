@@ -1,0 +1,1 @@
+"""The measurement model `fading`, for hts."""
