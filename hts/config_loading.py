@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from hts.config import Config, RunConfig
 from hts.contracts import WorldContext
+from hts.engines import check_engine
 from hts.errors import ConfigError, unknown_name
 from hts.explain import Location, dotted, explain
 from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 Section = TypeVar("Section", bound=Config)
 
-ENGINES = ("auto", "mujoco", "warp")
 EXECUTORS = ("local",)
 
 
@@ -109,12 +109,6 @@ def read_config(file: Path) -> RunConfig:
 def dump_config(config: RunConfig) -> str:
     """The resolved configuration as YAML text; `read_config` reads it back to an equal one."""
     return yaml.safe_dump(plain(config.model_dump()), sort_keys=False, allow_unicode=True)
-
-
-def check_engine(engine: str) -> None:
-    """Raises ConfigError for an engine nobody knows."""
-    if engine not in ENGINES:
-        raise ConfigError(unknown_name("engine", engine, ENGINES))
 
 
 def check_names(config: RunConfig, registry: Registry) -> None:

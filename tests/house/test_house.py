@@ -24,7 +24,9 @@ SOURCES = sorted(
     if "__pycache__" not in path.parts
 )
 IDS = [str(path.relative_to(REPOSITORY)) for path in SOURCES]
-LEARNING = ("sim", "recordings", "envs", "policies", "rl", "training", "measurement", "evaluation", "selection")
+LEARNING = (
+    "sim", "recordings", "envs", "policies", "rl", "training", "measurement", "evaluation", "selection", "run",
+)  # fmt: skip
 
 Rule = Callable[[ast.Module], Iterator[str]]
 

@@ -24,7 +24,7 @@ from hts.cli.one_line import one_line, resumable
 from hts.config_loading import load_config
 from hts.errors import ConfigError, RunError
 from hts.sim import selection
-from hts.sim.engine import make_engine
+from hts.sim.selection import make_engine
 
 RUN = ("run", "--objective", "power", "--robot", "go1", "--preset", "smoke")
 PRETRAIN = ("pretrain", "--robot", "go1", "--set", "num_envs=2", "--set", "steps=48")

@@ -11,7 +11,7 @@ import torch
 from hts.config import RandomisationConfig
 from hts.errors import ConfigError, SimulationError
 from hts.sim import warp_setup
-from hts.sim.engine import make_engine
+from hts.sim.selection import make_engine
 from hts.sim.models import compile_model, variants
 
 pytest.importorskip("mujoco_warp", reason="the extra `gpu` is not installed")

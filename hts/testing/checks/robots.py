@@ -9,6 +9,7 @@ from typing import Any
 from hts.channels import standard_channels
 from hts.config import EnvConfig, RandomisationConfig
 from hts.contracts import Robot
+from hts.envs.velocity_robot import VelocityRobot
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import ensure, listed, same
 
@@ -142,7 +143,8 @@ def env_does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
 
 
 def _has_env(robot: Robot) -> bool:
-    return type(robot).make_env is not Robot.make_env or robot.mjcf() is not None
+    own = type(robot).make_env not in (Robot.make_env, VelocityRobot.make_env)
+    return own or robot.mjcf() is not None
 
 
 def _config() -> EnvConfig:
