@@ -130,6 +130,7 @@ def check_names(config: RunConfig, registry: Registry) -> None:
             objectives=config.objectives,
             seed=config.seed,
             folder=Path(nowhere),
+            registry=registry,
         )
         registry.make_world(config.world.name, config.world.settings, context).close()
     instruments = config.world.settings.get("instruments", {})

@@ -43,14 +43,15 @@ def start(config, out: Path | None, dry_run: bool) -> None:
     from hts.config_loading import check_names
     from hts.plugins import load
 
-    check_names(config, load())
+    registry = load()
+    check_names(config, registry)
     folder = out or default_folder(config)
     if not dry_run:
         refuse_existing(folder)
     from hts.run import start_run
 
     with resumable(folder):
-        start_run(config, folder, dry_run=dry_run)
+        start_run(config, folder, dry_run=dry_run, registry=registry)
 
 
 def default_folder(config) -> Path:

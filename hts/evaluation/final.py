@@ -166,6 +166,7 @@ def evaluate_run(
         objectives=config.objectives,
         seed=seed,
         folder=place,
+        registry=registry,
     )
     place.mkdir(exist_ok=True)
     where = registry.make_world(named.name, named.settings, context)

@@ -66,9 +66,8 @@ class _Actor(torch.nn.Module):
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         x = ((observation - self.observation_mean) / self.observation_std).clamp(-CLIP, CLIP)
         for index in range(self.layers):
-            x = torch.nn.functional.linear(
-                x, getattr(self, f"actor_{index}_weight"), getattr(self, f"actor_{index}_bias")
-            )
+            weight, bias = (self.get_buffer(f"actor_{index}_{what}") for what in ("weight", "bias"))
+            x = torch.nn.functional.linear(x, weight, bias)
             if index < self.layers - 1:
                 x = torch.nn.functional.elu(x)
         return x

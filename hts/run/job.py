@@ -110,7 +110,7 @@ class Job:
         """Where policies run "for real"."""
         context = WorldContext(
             robot=self.config.robot.name, robot_settings=self.config.robot.settings, objectives=self.config.objectives,
-            seed=self.config.seed, folder=self.folder / "world",
+            seed=self.config.seed, folder=self.folder / "world", registry=self.registry,
         )  # fmt: skip
         return self.registry.make_world(self.config.world.name, self.config.world.settings, context)
 
@@ -156,9 +156,8 @@ class Job:
         return ids
 
     def watch(self, report: Callable[[float], None]) -> None:
-        """Let the world report its progress, if it can."""
-        if hasattr(self.world, "on_progress"):
-            self.world.on_progress = report
+        """Let the world report its progress."""
+        self.world.on_progress(report)
 
     def close(self) -> None:
         if "world" in self.__dict__:

@@ -15,7 +15,7 @@ from hts import hookspecs
 from hts.contracts import Comparison, PhysicsSample, SimulatedCandidate, TestedCandidate
 from hts.errors import ConfigError, RecordingError, WorldError
 from hts.plugins import KINDS, Registry, load
-from hts.testing.known_worlds import known_head_to_head
+from hts.testing.made_up_recordings import known_head_to_head
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = REPOSITORY / "docs/authors/hooks.md"

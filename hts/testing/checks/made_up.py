@@ -14,11 +14,11 @@ from hts.channels import Channel
 from hts.contracts import Objective, PhysicsSample, Robot, World, WorldContext
 from hts.errors import HtsError
 from hts.evaluation.segments import Segments, cut
-from hts.plugins import Entry, Registry
+from hts.plugins import KINDS, Entry, Registry
 from hts.recordings.recording import Recording
 from hts.testing.examples.objective.objective import Fake
 from hts.testing.examples.robot.robot import Tiny
-from hts.testing.known_worlds import made_up_recording
+from hts.testing.made_up_recordings import made_up_recording
 
 WORLDS = 3
 NOWHERE = Path(tempfile.gettempdir()) / "hts-check-nowhere"  # a name only: worlds write with their first request
@@ -26,11 +26,7 @@ NOWHERE = Path(tempfile.gettempdir()) / "hts-check-nowhere"  # a name only: worl
 
 def kind_of(entry: Entry, registry: Registry) -> str:
     """The kind (as in `hts.plugins.KINDS`) under which the registry has it."""
-    return next(
-        kind
-        for kind in ("objectives", "robots", "worlds", "instruments", "selectors", "log_readers", "commands")
-        if getattr(registry, kind).get(entry.name) is entry
-    )
+    return next(kind for kind in KINDS if registry.offered(kind).get(entry.name) is entry)
 
 
 @dataclass(frozen=True)
