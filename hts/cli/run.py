@@ -64,10 +64,11 @@ def default_folder(config) -> Path:
 
 def refuse_existing(folder: Path) -> None:
     """Raises RunError if something is there already: nothing is ever overwritten."""
+    from hts.atomic import temporary_of
     from hts.errors import RunError
 
-    # The part of a configuration is what a run leaves that was killed before it began.
-    if folder.is_dir() and all(entry.name == ".config.yaml.tmp" for entry in folder.iterdir()):
+    left = temporary_of(folder / "config.yaml")  # all that a run leaves which was killed before it began
+    if folder.is_dir() and all(entry == left for entry in folder.iterdir()):
         return
     if (folder / "config.yaml").exists():
         raise RunError(

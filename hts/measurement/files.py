@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as dump_tensors
 
+from hts.atomic import atomic_write
 from hts.errors import PolicyError
 from hts.measurement.models import MeasurementModel, MeasurementModelConfig
 
@@ -42,9 +42,8 @@ def save(model: MeasurementModel, path: Path, notes: Mapping[str, Any] | None = 
         "sha256": hashlib.sha256(numbers).hexdigest(),
         "notes": dict(notes or {}),
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _replace(path, numbers)
-    _replace(path.with_suffix(".json"), (json.dumps(card, indent=2) + "\n").encode())
+    atomic_write(path, numbers)
+    atomic_write(path.with_suffix(".json"), json.dumps(card, indent=2) + "\n")
     return path
 
 
@@ -94,12 +93,3 @@ def _read(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise PolicyError(f"{path}: cannot be read ({error.strerror}). Expected a measurement model there.") from error
-
-
-def _replace(path: Path, content: bytes) -> None:
-    temporary = path.with_name(path.name + ".part")
-    with temporary.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)

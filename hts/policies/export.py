@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import warnings
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +13,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from hts.atomic import atomic_write
 from hts.policies.files import Policy
 
 CARD_KEY = "hts"
@@ -50,7 +51,7 @@ def to_onnx(policy: Policy, path: Path) -> Path:
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, {CARD_KEY: json.dumps(asdict(policy.card))})
     onnx.checker.check_model(model)
-    return _write(path, model.SerializeToString())
+    return atomic_write(Path(path), model.SerializeToString())
 
 
 class _Actor(torch.nn.Module):
@@ -79,17 +80,6 @@ def to_torchscript(policy: Policy, path: Path) -> Path:
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=FutureWarning)
         traced = torch.jit.trace(_Actor(policy), torch.zeros(1, policy.card.observation_size))
-        temporary = Path(path).with_name(f".{Path(path).name}.tmp")
-        temporary.parent.mkdir(parents=True, exist_ok=True)
-        torch.jit.save(traced, str(temporary), _extra_files={f"{CARD_KEY}.json": json.dumps(asdict(policy.card))})
-    os.replace(temporary, path)
-    return Path(path)
-
-
-def _write(path: Path, data: bytes) -> Path:
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_bytes(data)
-    os.replace(temporary, path)
-    return path
+        written = io.BytesIO()
+        torch.jit.save(traced, written, _extra_files={f"{CARD_KEY}.json": json.dumps(asdict(policy.card))})
+    return atomic_write(Path(path), written.getvalue())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from importlib import resources
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 import hts
+from hts.atomic import atomic_write
 from hts.errors import RunError
 from hts.report import wording
 from hts.report.data import Json, RunData, read_run
@@ -40,13 +40,9 @@ def write_report(folder: Path) -> Path:
     template = resources.files("hts.report").joinpath("page.html.j2").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     path = Path(folder) / "report.html"
-    partial = path.with_name("report.html.partial")
     try:
-        html = environment.from_string(template).render(**contents(run))
-        partial.write_text(html, encoding="utf-8")
-        os.replace(partial, path)
+        atomic_write(path, environment.from_string(template).render(**contents(run)))
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise RunError(
             f"{path}: cannot be written ({error.strerror}). Make room or permission, then: hts report {folder}"
         ) from error

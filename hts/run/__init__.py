@@ -10,9 +10,6 @@ if TYPE_CHECKING:
     from hts.config import RunConfig
     from hts.plugins import Registry
 
-CONFIG_PART = ".config.yaml.tmp"
-"""All that a run leaves which was killed before it began."""
-
 
 def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: Registry | None = None) -> Path:
     """Run into the new folder `out`; returns it. dry_run: only say what it would cost; registry: left out, it is loaded.
@@ -64,12 +61,11 @@ def with_engine(config: RunConfig) -> RunConfig:
 
 def _make_folder(config: RunConfig, out: Path) -> None:
     """The folder with its config.yaml, which is all that `resume_run` needs."""
+    from hts.atomic import atomic_write, temporary_of
     from hts.config_loading import dump_config
     from hts.errors import RunError
 
-    if out.exists() and any(entry.name != CONFIG_PART for entry in out.iterdir()):
+    left = temporary_of(out / "config.yaml")  # all that a run leaves which was killed before it began
+    if out.exists() and any(entry != left for entry in out.iterdir()):
         raise RunError(f"{out}: is not empty. Go on with `hts resume {out}`, or choose another --out.")
-    out.mkdir(parents=True, exist_ok=True)
-    temporary = out / CONFIG_PART
-    temporary.write_text(dump_config(config), encoding="utf-8")
-    temporary.replace(out / "config.yaml")
+    atomic_write(out / "config.yaml", dump_config(config))

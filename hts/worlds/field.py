@@ -13,6 +13,7 @@ from typing import Any
 
 from pydantic import Field
 
+from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
 from hts.contracts import Settings, World, WorldContext
@@ -173,8 +174,7 @@ class FieldWorld(World):
                     instrument = registry.make_instrument(objective.instrument, {}, robot)
                     levels = instrument.idle()
                     real |= {channel.name: channel for channel in instrument.channels if channel.name in levels}
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(mapping_template(robot.spec, robot.channels(), list(real.values())), encoding="utf-8")
+            atomic_write(path, mapping_template(robot.spec, robot.channels(), list(real.values())))
         return load_mapping(path)
 
     @staticmethod
