@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hts.channels import UNITS
+from hts import units
 from hts.errors import RecordingError, unknown_name
 from hts.recordings.recording import ROLES, Recording, Series
 
@@ -100,8 +100,8 @@ def _check_series(name: str, series: Series, recording: Recording, where: str) -
             f"{where}: channel '{channel.name}' is listed as '{name}'. "
             "Expected one name of letters, digits and _, other than 'time'."
         )
-    if channel.unit not in UNITS:
-        raise RecordingError(f"{where}: channel '{name}': " + unknown_name("unit", channel.unit, UNITS))
+    if not units.known(channel.unit):
+        raise RecordingError(f"{where}: channel '{name}': {units.unknown(channel.unit)}")
     if values.shape[1:] != tuple(channel.shape) or values.ndim == 0:
         raise RecordingError(
             f"{where}: '{name}' has shape {values.shape}. Expected (T, *{tuple(channel.shape)}), T samples first. "

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from hts import units
 from hts.channels import Channel
 from hts.config import ScheduleConfig
 from hts.recordings.recording import Recording, Series
@@ -104,6 +105,7 @@ def from_attributes(
     channels = {}
     for name, samples in values.items():
         about = attributes["arrays"][name]
+        units.keep(about["unit"])  # the plugin that defined it need not be here for its recordings to open
         channel = Channel(name, about["unit"], tuple(about["shape"]), about["description"], about["may_be_constant"])
         channels[name] = Series(channel, samples)
     return Recording(

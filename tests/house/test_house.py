@@ -287,7 +287,7 @@ OFFENCES = {
     "hts/sim/engine.py": ("hts.sim.engine -> hts.rl.kl_bound", "from hts.rl import kl_bound"),
     "hts/errors.py": (
         "hts.errors -> hts.channels",
-        "def late():\n    from hts.channels import UNITS\n    return UNITS",
+        "def late():\n    from hts.channels import Channel\n    return Channel",
     ),
     "hts/cores.py": ("hts.cores -> hts.run", "import hts.run"),
     "hts/rl/kl_bound.py": ("hts.rl.kl_bound -> hts.worlds.twin.model", "from hts.worlds.twin.model import build"),
