@@ -103,8 +103,9 @@ def unknown(unit: str) -> str:
     """One line about a unit that is none: the closest one, those that are always there, and how to get others."""
     close = TRAPS.get(unit) or next(iter(difflib.get_close_matches(unit, UNITS, n=1, cutoff=0.5)), None)
     hint = f" Did you mean '{close}'?" if close else ""
+    shown = "".join(letter if letter.isprintable() else "?" for letter in unit[:LONGEST])
     return (
-        f"No unit named '{unit[:LONGEST]}'.{hint} Known: {', '.join(sorted(UNITS))}, others as pint writes them (K/s, kg/s), "
+        f"No unit named '{shown}'.{hint} Known: {', '.join(sorted(UNITS))}, others as pint writes them (K/s, kg/s), "
         "and what plugins define (hts.units.define)."
     )
 

@@ -27,23 +27,11 @@ def to_onnx(policy: Policy, path: Path) -> Path:
     """
     tensors, layers = policy.tensors, len(policy.card.hidden) + 1
     weights = {"mean": tensors["observation_mean"], "std": tensors["observation_std"]}
-    nodes = [
-        helper.make_node("Sub", ["observation", "mean"], ["centred"]),
-        helper.make_node("Div", ["centred", "std"], ["scaled"]),
-        helper.make_node("Clip", ["scaled", "low", "high"], ["h0"]),
-    ]
-    for index in range(layers):
-        for what in ("weight", "bias"):
-            weights[f"{what}{index}"] = tensors[f"actor.{index}.{what}"]
-        last = index == layers - 1
-        out = "action" if last else f"z{index}"
-        nodes.append(helper.make_node("Gemm", [f"h{index}", f"weight{index}", f"bias{index}"], [out], transB=1))
-        if not last:
-            nodes.append(helper.make_node("Elu", [f"z{index}"], [f"h{index + 1}"]))
+    weights |= {f"{what}{i}": tensors[f"actor.{i}.{what}"] for i in range(layers) for what in ("weight", "bias")}
     initial = [numpy_helper.from_array(value.numpy().astype(np.float32), name) for name, value in weights.items()]
     initial += [numpy_helper.from_array(np.float32(value), name) for name, value in (("low", -CLIP), ("high", CLIP))]
     graph = helper.make_graph(
-        nodes, "policy",
+        graph_nodes(layers), "policy",
         [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", policy.card.observation_size])],
         [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", len(policy.card.joint_names)])],
         initial,
@@ -52,6 +40,22 @@ def to_onnx(policy: Policy, path: Path) -> Path:
     helper.set_model_props(model, {CARD_KEY: json.dumps(asdict(policy.card))})
     onnx.checker.check_model(model)
     return atomic_write(Path(path), model.SerializeToString())
+
+
+def graph_nodes(layers: int) -> list[onnx.NodeProto]:
+    """What an exported policy computes from `observation` to `action`, node by node; constants by name."""
+    nodes = [
+        helper.make_node("Sub", ["observation", "mean"], ["centred"]),
+        helper.make_node("Div", ["centred", "std"], ["scaled"]),
+        helper.make_node("Clip", ["scaled", "low", "high"], ["h0"]),
+    ]
+    for index in range(layers):
+        last = index == layers - 1
+        out = "action" if last else f"z{index}"
+        nodes.append(helper.make_node("Gemm", [f"h{index}", f"weight{index}", f"bias{index}"], [out], transB=1))
+        if not last:
+            nodes.append(helper.make_node("Elu", [f"z{index}"], [f"h{index + 1}"]))
+    return nodes
 
 
 class _Actor(torch.nn.Module):

@@ -17,6 +17,7 @@ from safetensors.torch import save as dump_tensors
 from hts.atomic import atomic_write
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
+from hts.policies.card_checks import check_card
 from hts.rl.population import Sizes
 
 FORMAT = 1
@@ -149,13 +150,16 @@ def parse_card(text: str, path: Path) -> PolicyCard:
     """A card from its JSON; `path` is named in errors. Raises PolicyError."""
     try:
         data = json.loads(text)
+        if not isinstance(data, dict):
+            raise TypeError(f"it holds a {type(data).__name__}")
         if data.get("format") != FORMAT:
             raise PolicyError(
                 f"{path}: policy format {data.get('format')}, this version reads {FORMAT}. Export the policy again."
             )
+        check_card(data, path)
         lists = {key: tuple(value) for key, value in data.items() if isinstance(value, list)}
         return PolicyCard(**{**data, **lists})
-    except (json.JSONDecodeError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise PolicyError(f"{path}: not a policy card ({error}). Copy or export the policy again.") from error
 
 

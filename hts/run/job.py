@@ -52,9 +52,8 @@ class Job:
             self.save("pretrained", load_policy(source, self.robot.spec))
         if not (self.folder / "provenance.json").exists():
             plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}
-            write_json(
-                self.folder / "provenance.json", collect_provenance(self.config.seed, self.config.engine, plugins)
-            )
+            found = collect_provenance(self.config.seed, self.config.engine, plugins, self.config.provenance.diff)
+            write_json(self.folder / "provenance.json", found)
 
     @cached_property
     def combinations(self) -> list[dict[str, float]]:
