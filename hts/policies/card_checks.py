@@ -11,7 +11,7 @@ from hts.errors import PolicyError
 
 MOST_JOINTS, MOST_LAYERS, MOST_UNITS, MOST_PARTS = 1000, 20, 65_536, 1000
 LARGEST_OBSERVATION = 1_000_000  # numbers, history included
-LARGEST = 1e6  # of anything in SI units that a joint, a gain or a rate can be
+LARGEST = 1e5  # of anything in SI units that a joint, a gain or a rate can be
 PER_JOINT = ("default_pose", "action_scale", "kp", "kd", "exploration_std")
 NOT_NEGATIVE = ("kp", "kd", "exploration_std")
 

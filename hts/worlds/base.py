@@ -28,9 +28,9 @@ def round_order(policies: int, number: int) -> list[int | None]:
     half holds one block of everybody. Who begins moves on from round to round: what a block leaves to the next
     (warm motors) then falls on others.
     """
-    crew: list[int | None] = [None, *range(policies)]
-    first = number % len(crew)
-    there = crew[first:] + crew[:first]
+    walkers: list[int | None] = [None, *range(policies)]
+    first = number % len(walkers)
+    there = walkers[first:] + walkers[:first]
     return there + there[::-1]
 
 
