@@ -5,7 +5,7 @@ is imported when one of those turns up, since that takes half a second. A plugin
 
     from hts import units
 
-    units.define("sone = [loudness]")            # a quantity of its own
+    units.define("scuff = [wear]")               # a quantity of its own
     units.define("pack = 7.2 * volt")            # or in terms of others, as pint writes it
 
 at the top of the module behind its entry point, so that it is known as soon as the plugin is loaded.

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hts.contracts.installed import Installed
 from hts.contracts.settings import Settings
 
 if TYPE_CHECKING:
     from hts.config import ScheduleConfig
-    from hts.plugins import Registry
     from hts.recordings.recording import Recording
 
 
@@ -29,7 +29,7 @@ class WorldContext:
     objectives: Mapping[str, Settings]
     seed: int
     folder: Path
-    registry: Registry | None = field(default=None, repr=False, compare=False)
+    registry: Installed | None = field(default=None, repr=False, compare=False)
 
 
 class World(ABC):

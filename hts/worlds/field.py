@@ -16,9 +16,9 @@ from pydantic import Field
 from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import Settings, World, WorldContext
+from hts.contracts import Installed, Settings, World, WorldContext
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
-from hts.plugins import Registry, load
+from hts.plugins import load
 from hts.recordings.recording import Recording
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out, walking
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
@@ -152,7 +152,7 @@ class FieldWorld(World):
         return recording
 
     @cached_property
-    def _registry(self) -> Registry:
+    def _registry(self) -> Installed:
         return self._context.registry or load()
 
     def _mapping_path(self) -> Path:

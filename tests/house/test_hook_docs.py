@@ -124,7 +124,7 @@ def exported(robot: str, folder: Path) -> Path:
     from hts.policies.files import Policy, make_card
     from hts.rl.population import Population, Sizes
 
-    sizes = Sizes(2, 2, 1, (4,))
+    sizes = Sizes(2, 2, spec.num_joints, (4,))
     tensors = Population(sizes, 1).candidate(0)
     spec = load().make_robot(robot).spec
     return to_onnx(
