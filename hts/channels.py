@@ -4,27 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hts.errors import RecordingError, unknown_name
-
-UNITS: dict[str, str] = {
-    "1": "dimensionless",
-    "s": "seconds",
-    "m": "metres",
-    "m/s": "metres per second",
-    "m/s^2": "metres per second squared",
-    "rad": "radians",
-    "rad/s": "radians per second",
-    "N": "newtons",
-    "N*m": "newton metres",
-    "A": "amperes",
-    "V": "volts",
-    "W": "watts",
-    "J": "joules",
-    "degC": "degrees Celsius",
-    "Pa": "pascals",
-    "dB(A)": "A-weighted sound level re 20 uPa",
-    "%": "per cent",
-}
+from hts import units
+from hts.errors import RecordingError
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +13,7 @@ class Channel:
     """One named time series: its unit, and the shape of a single sample (``()`` for a scalar).
 
     ``may_be_constant`` is for quantities that may honestly stand still during a recording,
-    such as a temperature or a state of charge. Raises RecordingError for a unit nobody knows.
+    such as a temperature or a state of charge. unit: see `hts.units`; raises RecordingError for one that nobody knows.
     """
 
     name: str
@@ -42,8 +23,8 @@ class Channel:
     may_be_constant: bool = False
 
     def __post_init__(self) -> None:
-        if self.unit not in UNITS:
-            raise RecordingError(f"Channel '{self.name}': " + unknown_name("unit", self.unit, UNITS))
+        if not units.known(self.unit):
+            raise RecordingError(f"Channel '{self.name}': {units.unknown(self.unit)}")
 
 
 def standard_channels(num_joints: int, num_feet: int) -> dict[str, Channel]:

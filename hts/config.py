@@ -231,6 +231,12 @@ class EvaluationConfig(Config):
     bootstrap: int = Field(2000, ge=100, description="resamples of the interval")
 
 
+class ProvenanceConfig(Config):
+    """What provenance.json holds beside versions, commit, seeds and hardware."""
+
+    diff: bool = Field(False, description="whether to keep the `git diff` of the sources, and not its hash alone")
+
+
 class RunConfig(Config):
     """All of a run. `preset` says which defaults it started from."""
 
@@ -254,6 +260,7 @@ class RunConfig(Config):
     simulation_test: SimulationTestConfig = Field(default_factory=SimulationTestConfig)
     selection: SelectionConfig = Field(default_factory=SelectionConfig)
     evaluation: EvaluationConfig = Field(default_factory=EvaluationConfig)
+    provenance: ProvenanceConfig = Field(default_factory=ProvenanceConfig)
 
     @model_validator(mode="after")
     def _something_to_learn(self) -> RunConfig:

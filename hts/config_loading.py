@@ -19,6 +19,7 @@ from pydantic import ValidationError
 
 from hts.config import Config, RunConfig
 from hts.contracts import MODEL, ModelContext, WorldContext, chosen_model, robot_signals
+from hts.engines import check_engine
 from hts.errors import ConfigError, unknown_name
 from hts.explain import Location, dotted, explain
 from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 Section = TypeVar("Section", bound=Config)
 
-ENGINES = ("auto", "mujoco", "warp")
 EXECUTORS = ("local",)
 
 
@@ -112,12 +112,6 @@ def dump_config(config: RunConfig) -> str:
     return yaml.safe_dump(plain(config.model_dump()), sort_keys=False, allow_unicode=True)
 
 
-def check_engine(engine: str) -> None:
-    """Raises ConfigError for an engine nobody knows."""
-    if engine not in ENGINES:
-        raise ConfigError(unknown_name("engine", engine, ENGINES))
-
-
 def check_names(config: RunConfig, registry: Registry) -> None:
     """Every plugin that the configuration names is installed. Raises ConfigError with the closest name.
 
@@ -137,6 +131,7 @@ def check_names(config: RunConfig, registry: Registry) -> None:
             objectives=config.objectives,
             seed=config.seed,
             folder=Path(nowhere),
+            registry=registry,
         )
         registry.make_world(config.world.name, config.world.settings, context).close()
     instruments = config.world.settings.get("instruments", {})

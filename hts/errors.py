@@ -63,6 +63,16 @@ class RunError(HtsError):
     """The run folder exists already, is half-written, or cannot be written."""
 
 
+BY_NAME: dict[str, type[HtsError]] = {
+    kind.__name__: kind
+    for kind in (
+        HtsError, ConfigError, PluginError, RecordingError, PolicyError, SimulationError, WorldError, EvaluationError,
+        WaitingForRobot, RunError,
+    )
+}  # fmt: skip
+"""For an error that another process raised and could only name."""
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
     """One line for a wrong name: the closest right one, then all of them."""
     names = sorted(known)

@@ -71,13 +71,19 @@ def _validated_model(error: ValidationError) -> type[BaseModel] | None:
     return model
 
 
+def _fields(model: Any) -> Mapping[str, Any]:
+    """The fields of a pydantic model's class; none of anything else."""
+    from pydantic import BaseModel
+
+    return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
+
+
 def _keys_at(model: Any, location: Location) -> list[str]:
     """Keys that may stand at a location inside a model; empty where anything may (or nobody knows)."""
     if not location:
-        fields: Mapping[str, Any] = getattr(model, "model_fields", {})
-        return list(fields)
+        return list(_fields(model))
     step, rest = location[0], location[1:]
-    fields = getattr(model, "model_fields", None) or {}
+    fields = _fields(model)
     if step in fields:
         return _keys_at_annotation(fields[str(step)].annotation, rest)
     return []
@@ -85,7 +91,7 @@ def _keys_at(model: Any, location: Location) -> list[str]:
 
 def _keys_at_annotation(annotation: Any, location: Location) -> list[str]:
     """As `_keys_at`, through Optional, list, tuple and dict."""
-    if getattr(annotation, "model_fields", None):
+    if _fields(annotation):
         return _keys_at(annotation, location)
     inner = [argument for argument in get_args(annotation) if argument is not Ellipsis]
     for argument in inner:

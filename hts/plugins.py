@@ -125,9 +125,13 @@ class Registry:
     def make_log_reader(self, name: str, settings: Settings | None = None) -> LogReader:
         return self._make("log_readers", name, dict(settings or {}))
 
+    def offered(self, kind: str) -> Mapping[str, Entry]:
+        """Everything of one kind by name; kind is one of KINDS."""
+        return vars(self)[kind]
+
     def entry(self, kind: str, name: str) -> Entry:
         """The entry of that name; kind is one of KINDS. Raises ConfigError with the closest name."""
-        entries: Mapping[str, Entry] = getattr(self, kind)
+        entries = self.offered(kind)
         if name not in entries:
             message = unknown_name(KINDS[kind], name, entries)
             if self.broken:
@@ -182,7 +186,7 @@ def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) ->
 def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[str, Entry]]:
     """Import one plugin and ask it for all it offers, as (kind, entry)."""
     module = point.load()
-    written_for = getattr(module, "HTS_API", None)
+    written_for = vars(module).get("HTS_API")
     if written_for is None:
         raise PluginError(
             f"{point.value} does not say which version of the hooks it was written for; "

@@ -153,7 +153,7 @@ def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective) -
         "horizon": trainer.config.horizon, "substeps": robot.spec.substeps,
         "measurement": f"{objective.name}: unfitted model of the default size (one pass), statistics from the collected channels",
         "hidden": list(trainer.population.sizes.hidden), "device": _device(trainer.population.device), "cores": os.cpu_count() or 1,
-        "engine_threads": getattr(made, "threads", 0), "torch_threads": 1,  # see `hts.rl.threads`
+        "engine_threads": made.threads if isinstance(made, MujocoEngine) else 0, "torch_threads": 1,  # see `hts.rl.threads`
         "torch": str(torch.__version__),
     }  # fmt: skip
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torchrl.envs.transforms import Compose
 
 from hts.bench.bare import synchronise
 from hts.bench.collecting import WARM_UP
@@ -145,7 +146,7 @@ def _with_statistics(
 
 def _transforms(trainer: PopulationTrainer) -> list[Any]:
     transform = trainer.env.transform
-    return list(transform) if hasattr(transform, "__iter__") else [transform]
+    return list(transform) if isinstance(transform, Compose) else [transform]
 
 
 def _rate_alone(

@@ -56,7 +56,7 @@ def _plugin_commands() -> dict[str, Entry]:
 
 
 def _built(name: str, module: Any) -> Any:
-    app = getattr(module, "app", None)
+    app = vars(module).get("app")
     if isinstance(app, typer.Typer):
         group = get_command(app)
         group.name = name

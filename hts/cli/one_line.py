@@ -49,7 +49,7 @@ def disk_fault(error: BaseException | None, place: Path | None = None) -> str | 
     while error is not None:
         number = error.errno if isinstance(error, OSError) else _errno_in_text(str(error))
         if number in DISK_FAULTS:
-            file = getattr(error, "filename", None) or place or "a file"
+            file = (error.filename if isinstance(error, OSError) else None) or place or "a file"
             return f"{file}: {DISK_FAULTS[number]}."
         error = error.__cause__ or error.__context__
     return None
@@ -95,6 +95,6 @@ def _errno_in_text(text: str) -> int:
 
 
 def _usage(error: typer.TyperException) -> str:
-    context = getattr(error, "ctx", None)
+    context = vars(error).get("ctx")  # only some of them have one
     hint = f" (`{context.command_path} --help`)" if context is not None else ""
     return f"error: {' '.join(error.format_message().split())}{hint}"

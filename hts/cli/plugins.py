@@ -22,7 +22,7 @@ def as_data(registry: Registry) -> dict[str, Any]:
     data: dict[str, Any] = {
         kind: [
             {"name": entry.name, "package": entry.package, "summary": _summary(entry.factory)}
-            for _, entry in sorted(getattr(registry, kind).items())
+            for _, entry in sorted(registry.offered(kind).items())
         ]
         for kind in KINDS
     }

@@ -21,7 +21,8 @@ def command(
     """Train the policy to start from on the task's own reward: minutes on a GPU, hours without."""
     from hts.cli.run import refuse_existing
     from hts.config import PretrainConfig
-    from hts.config_loading import check_engine, load_section
+    from hts.config_loading import load_section
+    from hts.engines import check_engine
     from hts.plugins import load
 
     given = {key: value for key, value in (("engine", engine), ("seed", seed)) if value is not None}

@@ -43,14 +43,15 @@ def start(config, out: Path | None, dry_run: bool) -> None:
     from hts.config_loading import check_names
     from hts.plugins import load
 
-    check_names(config, load())
+    registry = load()
+    check_names(config, registry)
     folder = out or default_folder(config)
     if not dry_run:
         refuse_existing(folder)
     from hts.run import start_run
 
     with resumable(folder):
-        start_run(config, folder, dry_run=dry_run)
+        start_run(config, folder, dry_run=dry_run, registry=registry)
 
 
 def default_folder(config) -> Path:
@@ -63,10 +64,11 @@ def default_folder(config) -> Path:
 
 def refuse_existing(folder: Path) -> None:
     """Raises RunError if something is there already: nothing is ever overwritten."""
+    from hts.atomic import temporary_of
     from hts.errors import RunError
 
-    # The part of a configuration is what a run leaves that was killed before it began.
-    if folder.is_dir() and all(entry.name == ".config.yaml.tmp" for entry in folder.iterdir()):
+    left = temporary_of(folder / "config.yaml")  # all that a run leaves which was killed before it began
+    if folder.is_dir() and all(entry == left for entry in folder.iterdir()):
         return
     if (folder / "config.yaml").exists():
         raise RunError(

@@ -4,6 +4,7 @@ Interfaces only, one file each, a handful of methods each. Nothing here imports 
 plugin's module loads in milliseconds; heavy imports belong inside the methods.
 """
 
+from hts.contracts.installed import Installed
 from hts.contracts.instrument import Instrument, PhysicsSample
 from hts.contracts.log_reader import LogReader
 from hts.contracts.measurement_model import (
@@ -25,6 +26,7 @@ from hts.contracts.world import World, WorldContext
 __all__ = [
     "MODEL",
     "Comparison",
+    "Installed",
     "Instrument",
     "JointMotors",
     "LogReader",

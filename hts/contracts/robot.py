@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hts.errors import ConfigError
+
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
@@ -66,8 +68,9 @@ class Robot(ABC):
     """A machine: its model, its numbers, its channels, its first policy.
 
     A log-only robot has a spec and channels but neither model nor policy: `mjcf` and
-    `pretrained_policy` return None; that is enough for import and fit. A robot whose `make_env` is its own may do
-    without a model too: only the default env, the twin and `hts play` ask for one.
+    `pretrained_policy` return None; that is enough for import and fit. To train in, a robot needs an env: one that
+    follows commanded velocities derives from `hts.envs.velocity_robot.VelocityRobot` instead, any other brings its own
+    `make_env`, and may then do without a model: only the velocity task, the twin and `hts play` ask for one.
     """
 
     spec: RobotSpec
@@ -91,10 +94,14 @@ class Robot(ABC):
         """A TorchRL env of batch size [num_candidates, num_envs] that writes ("channels", name).
 
         channels: names to write, all if empty; seeds: one per candidate, so that a candidate's random numbers
-        do not depend on its neighbours. The default is the velocity task of `hts.envs`; `hts.envs.folded` helps to
-        bring another. The env has `dt`, s per control step, and may have `observation_layout` (for the card of a policy
-        that is pretrained in it), `full_state` and `load_full_state` (to go on from a checkpoint), and `engine`.
-        """
-        from hts.envs.velocity import make_velocity_env
+        do not depend on its neighbours. `hts.envs.folded` helps to bring an env of another library. The env has `dt`,
+        s per control step, and may have `observation_layout` (for the card of a policy that is pretrained in it),
+        `full_state` and `load_full_state` (to go on from a checkpoint), and `engine`.
 
-        return make_velocity_env(self, engine, num_candidates, num_envs, config, channels, seeds)
+        By default a robot has none: raises ConfigError, which says how to give it one.
+        """
+        raise ConfigError(
+            f"Robot '{self.spec.name}' has no env to train in. If it follows commanded velocities, let its class derive "
+            "from hts.envs.velocity_robot.VelocityRobot instead of hts.contracts.Robot (whose default env that was in "
+            "version 1 of the hooks); else give it a make_env. A log-only robot is for `hts import` and `hts fit`."
+        )

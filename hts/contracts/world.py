@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hts.contracts.installed import Installed
 from hts.contracts.settings import Settings
 
 if TYPE_CHECKING:
@@ -17,10 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WorldContext:
-    """What a world is told when it is made.
+    """What a world is given when it is made.
 
-    robot: name as registered; robot_settings: its settings; objectives: name -> settings;
-    seed; folder: where it may write; control_rate_hz.
+    robot: name as registered; robot_settings: its settings; objectives: name -> settings; seed; folder: where it may
+    write; registry: all that is installed, as the run loaded it; None: the world loads it itself if it needs it.
     """
 
     robot: str
@@ -28,12 +29,18 @@ class WorldContext:
     objectives: Mapping[str, Settings]
     seed: int
     folder: Path
+    registry: Installed | None = field(default=None, repr=False, compare=False)
 
 
 class World(ABC):
-    """Where policies run "for real". It gets exported policies and returns recordings, nothing else."""
+    """Where policies run "for real". It gets exported policies and returns recordings, nothing else.
+
+    name: as registered; simulated: True if its physics is computed, False if a machine moves; reports say which. None,
+    the default: the world does not say, and reports say no more than its name.
+    """
 
     name: str
+    simulated: bool | None = None
 
     @abstractmethod
     def idle(self) -> Mapping[str, float]:
@@ -64,6 +71,13 @@ class World(ABC):
         whole head-to-heads only, and that is what elites then get.
         """
         return None
+
+    def head_to_head_seconds(self) -> float:
+        """Robot time of one head-to-head at one speed, s, for `--dry-run`. By default four blocks of 80 s, as in the paper."""
+        return 4 * 80.0
+
+    def on_progress(self, report: Callable[[float], None]) -> None:  # noqa: B027 - most have nothing to say
+        """From now on call `report` with the share of the current request that is done, 0 to 1. By default nobody does."""
 
     def cost(self, robot_seconds: float) -> Mapping[str, float]:
         """What so many seconds of walking will cost here, e.g. {"robot_minutes": 5.3, "wall_seconds": 12.0}."""

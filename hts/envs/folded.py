@@ -50,6 +50,7 @@ class FoldedEnv(TaskEnv):
         self.reward_scale = dt if reward_scale is None else reward_scale
         self.wanted = dict(channels)
         self.parts = {"observation": tuple(observation), "critic_observation": tuple(critic_observation or observation)}
+        self.observation_layout = self._layout()
         self._make_specs()
 
     def _make_specs(self) -> None:
@@ -73,8 +74,7 @@ class FoldedEnv(TaskEnv):
     def _size(self, key: Key) -> int:
         return int(self.inner.observation_spec[key].shape[-1])
 
-    @property
-    def observation_layout(self) -> list[dict[str, Any]]:
+    def _layout(self) -> list[dict[str, Any]]:
         """Names and sizes of the observation's parts, for the card of a policy that is trained here."""
         names = [(key if isinstance(key, str) else key[-1], key) for key in self.parts["observation"]]
         return [{"name": name, "size": self._size(key)} for name, key in names]

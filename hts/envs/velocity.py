@@ -21,8 +21,9 @@ from hts.errors import ConfigError
 from hts.rl.random import PopulationRandom
 from hts.rl.task_env import LaunchedSimulator, ReplacedState, SplitStepEnv
 from hts.rl.tracing import any_or_tracing
-from hts.sim.engine import Engine, make_engine
+from hts.sim.engine import Engine
 from hts.sim.models import variants
+from hts.sim.selection import make_engine
 
 # An episode ends below this share of the standing height or beyond this tilt (gravity's z in the trunk frame: -1 is upright).
 FALL_HEIGHT, FALL_GRAVITY_Z = 0.55, -0.5

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hts.atomic import atomic_write
 from hts.config import EvaluationConfig, Named
 from hts.contracts import Objective, TestedCandidate, WorldContext
 from hts.errors import PolicyError, RunError
@@ -166,6 +166,7 @@ def evaluate_run(
         objectives=config.objectives,
         seed=seed,
         folder=place,
+        registry=registry,
     )
     place.mkdir(exist_ok=True)
     where = registry.make_world(named.name, named.settings, context)
@@ -217,13 +218,9 @@ def policy_file(folder: Path, policy: str | Path) -> Path:
 
 
 def _write(path: Path, result: dict[str, Any]) -> None:
-    """The whole file or none of it."""
-    partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
-        os.replace(partial, path)
+        atomic_write(path, json.dumps(result, indent=1, allow_nan=False) + "\n")
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise RunError(
             f"{path}: cannot be written ({error.strerror}). Make room or permission, then repeat."
         ) from error

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as dump_tensors
 
+from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.contracts import MeasurementModel, ModelContext, Signals
 from hts.errors import ConfigError, HtsError, PolicyError
@@ -54,9 +54,8 @@ def save(model: MeasurementModel, path: Path, notes: Mapping[str, Any] | None = 
         "sha256": hashlib.sha256(numbers).hexdigest(),
         "notes": dict(notes or {}),
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _replace(path, numbers)
-    _replace(path.with_suffix(".json"), (json.dumps(card, indent=2) + "\n").encode())
+    atomic_write(path, numbers)
+    atomic_write(path.with_suffix(".json"), json.dumps(card, indent=2) + "\n")
     return path
 
 
@@ -169,12 +168,3 @@ def _read(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise PolicyError(f"{path}: cannot be read ({error.strerror}). Expected a measurement model there.") from error
-
-
-def _replace(path: Path, content: bytes) -> None:
-    temporary = path.with_name(path.name + ".part")
-    with temporary.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)

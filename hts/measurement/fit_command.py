@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 from pydantic import ValidationError
 
+from hts.atomic import atomic_write
 from hts.config import MeasurementConfig
 from hts.config_loading import merged, with_named_model
 from hts.contracts import MeasurementModel, ModelContext, chosen_model
@@ -145,9 +146,7 @@ def fit_store(
     report = {**result.report, "dataset": dataset.sha256, "left_out": left_out, "store": str(store_path)}
     try:
         files.save(result.model, Path(out) / "model", {"objective": objective.name, "dataset": dataset.sha256})
-        temporary = report_file.with_name("fit.json.part")
-        temporary.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        temporary.replace(report_file)
+        atomic_write(report_file, json.dumps(report, indent=2, allow_nan=False) + "\n")
     except OSError as error:
         raise RunError(f"{out}: cannot be written ({error.strerror}). Choose another folder with --out.") from error
     return report_file

@@ -12,6 +12,7 @@ import numpy as np
 import onnxruntime
 
 from hts.errors import PolicyError
+from hts.policies.card_checks import check_card
 
 CARD_KEY = "hts"
 
@@ -26,19 +27,38 @@ class DeployedPolicy:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         try:
-            self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            # The bytes, not the path: a graph whose constants lie in other files would make onnxruntime open those.
+            content = Path(path).read_bytes()
+            self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
             meta = self._session.get_modelmeta().custom_metadata_map
             card: dict[str, Any] = json.loads(meta[CARD_KEY])
         except Exception as error:  # onnxruntime raises its own classes for each way a file can be broken
             raise PolicyError(
                 f"{path}: not an exported policy ({type(error).__name__}: {str(error)[:120]}). Export it again with `hts export`."
             ) from error
-        self.card = SimpleNamespace(**card)
+        check_card(card, path)
+        self._check_ends(path, card)
+        self.card = SimpleNamespace(**{"history": 1, **card})
         self._pose = np.asarray(card["default_pose"], np.float32)
         self._scale = np.asarray(card["action_scale"], np.float32)
         self._noise = np.asarray(card.get("exploration_std", ()), np.float32)
         self._parts = [part["name"] for part in card["observation"]]
         self.start(1)
+
+    def _check_ends(self, path: Path, card: Mapping[str, Any]) -> None:
+        """Raises PolicyError unless the graph takes the observation of the card and gives one action per joint."""
+        seen = card.get("history", 1) * sum(part["size"] for part in card["observation"])
+        for what, values, name, size in (
+            ("reads", self._session.get_inputs(), "observation", seen),
+            ("gives", self._session.get_outputs(), "action", len(card["joint_names"])),
+        ):
+            found = [(value.name, value.type, value.shape[-1] if value.shape else None) for value in values]
+            if found != [(name, "tensor(float)", size)]:
+                shown = ", ".join(f"{other} ({kind}, {width} wide)" for other, kind, width in found[:4])
+                raise PolicyError(
+                    f"{path}: its graph {what} {shown or 'nothing'}, its card says {name} (tensor(float), {size} wide). "
+                    "Export it again with `hts export`."
+                )
 
     def start(self, num: int, seed: int | None = None) -> None:
         """Begin with `num` robots, no past. seed: of the exploration noise, for policies exported with some."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import io
 import json
-import os
 import warnings
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +13,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from hts.atomic import atomic_write
 from hts.policies.files import Policy
 
 CARD_KEY = "hts"
@@ -26,23 +27,11 @@ def to_onnx(policy: Policy, path: Path) -> Path:
     """
     tensors, layers = policy.tensors, len(policy.card.hidden) + 1
     weights = {"mean": tensors["observation_mean"], "std": tensors["observation_std"]}
-    nodes = [
-        helper.make_node("Sub", ["observation", "mean"], ["centred"]),
-        helper.make_node("Div", ["centred", "std"], ["scaled"]),
-        helper.make_node("Clip", ["scaled", "low", "high"], ["h0"]),
-    ]
-    for index in range(layers):
-        for what in ("weight", "bias"):
-            weights[f"{what}{index}"] = tensors[f"actor.{index}.{what}"]
-        last = index == layers - 1
-        out = "action" if last else f"z{index}"
-        nodes.append(helper.make_node("Gemm", [f"h{index}", f"weight{index}", f"bias{index}"], [out], transB=1))
-        if not last:
-            nodes.append(helper.make_node("Elu", [f"z{index}"], [f"h{index + 1}"]))
+    weights |= {f"{what}{i}": tensors[f"actor.{i}.{what}"] for i in range(layers) for what in ("weight", "bias")}
     initial = [numpy_helper.from_array(value.numpy().astype(np.float32), name) for name, value in weights.items()]
     initial += [numpy_helper.from_array(np.float32(value), name) for name, value in (("low", -CLIP), ("high", CLIP))]
     graph = helper.make_graph(
-        nodes, "policy",
+        graph_nodes(layers), "policy",
         [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", policy.card.observation_size])],
         [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", len(policy.card.joint_names)])],
         initial,
@@ -50,7 +39,23 @@ def to_onnx(policy: Policy, path: Path) -> Path:
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, {CARD_KEY: json.dumps(asdict(policy.card))})
     onnx.checker.check_model(model)
-    return _write(path, model.SerializeToString())
+    return atomic_write(Path(path), model.SerializeToString())
+
+
+def graph_nodes(layers: int) -> list[onnx.NodeProto]:
+    """What an exported policy computes from `observation` to `action`, node by node; constants by name."""
+    nodes = [
+        helper.make_node("Sub", ["observation", "mean"], ["centred"]),
+        helper.make_node("Div", ["centred", "std"], ["scaled"]),
+        helper.make_node("Clip", ["scaled", "low", "high"], ["h0"]),
+    ]
+    for index in range(layers):
+        last = index == layers - 1
+        out = "action" if last else f"z{index}"
+        nodes.append(helper.make_node("Gemm", [f"h{index}", f"weight{index}", f"bias{index}"], [out], transB=1))
+        if not last:
+            nodes.append(helper.make_node("Elu", [f"z{index}"], [f"h{index + 1}"]))
+    return nodes
 
 
 class _Actor(torch.nn.Module):
@@ -66,9 +71,8 @@ class _Actor(torch.nn.Module):
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         x = ((observation - self.observation_mean) / self.observation_std).clamp(-CLIP, CLIP)
         for index in range(self.layers):
-            x = torch.nn.functional.linear(
-                x, getattr(self, f"actor_{index}_weight"), getattr(self, f"actor_{index}_bias")
-            )
+            weight, bias = (self.get_buffer(f"actor_{index}_{what}") for what in ("weight", "bias"))
+            x = torch.nn.functional.linear(x, weight, bias)
             if index < self.layers - 1:
                 x = torch.nn.functional.elu(x)
         return x
@@ -80,17 +84,6 @@ def to_torchscript(policy: Policy, path: Path) -> Path:
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=FutureWarning)
         traced = torch.jit.trace(_Actor(policy), torch.zeros(1, policy.card.observation_size))
-        temporary = Path(path).with_name(f".{Path(path).name}.tmp")
-        temporary.parent.mkdir(parents=True, exist_ok=True)
-        torch.jit.save(traced, str(temporary), _extra_files={f"{CARD_KEY}.json": json.dumps(asdict(policy.card))})
-    os.replace(temporary, path)
-    return Path(path)
-
-
-def _write(path: Path, data: bytes) -> Path:
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.tmp")
-    temporary.write_bytes(data)
-    os.replace(temporary, path)
-    return path
+        written = io.BytesIO()
+        torch.jit.save(traced, written, _extra_files={f"{CARD_KEY}.json": json.dumps(asdict(policy.card))})
+    return atomic_write(Path(path), written.getvalue())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -12,10 +11,13 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
+from safetensors.torch import save as dump_tensors
 
+from hts.atomic import atomic_write
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
+from hts.policies.card_checks import check_card
 from hts.rl.population import Sizes
 
 FORMAT = 1
@@ -97,15 +99,9 @@ def tensor_path(path: Path) -> Path:
 def save_policy(path: Path, policy: Policy) -> Path:
     """Write `path` (.safetensors) and its .json, each in one move: no reader ever sees half a file."""
     path = tensor_path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    card = json.dumps(asdict(policy.card), indent=1)
-    with_tensors = path.with_name(f".{path.name}.tmp")
-    save_file({name: value.contiguous() for name, value in policy.tensors.items()}, with_tensors)
-    with_card = path.with_name(f".{path.stem}.json.tmp")
-    with_card.write_text(card + "\n")
-    os.replace(with_card, path.with_suffix(".json"))
-    os.replace(with_tensors, path)
-    return path
+    tensors = dump_tensors({name: value.contiguous() for name, value in policy.tensors.items()})
+    atomic_write(path.with_suffix(".json"), json.dumps(asdict(policy.card), indent=1) + "\n")
+    return atomic_write(path, tensors)
 
 
 def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
@@ -154,13 +150,16 @@ def parse_card(text: str, path: Path) -> PolicyCard:
     """A card from its JSON; `path` is named in errors. Raises PolicyError."""
     try:
         data = json.loads(text)
+        if not isinstance(data, dict):
+            raise TypeError(f"it holds a {type(data).__name__}")
         if data.get("format") != FORMAT:
             raise PolicyError(
                 f"{path}: policy format {data.get('format')}, this version reads {FORMAT}. Export the policy again."
             )
+        check_card(data, path)
         lists = {key: tuple(value) for key, value in data.items() if isinstance(value, list)}
         return PolicyCard(**{**data, **lists})
-    except (json.JSONDecodeError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise PolicyError(f"{path}: not a policy card ({error}). Copy or export the policy again.") from error
 
 

@@ -23,7 +23,7 @@ import torch
 
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError, unknown_name
-from hts.policies.export import CARD_KEY, CLIP
+from hts.policies.export import CARD_KEY, CLIP, graph_nodes
 from hts.policies.files import Policy, check_robot, hash_tensors, load_policy, make_card, parse_card
 from hts.rl.population import Population, Sizes
 
@@ -75,6 +75,11 @@ def _from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy:
 
     try:
         model = onnx.load(str(path), load_external_data=False)
+        outside = [tensor.name for tensor in model.graph.initializer if tensor.data_location == tensor.EXTERNAL]
+        if outside:  # reading them would open whatever file they name
+            raise PolicyError(
+                f"{path}: its constant '{outside[0]}' lies in another file. Export it again with `hts export`."
+            )
         arrays = {tensor.name: numpy_helper.to_array(tensor).copy() for tensor in model.graph.initializer}
     except (DecodeError, OSError, ValueError) as error:
         raise PolicyError(f"{path}: not a whole ONNX file ({error}). Copy or export it again.") from error
@@ -86,12 +91,7 @@ def _from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy:
     card = parse_card(properties[CARD_KEY], path)
     check_robot(path, card, robot)
     layers = len(card.hidden) + 1
-    graph = ["Sub", "Div", "Clip"] + ["Gemm", "Elu"] * (layers - 1) + ["Gemm"]
-    found = [node.op_type for node in model.graph.node]
-    if found != graph:
-        raise PolicyError(
-            f"{path}: its graph is {'-'.join(found)}, its card describes {'-'.join(graph)}. Export it again."
-        )
+    _compare_graph(path, model, layers)
     try:
         limits = float(arrays["low"]), float(arrays["high"])
         tensors = {"observation_mean": arrays["mean"], "observation_std": arrays["std"]}
@@ -108,6 +108,31 @@ def _from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy:
     whole = _with_new_critic(path, actor, card.sizes(), std)
     made = {**card.made, "imported_from": path.name, "imported_hash": card.policy_hash, "critic": NEW_CRITIC}
     return Policy(whole, replace(card, policy_hash=hash_tensors(whole), made=made))
+
+
+def _compare_graph(path: Path, model: Any, layers: int) -> None:
+    """Raises PolicyError unless the file computes exactly what `to_onnx` writes for so many layers."""
+    expected = graph_nodes(layers)
+    found, ours = ([node.op_type for node in nodes] for nodes in (model.graph.node, expected))
+    if found != ours or len(model.functions):
+        shown = "-".join(found[:12]) + ("-…" if len(found) > 12 else "")
+        raise PolicyError(f"{path}: its graph is {shown}, its card describes {'-'.join(ours)}. Export it again.")
+    ends = [value.name for value in model.graph.input], [value.name for value in model.graph.output]
+    if ends != (["observation"], ["action"]):
+        raise PolicyError(
+            f"{path}: it reads {ends[0]} and gives {ends[1]}, expected 'observation' and 'action'. Export it again."
+        )
+    for node, own in zip(model.graph.node, expected, strict=True):
+        if (node.domain, list(node.input), list(node.output), _attributes(node)) != (
+            "", list(own.input), list(own.output), _attributes(own),
+        ):  # fmt: skip
+            raise PolicyError(
+                f"{path}: its {node.op_type} of {', '.join(node.input)} is not that of an exported policy. Export it again."
+            )
+
+
+def _attributes(node: Any) -> dict[str, bytes]:
+    return {attribute.name: attribute.SerializeToString(deterministic=True) for attribute in node.attribute}
 
 
 # ---------------------------------------------------------------------------------------------------- rsl_rl

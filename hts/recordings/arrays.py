@@ -39,9 +39,15 @@ def write_group(folder: Path, attributes: Mapping[str, Any], arrays: Mapping[str
         array[...] = plain
 
 
-def read_array(folder: Path) -> np.ndarray:
-    """The decoded array. Raises OSError, ValueError, KeyError, … if it is damaged; the caller hashes the result."""
+def read_array(folder: Path, shape: tuple[int, ...]) -> np.ndarray:
+    """The decoded array of that shape. Raises OSError, ValueError, KeyError, … if it is damaged; the caller hashes the result."""
     metadata = json.loads((folder / "zarr.json").read_bytes())
+    found, chunk = metadata["shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    # Before zarr makes room for it: a file of a few bytes can ask for any amount of memory.
+    if found != list(shape) or len(chunk) != len(shape) or any(a > b for a, b in zip(chunk, shape, strict=True)):
+        raise ValueError(f"its shape is {found!s:.60} in chunks of {chunk!s:.60}")
+    if metadata["data_type"] not in ("float32", "float64"):
+        raise ValueError(f"its data type is {metadata['data_type']!r:.40}")
     plain = _plain_chunk(folder, metadata)
     if plain is not None:
         return plain

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hts.channels import UNITS
+from hts import units
 from hts.errors import RecordingError, unknown_name
 from hts.recordings.recording import ROLES, Recording, Series
 
@@ -55,19 +55,17 @@ def _check_header(recording: Recording, where: str) -> None:
     if recording.role not in ROLES:
         raise RecordingError(f"{where}: " + unknown_name("role", recording.role, ROLES))
     joints = len(recording.joint_names)
-    for gain in ("kp", "kd"):
-        if len(getattr(recording, gain)) != joints:
+    gains = {"kp": recording.kp, "kd": recording.kd}
+    for gain, values in gains.items():
+        if len(values) != joints:
             raise RecordingError(
-                f"{where}: {gain} has {len(getattr(recording, gain))} values for {joints} joints. "
-                "Give one per joint, in joint order."
+                f"{where}: {gain} has {len(values)} values for {joints} joints. Give one per joint, in joint order."
             )
     numbers = {"rate_hz": recording.rate_hz, **{f"idle level of '{k}'": v for k, v in recording.idle.items()}}
     if recording.mass_kg is not None:
         numbers["mass_kg"] = recording.mass_kg
-    for gain in ("kp", "kd"):
-        numbers.update(
-            {f"{gain} of {j}": v for j, v in zip(recording.joint_names, getattr(recording, gain), strict=True)}
-        )
+    for gain, values in gains.items():
+        numbers.update({f"{gain} of {j}": v for j, v in zip(recording.joint_names, values, strict=True)})
     for name, number in numbers.items():
         if not math.isfinite(number):
             raise RecordingError(f"{where}: {name} is {number}. Expected a finite number; measure or state it.")
@@ -102,8 +100,8 @@ def _check_series(name: str, series: Series, recording: Recording, where: str) -
             f"{where}: channel '{channel.name}' is listed as '{name}'. "
             "Expected one name of letters, digits and _, other than 'time'."
         )
-    if channel.unit not in UNITS:
-        raise RecordingError(f"{where}: channel '{name}': " + unknown_name("unit", channel.unit, UNITS))
+    if not units.known(channel.unit):
+        raise RecordingError(f"{where}: channel '{name}': {units.unknown(channel.unit)}")
     if values.shape[1:] != tuple(channel.shape) or values.ndim == 0:
         raise RecordingError(
             f"{where}: '{name}' has shape {values.shape}. Expected (T, *{tuple(channel.shape)}), T samples first. "

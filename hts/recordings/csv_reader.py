@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hts import units
 from hts.channels import Channel
 from hts.config import Command, Config, ScheduleConfig
 from hts.contracts import LogReader, Robot
@@ -155,6 +156,9 @@ def _series(name: str, source: _Source, log: LogMapping, robot: Robot, grid: np.
         values = interpolate(source.times, source.values, grid)
     channel = _channel(name, one, len(source.column_names), robot)
     values = one.sign * one.scale * values + one.offset
+    scale, offset = units.conversion(one.unit, channel.unit)
+    if (scale, offset) != (1.0, 0.0):
+        values = scale * values + offset
     return Series(channel, values.reshape(len(grid), *channel.shape))
 
 
@@ -170,10 +174,13 @@ def _channel(name: str, one: ChannelMapping, components: int, robot: Robot) -> C
             )
         shape = () if components == 1 else (components,)
         return Channel(name, one.unit, shape, one.description, one.may_be_constant)
-    if own.unit != one.unit:
+    try:
+        units.conversion(one.unit, own.unit)
+    except RecordingError as error:
         raise ConfigError(
-            f"Mapping: '{name}' is in {own.unit} on robot '{robot.spec.name}', not {one.unit}. Convert with `scale`."
-        )
+            f"Mapping: '{name}' is in {own.unit} on robot '{robot.spec.name}', not {one.unit}: {error} Correct the unit, or "
+            "the column."
+        ) from error
     if int(np.prod(own.shape)) != components:
         raise ConfigError(
             f"Mapping: '{name}' has {components} columns, robot '{robot.spec.name}' gives it shape {own.shape}."
@@ -239,7 +246,9 @@ def _check_plausible(recording: Recording, log: LogMapping, robot: Robot, where:
     evidence = implausible(recording.channels, per_joint, robot.spec)
     for name, one in log.channels.items():
         if one.limits is not None:
-            evidence += outside(name, recording.channels[name], one.limits)
+            low, high = one.limits
+            scale, offset = units.conversion(one.unit, recording.channels[name].channel.unit)
+            evidence += outside(name, recording.channels[name], (scale * low + offset, scale * high + offset))
     if not evidence:
         return
     for name in recording.idle:

@@ -13,17 +13,21 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 import zlib
 from typing import Any
 
 import numpy as np
 
+from hts import units
 from hts.channels import Channel
 from hts.config import ScheduleConfig
 from hts.recordings.recording import Recording, Series
 
 SCHEMA_VERSION = 1
+LONGEST_NAME = 200  # characters
+MOST_NUMBERS = 1 << 31  # of one array: a hundred joints at 1 kHz for six hours
 ID_PATTERN = re.compile(r"[0-9a-f]{16}")
 
 
@@ -91,6 +95,31 @@ def to_attributes(recording: Recording) -> dict[str, Any]:
     }
 
 
+def fault_of(attributes: dict[str, Any]) -> str | None:
+    """What makes attributes unfit to be used, whoever wrote them; None if nothing does.
+
+    Names of arrays become paths and shapes become memory, so neither is taken on trust because an id fits its content.
+    """
+    arrays, samples = attributes.get("arrays"), attributes.get("samples")
+    if not isinstance(arrays, dict) or "time" not in arrays:
+        return "no 'arrays' with a 'time'"
+    if not isinstance(samples, int) or isinstance(samples, bool) or samples < 1:
+        return f"samples {samples!r:.40}, expected a number of at least 1"
+    for name, about in arrays.items():
+        if not name.isidentifier() or len(name) > LONGEST_NAME:
+            return f"an array named {name!r:.80}, expected letters, digits and _"
+        shape = about.get("shape") if isinstance(about, dict) else None
+        if not isinstance(shape, list) or not all(isinstance(size, int) and size > 0 for size in shape):
+            return f"'{name}' of shape {shape!r:.40}, expected a list of sizes"
+        if math.prod([samples, *shape]) > MOST_NUMBERS:
+            return (
+                f"'{name}' of {math.prod([samples, *shape]):.3g} numbers, more than any recording ({MOST_NUMBERS:.3g})"
+            )
+        if not all(isinstance(about.get(key), str) for key in ("unit", "sha256", "crc32")):
+            return f"'{name}' without unit or hash"
+    return None
+
+
 def content_id(attributes: dict[str, Any]) -> str:
     """The id that these attributes deserve. Raises ValueError if they hold NaN or something that is not JSON."""
     text = json.dumps(attributes, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -104,6 +133,7 @@ def from_attributes(
     channels = {}
     for name, samples in values.items():
         about = attributes["arrays"][name]
+        units.keep(about["unit"])  # the plugin that defined it need not be here for its recordings to open
         channel = Channel(name, about["unit"], tuple(about["shape"]), about["description"], about["may_be_constant"])
         channels[name] = Series(channel, samples)
     return Recording(

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from hts.channels import UNITS
+from hts import units
 from hts.config import Config, ScheduleConfig
 from hts.errors import ConfigError, unknown_name
 from hts.explain import explain
@@ -40,10 +40,12 @@ class ChannelMapping(Config):
     columns: ColumnName | tuple[ColumnName, ...] = Field(
         description="a column; a list of them; a range of numbers '13..24'; or a pattern with {joint}"
     )
-    unit: str = Field(description="of the value after sign, scale and offset; one of hts.channels.UNITS")
+    unit: str = Field(
+        description="of the value after sign, scale and offset, see hts.units; converted to that of the robot's channel"
+    )
     file: str | None = Field(None, description="which of `files` the columns are in")
     sign: Literal[1, -1] = Field(1, description="-1 where the log counts the other way")
-    scale: float = Field(1.0, description="factor to the unit above")
+    scale: float = Field(1.0, description="factor to the unit above, where the log has none that has a name")
     offset: float = Field(0.0, description="added after the factor, in the unit above")
     resample: Literal["interpolate", "mean"] = Field(
         "interpolate", description="value at each sample's instant, or mean over one sample period around it"
@@ -58,8 +60,8 @@ class ChannelMapping(Config):
     @field_validator("unit")
     @classmethod
     def _known_unit(cls, unit: str) -> str:
-        if unit not in UNITS:
-            raise ValueError(unknown_name("unit", unit, UNITS))
+        if not units.known(unit):
+            raise ValueError(units.unknown(unit))
         return unit
 
 

@@ -18,6 +18,8 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from hts.atomic import atomic_write, sync
+
 PREFIX = ".partial-"
 
 
@@ -39,28 +41,26 @@ def publish(folder: Path, final: Path) -> bool:
     Returns False, changing nothing, if `final` is there already. Raises OSError.
     """
     paths = [
-        path for parent, _, files in os.walk(folder) for path in (parent, *(os.path.join(parent, f) for f in files))
+        Path(path)
+        for parent, _, files in os.walk(folder)
+        for path in (parent, *(os.path.join(parent, f) for f in files))
     ]
     with ThreadPoolExecutor(max_workers=8) as pool:  # waiting disks can wait for many files at once
-        list(pool.map(_sync, paths))
+        list(pool.map(sync, paths))
     try:
         os.rename(folder, final)
     except OSError as error:
         if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
             return False
         raise
-    _sync(str(final.parent))
+    sync(final.parent)
     return True
 
 
 def publish_file(text: str, final: Path) -> None:
     """Write a small file so that it is never seen half-written. Raises OSError."""
-    with partial_folder(final.parent) as folder:
-        part = folder / final.name
-        part.write_text(text)
-        _sync(str(part))
-        os.replace(part, final)
-    _sync(str(final.parent))
+    with partial_folder(final.parent) as folder:  # several processes may be making the same store
+        atomic_write(final, text, temporary=folder / final.name)
 
 
 def clean(store: Path) -> int:
@@ -113,11 +113,3 @@ def _same(handle: int, folder: Path) -> bool:
         return os.path.samestat(os.fstat(handle), os.stat(folder))
     except FileNotFoundError:
         return False
-
-
-def _sync(path: str) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -34,6 +34,7 @@ from hts.recordings.header import (
     array_digest,
     content_id,
     dataset_digest,
+    fault_of,
     from_attributes,
     to_attributes,
 )
@@ -100,6 +101,9 @@ class RecordingStore:
             raise RecordingError(
                 f"{file}: damaged: the attributes are not those that {recording_id} was named for. {remedy}"
             )
+        fault = fault_of(attributes)
+        if fault is not None:
+            raise RecordingError(f"{file}: holds {fault}. {remedy}")
         return attributes
 
     def read(self, recording_id: str, channels: Iterable[str] | None = None) -> Recording:
@@ -115,7 +119,13 @@ class RecordingStore:
                 raise RecordingError(f"{self._folder(recording_id)}: " + unknown_name("channel", name, known))
         values = {name: self._array(recording_id, attributes, name) for name in wanted}
         time = self._array(recording_id, attributes, "time")
-        return from_attributes(attributes, time, values, recording_id)
+        try:
+            return from_attributes(attributes, time, values, recording_id)
+        except (KeyError, TypeError, ValueError) as error:  # attributes that fit their id, and say too little
+            what = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise RecordingError(
+                f"{self._folder(recording_id) / 'zarr.json'}: not the attributes of a recording ({what})."
+            ) from error
 
     def dataset(self, ids: Iterable[str]) -> Dataset:
         """Name a set of recordings by ids and the SHA-256 of their decoded arrays; order and repeats do not matter.
@@ -234,12 +244,12 @@ class RecordingStore:
         folder = self.path / recording_id / name
         about = attributes["arrays"][name]
         remedy = f"Delete the folder {folder.parent} and collect or import this recording again."
+        shape = (attributes["samples"], *about["shape"])
         try:
-            values = read_array(folder)
+            values = read_array(folder, shape)
         # Whatever the array's metadata and codecs trip over, to the user it is one thing: a damaged array.
         except Exception as error:
             what = f"{type(error).__name__}: {error}".splitlines()[0]
-            shape = (attributes["samples"], *about["shape"])
             raise RecordingError(f"{folder}: damaged ({what}). Expected samples of shape {shape}. {remedy}") from error
         found, expected = (array_digest(values), about["sha256"]) if proof else (array_checksum(values), about["crc32"])
         if found != expected:

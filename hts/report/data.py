@@ -38,6 +38,11 @@ class RunData:
         return str(world.get("name", "unknown")) if isinstance(world, dict) else str(world or "unknown")
 
     @property
+    def world_simulated(self) -> bool | None:
+        """Whether its world computes physics; None if it does not say. Runs of before worlds said so: by its name."""
+        return self.summary.get("world_simulated", {"twin": True, "field": False}.get(self.world))
+
+    @property
     def objectives(self) -> list[str]:
         return list(self.summary.get("objectives") or self.final)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from importlib import resources
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 import hts
+from hts.atomic import atomic_write
 from hts.errors import RunError
 from hts.report import wording
 from hts.report.data import Json, RunData, read_run
@@ -21,17 +21,11 @@ from hts.report.measurement_figure import proxy_r2
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WORLDS = {
-    "twin": (
-        "Simulated reality.",
-        (
-            "No robot was involved. The measurements come from a twin: a second simulation with other dynamics and its own "
-            "simulated instruments, into which learning could not look. They show that the method works there; what a "
-            "real robot gains only a real robot can tell."
-        ),
-    ),
-    "field": ("A real robot.", "The measurements were recorded by a person with a robot and imported."),
+SOURCES = {
+    "twin": "a twin: a second simulation with other dynamics and its own simulated instruments, into which learning could not look",
+    "field": "recorded by a person with a robot and imported",
 }
+"""Where the measurements of our own worlds come from; the end of a sentence."""
 PLAIN_VALUE = 160  # characters; longer ones (a diff) are left to provenance.json
 
 
@@ -46,13 +40,9 @@ def write_report(folder: Path) -> Path:
     template = resources.files("hts.report").joinpath("page.html.j2").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     path = Path(folder) / "report.html"
-    partial = path.with_name("report.html.partial")
     try:
-        html = environment.from_string(template).render(**contents(run))
-        partial.write_text(html, encoding="utf-8")
-        os.replace(partial, path)
+        atomic_write(path, environment.from_string(template).render(**contents(run)))
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise RunError(
             f"{path}: cannot be written ({error.strerror}). Make room or permission, then: hts report {folder}"
         ) from error
@@ -62,14 +52,12 @@ def write_report(folder: Path) -> Path:
 def contents(run: RunData) -> dict[str, Any]:
     """Everything the template shows; draws and saves the figures on the way."""
     summary = run.summary
-    title, text = WORLDS.get(
-        run.world, (f"World: {run.world}.", "The measurements come from a world that a plugin offers.")
-    )
+    title, text = world_words(run)
     objectives = [_objective(run, name) for name in run.objectives]
     return {
         "title": f"{wording.label(' and '.join(run.objectives))} on {summary.get('robot', 'a robot')}",
         "facts": _facts(run),
-        "world_simulated": run.world == "twin",
+        "world_simulated": bool(run.world_simulated),
         "world_title": title,
         "world_text": text,
         "front": front_part(run),
@@ -81,6 +69,20 @@ def contents(run: RunData) -> dict[str, Any]:
         "config": yaml.safe_dump(run.config, sort_keys=False, allow_unicode=True) if run.config else "",
         "version": hts.__version__,
     }
+
+
+def world_words(run: RunData) -> tuple[str, str]:
+    """Title and text that say what the measurements are: computed, or of a machine, or that nobody said."""
+    if run.world_simulated:
+        source = SOURCES.get(run.world, f"the world '{run.world}', which computes its physics")
+        return "Simulated reality.", (
+            f"No robot was involved. The measurements come from {source}. They show that the method works there; what a "
+            "real robot gains only a real robot can tell."
+        )
+    if run.world_simulated is False:
+        source = SOURCES.get(run.world, f"made on a machine, in the world '{run.world}'")
+        return "A real robot.", f"The measurements were {source}."
+    return f"World: {run.world}.", "The measurements come from a world that a plugin offers."
 
 
 def _facts(run: RunData) -> list[str]:

@@ -116,8 +116,8 @@ class SplitStepCollector(BaseCollector):
         action = loc
         if policy.random is not None:
             action = loc + policy.log_std(loc.ndim).exp() * policy.random.normal(*loc.shape[1:])
-        step = {(name,): value for name, value in seen.items()} | {("loc",): loc, ("action",): action}
-        return step, env.begin_step(action)
+        step: dict[Key, torch.Tensor] = {(name,): value for name, value in seen.items()}
+        return step | {("loc",): loc, ("action",): action}, env.begin_step(action)
 
     def _batch(self, rows: Mapping[Key, torch.Tensor]) -> TensorDict:
         """rows [P, N, T, ...] by key, as a TensorDict. The flags at a step's beginning are always false."""

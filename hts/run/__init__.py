@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hts.config import RunConfig
-
-CONFIG_PART = ".config.yaml.tmp"
-"""All that a run leaves which was killed before it began."""
+    from hts.plugins import Registry
 
 
-def start_run(config: RunConfig, out: Path, *, dry_run: bool = False) -> Path:
-    """Run into the new folder `out`; returns it. dry_run: only say what it would cost.
+def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: Registry | None = None) -> Path:
+    """Run into the new folder `out`; returns it. dry_run: only say what it would cost; registry: left out, it is loaded.
 
     Raises RunError if the folder holds something already; nothing is ever overwritten. Whatever can be wrong with
     names, settings and folder shows before anything heavy is imported.
@@ -22,7 +20,7 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False) -> Path:
     from hts.config_loading import check_names
     from hts.plugins import load
 
-    registry = load()
+    registry = registry or load()
     check_names(config, registry)
     if dry_run:
         from hts.run.cost import estimate, print_estimate
@@ -33,10 +31,10 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False) -> Path:
         print_estimate(estimate(config, registry))
         return Path(out)
     _make_folder(with_engine(config), Path(out))
-    return resume_run(out)
+    return resume_run(out, registry)
 
 
-def resume_run(folder: Path) -> Path:
+def resume_run(folder: Path, registry: Registry | None = None) -> Path:
     """Go on where a run stopped; a finished run only prints its table again."""
     from hts.config_loading import read_config
 
@@ -44,9 +42,10 @@ def resume_run(folder: Path) -> Path:
     if not (Path(folder) / "summary.json").exists():  # whoever only wants to see the table needs no GPU
         config = with_engine(config)
 
+    from hts.plugins import load
     from hts.run import algorithm
 
-    return algorithm.run(config, Path(folder))
+    return algorithm.run(config, Path(folder), registry or load())
 
 
 def with_engine(config: RunConfig) -> RunConfig:
@@ -62,12 +61,11 @@ def with_engine(config: RunConfig) -> RunConfig:
 
 def _make_folder(config: RunConfig, out: Path) -> None:
     """The folder with its config.yaml, which is all that `resume_run` needs."""
+    from hts.atomic import atomic_write, temporary_of
     from hts.config_loading import dump_config
     from hts.errors import RunError
 
-    if out.exists() and any(entry.name != CONFIG_PART for entry in out.iterdir()):
+    left = temporary_of(out / "config.yaml")  # all that a run leaves which was killed before it began
+    if out.exists() and any(entry != left for entry in out.iterdir()):
         raise RunError(f"{out}: is not empty. Go on with `hts resume {out}`, or choose another --out.")
-    out.mkdir(parents=True, exist_ok=True)
-    temporary = out / CONFIG_PART
-    temporary.write_text(dump_config(config), encoding="utf-8")
-    temporary.replace(out / "config.yaml")
+    atomic_write(out / "config.yaml", dump_config(config))

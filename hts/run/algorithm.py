@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig
-from hts.plugins import load
+from hts.plugins import Registry
 from hts.report import write_report
 from hts.report.table import print_table
 from hts.run.job import Job
@@ -32,11 +32,11 @@ STAGES_PER_ITERATION = 4
 STAGES_AROUND = 4  # collect, final, summary, report
 
 
-def run(config: RunConfig, folder: Path) -> Path:
+def run(config: RunConfig, folder: Path, registry: Registry) -> Path:
     """Do what is not done yet of the run in `folder`; returns it. Raises RunError if another process works there."""
     progress = Progress(total=STAGES_AROUND + STAGES_PER_ITERATION * config.iterations)
     stages = Stages(folder, progress)
-    job = Job(config, folder, load(), stages)
+    job = Job(config, folder, registry, stages)
     try:
         summary = algorithm_1(job)
     finally:

@@ -23,9 +23,6 @@ raw and normalised, channels, actions, and their gradients' working copies)."""
 BASE_MEMORY_GB = 1.2
 """The libraries in the run's own process and in two processes of a twin, before anything is trained."""
 
-HEAD_TO_HEAD_SECONDS = 320.0
-"""Of a world that does not say: four blocks of 80 s, as in the paper."""
-
 
 def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
     """Numbers of a run that hold if nothing is refused; times are rough."""
@@ -38,9 +35,11 @@ def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
         hashes: dict[str, str] = {anchor: anchor if iteration else "one" for anchor in config.sweep.anchors}
         counts.append(len(candidates(iteration, hashes, weights, config.sweep.kl_bounds)))
     nowhere = Path(tempfile.gettempdir()) / "hts-dry-run"  # a name only: worlds write with their first request
-    context = WorldContext(config.robot.name, config.robot.settings, config.objectives, config.seed, folder=nowhere)
+    context = WorldContext(
+        config.robot.name, config.robot.settings, config.objectives, config.seed, folder=nowhere, registry=registry
+    )
     world = registry.make_world(config.world.name, config.world.settings, context)
-    per_test = world.head_to_head_seconds() if hasattr(world, "head_to_head_seconds") else HEAD_TO_HEAD_SECONDS
+    per_test = world.head_to_head_seconds()
     elites = sum(min(config.selection.elites, count) for count in counts)
     collected = config.collection.repeats + config.collection.exploring
     robot_seconds = 0.0 if proxy else config.collection.schedule.seconds * collected

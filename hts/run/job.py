@@ -52,9 +52,8 @@ class Job:
             self.save("pretrained", load_policy(source, self.robot.spec))
         if not (self.folder / "provenance.json").exists():
             plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}
-            write_json(
-                self.folder / "provenance.json", collect_provenance(self.config.seed, self.config.engine, plugins)
-            )
+            found = collect_provenance(self.config.seed, self.config.engine, plugins, self.config.provenance.diff)
+            write_json(self.folder / "provenance.json", found)
 
     @cached_property
     def combinations(self) -> list[dict[str, float]]:
@@ -110,7 +109,7 @@ class Job:
         """Where policies run "for real"."""
         context = WorldContext(
             robot=self.config.robot.name, robot_settings=self.config.robot.settings, objectives=self.config.objectives,
-            seed=self.config.seed, folder=self.folder / "world",
+            seed=self.config.seed, folder=self.folder / "world", registry=self.registry,
         )  # fmt: skip
         return self.registry.make_world(self.config.world.name, self.config.world.settings, context)
 
@@ -156,9 +155,8 @@ class Job:
         return ids
 
     def watch(self, report: Callable[[float], None]) -> None:
-        """Let the world report its progress, if it can."""
-        if hasattr(self.world, "on_progress"):
-            self.world.on_progress = report
+        """Let the world report its progress."""
+        self.world.on_progress(report)
 
     def close(self) -> None:
         if "world" in self.__dict__:

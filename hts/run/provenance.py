@@ -1,7 +1,8 @@
-"""Where a result came from: versions, commit, diff, seeds, hardware."""
+"""Where a result came from: versions, commit, whether the sources were changed, seeds, hardware."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import re
@@ -15,14 +16,20 @@ from typing import Any
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # at the beginning of a requirement (PEP 508)
 
 
-def collect(seed: int, engine: str, plugins: dict[str, str]) -> dict[str, Any]:
-    """JSON values; plugins: entry point -> the distribution that registered it."""
+def collect(seed: int, engine: str, plugins: dict[str, str], diff: bool = False) -> dict[str, Any]:
+    """JSON values; plugins: entry point -> the distribution that registered it.
+
+    diff: keep what `git diff HEAD` says of the sources too. Without it only its SHA-256 is kept, so that two results can be
+    told to come from the same sources, and nobody's unpublished work lies in a folder that is passed on.
+    """
+    changes = _git("diff", "HEAD")
     return {
         "python": sys.version.split()[0],
         "packages": packages(plugins.values()),
         "plugins": plugins,
         "commit": _git("rev-parse", "HEAD"),
-        "diff": _git("diff", "HEAD"),
+        "diff_sha256": hashlib.sha256(changes.encode()).hexdigest() if changes else None,  # null: as committed
+        **({"diff": changes} if diff else {}),
         "seed": seed,
         "engine": engine,
         "hardware": {

@@ -5,12 +5,12 @@ from __future__ import annotations
 import fcntl
 import json
 import math
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from hts.atomic import atomic_write
 from hts.errors import RunError
 from hts.run.progress import Progress
 
@@ -18,22 +18,8 @@ TIMES = "log/stages.json"
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write in one move, infinity and NaN as null; a reader sees the old file or the new one, never half of one.
-
-    Raises OSError naming the file if the disk refuses.
-    """
-    text = json.dumps(_finite(value), indent=1, allow_nan=False) + "\n"
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from error
+    """`atomic_write` of a JSON value, infinity and NaN as null. Raises OSError naming the file if the disk refuses."""
+    atomic_write(path, json.dumps(_finite(value), indent=1, allow_nan=False) + "\n")
 
 
 def read_json(path: Path) -> Any:

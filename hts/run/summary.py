@@ -35,7 +35,7 @@ def summarise(job: Job) -> dict[str, Any]:
     checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(config.iterations)]
     ranks = {name: pooled_ranks([check[name] for check in checks]) for name in job.objectives} if learned else {}
     return {
-        "objectives": list(config.objectives), "robot": config.robot.name, "world": config.world.name,
+        "objectives": list(config.objectives), "robot": config.robot.name, "world": config.world.name, "world_simulated": job.world.simulated,
         "preset": config.preset, "engine": config.engine, "seed": config.seed, "reward_source": config.reward_source,
         "wall_seconds": round(sum(job.stages.seconds().values()), 1), "sim_steps": steps,
         "real_samples": samples + final["samples"], "iterations": iterations, "measurement_models": ranks,

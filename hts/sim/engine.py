@@ -6,9 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from hts.config_loading import ENGINES
-from hts.errors import ConfigError, unknown_name
-
 if TYPE_CHECKING:
     import mujoco
     import torch
@@ -83,30 +80,3 @@ def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
         start = int(model.sensor_adr[index])
         slices[model.sensor(index).name] = slice(start, start + int(model.sensor_dim[index]))
     return slices
-
-
-def make_engine(
-    name: str, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, **options: Any
-) -> Engine:
-    """The engine called `name`; "auto" is the fastest that works here (see `hts.sim.selection`).
-
-    models: M compiled variants of one robot that differ in numbers only; assignment (W,): variant of each world.
-    Raises ConfigError for an unknown engine or one whose package or device is missing.
-    """
-    if name == "auto":
-        from hts.sim.selection import select_engine
-
-        name = select_engine(name, options.get("device", "auto"))
-    if name == "mujoco":
-        from hts.sim.mujoco_engine import MujocoEngine
-
-        return MujocoEngine(models, assignment, substeps, threads=options.get("threads", 0))
-    if name == "warp":
-        from hts.sim.warp_engine import make_warp_engine
-
-        return make_warp_engine(
-            models, assignment, substeps, device=options.get("device", "auto"),
-            contacts_per_world=options.get("contacts_per_world", 0),
-            constraints_per_world=options.get("constraints_per_world", 0),
-        )  # fmt: skip
-    raise ConfigError(unknown_name("engine", name, ENGINES))

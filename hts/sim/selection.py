@@ -1,13 +1,19 @@
-"""Which engine a run gets: the one that was asked for if it can work here, with `auto` the fastest that can."""
+"""Which engine a run gets: the one that was asked for if it can work here, with `auto` the fastest that can; and making it."""
 
 from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
-from hts.config_loading import check_engine
+from hts.engines import check_engine
 from hts.errors import ConfigError
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from hts.sim.engine import Engine
 
 
 def select_engine(name: str, device: str = "auto", tell: Callable[[str], None] | None = None) -> str:
@@ -51,3 +57,27 @@ def require_warp(device: str = "auto") -> None:
     place = torch_device(device)
     warp, _ = import_warp()
     warp_device(warp, place)
+
+
+def make_engine(
+    name: str, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, **options: Any
+) -> Engine:
+    """The engine called `name`; "auto" is the fastest that works here (see `select_engine`).
+
+    models: M compiled variants of one robot that differ in numbers only; assignment (W,): variant of each world.
+    Raises ConfigError for an unknown engine or one whose package or device is missing.
+    """
+    check_engine(name)
+    if name == "auto":
+        name = select_engine(name, options.get("device", "auto"))
+    if name == "mujoco":
+        from hts.sim.mujoco_engine import MujocoEngine
+
+        return MujocoEngine(models, assignment, substeps, threads=options.get("threads", 0))
+    from hts.sim.warp_engine import make_warp_engine
+
+    return make_warp_engine(
+        models, assignment, substeps, device=options.get("device", "auto"),
+        contacts_per_world=options.get("contacts_per_world", 0),
+        constraints_per_world=options.get("constraints_per_world", 0),
+    )  # fmt: skip

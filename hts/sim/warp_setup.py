@@ -164,4 +164,6 @@ def _numbers(value: Any) -> np.ndarray:
     """A field of a mujoco_warp model as numbers; empty for what is neither an array nor a number."""
     if isinstance(value, (bool, int, float, np.generic, np.ndarray)):
         return np.asarray(value)
-    return value.numpy() if hasattr(value, "numpy") else np.empty(0)
+    from warp import array
+
+    return value.numpy() if isinstance(value, array) else np.empty(0)

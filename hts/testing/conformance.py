@@ -89,7 +89,7 @@ def _checked(
         yield _tried(package, f"module {plugin.module}", _imports_nothing_heavy, plugin.module)
         yield _tried(package, f"module {plugin.module}", _offers_something, registry, package)
     for kind, word in KINDS.items():
-        for entry in getattr(registry, kind).values():
+        for entry in registry.offered(kind).values():
             if entry.package == package:
                 for check in CHECKS[kind]:
                     yield _tried(package, f"{word} '{entry.name}'", check, entry, registry)
@@ -123,7 +123,7 @@ def _imports_nothing_heavy(module: str) -> None:
 
 def _offers_something(registry: Registry, package: str) -> None:
     """It registers one thing at least; hooks carry `@hookimpl` and call `register`."""
-    if not any(entry.package == package for kind in KINDS for entry in getattr(registry, kind).values()):
+    if not any(entry.package == package for kind in KINDS for entry in registry.offered(kind).values()):
         raise PluginError("registers nothing")
 
 

@@ -15,7 +15,7 @@ from hts.config_loading import dump_config, load_config
 from hts.contracts import Objective
 from hts.evaluation.final import candidate_result, entry_of, head_to_heads, segment_scores
 from hts.recordings.recording import Recording
-from hts.testing.known_worlds import CostObjective, known_head_to_head
+from hts.testing.made_up_recordings import CostObjective, known_head_to_head
 
 SAVINGS = {"0.5": 0.20, "0.8": 0.17, "1.1": 0.13}
 """True saving of the final policy at each commanded speed, m/s."""

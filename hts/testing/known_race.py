@@ -15,7 +15,7 @@ from hts.evaluation.head_to_head import TooFewSegments, point
 from hts.recordings.recording import Recording
 from hts.run.testing_elites import Tests, race
 from hts.selection.racing import Racing, RacingSettings
-from hts.testing.known_worlds import CostObjective, known_recording
+from hts.testing.made_up_recordings import CostObjective, known_recording
 from hts.worlds.base import round_order, shared_out
 
 

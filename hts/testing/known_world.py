@@ -33,6 +33,7 @@ class KnownWorld(World):
     """Answers at once. The same request gets the same recordings."""
 
     name = "known"
+    simulated = True
 
     def __init__(
         self, robot: Robot, objectives: Sequence[Objective], idle: Mapping[str, float], extra: Sequence[Channel] = (),
@@ -75,29 +76,30 @@ class KnownWorld(World):
         from hts.policies.deploy import DeployedPolicy
 
         spec, rng = self.robot.spec, np.random.default_rng(seed_sequence(self.seed, "0", walk))
-        told = commands(schedule, spec.control_rate_hz)
+        commanded = commands(schedule, spec.control_rate_hz)
         values = {
-            name: rng.standard_normal((len(told), *channel.shape)) for name, channel in self.robot.channels().items()
+            name: rng.standard_normal((len(commanded), *channel.shape))
+            for name, channel in self.robot.channels().items()
         }
         values |= {
-            "base_velocity": np.column_stack([told[:, 0], np.zeros((len(told), 2))]),
-            "projected_gravity": np.tile([0.0, 0.0, -1.0], (len(told), 1)),
-            "command": told,
+            "base_velocity": np.column_stack([commanded[:, 0], np.zeros((len(commanded), 2))]),
+            "projected_gravity": np.tile([0.0, 0.0, -1.0], (len(commanded), 1)),
+            "command": commanded,
         }
-        first = np.stack([v.mean(-1) for name, v in values.items() if name.startswith("joint_")] or [told[:, 0]])
+        first = np.stack([v.mean(-1) for name, v in values.items() if name.startswith("joint_")] or [commanded[:, 0]])
         shape = 1.0 + self.settings.swing * np.tanh(first.sum(0))  # (T,)
         for name, channel in self.real.items():
             above = self.settings.level * shape * (factor if name in self._idle else 1.0)
             values[name] = np.broadcast_to(
                 (self._idle.get(name, 0.0) + above).reshape(-1, *(1 for _ in channel.shape)),
-                (len(told), *channel.shape),
+                (len(commanded), *channel.shape),
             )
         known = {**self.robot.channels(), **self.real}
-        length = len(told) / spec.control_rate_hz
+        length = len(commanded) / spec.control_rate_hz
         return Recording(
             robot=spec.name, world=self.name, policy_hash=DeployedPolicy(Path(policy)).card.policy_hash, iteration=0,
             joint_names=spec.joint_names, kp=spec.kp, kd=spec.kd, rate_hz=spec.control_rate_hz, schedule=schedule,
-            idle=self._idle, clock="simulated", time=block * length + np.arange(len(told)) / spec.control_rate_hz,
+            idle=self._idle, clock="simulated", time=block * length + np.arange(len(commanded)) / spec.control_rate_hz,
             channels={name: Series(known[name], array) for name, array in values.items() if name in known},
             mass_kg=10.0, session=session, block=block, role=role,
         )  # fmt: skip
@@ -107,7 +109,7 @@ def make_known(settings, context: WorldContext) -> KnownWorld:
     """The world `known` for the robot and the objectives of a run, found in the registry."""
     from hts.plugins import load
 
-    registry = load()
+    registry = context.registry or load()
     robot = registry.make_robot(context.robot, context.robot_settings)
     objectives = [registry.make_objective(name, given) for name, given in context.objectives.items()]
     idle: dict[str, float] = {}

@@ -84,7 +84,7 @@ def first_run(kind: str, name: str) -> str:
 def _refuse_taken(kind: str, name: str) -> None:
     """Two things of one kind and name would stop every command, so that name is refused now."""
     with kit_installed():  # whose names tests of the package need
-        entry = getattr(load(), f"{_field(kind)}s").get(name)
+        entry = load().offered(f"{_field(kind)}s").get(name)
     if entry is not None:
         raise ConfigError(f"'{name}' is taken: {entry.package} offers the {kind} of that name. Choose another one.")
 

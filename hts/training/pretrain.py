@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from hts.atomic import atomic_write
 from hts.config import PretrainConfig
 from hts.contracts import Robot
 from hts.errors import ConfigError
@@ -61,6 +62,6 @@ def pretrain_policy(
     }  # fmt: skip
     card = make_card(robot.spec, tensors, layout, sizes, **made)
     path = save_policy(Path(out) / "pretrained.safetensors", Policy(tensors, card))
-    (Path(out) / "curve.json").write_text(json.dumps(curve, indent=1) + "\n")
+    atomic_write(Path(out) / "curve.json", json.dumps(curve, indent=1) + "\n")
     trainer.close()
     return path

@@ -28,9 +28,9 @@ def round_order(policies: int, number: int) -> list[int | None]:
     half holds one block of everybody. Who begins moves on from round to round: what a block leaves to the next
     (warm motors) then falls on others.
     """
-    crew: list[int | None] = [None, *range(policies)]
-    first = number % len(crew)
-    there = crew[first:] + crew[:first]
+    walkers: list[int | None] = [None, *range(policies)]
+    first = number % len(walkers)
+    there = walkers[first:] + walkers[:first]
     return there + there[::-1]
 
 
@@ -60,18 +60,18 @@ def walking(speed: float, seconds: float) -> ScheduleConfig:
 class Operator:
     """Keeps the heading of W robots as a person with a joystick would.
 
-    While a robot is told to walk without turning, yaw rate = clip(0.5 * heading error, -1, 1); the heading to keep
-    is the one it had when that began. A robot told to stand still gets no correction.
+    While a robot is commanded to walk without turning, yaw rate = clip(0.5 * heading error, -1, 1); the heading to keep
+    is the one it had when that began. A robot commanded to stand still gets no correction.
     """
 
     def __init__(self, num_worlds: int) -> None:
         self._wanted = np.zeros(num_worlds)
         self._keeping = np.zeros(num_worlds, dtype=bool)
 
-    def command(self, told: np.ndarray, heading: np.ndarray) -> np.ndarray:
-        """What is sent to the robots, (W, 3). told: of the schedule (W, 3) or (3,); heading: rad (W,)."""
+    def command(self, commanded: np.ndarray, heading: np.ndarray) -> np.ndarray:
+        """What is sent to the robots, (W, 3). commanded: of the schedule (W, 3) or (3,); heading: rad (W,)."""
         sent = np.empty((len(heading), 3))
-        sent[:] = told
+        sent[:] = commanded
         straight = (sent[:, 2] == 0) & ((sent[:, 0] != 0) | (sent[:, 1] != 0))
         begins = straight & ~self._keeping
         self._wanted[begins] = heading[begins]

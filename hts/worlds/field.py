@@ -7,15 +7,18 @@ command to type next. When the logs lie in the bundle, the same request reads th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field
 
+from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import Settings, World, WorldContext
+from hts.contracts import Installed, Settings, World, WorldContext
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
+from hts.plugins import load
 from hts.recordings.recording import Recording
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out, walking
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
@@ -39,6 +42,7 @@ class FieldWorld(World):
     """Deploy bundles out, logs in. A request is known by its content, so asking again after a restart finds its logs."""
 
     name = "field"
+    simulated = False
 
     def __init__(self, settings: FieldSettings, context: WorldContext) -> None:
         self.settings, self._context = settings, context
@@ -62,6 +66,9 @@ class FieldWorld(World):
             for number, policy in enumerate(policies)
         ]
         return self._recordings(request, orders)
+
+    def head_to_head_seconds(self) -> float:
+        return len(ORDER) * self.settings.block_seconds
 
     def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
         return self.head_to_heads([policy], reference, speeds)[0]
@@ -123,10 +130,9 @@ class FieldWorld(World):
         return [self._read(files[order.name], order) for order in orders]
 
     def _read(self, files: Sequence[Path], order: Order) -> Recording:
-        from hts import plugins
         from hts.policies.deploy import DeployedPolicy
 
-        registry, mapping = plugins.load(), self._mapping()
+        registry, mapping = self._registry, self._mapping()
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
         facts |= {
             "world": self.name, "policy_hash": DeployedPolicy(order.policy).card.policy_hash, "session": order.session,
@@ -145,6 +151,10 @@ class FieldWorld(World):
             )
         return recording
 
+    @cached_property
+    def _registry(self) -> Installed:
+        return self._context.registry or load()
+
     def _mapping_path(self) -> Path:
         return self.settings.mapping or self._folder / "mapping.yaml"
 
@@ -154,9 +164,7 @@ class FieldWorld(World):
 
         path = self._mapping_path()
         if self.settings.mapping is None and not path.exists():
-            from hts import plugins
-
-            registry = plugins.load()
+            registry = self._registry
             robot = registry.make_robot(self._context.robot, self._context.robot_settings)
             real: dict[str, Channel] = {}
             for name, settings in self._context.objectives.items():
@@ -166,8 +174,7 @@ class FieldWorld(World):
                     instrument = registry.make_instrument(objective.instrument, {}, robot)
                     levels = instrument.idle()
                     real |= {channel.name: channel for channel in instrument.channels if channel.name in levels}
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(mapping_template(robot.spec, robot.channels(), list(real.values())), encoding="utf-8")
+            atomic_write(path, mapping_template(robot.spec, robot.channels(), list(real.values())))
         return load_mapping(path)
 
     @staticmethod

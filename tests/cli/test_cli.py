@@ -46,7 +46,7 @@ def fake_run(monkeypatch):
     module.calls = []
     module.error = None
 
-    def start_run(config, out, *, dry_run=False):
+    def start_run(config, out, *, dry_run=False, registry=None):
         module.calls.append((config, out, dry_run))
         if module.error:
             raise module.error
@@ -176,7 +176,7 @@ def test_resume_wants_a_run_folder(fake_run, tmp_path, capsys):
 
 
 def test_ctrl_c_says_how_to_go_on(fakes, fake_run, tmp_path, capsys):
-    def start_run(config, out, *, dry_run=False):
+    def start_run(config, out, *, dry_run=False, registry=None):
         (out / "config.yaml").write_text("")
         raise KeyboardInterrupt
 

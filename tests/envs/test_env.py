@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import pytest
 import torch
@@ -10,6 +12,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from hts.config import CommandConfig, EnvConfig, RandomisationConfig
+from hts.contracts import Robot
 from hts.envs.observation import NOISE, observation_layout
 from hts.errors import ConfigError, SimulationError
 
@@ -423,3 +426,17 @@ def test_a_robot_without_a_model_cannot_be_simulated(robot):
 
     with pytest.raises(ConfigError, match="log-only"):
         LogOnly(Go1Settings()).make_env("mujoco", 1, 1, EnvConfig(randomisation=CALM))
+
+
+def test_a_robot_that_says_nothing_of_its_env_is_told_what_to_derive_from(robot):
+    class Plain(Robot):
+        spec = robot.spec
+        mjcf, channels, pretrained_policy = robot.mjcf, robot.channels, robot.pretrained_policy
+
+    with pytest.raises(ConfigError, match=r"'go1' has no env to train in.*hts\.envs\.velocity_robot\.VelocityRobot"):
+        Plain().make_env("mujoco", 1, 1, EnvConfig())
+
+
+def test_a_velocity_robot_is_imported_without_torch_and_mujoco():
+    code = "import sys, hts.envs.velocity_robot; sys.exit(bool({'torch', 'mujoco'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -16,7 +16,7 @@ from hts.evaluation.head_to_head import TooFewSegments, compare
 from hts.evaluation.intervals import interval, lag_one_correlation, variance_of_mean
 from hts.plugins import Entry, Registry
 from hts.recordings.store import RecordingStore
-from hts.testing.known_worlds import CostObjective, known_head_to_head, known_recording
+from hts.testing.made_up_recordings import CostObjective, known_head_to_head, known_recording
 
 OBJECTIVE = CostObjective()
 QUICK = EvaluationConfig(bootstrap=200)

@@ -14,7 +14,7 @@ from hts.evaluation.final import entry_of, walked_speeds
 from hts.evaluation.head_to_head import TooFewSegments
 from hts.recordings.recording import Recording, Series
 from hts.report.table import print_table
-from hts.testing.known_worlds import CostObjective
+from hts.testing.made_up_recordings import CostObjective
 
 CONFIG = EvaluationConfig(bootstrap=100)
 

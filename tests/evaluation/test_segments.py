@@ -8,7 +8,7 @@ import pytest
 from hts.config import Command, ScheduleConfig
 from hts.errors import RecordingError
 from hts.evaluation.segments import cut
-from hts.testing.known_worlds import known_recording
+from hts.testing.made_up_recordings import known_recording
 
 
 def test_a_steady_walk_of_ten_seconds_gives_eight_valid_pieces():

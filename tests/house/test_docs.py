@@ -11,7 +11,10 @@ from pathlib import Path
 import pytest
 
 from hts.cli.commands import COMMANDS
+from hts.config import EnvConfig, PPOConfig
+from hts.envs import rewards
 from hts.plugins import load
+from hts.presets import PRESETS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
@@ -23,6 +26,34 @@ LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 def test_every_link_to_a_file_leads_somewhere(page):
     links = [link for link in LINK.findall(page.read_text()) if not link.startswith("http")]
     assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+# What a reader makes in a folder of their own.
+THEIRS = {"authors/tutorial.md": {"tests/test_heat.py"}}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_file_that_a_page_names_is_there(page):
+    text = page.read_text()
+    folders = "hts|tests|docs|plugins|robots|benchmarks|examples"
+    named = set(re.findall(rf"(?<![\w/.-])((?:{folders})/[\w./-]+\.(?:py|json|md|yaml))", text))
+    theirs = THEIRS.get(str(page.relative_to(DOCS)) if page.is_relative_to(DOCS) else "", set())
+    assert {name for name in named - theirs if not (REPOSITORY / name).exists()} == set()
+
+
+def test_the_settings_that_the_pages_state_are_those_of_the_code():
+    training, twin = ((DOCS / f"{name}.md").read_text() for name in ("training", "twin"))
+    env, longest = EnvConfig(), EnvConfig().randomisation.delay_steps[1]
+    low, high = env.commands.vx
+    assert f"Forward {low:g} to {high:g} m/s".replace("-", "−") in training
+    assert f"actuation delay of 0 to {longest} physics steps" in training
+    assert f"| delay | 0 to {longest} steps of 5 ms |" in twin
+    rates = {PRESETS[name]["finetune"]["ppo"]["learning_rate"] for name in ("quick", "paper")}
+    assert rates == {1e-4} and "rate 10⁻⁴ (presets `quick` and `paper`; 3·10⁻⁴ where nothing is set)" in training
+    assert PPOConfig().learning_rate == 3e-4
+    worth = rewards.resolve_weights({})["track_velocity"]
+    assert worth == 2.0 and "half of perfect speed tracking (weight 2)" in training
+    assert "half as much as perfect speed tracking (weight 2," in (DOCS / "power.md").read_text()
 
 
 def test_every_page_is_in_the_index():

@@ -16,7 +16,7 @@ from hts.config import Named
 from hts.contracts import Comparison, PhysicsSample, SimulatedCandidate, TestedCandidate
 from hts.errors import ConfigError, RecordingError, WorldError
 from hts.plugins import KINDS, Registry, load
-from hts.testing.known_worlds import known_head_to_head
+from hts.testing.made_up_recordings import known_head_to_head
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = REPOSITORY / "docs/authors/hooks.md"
@@ -125,9 +125,9 @@ def exported(robot: str, folder: Path) -> Path:
     from hts.policies.files import Policy, make_card
     from hts.rl.population import Population, Sizes
 
-    sizes = Sizes(2, 2, 1, (4,))
-    tensors = Population(sizes, 1).candidate(0)
     spec = load().make_robot(robot).spec
+    sizes = Sizes(2, 2, spec.num_joints, (4,))
+    tensors = Population(sizes, 1).candidate(0)
     return to_onnx(
         Policy(tensors, make_card(spec, tensors, [{"name": "all", "size": 2}], sizes)), folder / "policy.onnx"
     )

@@ -193,7 +193,9 @@ def test_doubt_lowers_the_reward_and_leaves_the_prediction(model):
     kept = inputs.flatten(0, 1).transpose(0, 1).contiguous()
     transform.prepare(kept.shape[1], kept.device)
     found = transform.forward_sequence(kept, torch.zeros(kept.shape[:2], dtype=torch.bool))
-    torch.testing.assert_close(found["real_reward", "cool"], rollout["next", "real_reward", "cool"].flatten(0, 1).transpose(0, 1))
+    torch.testing.assert_close(
+        found["real_reward", "cool"], rollout["next", "real_reward", "cool"].flatten(0, 1).transpose(0, 1)
+    )
 
 
 def test_a_memory_that_an_earlier_version_saved_worlds_last_is_taken_over(model):

@@ -105,6 +105,23 @@ def test_columns_become_channels_in_the_robots_joint_order_with_sign_and_scale(t
     assert (recording.robot, recording.kp, recording.rate_hz) == ("logger", (20.0, 20.0), 50.0)
 
 
+def test_a_logs_unit_is_converted_to_the_robots_and_its_limits_with_it(tmp_path: Path) -> None:
+    torque = {"columns": "{joint}_tau", "unit": "N*cm", "limits": [-9.5, 9.5]}
+    recording = read(a_log(tmp_path), a_mapping(channels={"joint_torque": torque}))
+    assert recording.channels["joint_torque"].channel.unit == "N*m"
+    np.testing.assert_allclose(recording.values("joint_torque")[:, 1], np.arange(10) / 100, atol=1e-7)
+    with pytest.raises(RecordingError, match="the mapping allows -0.08 to 0.08"):
+        read(a_log(tmp_path), a_mapping(channels={"joint_torque": {**torque, "limits": [-8, 8]}}))
+
+
+def test_a_unit_of_another_quantity_is_refused(tmp_path: Path) -> None:
+    channels = {"joint_torque": {"columns": "{joint}_tau", "unit": "A"}}
+    with pytest.raises(
+        ConfigError, match=r"'joint_torque' is in N\*m on robot 'logger', not A: .*different quantities"
+    ):
+        read(a_log(tmp_path), a_mapping(channels=channels))
+
+
 def test_a_file_without_a_header_is_read_by_numbers_and_joint_order(tmp_path: Path) -> None:
     mapping = a_mapping(
         header=False,

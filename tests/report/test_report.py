@@ -18,7 +18,7 @@ from hts.report import wording, write_report
 from hts.report.data import read_run
 from hts.report.table import print_evaluation, print_table
 from hts.testing.example_run import write_example_run
-from hts.testing.known_worlds import CostObjective
+from hts.testing.made_up_recordings import CostObjective
 
 SMALL = {"iterations": 1, "bounds": (0.5, float("inf")), "weights": (1.0,), "elites": 2, "block_seconds": 20}
 
@@ -121,6 +121,20 @@ def test_a_twin_is_called_simulated_and_a_robot_real(run, tmp_path, words_only):
     write_example_run(tmp_path, world="field", **SMALL)
     write_report(tmp_path)
     assert "A real robot." in text(tmp_path) and "Simulated reality" not in text(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("simulated", "words"),
+    [(True, "Simulated reality. No robot was involved"), (False, "A real robot."), (None, "World: lab.")],
+)
+def test_another_world_is_called_what_it_says_it_is(tmp_path, words_only, simulated, words):
+    write_example_run(tmp_path, world="lab", **SMALL)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    (tmp_path / "summary.json").write_text(json.dumps({**summary, "world_simulated": simulated}))
+    write_report(tmp_path)
+    shown = " ".join(text(tmp_path).split())
+    assert words in shown
+    assert ("Simulated reality" in shown) == (simulated is True)
 
 
 def test_provenance_is_shown_and_a_long_diff_only_mentioned(run):

@@ -70,6 +70,7 @@ from hts.testing.known_world import make_known
 
 class Exchange(World):
     name = "exchange"
+    simulated = True
 
     def __init__(self, context, better=1.5):
         self.known, self.better = make_known({"saving": 0.0}, context), better

@@ -19,7 +19,7 @@ from hts.evaluation.halves import halves
 from hts.evaluation.head_to_head import point
 from hts.selection.racing import RacingSettings, make, residual_variance, still_racing
 from hts.testing.known_race import KnownRounds, run_race
-from hts.testing.known_worlds import CostObjective
+from hts.testing.made_up_recordings import CostObjective
 from hts.worlds.base import round_order
 from hts.worlds.twin.programme import head_to_head_round
 
@@ -189,7 +189,7 @@ def test_the_two_halves_of_a_round_average_to_the_whole():
 
 
 def test_a_half_in_which_it_did_not_walk_is_none():
-    from hts.testing.known_worlds import known_recording
+    from hts.testing.made_up_recordings import known_recording
 
     costs = {"reference": 100.0, "policy": 90.0}
     row = [

@@ -24,7 +24,7 @@ from hts.cli.one_line import one_line, resumable
 from hts.config_loading import load_config
 from hts.errors import ConfigError, RunError
 from hts.sim import selection
-from hts.sim.engine import make_engine
+from hts.sim.selection import make_engine
 
 RUN = ("run", "--objective", "power", "--robot", "go1", "--preset", "smoke")
 PRETRAIN = ("pretrain", "--robot", "go1", "--set", "num_envs=2", "--set", "steps=48")
@@ -235,7 +235,7 @@ def test_quick_is_automatic_and_an_engine_that_is_named_is_taken():
 def test_a_run_is_written_down_with_the_engine_that_runs(usable, monkeypatch, tmp_path, reason, expected):
     usable(reason)
     seen = []
-    monkeypatch.setattr("hts.run.algorithm.run", lambda config, folder: seen.append(config.engine) or folder)
+    monkeypatch.setattr("hts.run.algorithm.run", lambda config, folder, registry: seen.append(config.engine) or folder)
     hts.run.start_run(load_config(objectives=["power"], robot="go1"), tmp_path / "run")
     assert yaml.safe_load((tmp_path / "run" / "config.yaml").read_text())["engine"] == expected
     assert seen == [expected]
@@ -243,7 +243,7 @@ def test_a_run_is_written_down_with_the_engine_that_runs(usable, monkeypatch, tm
 
 def test_a_run_is_resumed_with_its_engine_or_not_at_all(usable, monkeypatch, tmp_path, fails):
     usable(None)
-    monkeypatch.setattr("hts.run.algorithm.run", lambda config, folder: folder)
+    monkeypatch.setattr("hts.run.algorithm.run", lambda config, folder, registry: folder)
     hts.run.start_run(load_config(objectives=["power"], robot="go1"), tmp_path / "run")
     usable("no CUDA here")
     assert "no CUDA here" in fails("resume", tmp_path / "run")

@@ -11,8 +11,8 @@ import torch
 from hts.config import RandomisationConfig
 from hts.errors import ConfigError, SimulationError
 from hts.sim import warp_setup
-from hts.sim.engine import make_engine
 from hts.sim.models import compile_model, variants
+from hts.sim.selection import make_engine
 
 pytest.importorskip("mujoco_warp", reason="the extra `gpu` is not installed")
 pytest.importorskip("hts_go1", reason="the robot of this test is not installed")

@@ -75,7 +75,7 @@ def test_the_known_world_saves_exactly_what_it_says(hts_known_world, hts_fake_ob
     assert same[0.8].comparison.improvement == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_known_worlds_level_is_what_it_says(hts_known_world, policy):
+def test_the_made_up_recordings_level_is_what_it_says(hts_known_world, policy):
     from hts.worlds.base import walking
 
     assert hts_known_world.idle() == {"fake_level": 5.0}
@@ -115,7 +115,7 @@ def test_the_tiny_robot_drives_at_the_commanded_speed(hts_tiny_robot):
 
 
 def test_the_fake_objectives_score_can_be_done_on_paper(hts_fake_objective):
-    from hts.testing.known_worlds import known_segments
+    from hts.testing.made_up_recordings import known_segments
 
     segments = known_segments({hts_fake_objective.target: 8.0}, idle=5.0)
     scores = hts_fake_objective.score(segments)

@@ -19,6 +19,7 @@ from hts import plugins
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Instrument, PhysicsSample, WorldContext
 from hts.errors import ConfigError, PolicyError, WorldError
+from hts.policies.files import load_policy
 from hts.worlds.base import Operator, commands, in_groups, request_id, seed_sequence, walking
 from hts.worlds.twin.dynamics import Dynamics
 from hts.worlds.twin.model import build, columns
@@ -356,6 +357,10 @@ def test_the_twin_is_the_one_that_was_calibrated(robot):
     now = parameters_hash(TwinSettings(), {"battery_gauge": gauge.describe()})
     assert json.loads(committed.read_text())["parameters_sha256"] == now, (
         "A default of the twin or its gauge changed after calibration. Calibrate again by the rule of docs/twin.md, and start over."
+    )
+    shipped = load_policy(robot.pretrained_policy()).card.policy_hash
+    assert json.loads(committed.read_text())["policy_hash"] == shipped, (
+        "The shipped policy is not the one that the twin was calibrated with. Calibrate again by the rule of docs/twin.md, and start over."
     )
 
 

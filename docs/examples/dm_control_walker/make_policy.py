@@ -21,7 +21,7 @@ from torchrl.envs import EnvBase
 
 from hts.config import PPOConfig, PretrainConfig
 from hts.rl.random import PopulationRandom
-from hts.sim.engine import make_engine
+from hts.sim.selection import make_engine
 from hts.training.pretrain import pretrain_policy
 from hts_walker.robot import OBSERVATION, SPEC, Settings, Walker
 

@@ -20,7 +20,7 @@ from hts.recordings.recording import Recording
 from hts.testing.examples.objective.objective import Fake
 from hts.testing.examples.robot.robot import Tiny
 from hts.testing.known_signals import SIGNALS
-from hts.testing.known_worlds import made_up_recording
+from hts.testing.made_up_recordings import made_up_recording
 
 WORLDS = 3
 NOWHERE = Path(tempfile.gettempdir()) / "hts-check-nowhere"  # a name only: worlds write with their first request
@@ -28,7 +28,7 @@ NOWHERE = Path(tempfile.gettempdir()) / "hts-check-nowhere"  # a name only: worl
 
 def kind_of(entry: Entry, registry: Registry) -> str:
     """The kind (as in `hts.plugins.KINDS`) under which the registry has it."""
-    return next(kind for kind in KINDS if getattr(registry, kind).get(entry.name) is entry)
+    return next(kind for kind in KINDS if registry.offered(kind).get(entry.name) is entry)
 
 
 @dataclass(frozen=True)

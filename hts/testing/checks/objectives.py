@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hts.channels import UNITS, Channel
+from hts import units
+from hts.channels import Channel
 from hts.config import MeasurementConfig, Named
 from hts.contracts import MODEL, Comparison, Objective
 from hts.errors import PluginError, unknown_name
@@ -24,7 +25,7 @@ def has_its_parts(entry: Entry, registry: Registry) -> None:
     objective = entry.factory({})
     ensure(isinstance(objective, Objective), f"is a {type(objective).__name__}, not a hts.contracts.Objective")
     ensure(objective.name == entry.name, f"calls itself '{objective.name}'")
-    ensure(objective.unit in UNITS, unknown_name("unit", str(objective.unit), UNITS))
+    ensure(units.known(str(objective.unit)), units.unknown(str(objective.unit)))
     ensure(isinstance(objective.target, Channel), f"its target is a {type(objective.target).__name__}")
     ensure(bool(objective.inputs) and not isinstance(objective.inputs, str), f"its inputs are {objective.inputs!r}")
     for what in ("weights", "baseline_weights"):

@@ -36,6 +36,10 @@ def costs_nothing_yet(entry: Entry, registry: Registry) -> None:
             world = entry.factory({}, given)
             ensure(isinstance(world, World), f"is a {type(world).__name__}, not a hts.contracts.World")
             ensure(world.name == entry.name, f"calls itself '{world.name}'")
+            ensure(
+                world.simulated is not None,
+                "does not say whether it is simulated: add `simulated = True` (or False, where a machine moves)",
+            )
             ensure(given == before, "changes its context in place")
             ensure(not list(Path(folder).iterdir()), "writes files when it is made")
             cost = dict(world.cost(60.0))

@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
-from hts import errors
-from hts.errors import HtsError, WorldError
+from hts.errors import BY_NAME, WorldError
 
 TAIL_LINES = 3  # of stderr, in the message about its end
 
@@ -64,8 +63,7 @@ class Child:
             if "done" in answer:
                 return answer["done"]
             if "error" in answer:
-                kind = getattr(errors, answer["kind"], WorldError)
-                raise (kind if issubclass(kind, HtsError) else WorldError)(answer["error"])
+                raise BY_NAME.get(answer["kind"], WorldError)(answer["error"])
             if progress is not None:
                 progress(answer["progress"])
         raise self._ended()

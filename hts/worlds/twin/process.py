@@ -49,7 +49,7 @@ class Twin:
         self.robot = registry.make_robot(start["robot"], start["robot_settings"])
         self.seed, self.name = int(start["seed"]), start["name"]
         self._make = lambda: make_instruments(registry, self.robot, start["objectives"], self.settings.instruments)
-        self._make()  # wrong settings are told at once
+        self._make()  # wrong settings are refused at once
         self.spool = RecordingStore(Path(start["spool"]), create=True)
 
     def idle(self) -> dict[str, float]:

@@ -76,40 +76,42 @@ class Batch:
         done, total = 0.0, sessions[0].seconds
         for blocks in zip(*(session.blocks for session in sessions), strict=True):
             share = blocks[0].schedule.seconds / total
-            tape = self._run_block(blocks, _part_of(progress, done, share))
+            recorder = self._run_block(blocks, _part_of(progress, done, share))
             done += share
             if blocks[0].settle:
                 for instrument in self.instruments.values():
                     instrument.settle()
             for number, (block, session) in enumerate(zip(blocks, sessions, strict=True)):
                 if block.recorded:
-                    recordings[number].append(tape.recording(number, block, session.id, self, world))
+                    recordings[number].append(recorder.recording(number, block, session.id, self, world))
         return recordings
 
-    def _run_block(self, blocks: Sequence[Block], progress: Progress) -> Tape:
-        told = np.stack([commands(block.schedule, self.spec.control_rate_hz) for block in blocks])  # (W, T, 3)
-        crew = Crew(self.machine, [block.policy for block in blocks], int(self._policy_random.integers(2**31)))
-        self.body.set_gains(crew.kp, crew.kd)
-        tape = Tape(self, told.shape[1], crew)
-        for step in range(told.shape[1]):
+    def _run_block(self, blocks: Sequence[Block], progress: Progress) -> Recorder:
+        commanded = np.stack([commands(block.schedule, self.spec.control_rate_hz) for block in blocks])  # (W, T, 3)
+        policy_batch = PolicyBatch(
+            self.machine, [block.policy for block in blocks], int(self._policy_random.integers(2**31))
+        )
+        self.body.set_gains(policy_batch.kp, policy_batch.kd)
+        recorder = Recorder(self, commanded.shape[1], policy_batch)
+        for step in range(commanded.shape[1]):
             readings = self.sensors.read(self.period)
-            readings["command"] = self.operator.command(told[:, step], self.body.heading())
-            readings["joint_target"] = crew.targets(readings)
+            readings["command"] = self.operator.command(commanded[:, step], self.body.heading())
+            readings["joint_target"] = policy_batch.targets(readings)
             for instrument in self.instruments.values():
                 readings.update(instrument.read())
             fell = self._fallen(readings)
-            tape.write(step, self._ticks * self.period, readings, fell)
-            if fell.any():  # picked up and set down again, and the show goes on
+            recorder.write(step, self._ticks * self.period, readings, fell)
+            if fell.any():  # picked up and set down again
                 self.body.stand(fell)
                 self.operator.forget(fell)
                 self._low_seconds[fell] = 0
-                crew.reset(fell)
+                policy_batch.reset(fell)
                 readings["joint_target"][fell] = self.spec.default_pose
             self.body.advance(readings["joint_target"], self.steps, tuple(self.instruments.values()))
             self._ticks += 1
             if step % 50 == 0:
-                progress(step / told.shape[1])
-        return tape
+                progress(step / commanded.shape[1])
+        return recorder
 
     def _fallen(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
         """Robots (W,) that lie on their side, have collapsed, or whose physics broke down."""
@@ -132,7 +134,7 @@ def _part_of(progress: Progress | None, done: float, share: float) -> Progress:
     return tell
 
 
-class Crew:
+class PolicyBatch:
     """The controllers of a block: robots with the same policy share one. hashes: of each robot's policy; kp, kd (W, J)."""
 
     def __init__(self, machine: Machine, policies: Sequence[str | None], seed: int = 0) -> None:
@@ -178,17 +180,17 @@ class Crew:
         return policy
 
 
-class Tape:
+class Recorder:
     """What is written down of W robots during a block of T control steps."""
 
-    def __init__(self, batch: Batch, length: int, crew: Crew) -> None:
-        self._length, self._crew = length, crew
+    def __init__(self, batch: Batch, length: int, policy_batch: PolicyBatch) -> None:
+        self._length, self._policies = length, policy_batch
         self.channels: dict[str, Channel] = dict(batch.robot.channels())
         for instrument in batch.instruments.values():
             self.channels |= {channel.name: channel for channel in instrument.channels}
         self._values: dict[str, np.ndarray] = {}
         self._time = np.empty(length)
-        self._falls = np.zeros(len(crew.hashes), dtype=int)
+        self._falls = np.zeros(len(policy_batch.hashes), dtype=int)
 
     def write(self, step: int, time: float, readings: Mapping[str, np.ndarray], fell: np.ndarray) -> None:
         """One control step of all robots: channel -> (W, *shape)."""
@@ -213,11 +215,11 @@ class Tape:
         return Recording(
             robot=spec.name,
             world=world,
-            policy_hash=self._crew.hashes[number],
+            policy_hash=self._policies.hashes[number],
             iteration=0,
             joint_names=spec.joint_names,
-            kp=tuple(self._crew.kp[number].tolist()),
-            kd=tuple(self._crew.kd[number].tolist()),
+            kp=tuple(self._policies.kp[number].tolist()),
+            kd=tuple(self._policies.kd[number].tolist()),
             rate_hz=spec.control_rate_hz,
             schedule=block.schedule,
             idle=idle,

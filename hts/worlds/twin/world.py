@@ -33,16 +33,16 @@ class TwinWorld(World):
     """Simulated reality. A request that is repeated word for word gives the same recordings.
 
     So several recordings of one policy are asked for in one call: `collect([policy] * 3, schedule)`.
-    `on_progress`, if set, is called with the done share of the current request.
     """
 
     name = "twin"
+    simulated = True
 
     def __init__(self, settings: TwinSettings, context: WorldContext) -> None:
         self.settings, self._context = settings, context
         self._folder = Path(context.folder) / "twin"
         self._children: list[Child] = []
-        self.on_progress: Callable[[float], None] | None = None
+        self._report: Callable[[float], None] = lambda share: None
 
     def idle(self) -> Mapping[str, float]:
         return self._guarded(lambda: self._staff(1)[0].ask({"do": "idle"}))
@@ -86,8 +86,10 @@ class TwinWorld(World):
         (recordings,) = self._run([session], request)
         return shared_out(recordings, round_order(len(paths), number), len(paths))
 
+    def on_progress(self, report: Callable[[float], None]) -> None:
+        self._report = report
+
     def head_to_head_seconds(self) -> float:
-        """Robot time of one head-to-head at one speed, s."""
         return self.settings.warmup_seconds + len(ORDER) * self.settings.block_seconds
 
     def cost(self, robot_seconds: float) -> Mapping[str, float]:
@@ -142,8 +144,7 @@ class TwinWorld(World):
             def progress(share: float) -> None:
                 with lock:
                     done[number] = share
-                    if self.on_progress is not None:
-                        self.on_progress(sum(done) / len(done))
+                    self._report(sum(done) / len(done))
 
             with lock:
                 child = children.pop()

@@ -49,6 +49,7 @@ def calibrate_twin(
     """The twin's standing power, idle share and copper share against the anchors; with --gap, twin against training simulation."""
     from hts import plugins
     from hts.config_loading import load_config
+    from hts.policies.deploy import DeployedPolicy
     from hts.worlds.twin.parameters import TwinSettings, parameters_hash, resolved
 
     config = load_config(objectives=["power"], robot=robot, world="twin", overrides=set_ or ())
@@ -67,6 +68,7 @@ def calibrate_twin(
             from hts_power.gap import compare
 
             result["gap"] = compare(machine, settings, make, path, seconds, result)
+        result["policy_hash"] = DeployedPolicy(path).card.policy_hash
     described = {INSTRUMENT: make().describe()}
     result["parameters_sha256"] = parameters_hash(settings, described)
     if write is not None:

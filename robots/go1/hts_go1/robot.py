@@ -8,7 +8,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from hts.channels import Channel, standard_channels
-from hts.contracts import JointMotors, Robot, RobotSpec
+from hts.contracts import JointMotors, RobotSpec
+from hts.envs.velocity_robot import VelocityRobot
 from hts_go1 import constants as c
 
 POLICIES = Path(__file__).parent / "policies"
@@ -51,7 +52,7 @@ SPEC = RobotSpec(
 )
 
 
-class Go1(Robot):
+class Go1(VelocityRobot):
     """Unitree Go1: 12 joints, 13.1 kg, velocity task."""
 
     spec = SPEC

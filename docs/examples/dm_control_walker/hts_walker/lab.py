@@ -41,6 +41,7 @@ class WalkerLab(World):
     """One walker and one meter."""
 
     name = "walker_lab"
+    simulated = True
 
     def __init__(self, settings: Settings, context: WorldContext) -> None:
         if context.robot != SPEC.name:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from hts.evaluation.segments import Segments
 
-# The real channel: its name in recordings and logs, its unit (hts.channels.UNITS), the shape of a sample, what it is.
+# The real channel: its name in recordings and logs, its unit (hts.units), the shape of a sample, what it is.
 TARGET = Channel("fake_level", "W", (), "what the sensor on the robot reads")
 
 
@@ -40,7 +40,7 @@ class Fake(Objective):
     """Less of the target. The improvement is the saved fraction of what lies above the idle level."""
 
     name = "fake"
-    unit = "1"  # of the improvement: a fraction; it could be any of hts.channels.UNITS
+    unit = "1"  # of the improvement: a fraction; it could be any of hts.units
     inputs = ("joint_torque", "joint_velocity")  # sim channels: what simulation and robot both give
     target = TARGET
     instrument = "fake_meter"  # measures the target on a twin; None: only a real robot can

@@ -14,7 +14,8 @@ from pydantic import Field
 
 from hts.channels import Channel, standard_channels
 from hts.config import Config
-from hts.contracts import JointMotors, Robot, RobotSpec
+from hts.contracts import JointMotors, RobotSpec
+from hts.envs.velocity_robot import VelocityRobot
 
 POLICY = Path(__file__).parent / "policies" / "pretrained.safetensors"
 
@@ -45,7 +46,7 @@ class Settings(Config):
     policy: Path | None = Field(None, description="a pretrained policy (.safetensors) instead of the shipped one")
 
 
-class Tiny(Robot):
+class Tiny(VelocityRobot):
     """The machine, as hts sees it."""
 
     spec = SPEC

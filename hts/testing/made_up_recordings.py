@@ -1,4 +1,4 @@
-"""Recordings from worlds with known answers, to test statistics and selection against."""
+"""Made-up recordings whose answer is known, to test statistics and selection against."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def made_up_recording(
     sim: Mapping[str, Channel], real: Mapping[str, Channel], factors: Mapping[str, float] | None = None, *,
     seconds: float = 10.0, speed: float = 0.8, idle: float = 0.5, seed: int = 0, rate_hz: float = 50.0,
 ) -> Recording:  # fmt: skip
-    """A straight walk of nobody in particular: random numbers in every channel, upright, at exactly the speed told.
+    """A straight walk of nobody in particular: random numbers in every channel, upright, at exactly the commanded speed.
 
     sim, real: channels by name; every value lies 0.5 to 1.5 above `idle` (real) or 0 (sim). factors: on what a real
     channel shows above idle.

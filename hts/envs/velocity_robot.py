@@ -1,0 +1,30 @@
+"""`VelocityRobot`: a machine that is trained to follow commanded velocities. Imports no torch before an env is made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from hts.contracts import Robot
+
+if TYPE_CHECKING:
+    from torchrl.envs import EnvBase
+
+    from hts.config import EnvConfig
+
+
+class VelocityRobot(Robot):
+    """A robot whose training env is the velocity task of `hts.envs.velocity`.
+
+    It needs a model: `mjcf` names floor, trunk, joints, feet and sensors as the documentation of robots lists them.
+    A robot that wants the task slightly different overrides `make_env` and hands a changed `config` to `super()`.
+    """
+
+    def make_env(
+        self, engine: str, num_candidates: int, num_envs: int, config: EnvConfig,
+        channels: Sequence[str] = (), seeds: Sequence[int] | None = None,
+    ) -> EnvBase:  # fmt: skip
+        """The velocity task, see `Robot.make_env`. Raises ConfigError for a robot without a model or a wrong engine."""
+        from hts.envs.velocity import make_velocity_env
+
+        return make_velocity_env(self, engine, num_candidates, num_envs, config, channels, seeds)
