@@ -19,9 +19,9 @@ from hts.errors import ConfigError, unknown_name
 if TYPE_CHECKING:
     import torch
 
+    from hts.contracts.installed import Installed
     from hts.contracts.objective import Objective
     from hts.contracts.robot import Robot
-    from hts.plugins import Registry
     from hts.recordings.recording import Recording
 
 Progress = Callable[[int, int, float], None]
@@ -75,7 +75,7 @@ class ModelContext:
 
     signals: Signals
     default: Named | None = None
-    registry: Registry | None = None
+    registry: Installed | None = None
 
 
 class MeasurementModel(ABC):

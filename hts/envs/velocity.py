@@ -239,7 +239,7 @@ class VelocityEnv(SplitStepEnv):
 
     def start_episodes(self, mask: torch.Tensor) -> None:
         """Stand the robots of mask [P, N] up: joints near the default pose, a random heading and a small velocity."""
-        if not hasattr(self, "_draws"):
+        if "_draws" not in vars(self):
             self._draws = self._draw()
         joints = self.robot_spec.num_joints
         draws = self._draws[..., DRAWS + 5 : self._fixed_draws]

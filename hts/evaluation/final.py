@@ -181,6 +181,7 @@ def evaluate_run(
     }
     result = {
         "world": named.name,
+        "world_simulated": where.simulated,
         "policy": str(policy or "best"),
         "seed": seed,
         "recordings": ids,

@@ -197,7 +197,7 @@ def _later(run: RunData) -> dict[str, Any] | None:
         return None
     return {
         "text": f"`hts evaluate`: policy {evaluation.get('policy', 'best')} against pretrained on world "
-        f"{evaluation.get('world', 'unknown')}, seed {evaluation.get('seed', 'unknown')}.",
+        f"{evaluation.get('world', 'unknown')}{' (simulated)' if evaluation.get('world_simulated') else ''}, seed {evaluation.get('seed', 'unknown')}.",
         "objectives": [result_rows(name, result) for name, result in evaluation["objectives"].items()],
     }
 

@@ -164,9 +164,7 @@ def test_the_rules_hold(path, rule):
     assert list(rule(tree_of(path))) == []
 
 
-BEING_REPLACED = {"hts/training/pretrain.py", "hts/training/trainer.py", "hts/training/finetune.py", "hts/envs/velocity.py",
-    "hts/rl/capture.py", "hts/rl/captured_collector.py", "hts/config_loading.py",
-    "hts/sim/warp_setup.py"}  # fmt: skip
+BEING_REPLACED = {"hts/config_loading.py", "hts/sim/warp_setup.py"}
 """Files that may still ask by name; the list only gets shorter."""
 
 

@@ -84,6 +84,7 @@ def test_a_sound_world_passes(install):
     [
         (["made.collect = lambda p, s: collect(p, s)[:1]"], "gives 1 recordings for 2 policies"),
         (["made.name = 'even'"], "calls itself 'even'"),
+        (["made.simulated = None"], "does not say whether it is simulated"),
         (["made.cost = lambda seconds: {}"], "says that 60 s of walking cost {}"),
         (["context.objectives['more'] = {}"], "changes its context in place"),
         (
