@@ -58,7 +58,7 @@ def step_cost(
     together, single = [], []
     for _ in range(repeats):
         start = time.perf_counter()
-        transform.follow(kept, ended)
+        transform.forward_sequence(kept, ended)
         middle = time.perf_counter()
         for inputs in kept:
             _, state = model.step(inputs, state)
