@@ -13,9 +13,11 @@ import pytest
 
 from hts import hookspecs
 from hts.config import Named
-from hts.contracts import Comparison, PhysicsSample, SimulatedCandidate, TestedCandidate
+from hts.contracts import Comparison, ModelContext, PhysicsSample, SimulatedCandidate, TestedCandidate
 from hts.errors import ConfigError, RecordingError, WorldError
+from hts.measurement.data import input_tensor
 from hts.plugins import KINDS, Registry, load
+from hts.testing.known_signals import SIGNALS, known_heat
 from hts.testing.made_up_recordings import known_head_to_head
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -140,6 +142,16 @@ def test_hook_objectives(example):
     assert objective.compare({"current": 3.0}, {"current": 5.0}).improvement == 2.0
     with pytest.raises(ConfigError, match="objective 'current' .from hts-example.*Did you mean 'hidden'"):
         registry.make_objective("current", {"hiden": 8})
+
+
+def test_hook_measurement_models(example):
+    registry = example("hts_measurement_models")
+    model = registry.make_measurement_model("slow", {"hidden": 8}, ModelContext(SIGNALS))
+    assert (model.name, model.settings["sequence"], model.settings["hidden"]) == ("slow", 250, 8)
+    model.fit([known_heat(1, seconds=12.0)], epochs=1)
+    assert model.step(input_tensor(SIGNALS, known_heat(2))[:3], model.initial_state(3))[0].mean.shape == (3,)
+    with pytest.raises(ConfigError, match="measurement model 'slow' .from hts-example.*Did you mean 'hidden'"):
+        registry.make_measurement_model("slow", {"hiden": 8}, ModelContext(SIGNALS))
 
 
 def test_hook_robots(example):

@@ -14,7 +14,7 @@ import pytest
 from hts.errors import ConfigError, RunError
 from hts.testing.starters import write_starter
 
-NAMES = {"objective": "heat", "robot": "hopper", "selector": "steady"}
+NAMES = {"objective": "heat", "measurement-model": "thermal", "robot": "hopper", "selector": "steady"}
 
 
 def python(
@@ -28,7 +28,7 @@ def python(
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
-    """A folder into which pip installed the three packages, built from what `hts new` wrote into an empty one."""
+    """A folder into which pip installed the packages, built from what `hts new` wrote into an empty one."""
     empty, site = tmp_path_factory.mktemp("empty"), tmp_path_factory.mktemp("site-packages")
     folders = [write_starter(kind, name, empty) for kind, name in NAMES.items()]
     quick = ("--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check")
@@ -42,10 +42,10 @@ def test_pip_installs_everything_that_is_needed(site):
     code = (
         "import json; from hts.plugins import load; r = load(); print(json.dumps("
         "[r.objectives['heat'].package, r.instruments['heat_meter'].package, r.robots['hopper'].package,"
-        " r.selectors['steady'].package, [b.package for b in r.broken]]))"
+        " r.measurement_models['thermal'].package, r.selectors['steady'].package, [b.package for b in r.broken]]))"
     )
     done = python("-c", code, path=[site])
-    assert json.loads(done.stdout) == ["hts-heat", "hts-heat", "hts-hopper", "hts-steady", []]
+    assert json.loads(done.stdout) == ["hts-heat", "hts-heat", "hts-hopper", "hts-thermal", "hts-steady", []]
 
 
 @pytest.mark.parametrize("kind", NAMES)
@@ -64,15 +64,30 @@ def test_its_own_tests_are_green(kind, site):
 
 
 @pytest.mark.slow
-def test_all_three_run_smoke_together(site, hts, tmp_path):
+def test_all_of_them_run_smoke_together(site, hts, tmp_path):
     command = ["run", "--objective", "heat", "--robot", "hopper", "--preset", "smoke", "--out", tmp_path / "run"]
-    done = hts(*command, "--set", "selection.selector.name=steady", path=[site], timeout=280)
+    chosen = ("--set", "selection.selector.name=steady", "--set", "objectives.heat.model=thermal")
+    done = hts(*command, *chosen, path=[site], timeout=280)
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["objectives"], summary["robot"], summary["world"]) == (["heat"], "hopper", "twin")
     tested = [candidate["real"] for candidate in summary["iterations"][0]["candidates"] if candidate["elite"]]
     assert tested and all(real is not None and real["heat"]["0.8"]["segments"] > 0 for real in tested)
     assert (tmp_path / "run" / "report.html").is_file()
+    card = json.loads((tmp_path / "run" / "iterations" / "00" / "models" / "heat.json").read_text())
+    assert (card["model"], card["version"]) == ("thermal", 2)
+
+
+@pytest.mark.slow
+def test_a_measurement_model_as_written_runs_smoke_with_our_own_objective_and_robot(site, hts, tmp_path):
+    pytest.importorskip("hts_go1", reason="the robot of this run is not installed")
+    pytest.importorskip("hts_power", reason="the objective of this run is not installed")
+    command = ["run", "--objective", "power", "--set", "objectives.power.model=thermal", "--robot", "go1"]
+    done = hts(*command, "--preset", "smoke", "--out", tmp_path / "run", path=[site], timeout=290)
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "run" / "iterations" / "00" / "fit.json").read_text())["power"]
+    assert report["model"]["name"] == "thermal"
+    assert report["held_out"]["linear"]["r2"] is not None and report["held_out"]["spread"] is not None
 
 
 @pytest.mark.parametrize("name", ["heat", "a_rather_long_name_of_something"])
@@ -85,7 +100,7 @@ def test_it_is_formatted_and_linted_by_its_own_settings(kind, name, tmp_path):
 
 
 def test_the_objective_is_short_and_nothing_of_the_example_is_left(tmp_path):
-    for kind, own in (("objective", "fake"), ("robot", "tiny"), ("selector", "plain")):
+    for kind, own in (("objective", "fake"), ("measurement-model", "fading"), ("robot", "tiny"), ("selector", "plain")):
         folder = write_starter(kind, NAMES[kind], tmp_path)
         for path in folder.glob("hts_*/*.py"):
             text = path.read_text()
