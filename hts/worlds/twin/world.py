@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from hts.config import ScheduleConfig
-from hts.config_loading import plain
 from hts.contracts import Settings, World, WorldContext
 from hts.cores import available
 from hts.errors import WorldError
+from hts.layers import plain
 from hts.recordings.recording import Recording
 from hts.recordings.store import RecordingStore
 from hts.worlds.base import ORDER, file_hash, in_groups, request_id, round_order, shared_out
