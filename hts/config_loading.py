@@ -65,7 +65,7 @@ def load_config(
     if not isinstance(chosen, str) or chosen not in PRESETS:
         raise ConfigError(unknown_name("preset", str(chosen), PRESETS))
 
-    given = {"robot": robot and {"name": robot}, "world": world and {"name": world}}
+    given: dict[str, Any] = {"robot": robot and {"name": robot}, "world": world and {"name": world}}
     given |= {"engine": engine, "executor": executor, "seed": seed, "reward_source": reward_source}
     options = {key: value for key, value in given.items() if value is not None}
     names = _objectives(objectives, written, last, sets)

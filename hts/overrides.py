@@ -51,10 +51,10 @@ def nested(
     """
     result: dict[str, Any] = {}
     for override in sorted(overrides, key=lambda one: len(one.path)):  # stable: whole sections first, then keys in them
-        one: Any = override.value
-        for step in reversed(override.path):
-            one = {step: one}
-        written = in_full(one, override.text) if in_full is not None else one
+        layer: dict[str, Any] = {override.path[-1]: override.value}
+        for step in reversed(override.path[:-1]):
+            layer = {step: layer}
+        written = in_full(layer, override.text) if in_full is not None else layer
         check_has_keys(result, override)
         result = _joined(result, written)
     return result
@@ -76,6 +76,8 @@ def _joined(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]
     result = dict(below)
     for key, value in over.items():
         before = result.get(key)
-        both = isinstance(value, Mapping) and isinstance(before, Mapping)
-        result[key] = _joined(before, value) if both else value
+        if isinstance(value, Mapping) and isinstance(before, Mapping):
+            result[key] = _joined(before, value)
+        else:
+            result[key] = value
     return result

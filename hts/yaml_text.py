@@ -40,7 +40,7 @@ def load_text(text: str, where: str) -> Any:
     holds itself by an alias, keys that are not text or numbers.
     """
     try:
-        value = yaml.load(text, _StrictLoader)  # noqa: S506 - a SafeLoader
+        value = yaml.load(text, _StrictLoader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"{where}:{mark.line + 1}" if mark is not None else where

@@ -12,7 +12,7 @@ from pathlib import Path
 import typer
 
 from hts.cli.device_faults import device_fault
-from hts.errors import HtsError, RunError, WaitingForRobot
+from hts.errors import HtsError, RunError, UnfitWorldError, WaitingForRobot
 
 DISK_FAULTS: dict[int, str] = {
     errno.EROFS: "the file system is read-only. Choose a place that can be written, with --out DIR",
@@ -68,7 +68,7 @@ def resumable(folder: Path) -> Iterator[None]:
             print("\nstopped before anything was written", file=sys.stderr)
         raise typer.Exit(130) from None
     except HtsError as error:
-        told = isinstance(error, WaitingForRobot) or "resume" in str(error)
+        told = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in str(error)
         if told or not (folder / "config.yaml").exists():
             raise
         raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error

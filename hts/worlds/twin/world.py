@@ -47,6 +47,10 @@ class TwinWorld(World):
     def idle(self) -> Mapping[str, float]:
         return self._guarded(lambda: self._staff(1)[0].ask({"do": "idle"}))
 
+    def check(self) -> None:
+        """A twin of this robot can be compiled and its instruments measure the objectives; 1 to 2 s in its own process."""
+        self._guarded(lambda: self._staff(1)[0].ask({"do": "check"}))
+
     def collect(self, policies: Sequence[Path | None], schedule: ScheduleConfig) -> list[Recording]:
         """As `World.collect`; a policy None stands in the default pose by the robot's own stand mode."""
         paths = [None if policy is None else _path(policy) for policy in policies]
