@@ -36,6 +36,12 @@ def one_line(error: Exception) -> tuple[str, int] | None:
         return _usage(error), error.exit_code
     if isinstance(error, typer.Abort):
         return "stopped", 1
+    from pydantic import ValidationError
+
+    if isinstance(error, ValidationError):  # what a plugin or a script put together, such as a schedule
+        from hts.explain import explain
+
+        return f"error: {error.title}: {explain(error)}", HtsError.exit_code
     fault = disk_fault(error) or device_fault(error)
     return (f"error: {fault}", RunError.exit_code) if fault else None
 

@@ -61,11 +61,13 @@ class FieldWorld(World):
 
     def check(self) -> None:
         """The mapping that the settings name can be read, by a reader that is there, and has every channel needed."""
+        from hts.recordings.reading import reader_name
+
         if self.settings.mapping is None:
             self._template()
             return
         registry, mapping = self._registry, self._mapping()
-        registry.make_log_reader(str(mapping.get("reader", "csv")), {})
+        registry.make_log_reader(reader_name(mapping), {})
         channels = mapping.get("channels")
         for name, settings in self._context.objectives.items():
             objective = registry.make_objective(name, settings)
@@ -146,6 +148,7 @@ class FieldWorld(World):
 
     def _read(self, files: Sequence[Path], order: Order) -> Recording:
         from hts.policies.deploy import DeployedPolicy
+        from hts.recordings.reading import read_log
 
         registry, mapping = self._registry, self._mapping()
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
@@ -153,10 +156,9 @@ class FieldWorld(World):
             "world": self.name, "policy_hash": DeployedPolicy(order.policy).card.policy_hash, "session": order.session,
             "schedule": order.schedule.model_dump(mode="json"), "block": order.block, "role": order.role,
         }  # fmt: skip
-        reader = registry.make_log_reader(str(mapping.get("reader", "csv")), {})
         robot = registry.make_robot(self._context.robot, self._context.robot_settings)
         try:
-            recording = reader.read(files, {**mapping, "recording": facts}, robot)
+            recording = read_log(registry, files, {**mapping, "recording": facts}, robot)
         except ConfigError as error:
             raise ConfigError(f"{self._mapping_path()}: {error}") from error
         if abs(recording.seconds - order.schedule.seconds) > 0.1 * order.schedule.seconds:
