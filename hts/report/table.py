@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hts.report import wording
+from hts.report.outcome import closing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -15,11 +16,11 @@ if TYPE_CHECKING:
 def print_table(summary: Mapping[str, Any], console: Console | None = None) -> None:
     """Print the final head-to-head of a summary.json, one table per objective."""
     final = summary.get("final") or {}
-    if final.get("policy") == "pretrained":
+    for line in closing(summary):
         from rich.console import Console
 
-        why = "No final head-to-head: no candidate measured better than the pretrained policy, which stays the best."
-        (console or Console()).print(why, soft_wrap=True)
+        (console or Console()).print(line, soft_wrap=True, markup=False, highlight=False)
+    if final.get("policy") == "pretrained":
         return
     _print(final.get("objectives") or {}, f"{final.get('policy') or 'final'} policy against pretrained", console)
     if len(summary.get("objectives") or ()) > 1 and (summary.get("front") or {}).get("real"):

@@ -89,6 +89,7 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
         entry["selection_scores"], entry["fell"] = result["tested"]["selection_score"], result["tested"]["fell"]
     if result.get("refused"):
         entry["refused"] = result["refused"]
+        entry["refusal"] = result.get("refusal")  # of runs from before it was written: none
     if row["stopped"]:
         entry["stopped"] = row["stopped"]
     return entry

@@ -142,6 +142,8 @@ def _scores(tested: TestedCandidate | None) -> dict[str, float] | None:
 def _row(found: CandidateResult) -> dict[str, Any]:
     """A candidate's part of the stage's result."""
     row: dict[str, Any] = {"real": found.entry, "refused": found.refused}
+    if found.refusal is not None:
+        row["refusal"] = dict(found.refusal)
     if found.tested is not None:
         row["tested"] = {"fell": found.tested.fell, "selection_score": _scores(found.tested)}
     return row
