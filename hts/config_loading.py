@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import yaml
 from pydantic import ValidationError
 
-from hts.config import Config, RunConfig
+from hts.config import Config, Named, RunConfig
 from hts.contracts import ModelContext, WorldContext, chosen_model, robot_signals
 from hts.engines import check_engine
 from hts.errors import ConfigError, unknown_name
 from hts.explain import Location, dotted, explain
-from hts.layers import in_full, laid, plain
+from hts.layers import in_full as written_out
+from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
 from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
 from hts.yaml_text import load_mapping_file
@@ -55,8 +56,8 @@ def load_config(
     overrides: KEY=VALUE each, the key dotted, the value as YAML; or such a pair already taken apart.
     """
     sets = parsed(overrides)
-    written = in_full(load_mapping_file(file), str(file)) if file else {}
-    last = nested(sets, in_full)
+    written = written_out(load_mapping_file(file), str(file)) if file else {}
+    last = nested(sets, written_out)
     if "preset" in last:
         raise ConfigError(
             f"{_texts(sets, 'preset')}: a preset is where the other values start from; say --preset {last['preset']}"
@@ -106,6 +107,19 @@ def read_config(file: Path) -> RunConfig:
 def dump_config(config: RunConfig) -> str:
     """The resolved configuration as YAML text; `read_config` reads it back to an equal one."""
     return yaml.safe_dump(plain(config.model_dump()), sort_keys=False, allow_unicode=True)
+
+
+def with_plugin_defaults(config: RunConfig, registry: Registry) -> RunConfig:
+    """The same configuration with every setting of its plugins written out, also those left at their defaults."""
+    from hts.plugin_settings import in_full
+
+    def named(kind: str, one: Named) -> Named:
+        return Named(name=one.name, **in_full(registry, kind, one.name, one.settings))
+
+    objectives = {name: in_full(registry, "objectives", name, given) for name, given in config.objectives.items()}
+    selection = config.selection.model_copy(update={"selector": named("selectors", config.selection.selector)})
+    changes = {"robot": named("robots", config.robot), "world": named("worlds", config.world)}
+    return config.model_copy(update={"objectives": objectives, "selection": selection, **changes})
 
 
 def check_names(config: RunConfig, registry: Registry) -> None:
