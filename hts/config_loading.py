@@ -15,10 +15,11 @@ import yaml
 from pydantic import ValidationError
 
 from hts.config import Config, Named, RunConfig
-from hts.contracts import ModelContext, WorldContext, chosen_model, robot_signals
+from hts.contracts import MODEL, ModelContext, WorldContext, chosen_model, own_settings, robot_signals
 from hts.engines import check_engine
 from hts.errors import ConfigError, unknown_name
 from hts.explain import Location, dotted, explain
+from hts.guarded import guarded
 from hts.layers import in_full as written_out
 from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
@@ -26,7 +27,7 @@ from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
 from hts.yaml_text import load_mapping_file
 
 if TYPE_CHECKING:
-    from hts.contracts import Objective, Robot
+    from hts.contracts import MeasurementModel, Objective, Robot
     from hts.plugins import Registry
 
 Section = TypeVar("Section", bound=Config)
@@ -116,7 +117,11 @@ def with_plugin_defaults(config: RunConfig, registry: Registry) -> RunConfig:
     def named(kind: str, one: Named) -> Named:
         return Named(name=one.name, **in_full(registry, kind, one.name, one.settings))
 
-    objectives = {name: in_full(registry, "objectives", name, given) for name, given in config.objectives.items()}
+    objectives: dict[str, dict[str, Any]] = {}
+    for name, given in config.objectives.items():
+        model = named("measurement_models", chosen_model(registry.make_objective(name, given), given))
+        own = in_full(registry, "objectives", name, own_settings(given))
+        objectives[name] = {**own, MODEL: {"name": model.name, **model.settings}}
     selection = config.selection.model_copy(update={"selector": named("selectors", config.selection.selector)})
     changes = {"robot": named("robots", config.robot), "world": named("worlds", config.world)}
     return config.model_copy(update={"objectives": objectives, "selection": selection, **changes})
@@ -152,14 +157,17 @@ def check_names(config: RunConfig, registry: Registry) -> None:
         raise ConfigError("sweep.weights: " + unknown_name("objective of this run", strangers[0], config.objectives))
     if config.reward_source == "model":
         for name, settings in config.objectives.items():
-            check_model(registry, registry.make_objective(name, settings), settings, robot)
+            objective = registry.make_objective(name, settings)
+            what = f"Objective '{name}' (from {registry.entry('objectives', name).package}): measurement_model()"
+            guarded(what, objective.measurement_model)
+            make_model(registry, objective, settings, robot)
 
 
-def check_model(registry: Registry, objective: Objective, settings: Mapping[str, Any], robot: Robot) -> None:
-    """The measurement model of an objective can be made for the robot's channels. Raises ConfigError."""
+def make_model(registry: Registry, objective: Objective, settings: Mapping[str, Any], robot: Robot) -> MeasurementModel:
+    """The measurement model of an objective for the robot's channels, not fitted yet. Raises ConfigError."""
     choice, signals = chosen_model(objective, settings), robot_signals(objective, robot)
     context = ModelContext(signals, objective.measurement_model())
-    registry.make_measurement_model(choice.name, choice.settings, context)
+    return registry.make_measurement_model(choice.name, choice.settings, context)
 
 
 def _objectives(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel
 
 from hts.config import RunConfig
+from hts.contracts import MODEL
 from hts.plugin_settings import settings_model
 
 if TYPE_CHECKING:
@@ -59,8 +60,11 @@ def _objectives(registry: Registry, definitions: Schema) -> Schema:
     """A name, a list of names, or a mapping from names to settings."""
     names = sorted(registry.objectives)
     settings: Schema = {}
+    model = _named(
+        registry, "measurement_models", definitions, "What predicts the measurement; left out: the objective's own."
+    )
     for name in names:
-        reference = _settings(registry, "objectives", name, definitions, {})
+        reference = _settings(registry, "objectives", name, definitions, {MODEL: model})
         settings[name] = {"anyOf": [reference or {"type": "object"}, {"type": "null"}]}
     mapping = {"type": "object", "properties": settings, "additionalProperties": False, "minProperties": 1}
     item = {"anyOf": [{"enum": names}, mapping]}

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticUndefined
 
-from hts.contracts import WorldContext
+from hts.channels import Channel
+from hts.contracts import ModelContext, Signals, WorldContext
 from hts.errors import HtsError
 from hts.explain import validated_model
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from hts.plugins import Registry
 
 NOBODY_HAS = "no_such_setting_of_anything"
-WITH_SETTINGS = ("objectives", "robots", "worlds", "instruments", "selectors", "log_readers")
+WITH_SETTINGS = ("objectives", "measurement_models", "robots", "worlds", "instruments", "selectors", "log_readers")
 """Kinds whose factories are given settings."""
 
 
@@ -94,6 +95,9 @@ def _rest(registry: Registry, kind: str) -> tuple[Any, ...]:
     if kind == "worlds":
         nowhere = Path(tempfile.gettempdir()) / "hts-nowhere"  # a name only: worlds write with their first request
         return (WorldContext(robot="", robot_settings={}, objectives={}, seed=0, folder=nowhere),)
+    if kind == "measurement_models":
+        signals = Signals((Channel("input", "1"),), Channel("target", "1"), rate_hz=50.0)
+        return (ModelContext(signals, registry=registry),)
     if kind != "instruments":
         return ()
     for name in registry.robots:

@@ -16,7 +16,7 @@ from hts.plugins import KINDS, Registry
 Data = dict[str, Any]
 
 WHERE = {
-    "objectives": "objectives.{name}.", "robots": "robot.", "worlds": "world.", "instruments": "world.instruments.{name}.",
+    "objectives": "objectives.{name}.", "measurement_models": "objectives.OBJECTIVE.model.", "robots": "robot.", "worlds": "world.", "instruments": "world.instruments.{name}.",
     "selectors": "selection.selector.",
 }  # fmt: skip
 """Kind -> what stands before a setting's key in a config file and in --set; log readers are set by their mapping."""

@@ -7,18 +7,15 @@ after data were collected: with a robot that was somebody's afternoon.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
-
-from pydantic import ValidationError
+from typing import TYPE_CHECKING
 
 from hts.config import RunConfig
-from hts.config_loading import check_names
-from hts.contracts import Objective, Robot, WorldContext
-from hts.errors import ConfigError, HtsError, PluginError, unknown_name
-from hts.explain import explain
+from hts.config_loading import check_names, make_model
+from hts.contracts import Robot, WorldContext, robot_signals
+from hts.errors import ConfigError
+from hts.guarded import guarded
 from hts.plugins import Registry
 from hts.training.sweep import combinations, own_weights
 
@@ -26,8 +23,6 @@ if TYPE_CHECKING:
     from torchrl.envs.transforms import Transform
 
     from hts.policies.files import Policy
-
-Made = TypeVar("Made")
 
 FEW_ENVS = 2  # per candidate: enough to see that an env can be made and stepped
 
@@ -42,7 +37,7 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     for objective in objectives.values():
-        _check_inputs(objective, robot)
+        robot_signals(objective, robot)  # raises for an input that the robot does not give
     proxy = config.reward_source == "proxy"
     if not combinations(own_weights(objectives, proxy), config.sweep.weights):
         raise ConfigError(
@@ -64,11 +59,11 @@ def transforms(config: RunConfig, registry: Registry) -> list[Transform]:
     made: list[Transform] = []
     for name, settings in config.objectives.items():
         objective = registry.make_objective(name, settings)
-        what = f"Objective '{name}' (from {registry.entry('objectives', name).package})"
+        what = f"Measurement model of objective '{name}'"
         if config.reward_source == "proxy":
             made.append(ProxyTransform(objective))
         else:
-            model = guarded(f"{what}: measurement_model()", partial(_unfitted, objective, robot))
+            model = guarded(what, partial(make_model, registry, objective, settings, robot))
             made.append(MeasurementTransform.of(objective, model))
     return made
 
@@ -95,53 +90,6 @@ def check_world(config: RunConfig, registry: Registry) -> None:
             guarded(f"World '{config.world.name}': check()", world.check)
         finally:
             world.close()
-
-
-def guarded(what: str, work: Callable[[], Made]) -> Made:
-    """The result of a plugin's code. Raises PluginError, one line that begins with `what`, for anything unforeseen."""
-    try:
-        return work()
-    except HtsError:
-        raise
-    except ValidationError as error:
-        raise PluginError(f"{what}: {explain(error)}") from error
-    except Exception as error:
-        text = " ".join(str(error).split())
-        raise PluginError(f"{what} failed, {type(error).__name__}: {text} (HTS_DEBUG=1 shows where).") from error
-
-
-def _check_inputs(objective: Objective, robot: Robot) -> None:
-    given = robot.channels()
-    for name in objective.inputs:
-        if name not in given:
-            text = unknown_name(f"channel of robot '{robot.spec.name}'", name, given)
-            raise ConfigError(f"Objective '{objective.name}' reads '{name}'. {text}")
-
-
-def _unfitted(objective: Objective, robot: Robot) -> Any:
-    """The measurement model that will be fitted, with the numbers it was born with."""
-    from hts.measurement.models import MeasurementModel, MeasurementModelConfig
-
-    settings = objective.measurement_model()
-    if not isinstance(settings, MeasurementModelConfig):
-        raise PluginError(
-            f"Objective '{objective.name}': measurement_model() gives a {type(settings).__name__}, expected a "
-            "hts.measurement.models.MeasurementModelConfig."
-        )
-    channels = robot.channels()
-    for name in settings.inputs:
-        if name not in channels:
-            text = unknown_name(f"channel of robot '{robot.spec.name}'", name, channels)
-            raise ConfigError(f"The measurement model of '{objective.name}' reads '{name}'. {text}")
-    sizes = [_size(channels[name].shape) for name in settings.inputs]
-    return MeasurementModel(settings, sizes, robot.spec.control_rate_hz)
-
-
-def _size(shape: Sequence[int]) -> int:
-    size = 1
-    for length in shape:
-        size *= length
-    return size
 
 
 def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:

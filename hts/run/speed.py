@@ -6,8 +6,9 @@ import time
 from itertools import islice
 
 from hts.config import RunConfig
+from hts.guarded import guarded
 from hts.plugins import Registry
-from hts.run.ready import guarded, pretrained_policy, transforms
+from hts.run.ready import pretrained_policy, transforms
 from hts.training.sweep import Candidate, combinations, own_weights
 
 BATCHES = 4  # the first one is not timed: it takes memory and fills caches
