@@ -69,7 +69,8 @@ def fit_and_check(
     """Split, fit on the larger part, check on the rest. The report is plain JSON values:
 
     model: name and settings; fit: see the model's `fit`; held_out: see `checks.check`; training: ids fitted to;
-    held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing).
+    held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing, such as the first
+    with one recording).
     settings, registry: see `new_model`; keep: hashes of policies never held out whole.
     """
     config = config or MeasurementConfig()
@@ -153,6 +154,11 @@ def fit_store(
 def summary_line(report: Mapping[str, Any]) -> str:
     """One line for a person, from the report of `fit_and_check`."""
     held = report["held_out"]
+    if not held["recordings"]:
+        return (
+            f"{report['target']}: fitted to one recording, so none was held out and nothing is known of how well it "
+            "predicts. Import two at least."
+        )
     proxy = (held["proxy"] or {}).get("smoothed")
     linear = held.get("linear")
     against = f", linear {_number(linear['r2'])}" if linear else ""
