@@ -14,8 +14,7 @@ from hts.recordings.checks import check
 from hts.recordings.recording import Recording
 
 if TYPE_CHECKING:
-    from hts.contracts import Robot
-    from hts.plugins import Registry
+    from hts.contracts import Installed, LogReader, Robot
 
 DEFAULT_READER = "csv"
 
@@ -25,7 +24,7 @@ def reader_name(mapping: Mapping[str, Any]) -> str:
     return str(mapping.get("reader", DEFAULT_READER))
 
 
-def read_log(registry: Registry, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
+def read_log(registry: Installed, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
     """One recording from the files, by the reader that the mapping names, fit to be stored.
 
     Raises the reader's own HtsError; PluginError where it fails in another way or gives no recording; RecordingError
@@ -39,24 +38,24 @@ def read_log(registry: Registry, files: Sequence[Path], mapping: Mapping[str, An
     except HtsError:
         raise
     except ValidationError as error:
-        raise PluginError(f"{_who(registry, name, where)}: {error.title}: {explain(error)}") from error
+        raise PluginError(f"{_who(reader, name, where)}: {error.title}: {explain(error)}") from error
     except Exception as error:
         text = " ".join(str(error).split())
         raise PluginError(
-            f"{_who(registry, name, where)} failed, {type(error).__name__}: {text} (HTS_DEBUG=1 shows where)."
+            f"{_who(reader, name, where)} failed, {type(error).__name__}: {text} (HTS_DEBUG=1 shows where)."
         ) from error
     if not isinstance(recording, Recording):
         found = type(recording).__name__
         raise PluginError(
-            f"{_who(registry, name, where)} gives a {found}, expected a hts.recordings.recording.Recording."
+            f"{_who(reader, name, where)} gives a {found}, expected a hts.recordings.recording.Recording."
         )
     check(recording, where)
     _check_robot(recording, robot, where)
     return recording
 
 
-def _who(registry: Registry, name: str, where: str) -> str:
-    return f"{where}: log reader '{name}' (from {registry.entry('log_readers', name).package})"
+def _who(reader: LogReader, name: str, where: str) -> str:
+    return f"{where}: log reader '{name}' (of {type(reader).__module__})"
 
 
 def _check_robot(recording: Recording, robot: Robot, where: str) -> None:

@@ -83,7 +83,7 @@ def check_world(config: RunConfig, registry: Registry) -> None:
     with tempfile.TemporaryDirectory(prefix="hts-ready-") as nowhere:
         context = WorldContext(
             robot=config.robot.name, robot_settings=config.robot.settings, objectives=config.objectives,
-            seed=config.seed, folder=Path(nowhere),
+            seed=config.seed, folder=Path(nowhere), registry=registry,
         )  # fmt: skip
         world = registry.make_world(config.world.name, config.world.settings, context)
         try:

@@ -41,7 +41,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     settings = job.config.selection.selector
     selector = job.registry.make_selector(settings.name, settings.settings)
     rounds = selector.rounds()
-    tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None else None
+    tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None and elites else None
     if tests is None:  # this selector, or this world, knows no rounds
         tests = whole(job, elites, report)
     ids = job.keep(tests.recorded, iteration + 1)
@@ -163,7 +163,7 @@ def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
 
 def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:
     """How well this iteration's models predicted the policies that were made with them: the hardest test."""
-    if job.config.reward_source != "model":
+    if job.config.reward_source != "model" or not ids:  # ids: of the tests, none where nobody could be tested
         return {}
     tried = job.recordings(ids)
     known = job.recordings(job.known(iteration))

@@ -181,7 +181,7 @@ def test_of_a_single_recording_nothing_is_held_out_and_nothing_is_claimed():
     only = recording(1, seconds=4.0)
     training, held = split([only], 0.2)
     assert (training, held) == ([only], [])
-    report = fit_command.fit_and_check(Heat(), [only], MeasurementConfig(epochs=1)).report
+    report = fit_command.fit_and_check(KnownHeat(), [only], MeasurementConfig(epochs=1)).report
     assert report["held_out_r2"] is None and report["rank_correlation"] is None
     assert report["held_out"]["linear"]["r2"] is None and report["held_out"]["samples"] == 0
     line = fit_command.summary_line(report)

@@ -75,7 +75,7 @@ def test_a_reader_without_a_mistake_gives_its_recording(read):
 
 def test_a_column_that_is_not_there_is_told(refusal):
     text = refusal(PluginError, "return mapping['channels']['tau']")
-    assert text.startswith("walk.log: log reader 'mine' (from stranger) failed, KeyError: 'channels'")
+    assert text.startswith("walk.log: log reader 'mine' (of stranger) failed, KeyError: 'channels'")
 
 
 def test_a_schedule_with_a_wrong_key_is_answered_with_the_closest(refusal):

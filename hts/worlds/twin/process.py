@@ -48,7 +48,10 @@ class Twin:
         registry = plugins.load()
         self.settings = TwinSettings.model_validate(start["settings"])
         self.robot = registry.make_robot(start["robot"], start["robot_settings"])
-        self.seed, self.name, self.objectives = int(start["seed"]), start["name"], start["objectives"]
+        self.seed, self.name = int(start["seed"]), start["name"]
+        self.targets = {
+            name: registry.make_objective(name, settings).target.name for name, settings in start["objectives"].items()
+        }
         self._make = lambda: make_instruments(registry, self.robot, start["objectives"], self.settings.instruments)
         self._make()  # wrong settings are refused at once
         self.spool = RecordingStore(Path(start["spool"]), create=True)
@@ -62,13 +65,10 @@ class Twin:
 
     def check(self) -> str:
         """A twin of this robot can be made, and its instruments measure every objective's target."""
-        from hts import plugins
         from hts.worlds.twin.model import build
 
         levels = self.idle()
-        registry = plugins.load()
-        for name, settings in self.objectives.items():
-            target = registry.make_objective(name, settings).target.name
+        for name, target in self.targets.items():
             if target not in levels:
                 raise UnfitWorldError(
                     f"Objective '{name}' wants '{target}', which no instrument of this twin measures "
