@@ -37,10 +37,11 @@ def run(
     A run that was interrupted goes on with `resume(folder)`.
     """
     from hts.config_loading import load_config
+    from hts.overrides import Override
     from hts.run import start_run
 
     names = [objectives] if isinstance(objectives, str) else list(objectives)
-    overrides = [f"{key}={json.dumps(value)}" for key, value in (settings or {}).items()]
+    overrides = [Override.of(key, value) for key, value in (settings or {}).items()]
     resolved = load_config(
         preset=preset, file=Path(config) if config else None, objectives=names, robot=robot, world=world, engine=engine,
         seed=seed, overrides=overrides,
@@ -64,8 +65,9 @@ def fit(objective: str, data: Path | str, out: Path | str, settings: Mapping[str
     For example `api.fit("OBJECTIVE", "walks.zarr", "fits/first", {"measurement.epochs": 40})["held_out_r2"]`.
     """
     from hts.measurement.fit_command import fit_store
+    from hts.overrides import Override
 
-    overrides = [f"{key}={json.dumps(value)}" for key, value in (settings or {}).items()]
+    overrides = [Override.of(key, value) for key, value in (settings or {}).items()]
     return json.loads(fit_store(objective, Path(data), Path(out), overrides=overrides).read_text(encoding="utf-8"))
 
 

@@ -7,6 +7,7 @@
     ├── PolicyError          a policy or checkpoint file that cannot be used
     ├── SimulationError      the engine, the environment or a training run went wrong (a NaN, a full buffer)
     ├── WorldError           the world where policies run "for real" could not do what was asked
+    │   └── UnfitWorldError  it cannot serve this robot or objective at all: only a run in another world can
     ├── EvaluationError      recordings from which no honest number can be made (too few valid segments)
     └── RunError             the run folder: exists already, is half-written, cannot be written
 
@@ -47,6 +48,10 @@ class SimulationError(HtsError):
 
 class WorldError(HtsError):
     """The world could not do what was asked of it."""
+
+
+class UnfitWorldError(WorldError):
+    """This world cannot serve the run's robot or objectives: going on with the run does not help, another world does."""
 
 
 class EvaluationError(HtsError):

@@ -12,30 +12,75 @@ if TYPE_CHECKING:
 Location = tuple[int | str, ...]
 
 
+EXPECTED: dict[str, str] = {
+    "int_parsing": "expected a whole number",
+    "int_type": "expected a whole number",
+    "int_from_float": "expected a whole number",
+    "float_parsing": "expected a number",
+    "float_type": "expected a number",
+    "bool_parsing": "expected true or false",
+    "bool_type": "expected true or false",
+    "string_type": "expected text",
+    "tuple_type": "expected a list",
+    "list_type": "expected a list",
+    "dict_type": "expected keys and values",
+    "model_type": "expected keys and values",
+    "literal_error": "expected {expected}",
+    "greater_than": "expected more than {gt:g}",
+    "greater_than_equal": "expected at least {ge:g}",
+    "less_than": "expected less than {lt:g}",
+    "less_than_equal": "expected at most {le:g}",
+    "too_short": "expected at least {min_length}",
+    "too_long": "expected at most {max_length}",
+}
+"""pydantic's type of a fault -> what was expected, with the fault's own numbers; any other keeps pydantic's words."""
+
+SHOWN = 4
+"""Faults that are said; more are counted."""
+
+
 def explain(
     error: ValidationError, model: type[BaseModel] | None = None, origin: Callable[[Location], str] | None = None
 ) -> str:
-    """One line for the first thing wrong, and how many more there are.
+    """One line for everything that is wrong, unknown keys first: they are often why another one is missing.
 
     model: what was being validated; left out, it is looked up in the error's traceback.
     origin: says of a location where its value was written, e.g. "--set a.b"; default: the location itself.
     """
-    faults = error.errors(include_url=False)
-    first = faults[0]
-    location: Location = tuple(first["loc"])
-    where = origin(location) if origin else dotted(location)
-    model = model or _validated_model(error)
-    if first["type"] == "extra_forbidden":
+    model = model or validated_model(error)
+    faults: list[dict[str, Any]] = [dict(fault) for fault in error.errors(include_url=False)]
+    inside = {tuple(fault["loc"][:depth]) for fault in faults for depth in range(len(fault["loc"]))}
+    # A list whose items are refused counts as too short: that is no fault of its own.
+    faults = [fault for fault in faults if fault["type"] != "too_short" or tuple(fault["loc"]) not in inside]
+    faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
+    told = list(dict.fromkeys(_fault(fault, model, origin or dotted) for fault in faults))
+    text = " Also: ".join(told[:SHOWN])
+    more = len(told) - SHOWN
+    return text + (f" ({more} more thing{'s' if more > 1 else ''} wrong.)" if more > 0 else "")
+
+
+def _fault(fault: Mapping[str, Any], model: type[BaseModel] | None, origin: Callable[[Location], str]) -> str:
+    """One sentence or two about one thing that pydantic found."""
+    location: Location = tuple(fault["loc"])
+    where = origin(location) if location else ""
+    if fault["type"] == "extra_forbidden":
         known = _keys_at(model, location[:-1]) if model else []
-        text = f"{where}: there is no key '{location[-1]}'{' in ' + dotted(location[:-1]) if location[:-1] else ''}."
-        text += closest(str(location[-1]), known)
-    elif first["type"] == "missing":
-        text = f"{where}: this key is needed and missing."
-    else:
-        message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
-        text = f"{where}: {message}, found {shortened(first['input'])}." if where else f"{message}."
-    more = len(faults) - 1
-    return text + (f" ({more} more thing{'s' if more > 1 else ''} wrong.)" if more else "")
+        inside = f" in {dotted(location[:-1])}" if location[:-1] else ""
+        return f"{where}: there is no key '{location[-1]}'{inside}.{closest(str(location[-1]), known)}"
+    if fault["type"] == "missing":
+        return f"{where}: this key is needed and missing."
+    if fault["type"] == "value_error" and not where:  # of a whole model, whose own words name the key
+        return f"{fault['msg'].removeprefix('Value error, ')}."
+    found = f"{_expected(fault)}, found {shortened(fault['input'])}."
+    return f"{where}: {found}" if where else found[:1].upper() + found[1:]
+
+
+def _expected(fault: Mapping[str, Any]) -> str:
+    """What should stand there, in words that need no Python."""
+    words = EXPECTED.get(fault["type"])
+    if words is None:
+        return fault["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    return words.format(**(fault.get("ctx") or {}))
 
 
 def closest(name: str, known: Sequence[str]) -> str:
@@ -57,7 +102,7 @@ def shortened(value: Any, limit: int = 60) -> str:
     return text if len(text) <= limit else text[:limit] + "…"
 
 
-def _validated_model(error: ValidationError) -> type[BaseModel] | None:
+def validated_model(error: ValidationError) -> type[BaseModel] | None:
     """The model class that raised. ValidationError knows only its name, the frame that raised knows the class."""
     from pydantic import BaseModel
 

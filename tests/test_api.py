@@ -56,13 +56,20 @@ def test_fit_returns_what_was_written(tmp_path, monkeypatch):
     def fake(objective, data, out, *, overrides):
         file = out / "fit.json"
         file.write_text(
-            json.dumps({"objective": objective, "data": str(data), "overrides": overrides}), encoding="utf-8"
+            json.dumps(
+                {
+                    "objective": objective,
+                    "data": str(data),
+                    "overrides": [list(one.path) + [one.value] for one in overrides],
+                }
+            ),
+            encoding="utf-8",
         )
         return file
 
     monkeypatch.setattr(fit_command, "fit_store", fake)
     report = api.fit("anything", "walks.zarr", tmp_path, {"measurement.epochs": 2})
-    assert report == {"objective": "anything", "data": "walks.zarr", "overrides": ["measurement.epochs=2"]}
+    assert report == {"objective": "anything", "data": "walks.zarr", "overrides": [["measurement", "epochs", 2]]}
 
 
 def test_evaluate_passes_on_speeds_policy_world_and_seed(folder, monkeypatch):

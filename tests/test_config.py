@@ -11,8 +11,9 @@ import pytest
 from pydantic import ValidationError
 
 from hts.config import RunConfig
-from hts.config_loading import check_names, dump_config, load_config, merged, read_config
+from hts.config_loading import check_names, dump_config, load_config, read_config
 from hts.errors import ConfigError
+from hts.layers import laid
 from hts.plugins import Entry, Registry, load
 from hts.presets import BASELINES, PRESETS
 from hts.testing.examples.objective.objective import Fake
@@ -110,7 +111,7 @@ def test_the_same_world_keeps_its_settings():
 
 def test_merging_leaves_both_sides_as_they_were():
     base, over = {"a": {"b": 1}}, {"a": {"c": 2}}
-    assert merged(base, over) == {"a": {"b": 1, "c": 2}}
+    assert laid(base, over) == {"a": {"b": 1, "c": 2}}
     assert (base, over) == ({"a": {"b": 1}}, {"a": {"c": 2}})
 
 
@@ -214,3 +215,44 @@ def test_a_misspelt_name_is_answered_with_the_closest(given, message):
     with pytest.raises(ConfigError) as caught:
         check_names(fake_config(**given), registry())
     assert message in str(caught.value)
+
+
+def test_a_file_may_name_objectives_robot_and_world_by_name_alone(tmp_path):
+    file = write(tmp_path, "objectives: [fake, other]\nrobot: hopper\nworld: field\n")
+    config = fake_config(file=file, objectives=[], robot=None)
+    assert (set(config.objectives), config.robot.name, config.world.name) == ({"fake", "other"}, "hopper", "field")
+    assert fake_config(file=file).objectives == {"fake": {}}  # the command line chooses
+
+
+def test_an_unknown_key_is_said_before_a_missing_robot(tmp_path):
+    file = write(tmp_path, "robbot: hopper\n")
+    message = refusal(file=file, robot=None)
+    assert message.startswith(f"{file}: robbot: there is no key 'robbot'. Did you mean 'robot'?")
+    assert refusal(robot=None).startswith("No robot given.")
+
+
+def test_all_that_is_wrong_is_said():
+    message = refusal(overrides=["seed=-1", "iteration=2", "finetune.num_envs=many"])
+    assert message.startswith("--set iteration: there is no key 'iteration'")
+    assert "Also: --set seed: " in message and "found 'many'" in message
+
+
+def test_more_than_four_faults_are_counted():
+    assert refusal(overrides=[f"{key}=1" for key in ("aa", "bb", "cc", "dd", "ee", "ff")]).endswith(
+        "(2 more things wrong.)"
+    )
+
+
+def test_set_may_name_the_objectives():
+    assert list(fake_config(objectives=[], overrides=["objectives=[fake, other]"]).objectives) == ["fake", "other"]
+
+
+def test_an_objective_without_settings_in_a_file_is_fine(tmp_path):
+    assert fake_config(file=write(tmp_path, "objectives:\n  fake:\n")).objectives == {"fake": {}}
+
+
+@pytest.mark.parametrize(
+    "text", ["preset: [a]", "preset: {a: 1}", "objectives: {1: {}}", "iterations: {a: 1}", "finetune: 3"]
+)
+def test_values_of_another_kind_end_in_one_line(tmp_path, text):
+    assert refusal(file=write(tmp_path, text + "\n"), objectives=[])

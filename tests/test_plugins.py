@@ -178,7 +178,7 @@ def make(settings):
     [
         ({"color": "red"}, r"Settings of robot 'spot' \(from lab\): color: .*Did you mean 'colour'\?"),
         ({"legs": {"lenght": 2.0}}, r"legs\.lenght: .*Did you mean 'length'\?"),
-        ({"legs": {"length": -2.0}}, r"legs\.length: should be greater than 0, found -2\.0"),
+        ({"legs": {"length": -2.0}}, r"legs\.length: expected more than 0, found -2\.0"),
     ],
 )
 def test_wrong_settings_name_the_key_the_package_and_the_closest_key(install, settings, message):

@@ -28,8 +28,8 @@ def show(
     executor: options.Executor = None,
     seed: options.Seed = None,
 ) -> None:
-    """Print the configuration that `hts run` with the same options would use, as YAML."""
-    from hts.config_loading import check_names, dump_config, load_config
+    """Print the configuration that `hts run` with the same options would use, as YAML, settings of plugins included."""
+    from hts.config_loading import check_names, dump_config, load_config, with_plugin_defaults
     from hts.plugins import load
 
     resolved = load_config(
@@ -43,13 +43,15 @@ def show(
         seed=seed,
         overrides=set_ or (),
     )
-    check_names(resolved, load())
-    typer.echo(dump_config(resolved), nl=False)
+    registry = load()
+    check_names(resolved, registry)
+    typer.echo(dump_config(with_plugin_defaults(resolved, registry)), nl=False)
 
 
 @app.command()
 def schema() -> None:
-    """Print the JSON schema of a config file."""
-    from hts.config import RunConfig
+    """Print the JSON schema of a config file, with the settings of all plugins that are installed."""
+    from hts.config_schema import config_schema
+    from hts.plugins import load
 
-    typer.echo(json.dumps(RunConfig.model_json_schema(), indent=2))
+    typer.echo(json.dumps(config_schema(load()), indent=2, default=str))

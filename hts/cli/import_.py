@@ -29,6 +29,7 @@ def command(
     from hts.errors import ConfigError, RecordingError, unknown_name
     from hts.plugins import load
     from hts.recordings.mapping import load_mapping
+    from hts.recordings.reading import read_log
     from hts.recordings.store import RecordingStore
 
     registry = load()
@@ -40,10 +41,9 @@ def command(
             known = channels if isinstance(channels, dict) else ()
             raise ConfigError(f"{mapping}: --drop: " + unknown_name("channel", name, known))
         del channels[name]
-    reader = registry.make_log_reader(str(told.get("reader", "csv")))
     groups = [files] if told.get("files") else [[file] for file in files]
     try:
-        recordings = [reader.read(group, told, machine) for group in groups]
+        recordings = [read_log(registry, group, told, machine) for group in groups]
     except ConfigError as error:
         raise ConfigError(f"{mapping}: {error}") from error
     except RecordingError as error:

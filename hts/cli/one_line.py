@@ -12,7 +12,7 @@ from pathlib import Path
 import typer
 
 from hts.cli.device_faults import device_fault
-from hts.errors import HtsError, RunError, WaitingForRobot
+from hts.errors import HtsError, RunError, UnfitWorldError, WaitingForRobot
 
 DISK_FAULTS: dict[int, str] = {
     errno.EROFS: "the file system is read-only. Choose a place that can be written, with --out DIR",
@@ -36,6 +36,12 @@ def one_line(error: Exception) -> tuple[str, int] | None:
         return _usage(error), error.exit_code
     if isinstance(error, typer.Abort):
         return "stopped", 1
+    from pydantic import ValidationError
+
+    if isinstance(error, ValidationError):  # what a plugin or a script put together, such as a schedule
+        from hts.explain import explain
+
+        return f"error: {error.title}: {explain(error)}", HtsError.exit_code
     fault = disk_fault(error) or device_fault(error)
     return (f"error: {fault}", RunError.exit_code) if fault else None
 
@@ -68,7 +74,7 @@ def resumable(folder: Path) -> Iterator[None]:
             print("\nstopped before anything was written", file=sys.stderr)
         raise typer.Exit(130) from None
     except HtsError as error:
-        told = isinstance(error, WaitingForRobot) or "resume" in str(error)
+        told = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in str(error)
         if told or not (folder / "config.yaml").exists():
             raise
         raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error

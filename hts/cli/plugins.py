@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -11,9 +11,20 @@ from hts.cli import options
 from hts.plugins import KINDS, Registry, load
 
 
-def command(json_: options.AsJson = False) -> None:
-    """List everything that plugins offer, by kind, with its package; broken plugins with the reason."""
+def command(
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="One of them: its settings, and a robot's channels.")
+    ] = None,
+    json_: options.AsJson = False,
+) -> None:
+    """List everything that plugins offer, by kind, with its package; broken plugins with the reason. Or all of one."""
     registry = load()
+    if name is not None:
+        from hts.cli.plugin_page import plugin_data, plugin_text
+
+        pages = plugin_data(registry, name)
+        typer.echo(json.dumps(pages, indent=2, default=str) if json_ else plugin_text(pages))
+        return
     typer.echo(json.dumps(as_data(registry), indent=2) if json_ else as_text(registry))
 
 

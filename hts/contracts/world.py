@@ -83,5 +83,12 @@ class World(ABC):
         """What so many seconds of walking will cost here, e.g. {"robot_minutes": 5.3, "wall_seconds": 12.0}."""
         return {"robot_minutes": robot_seconds / 60.0}
 
+    def check(self) -> None:  # noqa: B027 - most find out when they are made
+        """Raise an HtsError, one line, if this world cannot serve the robot and the objectives of its context.
+
+        Asked before anything is spent, also by `--dry-run`; it may take seconds, starts nothing that `close` does not
+        end, and leaves nothing behind. UnfitWorldError if only another world can help. By default nothing is checked.
+        """
+
     def close(self) -> None:  # noqa: B027 - most hold nothing
         """Let go of processes and files."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -11,10 +12,11 @@ from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from hts.channels import Channel
-from hts.errors import ConfigError
+from hts.errors import ConfigError, PluginError, unknown_name
 from hts.rl.task_env import TaskEnv
 
 Key = str | tuple[str, ...]
+FLAGS = ("done", "terminated", "truncated")
 ChannelValues = Callable[[TensorDictBase, torch.Tensor], Mapping[str, torch.Tensor]]
 
 
@@ -50,8 +52,25 @@ class FoldedEnv(TaskEnv):
         self.reward_scale = dt if reward_scale is None else reward_scale
         self.wanted = dict(channels)
         self.parts = {"observation": tuple(observation), "critic_observation": tuple(critic_observation or observation)}
+        self._check_inner()
         self.observation_layout = self._layout()
         self._make_specs()
+
+    def _check_inner(self) -> None:
+        """The inner env gives the observations that are asked of it, and the flags."""
+        given = {_shown(key) for key in self.inner.observation_spec.keys(True, True)}
+        for part, keys in self.parts.items():
+            for key in keys:
+                if _shown(key) not in given:
+                    text = unknown_name("entry of the inner env's observation_spec", _shown(key), given)
+                    raise ConfigError(f"FoldedEnv: {part}: {text}")
+        flags = set(self.inner.full_done_spec.keys(True, True))
+        for name in FLAGS:
+            if name not in flags:
+                raise ConfigError(
+                    f"FoldedEnv: the inner env has no flag '{name}' (it has {', '.join(map(_shown, sorted(flags, key=str)))}). "
+                    "An episode that ends by time is truncated, one that ends by failing is terminated, either is done."
+                )
 
     def _make_specs(self) -> None:
         shape, device = self.batch_size, self.device
@@ -67,12 +86,10 @@ class FoldedEnv(TaskEnv):
         self.action_spec = unbounded(self.inner.action_spec.shape[-1])
         self.reward_spec = unbounded(1)
         flag = Binary(1, (*shape, 1), device=device, dtype=torch.bool)
-        self.done_spec = Composite(
-            {name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape, device=device
-        )
+        self.done_spec = Composite({name: flag.clone() for name in FLAGS}, shape=shape, device=device)
 
     def _size(self, key: Key) -> int:
-        return int(self.inner.observation_spec[key].shape[-1])
+        return math.prod(self.inner.observation_spec[key].shape[1:])
 
     def _layout(self) -> list[dict[str, Any]]:
         """Names and sizes of the observation's parts, for the card of a policy that is trained here."""
@@ -100,14 +117,30 @@ class FoldedEnv(TaskEnv):
     def _folded(self, flat: TensorDictBase, action: torch.Tensor) -> TensorDict:
         shape = self.batch_size
         found = self.values(flat, action)
-        channels = {name: found[name].float().view(*shape, *channel.shape) for name, channel in self.wanted.items()}
+        channels = {name: self._channel(found, channel) for name, channel in self.wanted.items()}
         entries: dict[str, Any] = {
             name: torch.cat([flat[key].float().view(*shape, -1) for key in keys], -1)
             for name, keys in self.parts.items()
         }
-        entries |= {name: flat[name].view(*shape, 1).clone() for name in ("done", "terminated", "truncated")}
+        entries |= {name: flat[name].view(*shape, 1).clone() for name in FLAGS}
         entries["channels"] = TensorDict(channels, shape, device=self.device)
         return TensorDict(entries, shape, device=self.device)
+
+    def _channel(self, found: Mapping[str, torch.Tensor], channel: Channel) -> torch.Tensor:
+        """One of the channels that `values` gave, [P, N, *shape] float32. Raises PluginError if it is not there or is odd."""
+        if not isinstance(found, Mapping):
+            raise PluginError(f"FoldedEnv: values() gives a {type(found).__name__}, expected a mapping name -> tensor.")
+        if channel.name not in found:
+            raise PluginError("FoldedEnv: values(): " + unknown_name("channel", channel.name, found))
+        tensor, worlds = found[channel.name], self.batch_size.numel()
+        if not isinstance(tensor, torch.Tensor):
+            raise PluginError(f"FoldedEnv: values()['{channel.name}'] is a {type(tensor).__name__}, expected a tensor.")
+        if tensor.shape[:1] != (worlds,) or tensor.numel() != worlds * math.prod(channel.shape):
+            raise PluginError(
+                f"FoldedEnv: values()['{channel.name}'] has shape {tuple(tensor.shape)}, expected {(worlds, *channel.shape)}: "
+                "worlds of all candidates first, then the channel's own shape."
+            )
+        return tensor.float().reshape(*self.batch_size, *channel.shape)
 
     def _set_seed(self, seed: int | None) -> None:
         """Worlds are seeded when they are made."""
@@ -116,3 +149,8 @@ class FoldedEnv(TaskEnv):
         if not self.inner.is_closed:
             self.inner.close()
         super().close(**kwargs)
+
+
+def _shown(key: Key) -> str:
+    """A key of a TensorDict as one word: "state" or "state/position"."""
+    return key if isinstance(key, str) else "/".join(key)

@@ -94,12 +94,13 @@ class CandidateResult:
     """An elite after its head-to-head.
 
     entry: `real` of its candidate in `summary.json`, None if nothing could be reported;
-    tested: for the selector, None likewise; refused: why, one line, or None.
+    tested: for the selector, None likewise; refused: why, one line, or None; refusal: its numbers, as `TooFewSegments`.
     """
 
     entry: dict[str, Any] | None
     tested: TestedCandidate | None
     refused: str | None
+    refusal: Mapping[str, float | None] | None = None
 
 
 def candidate_result(
@@ -123,7 +124,7 @@ def candidate_result(
         except TooFewSegments as error:
             if error.role == "reference":
                 raise
-            return CandidateResult(None, None, f"{candidate}: {error}")
+            return CandidateResult(None, None, f"{candidate}: {error}", error.numbers)
         entry[name] = {
             speed_key(speed): {key: result.entry()[key] for key in REAL_KEYS} for speed, result in results.items()
         }

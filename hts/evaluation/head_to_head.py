@@ -24,11 +24,14 @@ if TYPE_CHECKING:
 
 
 class TooFewSegments(EvaluationError):
-    """Too few valid segments of the policy or of the reference; `role` says whose."""
+    """Too few valid segments of the policy or of the reference; `role` says whose.
 
-    def __init__(self, message: str, role: str) -> None:
+    numbers: commanded `speed` and mean speed `walked` (None if unknown), m/s; `valid` share of the segments; `falls`.
+    """
+
+    def __init__(self, message: str, role: str, numbers: Mapping[str, float | None]) -> None:
         super().__init__(message)
-        self.role = role
+        self.role, self.numbers = role, numbers
 
 
 @dataclass(frozen=True)
@@ -217,7 +220,11 @@ def _check_enough(segments: Segments, role: str, speed: float, config: Evaluatio
         f"least {config.min_segments} and "
         f"{config.min_valid:.0%} are needed. Nothing is reported: check that it walks and that base_velocity is right.",
         role,
-    )
+        {
+            "speed": speed, "walked": None if math.isnan(segments.walked) else float(segments.walked),
+            "valid": float(segments.valid), "falls": segments.falls,
+        },
+    )  # fmt: skip
 
 
 def _scores(objective: Objective, segments: Segments, role: str) -> dict[str, np.ndarray]:

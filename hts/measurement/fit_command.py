@@ -13,18 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-from pydantic import ValidationError
-
 from hts.atomic import atomic_write
 from hts.config import MeasurementConfig
-from hts.config_loading import merged, with_named_model
 from hts.contracts import MeasurementModel, ModelContext, chosen_model
 from hts.errors import ConfigError, RecordingError, RunError, unknown_name
+from hts.layers import in_full
 from hts.measurement import files
 from hts.measurement.checks import check
 from hts.measurement.data import recorded_signals
 from hts.measurement.split import split
+from hts.overrides import Override, nested, parsed
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, Settings
@@ -71,7 +69,8 @@ def fit_and_check(
     """Split, fit on the larger part, check on the rest. The report is plain JSON values:
 
     model: name and settings; fit: see the model's `fit`; held_out: see `checks.check`; training: ids fitted to;
-    held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing).
+    held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing, such as the first
+    with one recording).
     settings, registry: see `new_model`; keep: hashes of policies never held out whole.
     """
     config = config or MeasurementConfig()
@@ -105,7 +104,7 @@ def fit_store(
     store_path: Path,
     out: Path,
     *,
-    overrides: Sequence[str] = (),
+    overrides: Sequence[str | Override] = (),
     progress: Progress | None = None,
 ) -> Path:
     """Fit the objective's model to all recordings of a store that have its channels; returns the path of fit.json.
@@ -155,6 +154,11 @@ def fit_store(
 def summary_line(report: Mapping[str, Any]) -> str:
     """One line for a person, from the report of `fit_and_check`."""
     held = report["held_out"]
+    if not held["recordings"]:
+        return (
+            f"{report['target']}: fitted to one recording, so none was held out and nothing is known of how well it "
+            "predicts. Import two at least."
+        )
     proxy = (held["proxy"] or {}).get("smoothed")
     linear = held.get("linear")
     against = f", linear {_number(linear['r2'])}" if linear else ""
@@ -169,42 +173,27 @@ def _number(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.3f}"
 
 
-def _settings(overrides: Sequence[str], objective_name: str) -> dict[str, dict[str, Any]]:
+def _settings(overrides: Sequence[str | Override], objective_name: str) -> dict[str, dict[str, Any]]:
     """{"measurement": {...}, "objectives": settings of this objective} from KEY=VALUE texts."""
-    found: dict[str, dict[str, Any]] = {"measurement": {}, "objectives": {}}
-    for override in overrides:
-        key, equals, text = override.partition("=")
-        section, *path = key.strip().split(".")
-        if not equals or section not in found or not path:
+    sets = parsed(overrides)
+    for one in sets:
+        if one.path[0] not in ("measurement", "objectives") or len(one.path) < 2:
             raise ConfigError(
-                f"--set {override}: expected measurement.KEY=VALUE or objectives.{objective_name}.KEY=VALUE, "
+                f"{one.text}: expected measurement.KEY=VALUE or objectives.{objective_name}.KEY=VALUE, "
                 "e.g. --set measurement.epochs=40"
             )
-        if section == "objectives":
-            if path[0] != objective_name:
-                raise ConfigError(
-                    f"--set {override}: " + unknown_name("objective of this fit", path[0], [objective_name])
-                )
-            path = path[1:]
-        if not all(path):
-            raise ConfigError(f"--set {override}: '{key}' is not a key with a value.")
-        try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ConfigError(f"--set {override}: the value '{text}' is not YAML.") from error
-        for step in reversed(path):
-            value = {step: value}
-        found[section] = merged(found[section], with_named_model(value))
-    return found
+        if one.path[0] == "objectives" and one.path[1] != objective_name:
+            raise ConfigError(f"{one.text}: " + unknown_name("objective of this fit", one.path[1], [objective_name]))
+    found = nested(sets, in_full)
+    return {
+        "measurement": found.get("measurement", {}), "objectives": found.get("objectives", {}).get(objective_name, {})
+    }  # fmt: skip
 
 
 def _measurement_config(values: Mapping[str, Any]) -> MeasurementConfig:
-    from hts.explain import explain
+    from hts.config_loading import section_of
 
     def origin(location: tuple[int | str, ...]) -> str:
         return "--set measurement." + ".".join(str(step) for step in location)
 
-    try:
-        return MeasurementConfig.model_validate(dict(values))
-    except ValidationError as error:
-        raise ConfigError(explain(error, MeasurementConfig, origin)) from error
+    return section_of(MeasurementConfig, values, origin)

@@ -21,12 +21,12 @@ def split(
 
     From four policies on, `share` of them are held out whole, at least one; never the one with the most
     recordings nor those whose hash is in `keep`. Then one recording each of other policies that have several,
-    until the share is reached. Of a single recording its end is held out. Same recordings and seed, same split.
+    until the share is reached. Same recordings and seed, same split.
+
+    Of a single recording nothing is held out: its own end, seconds after what was fitted, says nothing of another walk.
     """
     if len(recordings) == 1:
-        only = recordings[0]
-        at = round((1.0 - share) * only.num_samples)
-        return [part(only, 0, at)], [part(only, at, only.num_samples)]
+        return [recordings[0]], []
     rng = np.random.default_rng(seed)
     by_policy: dict[str, list[int]] = defaultdict(list)
     for index, recording in enumerate(recordings):

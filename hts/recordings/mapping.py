@@ -21,6 +21,7 @@ from hts import units
 from hts.config import Config, ScheduleConfig
 from hts.errors import ConfigError, unknown_name
 from hts.explain import explain
+from hts.yaml_text import load_mapping_file
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -114,20 +115,9 @@ class LogMapping(Config):
 
 def load_mapping(path: Path) -> dict[str, Any]:
     """The YAML of a mapping, not yet validated. Raises ConfigError if it cannot be read."""
-    import yaml
-
-    try:
-        mapping = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot be read ({error.strerror}). Expected the mapping of the log, as YAML."
-        ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: no valid YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(mapping, dict):
-        raise ConfigError(
-            f"{path}: expected keys and values (time, rate_hz, channels), found {type(mapping).__name__}."
-        )
+    mapping = load_mapping_file(path, "mapping of the log")
+    if not mapping:
+        raise ConfigError(f"{path}: expected keys and values (time, rate_hz, channels), found nothing.")
     return mapping
 
 

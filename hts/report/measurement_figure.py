@@ -60,7 +60,8 @@ def _quality(panel, rows: list[tuple[int, Mapping[str, Any]]], proxy: list[tuple
     panel.grid(axis="x", visible=False)
     panel.set_xlabel("iteration")
     panel.set_title("On recordings it never saw")
-    panel.legend(loc="lower right")
+    if panel.get_legend_handles_labels()[0]:  # none where nothing was held out
+        panel.legend(loc="lower right")
 
 
 def _predicted(panel, index: int, fit: Mapping[str, Any]) -> None:

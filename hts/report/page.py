@@ -17,6 +17,7 @@ from hts.report.data import Json, RunData, read_run
 from hts.report.front import front_part
 from hts.report.glossary import GLOSSARY
 from hts.report.measurement_figure import proxy_r2
+from hts.report.outcome import closing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,6 +63,7 @@ def contents(run: RunData) -> dict[str, Any]:
         "world_text": text,
         "front": front_part(run),
         "objectives": objectives,
+        "ending": closing(summary),
         "later": _later(run),
         "iterations": [_iteration(run, iteration) for iteration in run.iterations],
         "glossary": GLOSSARY,

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from hts.report import wording
+from hts.report.outcome import closing
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -15,11 +16,11 @@ if TYPE_CHECKING:
 def print_table(summary: Mapping[str, Any], console: Console | None = None) -> None:
     """Print the final head-to-head of a summary.json, one table per objective."""
     final = summary.get("final") or {}
-    if final.get("policy") == "pretrained":
+    for line in closing(summary):
         from rich.console import Console
 
-        why = "No final head-to-head: no candidate measured better than the pretrained policy, which stays the best."
-        (console or Console()).print(why, soft_wrap=True)
+        (console or Console()).print(line, soft_wrap=True, markup=False, highlight=False)
+    if final.get("policy") == "pretrained":
         return
     _print(final.get("objectives") or {}, f"{final.get('policy') or 'final'} policy against pretrained", console)
     if len(summary.get("objectives") or ()) > 1 and (summary.get("front") or {}).get("real"):
@@ -39,7 +40,8 @@ def _print(objectives: Mapping[str, Any], title: str, console: Console | None) -
 
     console = console or Console()
     for name, result in objectives.items():
-        console.print(_table(result, f"{name}: {title}"))
+        for table in fitting(result, f"{name}: {title}", console):
+            console.print(table)
         for line in (result.get("refused") or {}).values():
             console.print(f"{name}: {line}", style="red", markup=False)
     if not objectives:
@@ -67,32 +69,61 @@ def _front_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
-def _table(result: Mapping[str, Any], title: str) -> Table:
-    """Narrow enough for 80 columns with two metrics; one that is the improvement itself is left out."""
+def fitting(result: Mapping[str, Any], title: str, console: Console) -> list[Table]:
+    """One table if the console is wide enough for all of it, else the metrics in tables of their own below.
+
+    A heading may break between words, never inside one. One metric a table is as narrow as it gets.
+    """
+    metrics = _metrics(result)
+    whole = _table(result, title, metrics, numbers=True)
+    if not metrics or _fits(whole, console):
+        return [whole]
+    tables, waiting = [_table(result, title, [], numbers=True)], metrics
+    while waiting:
+        count = next((n for n in range(len(waiting), 1, -1) if _fits(_table(result, "", waiting[:n]), console)), 1)
+        tables.append(_table(result, "", waiting[:count]))
+        waiting = waiting[count:]
+    return tables
+
+
+def _fits(table: Table, console: Console) -> bool:
+    """Whether every word and number of the table has its place."""
+    from rich.measure import Measurement
+
+    wide = console.options.update(width=10_000)  # what it needs, not what there is
+    return Measurement.get(console, wide, table).minimum <= console.width
+
+
+def _metrics(result: Mapping[str, Any]) -> list[str]:
+    """Names of the metrics; one that is the improvement itself is left out."""
+    rows = [(row, row.get("metrics") or {}) for row in result["speeds"].values()]
+    names = dict.fromkeys(name for _, metrics in rows for name in metrics)
+    return [name for name in names if any(metrics.get(name) != row["improvement"] for row, metrics in rows)]
+
+
+def _table(result: Mapping[str, Any], title: str, metrics: Sequence[str], numbers: bool = False) -> Table:
+    """One row a speed. numbers: improvement, speed, falls and segments too."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     unit, speeds = result["unit"], result["speeds"]
-    rows = [(key, speeds[key], speeds[key].get("metrics") or {}) for key in sorted(speeds, key=float)]
-    names = dict.fromkeys(name for _, _, metrics in rows for name in metrics)
-    shown = [name for name in names if any(metrics.get(name) != row["improvement"] for _, row, metrics in rows)]
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=0)
+    table = Table(title=title or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=0)
     table.add_column("speed", justify="right", no_wrap=True)
-    for column in ("improvement", "95 % interval"):
+    for column in ("improvement", "95 % interval") if numbers else ():
         table.add_column(column, justify="right", no_wrap=True)
-    for name in shown:
+    for name in metrics:
         table.add_column(wording.label(name).lower(), justify="right")
-    for column in ("mean m/s", "falls", "segments"):
+    for column in ("mean m/s", "falls", "segments") if numbers else ():
         table.add_column(column, justify="right")
-    for key, row, metrics in rows:
-        falls = row.get("falls")
-        table.add_row(
-            f"{key} m/s",
-            wording.quantity(row["improvement"], unit),
-            wording.interval(row.get("improvement_ci95"), unit),
-            *(wording.metric(name, metrics.get(name)) for name in shown),
+    for key in sorted(speeds, key=float):
+        row = speeds[key]
+        falls, found = row.get("falls"), row.get("metrics") or {}
+        first = [wording.quantity(row["improvement"], unit), wording.interval(row.get("improvement_ci95"), unit)]
+        last = [
             wording.number(row.get("mean_speed")),
             f"[red]{falls}[/red]" if falls else wording.count(falls),
             wording.count(row.get("segments")),
-        )
+        ]
+        shown = [wording.metric(name, found.get(name)) for name in metrics]
+        table.add_row(f"{key} m/s", *(first if numbers else ()), *shown, *(last if numbers else ()))
     return table

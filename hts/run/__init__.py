@@ -15,22 +15,29 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     """Run into the new folder `out`; returns it. dry_run: only say what it would cost; registry: left out, it is loaded.
 
     Raises RunError if the folder holds something already; nothing is ever overwritten. Whatever can be wrong with
-    names, settings and folder shows before anything heavy is imported.
+    names, settings and folder shows before anything heavy is imported; then everything that the run will need is built
+    once (`hts.run.ready`), before anything is written.
     """
     from hts.config_loading import check_names
     from hts.plugins import load
 
     registry = registry or load()
     check_names(config, registry)
+    config = with_engine(config)
+    from hts.run.ready import check_ready
+
     if dry_run:
-        from hts.run.cost import estimate, print_estimate
+        from hts.run.cost import estimate, print_estimate, print_ready
+        from hts.run.speed import control_steps_per_second
 
-        if config.engine == "auto":
-            config = with_engine(config)
-
-        print_estimate(estimate(config, registry))
+        check_ready(config, registry)
+        print_estimate(estimate(config, registry, control_steps_per_second(config, registry)))
+        print_ready(config)
         return Path(out)
-    _make_folder(with_engine(config), Path(out))
+    check_ready(
+        config, registry, config.engine if config.engine == "mujoco" else None
+    )  # kernels take minutes to compile
+    _make_folder(config, Path(out))
     return resume_run(out, registry)
 
 

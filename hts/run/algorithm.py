@@ -19,6 +19,7 @@ from typing import Any
 from hts.config import RunConfig
 from hts.plugins import Registry
 from hts.report import write_report
+from hts.report.outcome import nobody_chosen
 from hts.report.table import print_table
 from hts.run.job import Job
 from hts.run.learning import finetune, fit, simulate
@@ -58,7 +59,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
     best = "pretrained"
     for i in range(config.iterations):
         name = f"iterations/{i:02d}"
-        about = f"iteration {i + 1} of {config.iterations}"
+        about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder
         if config.reward_source == "model":
             job.do(f"{name}/fit", f"{about}: fit measurement models", partial(fit, job, i))
         else:
@@ -67,6 +68,8 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         job.do(f"{name}/simulate", f"{about}: judge candidates in simulation", partial(simulate, job, i))
         trying = f"{about}: try elites in world '{config.world.name}'"
         tested = job.do(f"{name}/test", trying, partial(test, job, i, best))
+        if tested["best"] is None:
+            job.stages.progress.say(f"{about}: {nobody_chosen([tested['results'][one] for one in tested['elites']])}")
         best = tested["best_so_far"]
     job.do("final", f"final head-to-head in world '{config.world.name}'", partial(final, job, best))
     return finish(job)

@@ -13,8 +13,8 @@ from hts.plugins import Registry
 from hts.training.sweep import candidates, combinations, own_weights
 
 STEPS_PER_SECOND = {"mujoco": 4_500.0, "warp": 500_000.0}
-"""Control steps per second from collection to update: what `hts bench train` shows on two cores and on one H200.
-Another machine differs; the estimate of time is meant to tell minutes from hours."""
+"""Control steps per second from collection to update, where nobody measured them (`hts.run.speed` does on a CPU):
+what `hts bench train` shows on two cores and on one H200."""
 
 BYTES_PER_SAMPLE = 4 * 600
 """Of a batch while it is learned from: about 600 float32 numbers per control step (observations of actor and critic,
@@ -24,8 +24,13 @@ BASE_MEMORY_GB = 1.2
 """The libraries in the run's own process and in two processes of a twin, before anything is trained."""
 
 
-def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
-    """Numbers of a run that hold if nothing is refused; times are rough."""
+def estimate(config: RunConfig, registry: Registry, steps_per_second: float | None = None) -> dict[str, Any]:
+    """Numbers of a run that hold if nothing is refused; times are rough.
+
+    steps_per_second: control steps from collection to update as measured on this machine; None: those of STEPS_PER_SECOND.
+    """
+    rate = steps_per_second or STEPS_PER_SECOND.get(config.engine, STEPS_PER_SECOND["mujoco"])
+    assumed = {"warp": "an H200", "mujoco": "two cores"}.get(config.engine, "two cores")
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     proxy = config.reward_source == "proxy"
@@ -60,7 +65,8 @@ def estimate(config: RunConfig, registry: Registry) -> dict[str, Any]:
         "candidates": sum(counts), "tested on the robot": elites, "robot_minutes": robot_seconds / 60.0,
         "charges": robot_seconds / 60.0 / robot.spec.endurance_minutes if robot.spec.endurance_minutes else None,
         "simulation_steps": steps,
-        "wall_minutes": (steps / STEPS_PER_SECOND.get(config.engine, 4_500.0) + cost.get("wall_seconds", robot_seconds)) / 60.0,
+        "speed": f"{rate:,.0f} a second, {'measured here' if steps_per_second else f'as on {assumed}; not measured here'}",
+        "wall_minutes": (steps / rate + cost.get("wall_seconds", robot_seconds)) / 60.0,
         "memory_gb": BASE_MEMORY_GB + samples * BYTES_PER_SAMPLE / 1e9,
     }  # fmt: skip
 
@@ -81,10 +87,23 @@ def print_estimate(cost: dict[str, Any]) -> None:
     labels = {
         "combinations": "combinations of λ", "selector": "selector", "candidates": "candidates trained",
         "tested on the robot": "of them tested in the world", "robot_minutes": "minutes of walking",
-        "charges": "charges of the robot", "simulation_steps": "simulation steps", "wall_minutes": "minutes in all, about", "memory_gb": "GB of memory, about",
+        "charges": "charges of the robot", "simulation_steps": "simulation steps", "speed": "of them", "wall_minutes": "minutes in all, about", "memory_gb": "GB of memory, about",
     }  # fmt: skip
     for key, value in cost.items():
         if value is not None:
             shown = value if isinstance(value, str) else f"{value:,.1f}" if isinstance(value, float) else f"{value:,}"
             table.add_row(labels[key], shown)
     Console(highlight=False).print(table)
+
+
+def print_ready(config: RunConfig) -> None:
+    """What a dry run has built, and what it has not."""
+    from rich.console import Console
+
+    built = "Built once, all of it works: plugins and their settings, pretrained policy, rewards, world"
+    rest = (
+        ", env, a few batches of training."
+        if config.engine == "mujoco"
+        else "; the engine is there, its kernels were not compiled."
+    )
+    Console(highlight=False).print(built + rest, soft_wrap=True)

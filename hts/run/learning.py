@@ -171,7 +171,8 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     env.close()
     judged = [_judge(row, results[row["id"]], test.speed_tolerance) for row in rows]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
-    elites = selector.elites(judged, config.selection.elites)
+    able = [one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], job.world.simulated)]
+    elites = selector.elites(able, config.selection.elites)
     details = {
         name: [
             {"speed": t.speed, "falls": t.falls, "mean_speed": t.mean_speed, "valid": t.valid, "rewards": t.rewards}
@@ -186,6 +187,14 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         "tracked": {c.id: c.tracked for c in judged}, "elites": elites, "trials": details,
         "steps": round(test.seconds * job.robot.spec.control_rate_hz) * worlds * len(names),
     }  # fmt: skip
+
+
+def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:
+    """A machine never gets a candidate that fell in simulation, or whose training was stopped; a simulated world may.
+
+    simulated: as `World.simulated`; a world that does not say counts as a machine.
+    """
+    return simulated is True or (candidate.falls == 0 and stopped is None)
 
 
 def _judge(row: dict[str, Any], results, tolerance: float) -> SimulatedCandidate:

@@ -41,7 +41,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     settings = job.config.selection.selector
     selector = job.registry.make_selector(settings.name, settings.settings)
     rounds = selector.rounds()
-    tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None else None
+    tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None and elites else None
     if tests is None:  # this selector, or this world, knows no rounds
         tests = whole(job, elites, report)
     ids = job.keep(tests.recorded, iteration + 1)
@@ -142,6 +142,8 @@ def _scores(tested: TestedCandidate | None) -> dict[str, float] | None:
 def _row(found: CandidateResult) -> dict[str, Any]:
     """A candidate's part of the stage's result."""
     row: dict[str, Any] = {"real": found.entry, "refused": found.refused}
+    if found.refusal is not None:
+        row["refusal"] = dict(found.refusal)
     if found.tested is not None:
         row["tested"] = {"fell": found.tested.fell, "selection_score": _scores(found.tested)}
     return row
@@ -161,7 +163,7 @@ def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
 
 def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:
     """How well this iteration's models predicted the policies that were made with them: the hardest test."""
-    if job.config.reward_source != "model":
+    if job.config.reward_source != "model" or not ids:  # ids: of the tests, none where nobody could be tested
         return {}
     tried = job.recordings(ids)
     known = job.recordings(job.known(iteration))

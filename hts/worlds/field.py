@@ -17,7 +17,7 @@ from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
 from hts.contracts import Installed, Settings, World, WorldContext
-from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
+from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError, unknown_name
 from hts.plugins import load
 from hts.recordings.recording import Recording
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out, walking
@@ -58,6 +58,23 @@ class FieldWorld(World):
                 f"motors idle, read it off and write it into {self._mapping_path()}; then type: {self._command()}"
             )
         return {name: float(level) for name, level in levels.items() if level is not None}
+
+    def check(self) -> None:
+        """The mapping that the settings name can be read, by a reader that is there, and has every channel needed."""
+        from hts.recordings.reading import reader_name
+
+        if self.settings.mapping is None:
+            self._template()
+            return
+        registry, mapping = self._registry, self._mapping()
+        registry.make_log_reader(reader_name(mapping), {})
+        channels = mapping.get("channels")
+        for name, settings in self._context.objectives.items():
+            objective = registry.make_objective(name, settings)
+            for wanted in (*objective.inputs, objective.target.name):
+                if isinstance(channels, Mapping) and wanted not in channels:
+                    text = unknown_name("channel of this mapping", wanted, channels)
+                    raise ConfigError(f"{self._mapping_path()}: objective '{name}' needs '{wanted}'. {text}")
 
     def collect(self, policies: Sequence[Path], schedule: ScheduleConfig) -> list[Recording]:
         request = self._request("collect", policies, schedule.model_dump(mode="json"))
@@ -131,6 +148,7 @@ class FieldWorld(World):
 
     def _read(self, files: Sequence[Path], order: Order) -> Recording:
         from hts.policies.deploy import DeployedPolicy
+        from hts.recordings.reading import read_log
 
         registry, mapping = self._registry, self._mapping()
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
@@ -138,10 +156,9 @@ class FieldWorld(World):
             "world": self.name, "policy_hash": DeployedPolicy(order.policy).card.policy_hash, "session": order.session,
             "schedule": order.schedule.model_dump(mode="json"), "block": order.block, "role": order.role,
         }  # fmt: skip
-        reader = registry.make_log_reader(str(mapping.get("reader", "csv")), {})
         robot = registry.make_robot(self._context.robot, self._context.robot_settings)
         try:
-            recording = reader.read(files, {**mapping, "recording": facts}, robot)
+            recording = read_log(registry, files, {**mapping, "recording": facts}, robot)
         except ConfigError as error:
             raise ConfigError(f"{self._mapping_path()}: {error}") from error
         if abs(recording.seconds - order.schedule.seconds) > 0.1 * order.schedule.seconds:
@@ -164,18 +181,22 @@ class FieldWorld(World):
 
         path = self._mapping_path()
         if self.settings.mapping is None and not path.exists():
-            registry = self._registry
-            robot = registry.make_robot(self._context.robot, self._context.robot_settings)
-            real: dict[str, Channel] = {}
-            for name, settings in self._context.objectives.items():
-                objective = registry.make_objective(name, settings)
-                real[objective.target.name] = objective.target
-                if objective.instrument is not None:  # it tells what else the score needs beside the target
-                    instrument = registry.make_instrument(objective.instrument, {}, robot)
-                    levels = instrument.idle()
-                    real |= {channel.name: channel for channel in instrument.channels if channel.name in levels}
-            atomic_write(path, mapping_template(robot.spec, robot.channels(), list(real.values())))
+            atomic_write(path, self._template())
         return load_mapping(path)
+
+    def _template(self) -> str:
+        """A mapping to fill in: the robot's channels, and what only the robot gives for the objectives."""
+        registry = self._registry
+        robot = registry.make_robot(self._context.robot, self._context.robot_settings)
+        real: dict[str, Channel] = {}
+        for name, settings in self._context.objectives.items():
+            objective = registry.make_objective(name, settings)
+            real[objective.target.name] = objective.target
+            if objective.instrument is not None:  # it tells what else the score needs beside the target
+                instrument = registry.make_instrument(objective.instrument, {}, robot)
+                levels = instrument.idle()
+                real |= {channel.name: channel for channel in instrument.channels if channel.name in levels}
+        return mapping_template(robot.spec, robot.channels(), list(real.values()))
 
     @staticmethod
     def _idle_levels(mapping: Mapping[str, Any]) -> dict[str, float | None]:

@@ -177,10 +177,15 @@ def test_split_of_two_recordings_of_one_policy_keeps_one_for_fitting():
     assert (len(training), len(held)) == (1, 1)
 
 
-def test_of_a_single_recording_the_end_is_held_out():
-    training, held = split([recording(1, seconds=10.0)], 0.2)
-    assert (training[0].num_samples, held[0].num_samples) == (400, 100)
-    assert held[0].time[0] == pytest.approx(8.0)
+def test_of_a_single_recording_nothing_is_held_out_and_nothing_is_claimed():
+    only = recording(1, seconds=4.0)
+    training, held = split([only], 0.2)
+    assert (training, held) == ([only], [])
+    report = fit_command.fit_and_check(KnownHeat(), [only], MeasurementConfig(epochs=1)).report
+    assert report["held_out_r2"] is None and report["rank_correlation"] is None
+    assert report["held_out"]["linear"]["r2"] is None and report["held_out"]["samples"] == 0
+    line = fit_command.summary_line(report)
+    assert "fitted to one recording, so none was held out" in line and "R²" not in line
 
 
 def test_a_moving_average_looks_back_over_its_window_after_its_delay():

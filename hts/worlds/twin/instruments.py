@@ -6,21 +6,21 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hts.contracts import Instrument, Robot, Settings
-from hts.errors import ConfigError, unknown_name
+from hts.errors import ConfigError, UnfitWorldError, unknown_name
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
 
 
 def instrument_names(registry: Registry, objectives: Mapping[str, Settings]) -> list[str]:
-    """Instruments of the objectives, each once. Raises ConfigError for an objective that names none."""
+    """Instruments of the objectives, each once. Raises UnfitWorldError for an objective that names none."""
     names: dict[str, None] = {}
     for name, settings in objectives.items():
         instrument = registry.make_objective(name, settings).instrument
         if instrument is None:
-            raise ConfigError(
+            raise UnfitWorldError(
                 f"Objective '{name}' names no instrument, so a twin cannot measure it. "
-                "Use --world field, or set `instrument` in the objective's class."
+                "Set `instrument` in the objective's class, or start a run in another world: --world field."
             )
         names[instrument] = None
     return list(names)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from hts.contracts import Robot, RobotSpec
-from hts.errors import WorldError
+from hts.errors import UnfitWorldError
 from hts.worlds.twin.parameters import DynamicsParameters
 
 TOUCH_ZONE = 1.6  # times the site size: the zone of the touch sensor must hold every contact of the foot
@@ -58,11 +58,14 @@ def by_gearing(spec: RobotSpec, plain: float, extra_stage: float) -> np.ndarray:
 
 
 def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
-    """Compile the twin of a robot. Raises WorldError for a robot that has no model."""
+    """Compile the twin of a robot. Raises UnfitWorldError for a robot that has no model."""
     root = robot.mjcf()
     spec = robot.spec
     if root is None:
-        raise WorldError(f"Robot '{spec.name}' has logs but no model, so there is no twin of it. Use --world field.")
+        raise UnfitWorldError(
+            f"Robot '{spec.name}' has no model (it is log-only, or brings an env of its own), so there is no twin of it. "
+            "Start a run in another world: --world field, or one of a plugin's."
+        )
     machine_rng = np.random.default_rng([parameters.machine, 1])
     friction = by_gearing(spec, parameters.joint_friction, parameters.joint_friction_extra_stage)
     friction = friction * (1 + parameters.friction_spread * machine_rng.uniform(-1, 1, spec.num_joints))

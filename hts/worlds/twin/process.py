@@ -9,6 +9,7 @@ parent names. The first line says which twin it is, and is answered once the twi
 Then any of
 
     {"do": "idle"}
+    {"do": "check"}                                                     compile the machine, read its instruments
     {"do": "run", "sessions": [...], "request": "hex", "group": 0}      sessions as in programme.py
 
 Answers: {"progress": 0.25} any number of times, then {"done": ...} or {"error": "one line", "kind": "WorldError"}.
@@ -28,7 +29,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
-from hts.errors import HtsError
+from hts.errors import HtsError, UnfitWorldError
 from hts.worlds.base import seed_sequence
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.programme import Session
@@ -48,6 +49,9 @@ class Twin:
         self.settings = TwinSettings.model_validate(start["settings"])
         self.robot = registry.make_robot(start["robot"], start["robot_settings"])
         self.seed, self.name = int(start["seed"]), start["name"]
+        self.targets = {
+            name: registry.make_objective(name, settings).target.name for name, settings in start["objectives"].items()
+        }
         self._make = lambda: make_instruments(registry, self.robot, start["objectives"], self.settings.instruments)
         self._make()  # wrong settings are refused at once
         self.spool = RecordingStore(Path(start["spool"]), create=True)
@@ -58,6 +62,20 @@ class Twin:
         for instrument in self._make().values():
             levels |= instrument.idle()
         return levels
+
+    def check(self) -> str:
+        """A twin of this robot can be made, and its instruments measure every objective's target."""
+        from hts.worlds.twin.model import build
+
+        levels = self.idle()
+        for name, target in self.targets.items():
+            if target not in levels:
+                raise UnfitWorldError(
+                    f"Objective '{name}' wants '{target}', which no instrument of this twin measures "
+                    f"({', '.join(sorted(levels))}). Name the right one in the objective's class."
+                )
+        build(self.robot, self.settings.dynamics)
+        return "ready"
 
     def run(self, request: dict[str, Any], progress: Callable[[float], None]) -> list[list[str]]:
         """Ids of each session's recordings."""
@@ -118,6 +136,8 @@ def main() -> None:
                 answer({"done": "ready"})
             elif request["do"] == "idle":
                 answer({"done": twin.idle()})
+            elif request["do"] == "check":
+                answer({"done": twin.check()})
             else:
                 answer({"done": twin.run(request, progress)})
         except HtsError as error:

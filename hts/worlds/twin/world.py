@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from hts.config import ScheduleConfig
-from hts.config_loading import plain
 from hts.contracts import Settings, World, WorldContext
 from hts.cores import available
 from hts.errors import WorldError
+from hts.layers import plain
 from hts.recordings.recording import Recording
 from hts.recordings.store import RecordingStore
 from hts.worlds.base import ORDER, file_hash, in_groups, request_id, round_order, shared_out
@@ -46,6 +46,10 @@ class TwinWorld(World):
 
     def idle(self) -> Mapping[str, float]:
         return self._guarded(lambda: self._staff(1)[0].ask({"do": "idle"}))
+
+    def check(self) -> None:
+        """A twin of this robot can be compiled and its instruments measure the objectives; 1 to 2 s in its own process."""
+        self._guarded(lambda: self._staff(1)[0].ask({"do": "check"}))
 
     def collect(self, policies: Sequence[Path | None], schedule: ScheduleConfig) -> list[Recording]:
         """As `World.collect`; a policy None stands in the default pose by the robot's own stand mode."""

@@ -1,0 +1,91 @@
+"""What became of the elites, in words: how many were refused, why, how fast they went; who was chosen, and who was not.
+
+A row is an elite's entry of `summary.json`, or of the result of the stage `test`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from typing import Any
+
+Row = Mapping[str, Any]
+
+SEVERAL = 3
+"""So many iterations in a row that choose nobody are worth a sentence of their own."""
+
+ADVICE = (
+    "Who is refused walks too unlike the command to be compared: try smaller λ (sweep.weights) or KL bounds "
+    "(sweep.kl_bounds), or allow more (evaluation.speed_tolerance)."
+)
+
+
+def fates(rows: Sequence[Row]) -> str:
+    """Of so many elites: "2 of 3 refused (they went 0.55 and 0.61 m/s on average, 0.8 was commanded), 1 no better"."""
+    refused = [row for row in rows if row.get("refused")]
+    fell = [row for row in rows if not row.get("refused") and _fell(row)]
+    rest = len(rows) - len(refused) - len(fell)
+    parts = [f"{len(refused)} of {len(rows)} refused{_walked(refused)}"] if refused else []
+    parts += [f"{len(fell)} fell"] if fell else []
+    parts += [f"{rest} measured no better"] if rest else []
+    return ", ".join(parts)
+
+
+def nobody_chosen(rows: Sequence[Row]) -> str:
+    """Of an iteration whose tests chose nobody: one sentence."""
+    if not rows:
+        return "nobody was tested: every candidate fell or was stopped in simulation"
+    return f"nobody was chosen: {fates(rows)}"
+
+
+def closing(summary: Mapping[str, Any]) -> list[str]:
+    """Sentences for the end of a run in which nobody, or for long nobody, was chosen; empty if there is nothing to say."""
+    iterations = [
+        (one.get("index", number), one.get("best"), [row for row in one.get("candidates") or () if row.get("elite")])
+        for number, one in enumerate(summary.get("iterations") or ())
+    ]
+    told = []
+    if (summary.get("final") or {}).get("policy") == "pretrained":
+        told.append(_no_final([row for _, _, rows in iterations for row in rows], bool(iterations)))
+    for nobody, group in groupby(iterations, key=lambda one: one[1] is None):
+        streak = list(group)
+        if nobody and SEVERAL <= len(streak) < len(iterations):  # if it is all of them, that is said above
+            rows = [row for _, _, tried in streak for row in tried]
+            about = fates(rows) or "nobody was tested"
+            told.append(f"Iterations {streak[0][0]:02d} to {streak[-1][0]:02d} chose nobody: {about}.")
+    return told
+
+
+def _no_final(rows: Sequence[Row], known: bool) -> str:
+    text = "No final head-to-head: "
+    if rows and all(row.get("refused") for row in rows):
+        return f"{text}every elite was refused, so nothing could be compared; the pretrained policy stays the best. {_capital(fates(rows))}. {ADVICE}"
+    if known and not rows:
+        return f"{text}no candidate was tested, since all fell or were stopped in simulation; the pretrained policy stays the best."
+    text += "no candidate measured better than the pretrained policy, which stays the best."
+    return f"{text} {_capital(fates(rows))}." if rows else text
+
+
+def _walked(rows: Sequence[Row]) -> str:
+    """How fast refused elites went, where that was written down."""
+    found = [row["refusal"] for row in rows if row.get("refusal")]
+    speeds = [f"{one['walked']:.2f}" for one in found if one.get("walked") is not None]
+    if not speeds:
+        return ""
+    commanded = " and ".join(f"{speed:g}" for speed in sorted({one["speed"] for one in found}))
+    falls = sum(one.get("falls") or 0 for one in found)
+    fell = f"; {falls} fall{'' if falls == 1 else 's'}" if falls else ""
+    who = "it" if len(rows) == 1 else "they"
+    return f" ({who} went {_listed(speeds)} m/s on average, {commanded} m/s was commanded{fell})"
+
+
+def _fell(row: Row) -> bool:
+    return bool(row.get("fell") or (row.get("tested") or {}).get("fell"))
+
+
+def _listed(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,114 @@
+"""Everything that a run will build, built once before anything is spent.
+
+A dry run does this, and every run before it makes its folder. What cannot work is then one line at the beginning, not
+after data were collected: with a robot that was somebody's afternoon.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hts.config import RunConfig
+from hts.config_loading import check_names, make_model
+from hts.contracts import Robot, WorldContext, robot_signals
+from hts.errors import ConfigError
+from hts.guarded import guarded
+from hts.plugins import Registry
+from hts.training.sweep import combinations, own_weights
+
+if TYPE_CHECKING:
+    from torchrl.envs.transforms import Transform
+
+    from hts.policies.files import Policy
+
+FEW_ENVS = 2  # per candidate: enough to see that an env can be made and stepped
+
+
+def check_ready(config: RunConfig, registry: Registry, engine: str | None = None) -> None:
+    """Raise the HtsError that a run of this configuration would end in, as far as that can be known before it runs.
+
+    Cheap things first: names and settings, inputs, λ, measurement models, the policy's file, the world with this robot
+    and these objectives, last an env that takes a step. engine: what `auto` stands for here; None: the env is not made.
+    """
+    check_names(config, registry)
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
+    for objective in objectives.values():
+        robot_signals(objective, robot)  # raises for an input that the robot does not give
+    proxy = config.reward_source == "proxy"
+    if not combinations(own_weights(objectives, proxy), config.sweep.weights):
+        raise ConfigError(
+            f"sweep.weights: {', '.join(objectives)} names no {'baseline ' if proxy else ''}λ of its own, so there is "
+            "nothing to train. Give some: --set sweep.weights.NAME=[0.5,1,5]"
+        )
+    transforms(config, registry)
+    pretrained_policy(robot)
+    check_world(config, registry)
+    if engine is not None:
+        _check_env(config, registry, engine)
+
+
+def transforms(config: RunConfig, registry: Registry) -> list[Transform]:
+    """The rewards of the run's objectives for an env, from measurement models that are not fitted, or from proxies."""
+    from hts.measurement.transform import MeasurementTransform, ProxyTransform
+
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    made: list[Transform] = []
+    for name, settings in config.objectives.items():
+        objective = registry.make_objective(name, settings)
+        what = f"Measurement model of objective '{name}'"
+        if config.reward_source == "proxy":
+            made.append(ProxyTransform(objective))
+        else:
+            model = guarded(what, partial(make_model, registry, objective, settings, robot))
+            made.append(MeasurementTransform.of(objective, model))
+    return made
+
+
+def pretrained_policy(robot: Robot) -> Policy:
+    """The policy to start from. Raises ConfigError if there is none, PolicyError if its file cannot be used."""
+    from hts.policies.files import load_policy
+
+    source = robot.pretrained_policy()
+    if source is None:
+        raise ConfigError(f"Robot '{robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
+    return load_policy(source, robot.spec)
+
+
+def check_world(config: RunConfig, registry: Registry) -> None:
+    """The world can serve this robot and these objectives. Raises what its `check` raises."""
+    with tempfile.TemporaryDirectory(prefix="hts-ready-") as nowhere:
+        context = WorldContext(
+            robot=config.robot.name, robot_settings=config.robot.settings, objectives=config.objectives,
+            seed=config.seed, folder=Path(nowhere), registry=registry,
+        )  # fmt: skip
+        world = registry.make_world(config.world.name, config.world.settings, context)
+        try:
+            guarded(f"World '{config.world.name}': check()", world.check)
+        finally:
+            world.close()
+
+
+def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
+    """The training env of this robot is made, with the rewards in it, and takes a step."""
+    from hts.training.finetune import measured_env
+
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    inputs = {
+        name: None for key in config.objectives for name in registry.make_objective(key, config.objectives[key]).inputs
+    }
+
+    def step() -> None:
+        bare = robot.make_env(engine, 1, FEW_ENVS, config.finetune.env, channels=tuple(inputs), seeds=[config.seed])
+        env = measured_env(bare, transforms(config, registry))
+        try:
+            state = env.reset()
+            state["action"] = env.action_spec.zero()
+            env.step(state)
+        finally:
+            env.close()
+
+    guarded(f"Robot '{config.robot.name}': its env", step)

@@ -1,0 +1,90 @@
+"""YAML as people write it, read strictly: no key twice, no bottomless nesting, and one line for what cannot be read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hts.errors import ConfigError
+
+MAX_DEPTH = 30
+"""Levels of lists and mappings; a configuration needs six."""
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """PyYAML's safe loader keeps the last of two equal keys without a word; this one refuses them."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        first: dict[tuple[str, str], int] = {}
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode) or key.tag == "tag:yaml.org,2002:merge":
+                continue
+            if (key.tag, key.value) in first:
+                raise _twice(key, first[key.tag, key.value])
+            first[key.tag, key.value] = key.start_mark.line + 1
+        return super().construct_mapping(node, deep)
+
+
+def _twice(key: yaml.ScalarNode, earlier: int) -> yaml.MarkedYAMLError:
+    problem = f"the key '{key.value}' was written before, in line {earlier}; write it once"
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+
+
+def load_text(text: str, where: str) -> Any:
+    """The value of a YAML text. Raises ConfigError, one line that begins with `where` and the line's number.
+
+    Refused beside what is no YAML: a key that stands twice in one mapping, more than `MAX_DEPTH` levels, a value that
+    holds itself by an alias, keys that are not text or numbers.
+    """
+    try:
+        value = yaml.load(text, _StrictLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"{where}:{mark.line + 1}" if mark is not None else where
+        problem = getattr(error, "problem", None) or " ".join(str(error).split()) or "cannot be read"
+        raise ConfigError(f"{place}: not YAML: {problem}.") from error
+    except RecursionError:
+        raise ConfigError(_too_deep(where)) from None  # the cause is a thousand lines of the reader's own calls
+    except ValueError as error:  # such as the date 2026-99-99
+        raise ConfigError(f"{where}: not YAML: {' '.join(str(error).split())}.") from error
+    _check_depth(value, where)
+    return value
+
+
+def load_mapping_file(file: Path, what: str = "config file") -> dict[str, Any]:
+    """The keys and values of a YAML file; empty for an empty file. Raises ConfigError as `load_text`."""
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"{file}: cannot read this {what} ({reason}).") from error
+    values = load_text(text, str(file))
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise ConfigError(f"{file}: expected keys and values (KEY: VALUE), found a {type(values).__name__}.")
+    for key in values:
+        if not isinstance(key, str):
+            raise ConfigError(f"{file}: expected keys and values (KEY: VALUE), found the key {key!r}.")
+    return values
+
+
+def _check_depth(value: Any, where: str) -> None:
+    """Walk all of it, each container once a level: an alias may name one many times, or the one that holds it."""
+    deepest: dict[int, int] = {}
+    waiting = [(value, 1)]
+    while waiting:
+        one, depth = waiting.pop()
+        if not isinstance(one, (Mapping, list)) or deepest.get(id(one), 0) >= depth:
+            continue
+        if depth > MAX_DEPTH:
+            raise ConfigError(_too_deep(where))
+        deepest[id(one)] = depth
+        waiting += [(item, depth + 1) for item in (one.values() if isinstance(one, Mapping) else one)]
+
+
+def _too_deep(where: str) -> str:
+    return f"{where}: lists and mappings stand more than {MAX_DEPTH} levels inside each other; no configuration does."

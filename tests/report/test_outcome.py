@@ -1,0 +1,77 @@
+"""The words at the end of a run in which nobody was chosen."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+
+from hts.report.outcome import closing, nobody_chosen
+from hts.report.table import print_table
+
+
+def refused(walked: float, falls: int = 0) -> dict:
+    numbers = {"speed": 0.8, "walked": walked, "valid": 0.02, "falls": falls}
+    return {"elite": True, "refused": "00-00: Head-to-head at 0.8 m/s: 3 of 160 segments …", "refusal": numbers}
+
+
+WORSE = {"elite": True, "real": {"power": {}}, "fell": False}
+FELL = {"elite": True, "real": {"power": {}}, "fell": True}
+NEVER_TESTED = {"elite": False}
+
+
+def run(*iterations: list[dict], best: list[str | None] | None = None, final: str = "pretrained") -> dict:
+    chosen = best or [None] * len(iterations)
+    rows = [{"index": i, "best": chosen[i], "candidates": rows} for i, rows in enumerate(iterations)]
+    return {"objectives": ["power"], "iterations": rows, "final": {"policy": final, "objectives": {}}}
+
+
+def test_a_run_whose_elites_were_all_refused_says_how_many_why_and_how_fast_they_went():
+    (line,) = closing(run([refused(0.55), refused(0.61, falls=2), NEVER_TESTED]))
+    assert line.startswith("No final head-to-head: every elite was refused, so nothing could be compared")
+    assert "2 of 2 refused (they went 0.55 and 0.61 m/s on average, 0.8 m/s was commanded; 2 falls)" in line
+    assert "sweep.weights" in line and "measured better" not in line
+
+
+def test_some_refused_some_fallen_and_some_no_better_are_counted_apart():
+    (line,) = closing(run([refused(0.5), FELL, WORSE, WORSE]))
+    assert "no candidate measured better than the pretrained policy" in line
+    assert "1 of 4 refused (it went 0.50 m/s on average, 0.8 m/s was commanded), 1 fell, 2 measured no better" in line
+
+
+def test_a_run_from_before_speeds_were_written_down_still_ends_in_words():
+    (line,) = closing(run([{"elite": True, "refused": "some text"}]))
+    assert "1 of 1 refused." in line
+
+
+def test_three_iterations_in_a_row_that_choose_nobody_are_said():
+    told = closing(
+        run([WORSE], [refused(0.5)], [refused(0.6)], [WORSE], best=["00-00", None, None, None], final="00-00")
+    )
+    assert len(told) == 1
+    assert told[0].startswith(
+        "Iterations 01 to 03 chose nobody: 2 of 3 refused (they went 0.50 and 0.60 m/s on average"
+    )
+
+
+def test_two_iterations_in_a_row_are_nothing_to_say():
+    assert closing(run([WORSE], [WORSE], [WORSE], best=["00-00", None, None], final="00-00")) == []
+
+
+def test_a_run_that_tested_nobody_says_so():
+    (line,) = closing(run([NEVER_TESTED, NEVER_TESTED]))
+    assert "no candidate was tested, since all fell or were stopped in simulation" in line
+
+
+def test_an_iteration_that_chose_nobody_says_so_as_it_ends():
+    result = {"refused": "…", "refusal": {"speed": 0.8, "walked": 0.52, "falls": 0}}
+    assert nobody_chosen([result, {"refused": None, "tested": {"fell": True}}]) == (
+        "nobody was chosen: 1 of 2 refused (it went 0.52 m/s on average, 0.8 m/s was commanded), 1 fell"
+    )
+    assert "nobody was tested" in nobody_chosen([])
+
+
+def test_the_terminal_says_it_in_place_of_a_table():
+    console = Console(record=True, width=300, file=io.StringIO())
+    print_table(run([refused(0.55)]), console)
+    assert "every elite was refused" in console.export_text()

@@ -1,0 +1,56 @@
+"""A candidate that fell in simulation is never given to a machine; a run in which that is all of them still ends."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+
+from hts.contracts import SimulatedCandidate
+from hts.run import learning
+from hts.testing.known_world import KnownWorld
+from hts.testing.packages import kit_installed
+from hts.testing.tiny_run import tiny_run
+
+
+def candidate(falls: int) -> SimulatedCandidate:
+    return SimulatedCandidate("00-00", 1.0, falls, True, {"fake": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("falls", "stopped", "simulated", "allowed"),
+    [
+        (0, None, False, True),
+        (1, None, False, False),
+        (0, "NaN at step 3", False, False),
+        (1, None, None, False),  # a world that does not say may be a machine
+        (1, None, True, True),
+        (0, None, None, True),
+    ],
+)
+def test_who_fell_or_was_stopped_in_simulation_is_no_elite_for_a_machine(falls, stopped, simulated, allowed):
+    assert learning.may_be_tested(candidate(falls), stopped, simulated) is allowed
+
+
+@pytest.mark.parametrize("selector", ["hierarchical", "racing"])
+def test_a_run_on_a_machine_whose_candidates_all_fell_tests_nobody_and_says_so(tmp_path, monkeypatch, capsys, selector):
+    judge = learning._judge
+
+    def all_fall(row, results, tolerance):
+        return dataclasses.replace(judge(row, results, tolerance), falls=1)
+
+    monkeypatch.setattr(learning, "_judge", all_fall)
+    monkeypatch.setattr(KnownWorld, "simulated", False)
+    with kit_installed():
+        run = tiny_run(tmp_path / "run", selector=selector)
+    assert run.summary is not None
+    (iteration,) = run.summary["iterations"]
+    assert not any(row["elite"] for row in iteration["candidates"]) and iteration["best"] is None
+    assert run.summary["final"]["policy"] == "pretrained"
+    assert run.summary["measurement_models"]["fake"]["policies"] == 0
+    assert math.isfinite(run.summary["real_samples"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "nobody was tested: every candidate fell or was stopped in simulation" in said
+    assert "no candidate was tested, since all fell or were stopped in simulation" in said
+    assert (tmp_path / "run" / "report.html").is_file()

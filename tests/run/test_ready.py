@@ -1,0 +1,144 @@
+"""A dry run builds everything that a run will build, so what cannot work is one line before anything is spent."""
+
+from __future__ import annotations
+
+import pytest
+
+from hts.config_loading import load_config
+from hts.errors import ConfigError, HtsError, PluginError, PolicyError, UnfitWorldError
+from hts.plugins import load
+from hts.run.ready import check_ready
+from hts.testing.packages import kit_installed
+
+OBJECTIVE = """
+from hts import hookimpl
+from hts.testing.examples.objective.objective import Fake
+
+HTS_API = {api}
+
+class Broken(Fake):
+    name = "broken"
+{body}
+
+@hookimpl
+def hts_objectives(register):
+    register("broken", lambda settings: Broken())
+"""
+
+
+@pytest.fixture(autouse=True)
+def _kit():
+    with kit_installed():
+        yield
+
+
+def check(objective="fake", world="known", robot="tiny", engine="mujoco", *overrides):
+    sets = (f"sweep.weights.{objective}=[1.0]", *overrides)
+    config = load_config(preset="smoke", objectives=[objective], robot=robot, world=world, overrides=sets)
+    check_ready(config, load(), engine)
+
+
+def refusal(kind: type[HtsError], *given, **named) -> str:
+    with pytest.raises(kind) as caught:
+        check(*given, **named)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.fixture
+def broken(install):
+    """broken(body): an objective with this body in its class."""
+    from hts.hookspecs import API_VERSION
+
+    def make(body: str) -> None:
+        text = OBJECTIVE.format(api=API_VERSION, body="\n".join("    " + line for line in body.splitlines()))
+        install("stranger", {"stranger": text}, {"stranger": "stranger"})
+
+    return make
+
+
+def test_a_run_that_can_work_passes():
+    check()
+
+
+@pytest.mark.parametrize("world", ["twin", "field"])
+def test_a_run_of_the_kits_robot_in_the_cores_worlds_passes(world):
+    check(world=world)
+
+
+def test_a_measurement_model_that_cannot_be_made_is_told_with_its_package(broken):
+    broken("def measurement_model(self):\n    return {}['hidden']")
+    text = refusal(PluginError, "broken")
+    assert text.startswith("Objective 'broken' (from stranger): measurement_model() failed, KeyError: 'hidden'")
+
+
+def test_an_objective_that_reads_what_the_robot_does_not_give_is_told(broken):
+    broken("inputs = ('joint_torqe', 'joint_velocity')")
+    assert "Did you mean 'joint_torque'?" in refusal(ConfigError, "broken")
+
+
+def test_a_reward_that_cannot_be_computed_is_told(broken):
+    broken("def reward(self, prediction):\n    return prediction.no_such_method()")
+    assert "no_such_method" in refusal(PluginError, "broken")
+
+
+def test_an_objective_without_an_instrument_has_no_twin(broken):
+    broken("instrument = None")
+    text = refusal(UnfitWorldError, "broken", "twin")
+    assert "names no instrument" in text and "start a run in another world" in text
+
+
+def test_an_instrument_that_measures_something_else_is_told(broken):
+    broken("from hts.channels import Channel\ntarget = Channel('other', 'W')")
+    assert "wants 'other'" in refusal(UnfitWorldError, "broken", "twin")
+
+
+def test_a_robot_without_a_model_has_no_twin(install):
+    from hts.hookspecs import API_VERSION
+
+    text = (
+        f"from hts import hookimpl\nfrom hts.testing.examples.robot.robot import Tiny\nHTS_API = {API_VERSION}\n"
+        "class Bare(Tiny):\n    def mjcf(self):\n        return None\n"
+        "@hookimpl\ndef hts_robots(register):\n    register('bare', lambda settings: Bare())\n"
+    )
+    install("stranger", {"stranger": text}, {"stranger": "stranger"})
+    assert "has no model" in refusal(UnfitWorldError, robot="bare", world="twin")
+
+
+def test_a_policy_file_that_is_not_there_is_told(install, tmp_path):
+    from hts.hookspecs import API_VERSION
+
+    text = (
+        "from pathlib import Path\n"
+        f"from hts import hookimpl\nfrom hts.testing.examples.robot.robot import Tiny\nHTS_API = {API_VERSION}\n"
+        f"class Lost(Tiny):\n    def pretrained_policy(self):\n        return Path({str(tmp_path / 'none.safetensors')!r})\n"
+        "@hookimpl\ndef hts_robots(register):\n    register('lost', lambda settings: Lost())\n"
+    )
+    install("stranger", {"stranger": text}, {"stranger": "stranger"})
+    assert "none." in refusal(PolicyError, robot="lost")
+
+
+def test_a_mapping_of_the_field_that_lacks_a_channel_is_told(tmp_path):
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text("reader: csv\nchannels: {joint_torque: {columns: tau, unit: N*m}}\n")
+    text = refusal(ConfigError, "fake", "field", "tiny", "mujoco", f"world.mapping={mapping}")
+    assert text.startswith(f"{mapping}: objective 'fake' needs ")
+    mapping.unlink()
+    assert "mapping.yaml" in refusal(ConfigError, "fake", "field", "tiny", "mujoco", f"world.mapping={mapping}")
+
+
+def test_warp_without_cuda_ends_a_dry_run(hts, monkeypatch):
+    torch = pytest.importorskip("torch")
+    if torch.cuda.is_available():
+        pytest.skip("needs a machine without CUDA; the CPU machines of CI are such")
+    done = hts("run", "--objective", "fake", "--robot", "tiny", "--world", "known", "--engine", "warp", "--dry-run")
+    assert done.returncode == 2 and "needs CUDA" in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_what_only_another_world_can_cure_does_not_send_anybody_to_resume(tmp_path):
+    from hts.cli.one_line import resumable
+
+    (tmp_path / "config.yaml").write_text("")
+    with pytest.raises(UnfitWorldError) as caught, resumable(tmp_path):
+        raise UnfitWorldError("No twin of it. Start a run in another world: --world field.")
+    assert "resume" not in str(caught.value)
