@@ -1,4 +1,5 @@
-# make run | test | check (lint and test) | docs; each installs first where needed, into .venv, from constraints.txt.
+# make run | test | check (lint and test) | docs | wheels | smoke-wheels | changelog; each installs first where needed, into
+# .venv, from constraints.txt.
 
 # The first Python that really starts (a pyenv shim may exist and fail), is 3.11 or 3.12, and can make environments.
 SUPPORTED := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))
@@ -8,11 +9,11 @@ PYTHON ?= $(shell for python in python3 python3.12 python3.11 python; do \
 BIN := .venv/bin
 DISTRIBUTIONS := . plugins/power plugins/noise robots/go1
 EDITABLE := $(foreach distribution,$(DISTRIBUTIONS),-e $(distribution))
-PINS := constraints.txt pyproject.toml $(wildcard plugins/*/pyproject.toml robots/*/pyproject.toml)
+PINS := constraints.txt pyproject.toml hts/__init__.py $(wildcard plugins/*/pyproject.toml robots/*/pyproject.toml)
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 WORKERS ?= 2
 
-.PHONY: install install-dev run test lint check format docs clean
+.PHONY: install install-dev run test lint check format docs changelog hooks wheels smoke-wheels clean
 .DEFAULT_GOAL := install
 
 install: .venv/installed
@@ -40,8 +41,22 @@ docs: install-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo site/index.html
 
+changelog: install-dev
+	@$(BIN)/towncrier build --draft --version next 2>/dev/null
+
+hooks: install-dev
+	$(BIN)/pre-commit install
+
+wheels: .venv/builder
+	rm -rf dist
+	$(PIP) wheel --quiet --no-deps --no-build-isolation --wheel-dir dist $(DISTRIBUTIONS:%=./%)
+	@ls dist/*.whl
+
+smoke-wheels: wheels
+	.ci/smoke-wheels $(BIN)/python
+
 clean:
-	rm -rf .venv
+	rm -rf .venv dist
 
 $(BIN)/python:
 	@$(if $(strip $(PYTHON)),,echo "No Python 3.11 or 3.12 found. Install one, or name it: make PYTHON=/path/to/python3.12" >&2; exit 1)

@@ -70,7 +70,10 @@ def main() -> None:
     torch.set_num_threads(1)
     registry = load()
     robot = registry.make_robot(given.robot, {})
-    policy = load_policy(given.policy or robot.pretrained_policy(), robot.spec)
+    path = given.policy or robot.pretrained_policy()
+    if path is None:
+        parser.error(f"robot '{given.robot}' comes without a policy; name one: --policy FILE")
+    policy = load_policy(path, robot.spec)
     result = {
         "policy": policy.card.policy_hash,
         "training simulation": in_simulation(robot, policy, given.worlds, given.seconds),

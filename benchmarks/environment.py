@@ -32,7 +32,7 @@ def python_with(name: str, requirements: Sequence[str], place: Path = PLACE) -> 
     packages = next(folder.glob("lib/python*/site-packages"))
     below = "; ".join(f"site.addsitedir({str(path)!r})" for path in site.getsitepackages())
     (packages / "below.pth").write_text(f"import site; {below}\n")
-    command = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", *requirements]
-    subprocess.run(command, check=True, stdout=sys.stderr)
+    install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    subprocess.run([*install, *requirements], check=True, stdout=sys.stderr)
     stamp.write_text(wanted)
     return python

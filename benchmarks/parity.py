@@ -89,7 +89,12 @@ def same_inputs(
     act = PopulationActor(Population.from_candidates(policy.card.sizes(), [policy.tensors], env.device), None)
     double, sent = env.engine, []
     step = double.step
-    double.step = lambda ctrl: (sent.append(ctrl.clone()), step(ctrl))[1]
+
+    def noted(ctrl: torch.Tensor) -> None:
+        sent.append(ctrl.clone())
+        step(ctrl)
+
+    double.step = noted
     state = env.reset()
     for _ in range(settle):
         _, state = env.step_and_maybe_reset(act(state))
@@ -151,7 +156,10 @@ def main() -> None:
     given = parser.parse_args()
     torch.set_num_threads(1)
     robot = load().make_robot(given.robot)
-    policy = load_policy(given.policy or robot.pretrained_policy(), robot.spec)
+    path = given.policy or robot.pretrained_policy()
+    if path is None:
+        parser.error(f"robot '{given.robot}' comes without a policy; name one: --policy FILE")
+    policy = load_policy(path, robot.spec)
     result: dict[str, Any] = {"benchmark": "parity", "worlds": given.worlds, "seconds": given.seconds}
     result |= {"training": given.training, "device": given.device, "policy_hash": policy.card.policy_hash}
     found = {}

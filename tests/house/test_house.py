@@ -211,10 +211,6 @@ def test_the_objectives_of_our_plugins_do_not_see_their_instruments():
         assert objectives_that_see_instruments(package) == []
 
 
-def test_every_change_has_a_sentence():
-    assert list((REPOSITORY / "changelog.d").glob("*.md"))
-
-
 # --------------------------------------------------------------------------------- the rules see what they forbid
 
 

@@ -14,7 +14,7 @@ import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -59,7 +59,7 @@ def calibrate_twin(
     instrument = settings.instruments.get(INSTRUMENT, {})
 
     def make() -> BatteryGauge:
-        return registry.make_instrument(INSTRUMENT, instrument, machine)
+        return cast("BatteryGauge", registry.make_instrument(INSTRUMENT, instrument, machine))
 
     with tempfile.TemporaryDirectory() as folder:
         path = exported(policy or machine.pretrained_policy(), Path(folder))
@@ -73,10 +73,13 @@ def calibrate_twin(
     result["parameters_sha256"] = parameters_hash(settings, described)
     if write is not None:
         content = {**result, "parameters": resolved(settings, described)}
-        write.write_text(
-            json.dumps(content, indent=1, sort_keys=True, default=lambda number: number.item()) + "\n", encoding="utf-8"
-        )
-    typer.echo(json.dumps(result, indent=1) if as_json else text(result))
+        write.write_text(json_text(content) + "\n", encoding="utf-8")
+    typer.echo(json_text(result) if as_json else text(result))
+
+
+def json_text(result: Mapping[str, Any]) -> str:
+    """JSON of a result; NumPy's numbers and truth values, which json does not know, become Python's."""
+    return json.dumps(result, indent=1, sort_keys=True, default=lambda number: number.item())
 
 
 def exported(policy: Path | None, folder: Path) -> Path:
@@ -122,9 +125,8 @@ def measure(
     walks = {}
     for index, speed in enumerate(speeds):
         members = range(1 + index * robots, 1 + (index + 1) * robots)
-        walks[f"{speed:g}"] = _walk(
-            speed, [recordings[i] for i in members], {n: w[list(members)].mean() for n, w in watts.items()}
-        )
+        drawn = {n: w[list(members)].mean() for n, w in watts.items()}
+        walks[f"{speed:g}"] = _walk(speed, [recordings[i] for i in members], drawn, mass)
     return {
         "standing_watts": standing,
         "standing_ok": STANDING_WATTS[0] <= standing <= STANDING_WATTS[1],
@@ -134,7 +136,7 @@ def measure(
     }
 
 
-def _walk(speed: float, recordings: Sequence[Recording], watts: Mapping[str, float]) -> dict[str, Any]:
+def _walk(speed: float, recordings: Sequence[Recording], watts: Mapping[str, float], mass_kg: float) -> dict[str, Any]:
     """One speed's row. watts: true mean powers by where they go, seen by the simulator only."""
     from hts.evaluation.segments import cut
 
@@ -150,7 +152,7 @@ def _walk(speed: float, recordings: Sequence[Recording], watts: Mapping[str, flo
         "falls": segments.falls,
         "gross_watts": gross,
         "net_watts": gross - idle,
-        "cost_of_transport": (gross - idle) / (recordings[0].mass_kg * GRAVITY * mean_speed),
+        "cost_of_transport": (gross - idle) / (mass_kg * GRAVITY * mean_speed),
         "idle_share": share,
         "idle_share_anchor": anchor,
         "idle_share_ok": anchor is None or abs(share / anchor - 1) <= IDLE_SHARE_TOLERANCE,

@@ -48,11 +48,11 @@ def train(robot: Robot, gauge: BatteryGauge, policy: Path, speed: float, seconds
 
     from hts.contracts import PhysicsSample
     from hts.policies.deploy import DeployedPolicy
+    from hts.sim.models import compile_model
     from hts.worlds.base import Operator
 
     spec = robot.spec
-    root = robot.mjcf()
-    model = mujoco.MjModel.from_xml_string(root.to_xml_string(), dict(root.get_assets()))
+    model = compile_model(robot)
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in spec.joint_names]
     qpos, dof = np.array([j.qposadr[0] for j in joints]), np.array([j.dofadr[0] for j in joints])
@@ -70,9 +70,9 @@ def train(robot: Robot, gauge: BatteryGauge, policy: Path, speed: float, seconds
             gauge.read()
             gauge.settle()
             start, started = {name: joules.copy() for name, joules in gauge.energy.items()}, gauge.seconds
-        turn = np.empty(9)
-        mujoco.mju_quat2Mat(turn, data.qpos[3:7])
-        turn = turn.reshape(3, 3).T  # world to trunk
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
+        turn = rotation.reshape(3, 3).T  # world to trunk
         heading = np.array([np.arctan2(turn[0, 1], turn[0, 0])])
         data.ctrl[actuators] = controller.targets({
             "angular_velocity": data.qvel[None, 3:6], "projected_gravity": -turn[None, :, 2],
@@ -100,12 +100,10 @@ def train(robot: Robot, gauge: BatteryGauge, policy: Path, speed: float, seconds
 
 def machines(robot: Robot, settings: TwinSettings) -> dict[str, list[str]]:
     """[training simulation, twin] of what is built differently."""
-    import mujoco
-
+    from hts.sim.models import compile_model
     from hts.worlds.twin.model import build
 
-    spec, p, root = robot.spec, settings.dynamics, robot.mjcf()
-    nominal = mujoco.MjModel.from_xml_string(root.to_xml_string(), dict(root.get_assets()))
+    spec, p, nominal = robot.spec, settings.dynamics, compile_model(robot)
     twin = build(robot, p)
     dof = np.array([nominal.joint(name).dofadr[0] for name in spec.joint_names])
     floor = nominal.geom_friction[nominal.geom_bodyid == 0, 0]

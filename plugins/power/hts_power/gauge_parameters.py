@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 def number(default: float, low: float, high: float, unit: str, source: str, meaning: str) -> Any:
     """A field with meaning, unit, range and source; a value outside the range is refused."""
     text = f"{meaning}, {unit}. Range {low:g} to {high:g}. Source: {source}"
-    extra = {"unit": unit, "source": source, "range": [low, high]}
+    extra: dict[str, Any] = {"unit": unit, "source": source, "range": [low, high]}
     return Field(default, ge=low, le=high, description=text, json_schema_extra=extra)
 
 
