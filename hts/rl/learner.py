@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from hts.rl.settings import UpdateSettings
-from hts.rl.surrogate_gradient import policy_gradient, value_gradient
 from hts.rl.mlp import MLP, Workspace
 from hts.rl.population import Population
+from hts.rl.settings import UpdateSettings
+from hts.rl.surrogate_gradient import policy_gradient, value_gradient
 
 NETWORKS = {"observation": "actor", "critic_observation": "critic"}
 """What each network reads."""

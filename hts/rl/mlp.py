@@ -11,14 +11,6 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
-
-
-def elu_(x: Tensor) -> Tensor:
-    """ELU(x) = max(x, e^min(x, 0) - 1) in place, any shape: on a CPU in half of torch's time, which it is left to with gradients."""
-    if x.device.type != "cpu" or torch.is_grad_enabled():
-        return F.elu_(x)
-    return torch.maximum(x, x.clamp(max=0.0).exp_().sub_(1.0), out=x)
 
 
 class Workspace:

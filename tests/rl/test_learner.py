@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch.nn import functional as F
 
-from hts.rl.settings import UpdateSettings
 from hts.rl.actor import log_prob
 from hts.rl.kl import gaussian_kl
 from hts.rl.learner import Columns, Layout, Learner
-from hts.rl.surrogate import population_loss
-from hts.rl.mlp import MLP, Workspace, elu_
+from hts.rl.mlp import MLP, Workspace
 from hts.rl.population import Population, Sizes
+from hts.rl.settings import UpdateSettings
+from hts.rl.surrogate import population_loss
 
 SIZES = Sizes(5, 7, 3, (8, 6))
 SAMPLES = 40
@@ -159,14 +158,6 @@ def test_a_network_in_columns_is_the_network_in_rows():
     columns = torch.cat((x, x.new_ones(9, 1)), 1).t()
     y = network.forward(columns, Workspace((8, 6), 9, x))
     torch.testing.assert_close(y.t(), of.mean(x.unsqueeze(0), of.named(), True)[0].detach())
-
-
-def test_elu_in_place_is_torchs_to_rounding():
-    x = torch.cat(
-        (torch.linspace(-120.0, 120.0, 4801), torch.tensor([0.0, -1e-9, 1e-9, -torch.inf, torch.inf, torch.nan]))
-    )
-    with torch.no_grad():
-        torch.testing.assert_close(elu_(x.clone()), F.elu(x), rtol=0, atol=2e-7, equal_nan=True)
 
 
 def test_minibatches_hold_the_samples_in_the_order_asked_for():
