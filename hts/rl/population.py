@@ -11,9 +11,11 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from hts.rl.threads import pool
 from hts.rl.tracing import compiled
 
 LONG = 8192  # samples per candidate from which on a GPU takes candidates in turn: a product adds its bias only there
+MANY = 512  # samples per candidate from which on a CPU takes candidates side by side
 ALIGNED = 8  # numbers; rows of matrices on a GPU begin at a multiple
 PARTIAL = 64  # sums side by side
 
@@ -170,11 +172,23 @@ class Population(nn.Module):
                 x = F.elu_(x)
         return x
 
+    def _each(self, part: str, x: torch.Tensor, named: Sequence[Mapping[str, torch.Tensor]]) -> list[torch.Tensor]:
+        """Candidate by candidate; side by side where they take longer than handing them to threads does."""
+        if len(named) == 1 or x.shape[1] < MANY or torch.is_grad_enabled():
+            return [self._one(part, row, one) for row, one in zip(x.unbind(0), named, strict=True)]
+
+        @torch.no_grad()  # known to each thread for itself
+        def run(row: torch.Tensor, one: Mapping[str, torch.Tensor]) -> torch.Tensor:
+            return self._one(part, row, one)
+
+        with pool(len(named)) as threads:
+            return list(threads.map(run, x.unbind(0), named))
+
     def _mlp(self, part: str, x: torch.Tensor, named) -> torch.Tensor:
         """x [P, B, inputs] -> [P, B, outputs]."""
         last = len(self.sizes.hidden)
         if isinstance(named, list):
-            return torch.stack([self._one(part, row, one) for row, one in zip(x.unbind(0), named, strict=True)])
+            return torch.stack(self._each(part, x, named))
         if x.shape[1] >= LONG and not torch.is_grad_enabled():
             each = range(len(x))
             rows = [self._one(part, x[row], {name: value[row] for name, value in named.items()}) for row in each]

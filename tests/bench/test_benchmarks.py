@@ -112,3 +112,17 @@ def test_a_loaded_machine_is_seen():
     finally:
         stop.set()
         thread.join()
+
+
+def test_new_over_old_is_a_geometric_mean_with_an_interval():
+    mean, low, high = script("compare_trees").new_over_old([(100.0, 110.0), (50.0, 60.5), (10.0, 11.0), (20.0, 24.2)])
+    # Ratios 1.1, 1.21, 1.1, 1.21: in logarithms ln 1.1 times 1.5 +- t(3) ln 1.1 sqrt(1/3) / 2, with t(3) = 3.1824.
+    step = np.log(1.1)
+    reach = 3.1824 * step * np.sqrt(1 / 3) / 2
+    assert mean == pytest.approx(1.1**1.5)
+    assert (low, high) == pytest.approx((np.exp(1.5 * step - reach), np.exp(1.5 * step + reach)), rel=1e-4)
+
+
+def test_a_tree_that_is_no_checkout_is_refused(tmp_path):
+    with pytest.raises(SystemExit, match="Expected a checkout of the project"):
+        script("compare_trees").check(tmp_path)

@@ -15,6 +15,7 @@ from hts.contracts import Signals
 from hts.errors import PolicyError, SimulationError
 from hts.measurement.lstm import LSTM, LSTMSettings
 from hts.measurement.transform import MeasurementTransform
+from hts.rl.learner import Layout, Learner
 from hts.rl.population import Population, Sizes
 from hts.rl.task_env import TaskEnv
 from hts.training.checkpoint import load_checkpoint, save_checkpoint
@@ -172,12 +173,11 @@ def test_each_candidate_has_its_own_learning_rate():
 
 def test_each_candidates_gradient_is_clipped_by_its_own_norm():
     made = trainer(config=PPOConfig(horizon=6, max_grad_norm=1.0))
-    size = vectors(made).shape[1]
-    slope = torch.tensor([100.0, 0.5]) / math.sqrt(size)  # gradient norms 100 and 0.5
-    for index, vector in enumerate(made.population.vectors):
-        made.steps.step(index, (slope[index] * vector.sum()).unsqueeze(0))
-    norms = [float(vector.grad.norm()) for vector in made.population.vectors]
-    assert norms == pytest.approx([1.0, 0.5], rel=1e-4)
+    learners = [Learner(Layout(made.population), vector.detach()) for vector in made.population.vectors]
+    for index, (learner, norm) in enumerate(zip(learners, (100.0, 0.5), strict=True)):
+        learner.gradient.fill_(norm / math.sqrt(len(learner.gradient)))
+        made.steps.step(index, learner)
+    assert [float(learner.gradient.norm()) for learner in learners] == pytest.approx([1.0, 0.5], rel=1e-4)
 
 
 def test_warm_up_trains_the_critic_alone():
@@ -248,10 +248,17 @@ def test_a_candidate_whose_task_reward_is_not_a_number_is_stopped_by_name():
 def test_a_candidate_with_a_gradient_that_is_not_finite_is_stopped_and_the_others_step():
     made = trainer((1, 2))
     before = vectors(made)
-    for index, factor in enumerate((math.inf, 1.0)):
-        made.steps.step(index, (made.population.vectors[index].sum() * factor).unsqueeze(0))
+    learners = [Learner(Layout(made.population), vector) for vector in before]
+    for index, (learner, slope) in enumerate(zip(learners, (math.inf, 1.0), strict=True)):
+        learner.gradient.fill_(slope)
+        made.steps.step(index, learner)
     assert list(made.stopped) == [0] and "gradient is not finite" in made.stopped[0]
-    assert torch.equal(vectors(made)[0], before[0]) and not torch.equal(vectors(made)[1], before[1])
+    assert torch.equal(vectors(made)[0], before[0])  # put back
+    stood, moved = (
+        torch.equal(learner.parameters, Layout(made.population).packed(vector))
+        for learner, vector in zip(learners, before, strict=True)
+    )
+    assert stood and not moved
 
 
 def test_training_ends_with_an_error_when_no_candidate_is_left():
