@@ -25,8 +25,18 @@ from hts.contracts import Signals
 from hts.measurement.linear import Linear, LinearSettings
 from hts.measurement.transform import MeasurementTransform
 from hts.recordings.recording import Recording, Series
-from hts.rl import KLConstrainedPPOLoss, MeasuredReward, Population, PopulationActor, PopulationCollector
-from hts.rl import PopulationCritic, PopulationRandom, Sizes, SplitStepEnv, project_to_kl_bound
+from hts.rl import (
+    KLConstrainedPPOLoss,
+    MeasuredReward,
+    Population,
+    PopulationActor,
+    PopulationCollector,
+    PopulationCritic,
+    PopulationRandom,
+    Sizes,
+    SplitStepEnv,
+    project_to_kl_bound,
+)
 
 DT, WORLDS, HORIZON, CPU = 0.05, 32, 32, torch.device("cpu")  # s, env instances a candidate, steps a batch
 TORQUE, CURRENT = Channel("motor_torque", "N*m", (2,)), Channel("battery_current", "A", ())

@@ -60,7 +60,7 @@ def test_fit_returns_what_was_written(tmp_path, monkeypatch):
                 {
                     "objective": objective,
                     "data": str(data),
-                    "overrides": [list(one.path) + [one.value] for one in overrides],
+                    "overrides": [[*list(one.path), one.value] for one in overrides],
                 }
             ),
             encoding="utf-8",

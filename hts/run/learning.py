@@ -171,7 +171,9 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     env.close()
     judged = [_judge(row, results[row["id"]], test.speed_tolerance) for row in rows]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
-    able = [one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], job.world.simulated)]
+    able = [
+        one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], job.world.simulated)
+    ]
     elites = selector.elites(able, config.selection.elites)
     details = {
         name: [

@@ -33,7 +33,11 @@ def summarise(job: Job) -> dict[str, Any]:
         )  # fmt: skip
     final = job.read("final")
     checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(config.iterations)]
-    ranks = {name: pooled_ranks([check[name] for check in checks if name in check]) for name in job.objectives} if learned else {}
+    ranks = (
+        {name: pooled_ranks([check[name] for check in checks if name in check]) for name in job.objectives}
+        if learned
+        else {}
+    )
     return {
         "objectives": list(config.objectives), "robot": config.robot.name, "world": config.world.name, "world_simulated": job.world.simulated,
         "preset": config.preset, "engine": config.engine, "seed": config.seed, "reward_source": config.reward_source,
