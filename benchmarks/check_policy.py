@@ -4,7 +4,7 @@
     python benchmarks/check_policy.py --robot go1 --policy DIR/pretrained.safetensors
 
 Prints JSON: for each place and speed falls, mean speed (m/s) and the share of 1 s segments within 10 % of the command
-after the first 2 s. Training simulation: its randomised models and sensor noise, mean action, no kicks.
+after the first 2 s. Training simulation: its randomised models and sensor noise, mean action, no pushes.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ REQUIREMENTS = (
     "stable-baselines3==2.9.2", "gymnasium==1.4.0", "farama-notifications", "pandas", "python-dateutil", "pytz", "tzdata", "six",
 )  # fmt: skip
 SAME = (
-    "MJCF, variants, 4 physics steps of 5 ms per control step, delay, observation and its noise, commands, kicks, reward "
+    "MJCF, variants, 4 physics steps of 5 ms per control step, delay, observation and its noise, commands, pushes, reward "
     "terms and weights, time-outs; starting policy; actor and critic 256-128 ELU; "
     f"{BATCH} samples per candidate and batch, {EPOCHS} epochs of minibatches of {MINIBATCH}"
 )

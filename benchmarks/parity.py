@@ -40,7 +40,7 @@ TOLERANCES = {"relative": 0.03, "falls_points": 1.0, "joint_rad": 1e-4, "positio
 
 
 def make_env(robot: Robot, engine: str, device: str, worlds: int, seconds: float, training: bool, seed: int = 7):
-    """The velocity task; training: its commands and kicks, otherwise straight walks at SPEEDS."""
+    """The velocity task; training: its commands and pushes, otherwise straight walks at SPEEDS."""
     base = EnvConfig(seed=seed, episode_seconds=seconds + 1.0)
     config = base if training else calm(base, SPEEDS, seconds, seed)
     if engine == "warp":
@@ -150,7 +150,7 @@ def main() -> None:
     parser.add_argument("--device", default="auto", help="of the warp engine: cuda, cpu or auto")
     parser.add_argument("--worlds", type=int, default=64)
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--training", action="store_true", help="with the commands and kicks of training")
+    parser.add_argument("--training", action="store_true", help="with the commands and pushes of training")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()

@@ -58,8 +58,8 @@ class RandomisationConfig(Config):
     strength: tuple[float, float] = Field((0.9, 1.1), description="factor on kp and kd, 1")
     joint_friction: tuple[float, float] = Field((0.7, 2.5), description="factor on dry joint friction, 1")
     joint_offset: tuple[float, float] = Field((-0.02, 0.02), description="encoder zero error, rad")
-    push_speed: float = Field(0.5, ge=0, description="horizontal velocity kick, up to, m/s; 0: none")
-    push_interval: float = Field(8.0, gt=0, description="mean time between kicks, s")
+    push_speed: float = Field(0.5, ge=0, description="horizontal push, a jump of the velocity up to this, m/s; 0: none")
+    push_interval: float = Field(8.0, gt=0, description="mean time between pushes, s")
     delay_steps: tuple[int, int] = Field((0, 3), description="actuation delay in physics steps, inclusive range")
     models: int = Field(32, ge=1, description="size of the pool of randomised models on the CPU engine")
 

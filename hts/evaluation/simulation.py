@@ -33,7 +33,7 @@ class SimulatedTrial:
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
-    """The training env with straight walks at `speeds`, no kicks, no time-out within the trial; its noise and variants stay."""
+    """The training env with straight walks at `speeds`, no pushes, no time-out within the trial; its noise and variants stay."""
     commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
     calm = base.randomisation.model_copy(update={"push_speed": 0.0})
     changes = {"commands": commands, "randomisation": calm, "episode_seconds": seconds + 1.0, "seed": seed}

@@ -160,5 +160,5 @@ def test_the_replayed_physics_is_the_collected_physics(trainer):
         engine.replay([step])
         ends.append(abs(engine._states[:, -1, 1:] - after[0][:, 1:]).max(1))
     same = sum(int((end == 0).sum()) for end in ends)
-    # All but the worlds that were reset or kicked between two steps.
+    # All but the worlds that were reset or pushed between two steps.
     assert same > 0.9 * 3 * len(ends)

@@ -305,7 +305,7 @@ def test_without_randomisation_every_world_is_the_nominal_robot(make):
     assert not env.delay.any() and not env.joint_offset.any()
 
 
-def test_kicks_come_as_often_and_as_hard_as_configured(make):
+def test_pushes_come_as_often_and_as_hard_as_configured(make):
     push = RandomisationConfig(models=1, push_speed=0.5, push_interval=0.2)  # one step in ten
     env = make(1, 400, randomisation=push)
     env.reset()
@@ -313,9 +313,9 @@ def test_kicks_come_as_often_and_as_hard_as_configured(make):
     draws = torch.rand(1, 400, 3, generator=torch.Generator().manual_seed(0))
     env._push(draws)
     change = (env.engine.qvel - before)[:, :3]
-    kicked = change.any(-1)
-    assert torch.equal(kicked, draws[0, :, 0] < 0.1)
-    assert change[kicked].abs().max() <= 0.5 and not change[:, 2].any()
+    pushed = change.any(-1)
+    assert torch.equal(pushed, draws[0, :, 0] < 0.1)
+    assert change[pushed].abs().max() <= 0.5 and not change[:, 2].any()
 
 
 # ------------------------------------------------------------------------------------------- broken physics
@@ -342,7 +342,7 @@ def test_a_world_whose_physics_breaks_has_fallen_and_shows_no_bad_number(make):
     assert not seen[-1]["terminated"].any()
 
 
-def test_a_kick_does_not_hide_broken_physics(make):
+def test_a_push_does_not_hide_broken_physics(make):
     env = make(1, 2, randomisation=RandomisationConfig(models=1, push_interval=1e-6))  # always
     env.reset()
     env.engine._state[1, 1 + 19 :] = 1e12
