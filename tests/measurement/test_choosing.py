@@ -39,7 +39,7 @@ def test_what_is_no_choice_is_one_line(given):
 
 
 def test_an_objective_that_says_nothing_uses_the_lstm():
-    from hts.testing.known_worlds import CostObjective
+    from hts.testing.made_up_recordings import CostObjective
 
     assert CostObjective().measurement_model() == Named(name="lstm")
 
