@@ -13,6 +13,7 @@ from torch import Tensor
 
 from hts.contracts import Signals
 from hts.errors import RecordingError
+from hts.units import conversion
 
 if TYPE_CHECKING:
     from hts.contracts import Objective
@@ -88,11 +89,21 @@ def check_units(signals: Signals, recording: Recording) -> None:
         return
     for channel in (*signals.inputs, signals.target):
         found = recording.channels.get(channel.name)
-        if found is not None and found.channel.unit != channel.unit:
+        if found is not None and not _same_unit(found.channel.unit, channel.unit):
             raise RecordingError(
                 f"Recording {recording.id or '(not stored)'}: '{channel.name}' is in {found.channel.unit}, the model "
                 f"reads {channel.unit}. Import the log again with that unit."
             )
+
+
+def _same_unit(first: str, second: str) -> bool:
+    """Also where one unit is spelled in two ways."""
+    if first == second:
+        return True
+    try:
+        return conversion(first, second) == (1.0, 0.0)
+    except RecordingError:  # units of different quantities
+        return False
 
 
 def input_tensor(signals: Signals, recording: Recording) -> Tensor:

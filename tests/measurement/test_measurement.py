@@ -265,6 +265,12 @@ def test_fit_and_check_uses_the_given_configuration():
     assert report["held_out_r2"] == report["held_out"]["r2"]
 
 
+def test_one_unit_may_be_spelled_in_two_ways():
+    r = recording(1, seconds=4.0)
+    spelled = Series(Channel("effort", "N m", (3,)), r.values("effort"))
+    fit([r, r.replace(channels={**r.channels, "effort": spelled})], epochs=1)
+
+
 # --------------------------------------------------------------------------------------------- linear beside it
 
 
