@@ -23,9 +23,10 @@ import yaml
 from output import give
 
 from hts.config import MeasurementConfig
-from hts.config_loading import read_config, with_named_model
+from hts.config_loading import read_config
 from hts.contracts import MODEL, Objective, chosen_model
 from hts.cores import available
+from hts.layers import with_named_model
 from hts.measurement.data import input_tensor
 from hts.measurement.fit_command import fit_and_check
 from hts.measurement.transform import MeasurementTransform

@@ -44,7 +44,7 @@ def in_full(layer: Mapping[str, Any], where: str) -> dict[str, Any]:
         _write_out(result, path, where)
     if "objectives" in result:
         objectives = _objectives(result["objectives"], where)
-        result["objectives"] = {name: _with_named_model(settings) for name, settings in objectives.items()}
+        result["objectives"] = {name: with_named_model(settings) for name, settings in objectives.items()}
     return result
 
 
@@ -85,7 +85,7 @@ def _objectives(given: Any, where: str) -> dict[str, Any]:
     return result
 
 
-def _with_named_model(settings: Any) -> Any:
+def with_named_model(settings: Any) -> Any:
     """`model: NAME` of an objective written out, so that its settings in other layers lie on it."""
     if isinstance(settings, Mapping) and isinstance(settings.get("model"), str):
         return {**settings, "model": {"name": settings["model"]}}

@@ -113,7 +113,9 @@ def hts_robots(register):
 
 
 def test_a_world_of_one_machine_needs_no_objective_in_its_package(install, tmp_path):
-    source = WORLD.format(changes="").replace('"odd", make)', '"odd", make_odd)') + ROVER.replace("FOLDER", str(tmp_path))
+    source = WORLD.format(changes="").replace('"odd", make)', '"odd", make_odd)') + ROVER.replace(
+        "FOLDER", str(tmp_path)
+    )
     install("odd-lab", {"odd_lab": source}, {"odd": "odd_lab"})
     assert [line for line in faults("odd-lab") if "world 'odd'" in line] == []
 
