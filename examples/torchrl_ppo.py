@@ -26,7 +26,12 @@ from torchrl.objectives.value import GAE
 
 from hts.rl import KLConstrainedPPOLoss, MeasuredReward, RewardCentring
 
-FRAMES, EPOCHS, MINIBATCH, DT = 1000, 8, 250, 0.01  # a batch, passes over it, samples of a part, control step of cartpole, s
+FRAMES, EPOCHS, MINIBATCH, DT = (
+    1000,
+    8,
+    250,
+    0.01,
+)  # a batch, passes over it, samples of a part, control step of cartpole, s
 
 
 class Effort(Transform):
@@ -105,7 +110,9 @@ def main(pretraining: int = 40, finetuning: int = 20, kl_bound: float = 0.5, wei
     before = judged(actor)
     print(f"plain PPO: return {before[0]:.0f} of 500, mean squared push {before[1]:.3f}")
 
-    loss = KLConstrainedPPOLoss(actor, critic, kl_bound=kl_bound, clip_value=None)  # <-- the reference: actor as it is now
+    loss = KLConstrainedPPOLoss(
+        actor, critic, kl_bound=kl_bound, clip_value=None
+    )  # <-- the reference: actor as it is now
     kl = train(make_env(seed=1, weight=weight), actor, critic, loss, finetuning)
     after = judged(actor)
     print(f"fine-tuned: return {after[0]:.0f} of 500, mean squared push {after[1]:.3f}; KL {kl:.2f} of {kl_bound} nats")

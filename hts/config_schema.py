@@ -44,7 +44,7 @@ def config_schema(registry: Registry) -> Schema:
 
 def _named(registry: Registry, kind: str, definitions: Schema, description: str) -> Schema:
     """A name, or a mapping with a name and the settings of the plugin of that name."""
-    names = sorted(getattr(registry, kind))
+    names = sorted(registry.offered(kind))
     chosen: list[Schema] = []
     for name in names:
         reference = _settings(registry, kind, name, definitions, {"name": {"const": name}})

@@ -71,8 +71,8 @@ class RunError(HtsError):
 BY_NAME: dict[str, type[HtsError]] = {
     kind.__name__: kind
     for kind in (
-        HtsError, ConfigError, PluginError, RecordingError, PolicyError, SimulationError, WorldError, EvaluationError,
-        WaitingForRobot, RunError,
+        HtsError, ConfigError, PluginError, RecordingError, PolicyError, SimulationError, WorldError, UnfitWorldError,
+        EvaluationError, WaitingForRobot, RunError,
     )
 }  # fmt: skip
 """For an error that another process raised and could only name."""

@@ -42,10 +42,11 @@ def load_text(text: str, where: str) -> Any:
     try:
         value = yaml.load(text, _StrictLoader)
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"{where}:{mark.line + 1}" if mark is not None else where
-        problem = getattr(error, "problem", None) or " ".join(str(error).split()) or "cannot be read"
-        raise ConfigError(f"{place}: not YAML: {problem}.") from error
+        place, problem = where, " ".join(str(error).split())
+        if isinstance(error, yaml.MarkedYAMLError):
+            problem = error.problem or problem
+            place = f"{where}:{error.problem_mark.line + 1}" if error.problem_mark is not None else where
+        raise ConfigError(f"{place}: not YAML: {problem or 'cannot be read'}.") from error
     except RecursionError:
         raise ConfigError(_too_deep(where)) from None  # the cause is a thousand lines of the reader's own calls
     except ValueError as error:  # such as the date 2026-99-99
@@ -59,7 +60,7 @@ def load_mapping_file(file: Path, what: str = "config file") -> dict[str, Any]:
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
         raise ConfigError(f"{file}: cannot read this {what} ({reason}).") from error
     values = load_text(text, str(file))
     if values is None:

@@ -24,9 +24,9 @@ WHERE = {
 
 def plugin_data(registry: Registry, name: str) -> list[Data]:
     """Everything of that name, whatever its kind. Raises ConfigError with the closest name."""
-    kinds = [kind for kind in KINDS if name in getattr(registry, kind)]
+    kinds = [kind for kind in KINDS if name in registry.offered(kind)]
     if not kinds:
-        known = {one for kind in KINDS for one in getattr(registry, kind)}
+        known = {one for kind in KINDS for one in registry.offered(kind)}
         raise ConfigError(unknown_name("plugin", name, known))
     return [_data(registry, kind, name) for kind in kinds]
 

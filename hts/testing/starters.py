@@ -36,13 +36,14 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
     """
     if kind not in EXAMPLES:
         raise ConfigError(unknown_name("kind of package", kind, EXAMPLES))
-    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name) or keyword.iskeyword(name):
+    if not re.fullmatch(r"[a-z][a-z0-9]*([-_][a-z0-9]+)*", name) or keyword.iskeyword(name):
+        article = "an" if kind[0] in "aeiou" else "a"
         raise ConfigError(
-            f"'{name}' cannot name a {kind}: lower-case letters, digits and single underscores, a letter first, "
-            "no Python keyword."
+            f"'{name}' cannot name {article} {kind}: lower-case letters, digits and single - or _ between them, a letter "
+            "first, no Python keyword."
         )
     _refuse_taken(kind, name)
-    module = f"hts_{name}"
+    module = f"hts_{_field(name)}"
     folder = parent / module.replace("_", "-")
     if folder.exists():
         raise RunError(f"{folder}: exists already. Choose another name, or another place with --to DIR.")
@@ -56,7 +57,7 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
     for file, template in (
         ("pyproject.toml", "pyproject.toml"),
         ("README.md", "README.md"),
-        (f"tests/test_{name}.py", f"test_{kind}.py"),
+        (f"tests/test_{_field(name)}.py", f"test_{kind}.py"),
     ):
         text = (HERE / "templates" / f"{template}.tmpl").read_text(encoding="utf-8")
         files[file] = Template(text).substitute(words)
@@ -90,12 +91,12 @@ def _refuse_taken(kind: str, name: str) -> None:
 
 
 def _field(kind: str) -> str:
-    """As Python names it: folder of the example, and without the s the field of the registry."""
+    """A kind or a name as Python names it: folder of the example, module, and without the s the field of the registry."""
     return kind.replace("-", "_")
 
 
 def _class_name(name: str) -> str:
-    return "".join(part.capitalize() for part in name.split("_"))
+    return "".join(part.capitalize() for part in _field(name).split("_"))
 
 
 def _renamed(file: Path, kind: str, words: dict[str, str]) -> str:
@@ -103,4 +104,5 @@ def _renamed(file: Path, kind: str, words: dict[str, str]) -> str:
     own = EXAMPLES[kind]
     text = file.read_text(encoding="utf-8").replace(f"hts.testing.examples.{_field(kind)}", words["module"])
     text = re.sub(rf"\b{own.capitalize()}\b", words["Name"], text)
-    return re.sub(rf"\b{own}(?=\b|_)", words["name"], text)
+    text = re.sub(rf"\b{own}(?=_)", _field(words["name"]), text)  # part of a channel's name, which is an identifier
+    return re.sub(rf"\b{own}\b", words["name"], text)

@@ -23,14 +23,19 @@ FAKES = """
 from hts import hookimpl
 HTS_API = 2
 
-class Thing:
-    def __init__(self, settings): self.settings = settings
+def make_fake(settings):
+    from hts.testing.examples.objective.objective import Fake
+    return Fake()
+
+def make_hopper(settings):
+    from hts.testing.examples.robot.robot import Tiny
+    return Tiny()
 
 @hookimpl
-def hts_objectives(register): register("fake", Thing)
+def hts_objectives(register): register("fake", make_fake)
 
 @hookimpl
-def hts_robots(register): register("hopper", Thing)
+def hts_robots(register): register("hopper", make_hopper)
 """
 
 

@@ -79,6 +79,47 @@ def test_a_sound_world_passes(install):
     assert offering_world(install) == []
 
 
+ROVER = """
+
+import dataclasses
+from hts.errors import WorldError
+from hts.testing.examples.robot.robot import Tiny
+
+
+class Rover(Tiny):
+    spec = dataclasses.replace(Tiny.spec, name="rover")
+
+    def pretrained_policy(self):
+        from pathlib import Path
+
+        from hts.testing.tiny_policy import write_drive_policy
+
+        path = Path("FOLDER") / "pretrained.safetensors"
+        if not path.exists():
+            write_drive_policy(path, "rover")
+        return path
+
+
+def make_odd(settings, context):
+    if context.robot != "rover":
+        raise WorldError(f"This world has a rover and no '{context.robot}'.")
+    return make(settings, context)
+
+
+@hookimpl
+def hts_robots(register):
+    register("rover", lambda settings: Rover())
+"""
+
+
+def test_a_world_of_one_machine_needs_no_objective_in_its_package(install, tmp_path):
+    source = WORLD.format(changes="").replace('"odd", make)', '"odd", make_odd)') + ROVER.replace(
+        "FOLDER", str(tmp_path)
+    )
+    install("odd-lab", {"odd_lab": source}, {"odd": "odd_lab"})
+    assert [line for line in faults("odd-lab") if "world 'odd'" in line] == []
+
+
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [

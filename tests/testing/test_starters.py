@@ -90,7 +90,7 @@ def test_a_measurement_model_as_written_runs_smoke_with_our_own_objective_and_ro
     assert report["held_out"]["linear"]["r2"] is not None and report["held_out"]["spread"] is not None
 
 
-@pytest.mark.parametrize("name", ["heat", "a_rather_long_name_of_something"])
+@pytest.mark.parametrize("name", ["heat", "a_rather_long_name_of_something", "step-noise"])
 @pytest.mark.parametrize("kind", NAMES)
 def test_it_is_formatted_and_linted_by_its_own_settings(kind, name, tmp_path):
     folder = write_starter(kind, name, tmp_path)
@@ -129,7 +129,7 @@ def test_nothing_is_overwritten(tmp_path):
         write_starter("selector", "steady", tmp_path)
 
 
-@pytest.mark.parametrize("name", ["Hopper", "2legs", "my-robot", "class", "", "two__lines", "a_"])
+@pytest.mark.parametrize("name", ["Hopper", "2legs", "my--robot", "class", "", "two__lines", "a_", "a-"])
 def test_a_name_that_python_cannot_import_is_refused(name, tmp_path):
     with pytest.raises(ConfigError, match="cannot name a robot"):
         write_starter("robot", name, tmp_path)
@@ -141,6 +141,23 @@ def test_a_name_that_is_taken_is_refused(kind, name, tmp_path):
     with pytest.raises(ConfigError, match=f"'{name}' is taken"):
         write_starter(kind, name, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_objective_gets_its_article(tmp_path):
+    with pytest.raises(ConfigError, match="cannot name an objective"):
+        write_starter("objective", "Heat", tmp_path)
+
+
+def test_a_name_with_a_hyphen_is_the_name_and_its_modules_have_an_underscore(tmp_path, hts):
+    """`hts check` takes such names, so `hts new` does."""
+    from hts.testing.packages import write_package
+
+    folder = write_starter("objective", "step-noise", tmp_path)
+    assert folder.name == "hts-step-noise"
+    assert (folder / "tests" / "test_step_noise.py").is_file()
+    site = write_package(tmp_path / "site", "hts-step-noise", {}, {"step-noise": "hts_step_noise.plugin"})
+    done = hts("check", "hts-step-noise", "--quiet", path=[folder, site])
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_a_misspelt_kind_is_answered_with_the_closest(tmp_path):

@@ -45,23 +45,34 @@ class Crew:
 
 
 def crew_for(world: Entry, registry: Registry) -> Crew:
-    """The kit's own robot and objective, or of the world's package the first ones that it takes instead of them."""
+    """The first of these that the world takes: the kit's own robot and objective; robots of the world's package, each
+    with objectives of that package, then with the kit's, then with any other that is installed."""
     kit = Crew(Tiny(), Fake(), ("tiny", "fake"))
-    own = [
-        Crew(registry.make_robot(robot.name), registry.make_objective(objective.name), (robot.name, objective.name))
-        for robot in registry.robots.values()
-        for objective in registry.objectives.values()
-        if robot.package == objective.package == world.package
-    ]
-    for crew in (kit, *own):
-        try:
-            made = world.factory({}, crew.context())
-            if isinstance(made, World):
-                made.close()
-        except HtsError:  # this world does not know that robot or objective
-            continue
-        return crew
+    if _takes(world, kit):
+        return kit
+    ours = [entry for entry in registry.objectives.values() if entry.package == world.package]
+    others = [entry for entry in registry.objectives.values() if entry.package != world.package]
+    for entry in (entry for entry in registry.robots.values() if entry.package == world.package):
+        robot = registry.make_robot(entry.name)
+        pairs = [(registry.make_objective(one.name), one.name) for one in ours]
+        pairs.append((kit.objective, "fake"))
+        pairs += [(registry.make_objective(one.name), one.name) for one in others if one.name != "fake"]
+        for objective, name in pairs:
+            crew = Crew(robot, objective, (entry.name, name))
+            if set(objective.inputs) <= set(robot.channels()) and _takes(world, crew):
+                return crew
     return kit
+
+
+def _takes(world: Entry, crew: Crew) -> bool:
+    """Whether a world of that robot and objective can be made."""
+    try:
+        made = world.factory({}, crew.context())
+        if isinstance(made, World):
+            made.close()
+    except HtsError:  # this world does not know that robot or objective
+        return False
+    return True
 
 
 def rest_of(kind: str, entry: Entry, registry: Registry) -> tuple[Any, ...]:

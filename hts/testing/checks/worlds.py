@@ -1,6 +1,7 @@
 """Worlds: what they cost and what they record, tried with the kit's own robot and objective.
 
-A world that refuses these (it has one kind of machine) is tried with robot and objective of its own package.
+A world that refuses these (it has one kind of machine) is tried with a robot of its own package and an objective of that
+package, of the kit, or of any other.
 """
 
 from __future__ import annotations
