@@ -92,7 +92,7 @@ class Population(nn.Module):
             self.register_buffer(f"{name}_std", torch.ones(count, 1, size, device=device))
             self.register_buffer(f"{name}_count", torch.zeros(count, device=device))
         self._stacked: torch.Tensor | None = None
-        self._versions: list[tuple[int, int]] = []
+        self._versions: list[int] = []
         self._cache: list[dict[str, torch.Tensor]] | dict[str, torch.Tensor] | None = None
 
     def _initial_vector(self, init_std: float, seed: int) -> torch.Tensor:
@@ -257,9 +257,13 @@ class Population(nn.Module):
             self.refresh()
         return self._cache
 
-    def _now(self) -> list[tuple[int, int]]:
-        """Where each candidate's parameters lie and how often they have been changed, also by an optimiser."""
-        return [(vector.data_ptr(), vector._version) for vector in self.vectors]
+    def _now(self) -> list[int]:
+        """How often each candidate's parameters have been changed, also by an optimiser."""
+        return [vector._version for vector in self.vectors]
+
+    def _apply(self, fn, recurse: bool = True):  # .to(device), .double(), ...
+        self._versions = []  # counts nothing: the copies are of other parameters now
+        return super()._apply(fn, recurse)
 
     # --------------------------------------------------------------------------------------------- normaliser
 
