@@ -1,11 +1,12 @@
 """One bench of two source trees, in alternating pairs: by how much is the new one faster than the old one?
 
-    python benchmarks/compare_trees.py OLD NEW [--bench train] [--pairs 12] [--seconds 10] [--out FILE] [OPTIONS OF THE BENCH, as --robot go1]
+    python benchmarks/compare_trees.py OLD NEW [--bench train] [--pairs 12] [--seconds 10] [--out FILE] [--robot go1 ...]
 
-OLD and NEW are checkouts, for instance made by `git worktree add`. Both run in this Python, each measurement in a process of its own
-with the tree's sources first on the path; which of the two goes first changes from pair to pair, so that a machine that slows
-down meets both. Prints JSON: of `ratio` (of bare physics) and `steps_per_s` the geometric mean of new over old and its
-95 % t-interval over pairs, every measurement, and how many cores others used meanwhile.
+OLD and NEW are checkouts, for instance made by `git worktree add`; other options are those of `hts bench`. Both run in this
+Python, each measurement in a process of its own with the tree's sources first on the path. Which of the two goes first
+changes from pair to pair, so that a machine that slows down meets both. Prints JSON: of `ratio` (of bare physics) and
+`steps_per_s` the geometric mean of new over old and its 95 % t-interval over pairs, every measurement, and how many cores
+others used meanwhile.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ LEVEL = 0.95
 
 
 def new_over_old(pairs: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
-    """Geometric mean of new / old over pairs (old, new), and both ends of its t-interval at `LEVEL`. At least two pairs."""
+    """Geometric mean of new / old over two or more pairs (old, new), and both ends of its t-interval at `LEVEL`."""
     logarithms = [math.log(new / old) for old, new in pairs]
     mean, error = statistics.mean(logarithms), statistics.stdev(logarithms) / math.sqrt(len(logarithms))
     reach = float(stats.t.ppf((1 + LEVEL) / 2, len(logarithms) - 1)) * error

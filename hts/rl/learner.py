@@ -17,7 +17,7 @@ NETWORKS = {"observation": "actor", "critic_observation": "critic"}
 
 
 class Layout:
-    """In which order a candidate's parameters lie while it learns: each bias as the last column of its weight, as `MLP` wants it."""
+    """The order in which a candidate's parameters lie while it learns: a bias is its weight's last column, as in `MLP`."""
 
     def __init__(self, population: Population) -> None:
         self.layers = len(population.sizes.hidden) + 1
@@ -49,7 +49,7 @@ class Layout:
 
 
 class Learner:
-    """parameters, gradient: [D] in the layout's order; the first start as the candidate's, the second is renewed by `differentiate`."""
+    """parameters [D], at first the candidate's, and their gradient [D], renewed by `differentiate`, in the layout's order."""
 
     def __init__(self, layout: Layout, parameters: Tensor) -> None:
         self.parameters, self.gradient = layout.packed(parameters), torch.empty_like(parameters)
@@ -79,7 +79,8 @@ class Learner:
         self._by_log_std.copy_(by_log_std)
         self._actor.backward(x, by_mean, space)
         by_value, value = value_gradient(
-            self._critic.forward(y, space)[0], batch["old_value"], batch["target"], clip=config.clip, value_coef=config.value_coef
+            self._critic.forward(y, space)[0], batch["old_value"], batch["target"],
+            clip=config.clip, value_coef=config.value_coef,
         )  # fmt: skip
         self._critic.backward(y, by_value.unsqueeze(0), space)
         return {"policy": policy, "value": value, "kl_old": kl_old}

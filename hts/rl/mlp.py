@@ -1,8 +1,8 @@
 """Small networks on a CPU, forward and backward written out.
 
-Products of a few hundred samples are fast; what lies between them is not, once it goes through autograd: new memory for every
-result, a slow ELU, passes over memory for biases and their gradients. Here every result has its place, ELU takes e^min(z, 0),
-which is also its derivative, and a bias is a column of its weight that meets a row of ones.
+Products of a few hundred samples are fast; what lies between them is not, once it goes through autograd: new memory for
+every result, a slow ELU, passes over memory for biases and their gradients. Here every result has its place, ELU takes
+e^min(z, 0), which is also its derivative, and a bias is a column of its weight that meets a row of ones.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 
 
 class Workspace:
-    """Where networks that run one after the other put what lies between their layers, B samples in columns; see `MLP`."""
+    """Where networks that run one after the other put what lies between their layers, B samples in columns."""
 
     def __init__(self, widths: Sequence[int], samples: int, like: Tensor) -> None:
         """widths: of the hidden layers; like: of what type and device."""
@@ -27,7 +27,7 @@ class Workspace:
 class MLP:
     """Linear layers with ELU between them, samples in columns: x [inputs + 1, B], the last row ones -> y [outputs, B].
 
-    layers: [outputs, inputs + 1], the last column the bias; gradients: places of the same shapes, overwritten by `backward`.
+    layers: [outputs, inputs + 1], the last column the bias; gradients: of the same shapes, overwritten by `backward`.
     """
 
     def __init__(self, layers: Sequence[Tensor], gradients: Sequence[Tensor]) -> None:
@@ -44,7 +44,7 @@ class MLP:
         return torch.mm(self.layers[-1], x)
 
     def backward(self, x: Tensor, d: Tensor, space: Workspace) -> None:
-        """Gradients of sum(d * y), d [outputs, B], after `forward` with the same x and space. Not twice: space is used up."""
+        """Gradients of sum(d * y), d [outputs, B], after `forward` with the same x and space, which is used up by it."""
         inputs = [x, *space.after]
         for index in reversed(range(len(self.layers))):
             torch.mm(d, inputs[index].t(), out=self.gradients[index])  # dL/dW = d h^T

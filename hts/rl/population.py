@@ -137,12 +137,14 @@ class Population(nn.Module):
     def refresh(self) -> None:
         """Renew what `mean` and `value` use without gradients; call after every change of parameters.
 
-        On the CPU weights are copied, laid out by column: a product with few observations is then twice as fast. On a
-        GPU they are copied to where they were before, which is where a captured graph reads them.
+        On the CPU weights are copied, if they have changed, laid out by column: a product with few observations is then
+        twice as fast. On a GPU they are copied to where they were before, which is where a captured graph reads them.
         """
-        self._versions = [vector._version for vector in self.vectors]
+        before, self._versions = self._versions, self._now()
         with torch.no_grad():
             if self.device.type == "cpu":
+                if self._cache is not None and before == self._versions:
+                    return
                 self._cache = [
                     {
                         name: v.t().contiguous().t() if v.ndim == 2 else v.clone()
@@ -251,11 +253,17 @@ class Population(nn.Module):
         return self._mlp("critic", x, one).view(-1)
 
     def _ready(self):
-        # The version of a parameter counts its changes, also an optimiser's, after which the copies are renewed.
-        versions = [vector._version for vector in self.vectors]
-        if self._cache is None or versions != self._versions:
+        if self._cache is None or self._now() != self._versions:
             self.refresh()
         return self._cache
+
+    def _now(self) -> list[int]:
+        """How often each candidate's parameters have been changed, also by an optimiser."""
+        return [vector._version for vector in self.vectors]
+
+    def _apply(self, fn, recurse: bool = True):  # .to(device), .double(), ...
+        self._versions = []  # counts nothing: the copies are of other parameters now
+        return super()._apply(fn, recurse)
 
     # --------------------------------------------------------------------------------------------- normaliser
 

@@ -83,7 +83,7 @@ class GradientSteps(ABC):
 class SeparateSteps(GradientSteps):
     """On a CPU: candidates share nothing, so each takes all its steps alone, as many side by side as there are cores.
 
-    Gradients are written out (`hts.rl.learner`): fewer and larger operations, so that threads seldom wait for Python's lock.
+    Gradients are written out (`hts.rl.learner`): few and large operations, so that threads seldom meet at Python's lock.
     """
 
     def __init__(self, population: Population, config: UpdateSettings, stop: Stop) -> None:
@@ -134,11 +134,11 @@ class SeparateSteps(GradientSteps):
             learner.gradient.mul_(self.config.max_grad_norm / (norm + 1e-6))
         moments = self._moments[index]
         if not moments:
-            moments |= {"step": torch.zeros(()), "exp_avg": torch.zeros_like(learner.gradient), "exp_avg_sq": torch.zeros_like(learner.gradient)}  # fmt: skip
+            moments |= {name: torch.zeros_like(learner.gradient) for name in MOMENTS} | {"step": torch.zeros(())}
         # What `torch.optim.Adam(fused=True)` calls, without the 0.1 ms of Python around it.
         torch._fused_adam_(
-            [learner.parameters], [learner.gradient], [moments["exp_avg"]], [moments["exp_avg_sq"]], [], [moments["step"].add_(1.0)],
-            lr=self._rates[index], beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
+            [learner.parameters], [learner.gradient], [moments["exp_avg"]], [moments["exp_avg_sq"]], [],
+            [moments["step"].add_(1.0)], lr=self._rates[index], beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
         )  # fmt: skip
 
     def adapt(self, index: int, kl_old: torch.Tensor) -> None:

@@ -43,7 +43,8 @@ def batch(of: Population, with_reference: bool = True) -> dict[str, torch.Tensor
     old_mean = mean + 0.1 * normal(3)
     action = old_mean + old_log_std.exp() * normal(3)
     made |= {
-        "action": action, "old_mean": old_mean, "log_prob": log_prob(action, old_mean, old_log_std), "advantage": normal(),
+        "action": action, "old_mean": old_mean, "log_prob": log_prob(action, old_mean, old_log_std),
+        "advantage": normal(),
         "old_value": value + 0.3 * normal(), "target": value + 0.3 * normal(), "old_log_std": old_log_std,
     }  # fmt: skip
     if with_reference:

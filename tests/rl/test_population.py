@@ -125,3 +125,16 @@ def test_standardised_rows_have_mean_zero_and_deviation_one():
     rows = row_standardised(torch.tensor([[1.0, 2.0, 3.0], [10.0, 20.0, 60.0]]))
     torch.testing.assert_close(rows[0], torch.tensor([-1.0, 0.0, 1.0]))
     torch.testing.assert_close(rows.mean(1), torch.zeros(2), atol=1e-6, rtol=0)
+
+
+def test_what_acts_follows_every_change_of_the_parameters():
+    population, x = Population(SIZES, 2, seed=3), torch.randn(2, 6, 5)
+    before = population.mean(x)
+    kept = population._ready()
+    population.refresh()
+    assert population._ready() is kept  # nothing has changed
+    with torch.no_grad():
+        population.vectors[1].mul_(2.0)
+    after = population.mean(x)
+    assert torch.equal(after[0], before[0]) and not torch.equal(after[1], before[1])
+    torch.testing.assert_close(population.double().mean(x.double()), after.double())
