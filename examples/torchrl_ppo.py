@@ -17,8 +17,16 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import Unbounded
-from torchrl.envs import CatTensors, Compose, DMControlEnv, DoubleToFloat, ExplorationType, StepCounter, TransformedEnv
-from torchrl.envs import set_exploration_type
+from torchrl.envs import (
+    CatTensors,
+    Compose,
+    DMControlEnv,
+    DoubleToFloat,
+    ExplorationType,
+    StepCounter,
+    TransformedEnv,
+    set_exploration_type,
+)
 from torchrl.envs.transforms import Transform
 from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
