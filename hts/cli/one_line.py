@@ -82,7 +82,8 @@ def resumable(folder: Path) -> Iterator[None]:
         fault = disk_fault(error, folder) or device_fault(error)
         if fault is None:
             raise
-        raise RunError(f"{fault} Then `hts resume {folder}` goes on.") from error
+        resume = f" Then `hts resume {folder}` goes on." if (folder / "config.yaml").exists() else ""
+        raise RunError(f"{fault}{resume}") from error
     finally:
         threading.excepthook = threading.__excepthook__
 

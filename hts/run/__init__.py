@@ -75,4 +75,5 @@ def _make_folder(config: RunConfig, out: Path) -> None:
     left = temporary_of(out / "config.yaml")  # all that a run leaves which was killed before it began
     if out.exists() and any(entry != left for entry in out.iterdir()):
         raise RunError(f"{out}: is not empty. Go on with `hts resume {out}`, or choose another --out.")
+    out.mkdir(parents=True, exist_ok=True)  # before the file, so that an error names the folder that was asked for
     atomic_write(out / "config.yaml", dump_config(config))

@@ -49,7 +49,7 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
         raise RunError(f"{folder}: exists already. Choose another name, or another place with --to DIR.")
     words = {
         "name": name, "Name": _class_name(name), "module": module, "package": folder.name, "kind": kind.replace("-", " "),
-        "version": __version__, "run": first_run(kind, name),
+        "Names": ", ".join(sorted([_class_name(name), "Settings"])), "version": __version__, "run": first_run(kind, name),
     }  # fmt: skip
     files = {
         f"{module}/{file.name}": _renamed(file, kind, words) for file in (HERE / "examples" / _field(kind)).glob("*.py")

@@ -209,7 +209,12 @@ def test_a_disk_that_cannot_be_written_names_the_file_and_what_to_do(fakes, fake
     assert main([*RUN, "--out", str(tmp_path)]) == 2
     line = one_line_of(capsys)
     assert line.startswith("error: /somewhere/data.zarr: ") and words in line
-    assert f"`hts resume {tmp_path}` goes on" in line
+    assert "resume" not in line  # nothing was begun
+    begun = tmp_path / "begun"
+    begun.mkdir()
+    (begun / "config.yaml").touch()
+    with pytest.raises(RunError, match=f"`hts resume {begun}` goes on"), resumable(begun):
+        raise fake_run.error
 
 
 def test_a_full_disk_that_names_no_file_names_the_run_folder(fakes, fake_run, tmp_path, capsys):

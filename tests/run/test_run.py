@@ -150,7 +150,7 @@ def test_a_run_that_was_killed_before_it_had_a_configuration_may_be_started_agai
     from hts.run import algorithm
 
     (tmp_path / ".config.yaml.tmp").write_text("preset: smo")
-    monkeypatch.setattr(algorithm, "run", lambda config, folder: folder)
+    monkeypatch.setattr(algorithm, "run", lambda config, folder, registry: folder)
     assert api.run("power", "go1", out=tmp_path, preset="smoke") == tmp_path
     assert api.load(tmp_path).config.preset == "smoke"
     assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
