@@ -21,7 +21,7 @@ import typer
 if TYPE_CHECKING:
     from hts.contracts import Robot
     from hts.recordings.recording import Recording
-    from hts.worlds.twin.parameters import TwinSettings
+    from hts.testing.twin import TwinSettings
     from hts_power.gauge import BatteryGauge
 
 GRAVITY = 9.81  # m/s^2
@@ -50,7 +50,7 @@ def calibrate_twin(
     from hts import plugins
     from hts.config_loading import load_config
     from hts.policies.deploy import DeployedPolicy
-    from hts.worlds.twin.parameters import TwinSettings, parameters_hash, resolved
+    from hts.testing.twin import TwinSettings, parameters_hash, resolved
 
     config = load_config(objectives=["power"], robot=robot, world="twin", overrides=set_ or ())
     registry = plugins.load()
@@ -103,9 +103,7 @@ def measure(
     speeds: Sequence[float], seconds: float, robots: int, seed: int,
 ) -> dict[str, Any]:  # fmt: skip
     """Standing and walking on twins side by side, warmed up to steady state first."""
-    from hts.worlds.base import request_id, seed_sequence, walking
-    from hts.worlds.twin.programme import Block, Session, warm_up
-    from hts.worlds.twin.session import Batch
+    from hts.testing.twin import Batch, Block, Session, request_id, seed_sequence, walking, warm_up
 
     cases = [(None, 0.0)] + [(str(policy), speed) for speed in speeds for _ in range(robots)]
     batch = Batch(robot, settings, {INSTRUMENT: gauge}, len(cases), seed_sequence(seed, request_id("calibrate")))

@@ -14,7 +14,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from hts.contracts import Robot
-    from hts.worlds.twin.parameters import TwinSettings
+    from hts.testing.twin import TwinSettings
     from hts_power.gauge import BatteryGauge
 
 SKIP_SECONDS = 2.0  # of walking, before anything is measured
@@ -49,7 +49,7 @@ def train(robot: Robot, gauge: BatteryGauge, policy: Path, speed: float, seconds
     from hts.contracts import PhysicsSample
     from hts.policies.deploy import DeployedPolicy
     from hts.sim.models import compile_model
-    from hts.worlds.base import Operator
+    from hts.testing.twin import Operator
 
     spec = robot.spec
     model = compile_model(robot)
@@ -101,7 +101,7 @@ def train(robot: Robot, gauge: BatteryGauge, policy: Path, speed: float, seconds
 def machines(robot: Robot, settings: TwinSettings) -> dict[str, list[str]]:
     """[training simulation, twin] of what is built differently."""
     from hts.sim.models import compile_model
-    from hts.worlds.twin.model import build
+    from hts.testing.twin import build
 
     spec, p, nominal = robot.spec, settings.dynamics, compile_model(robot)
     twin = build(robot, p)
