@@ -175,8 +175,9 @@ class Population(nn.Module):
         return x
 
     def _each(self, part: str, x: torch.Tensor, named: Sequence[Mapping[str, torch.Tensor]]) -> list[torch.Tensor]:
-        """Candidate by candidate; side by side where they take longer than handing them to threads does."""
-        if len(named) == 1 or x.shape[1] < MANY or torch.is_grad_enabled():
+        """Candidate by candidate; side by side where they take longer than handing them to threads does, but not with
+        parameters that somebody gave: `vmap`, in which TorchRL evaluates values, knows one thread."""
+        if len(named) == 1 or x.shape[1] < MANY or torch.is_grad_enabled() or named is not self._cache:
             return [self._one(part, row, one) for row, one in zip(x.unbind(0), named, strict=True)]
 
         @torch.no_grad()  # known to each thread for itself

@@ -21,6 +21,7 @@ from torchrl.envs import EnvBase
 from hts.rl.actor import PopulationActor, log_prob
 from hts.rl.deferred import DeferrableTransform, base_and_transforms
 from hts.rl.task_env import SplitStepEnv
+from hts.rl.threads import pool
 
 Key = tuple[str, ...]
 FLAGS = ("terminated", "truncated", "done")
@@ -185,6 +186,17 @@ class PopulationCollector(SplitStepCollector):
     Parameters are read at the beginning of each batch.
     """
 
+    def __init__(
+        self, env: EnvBase, policy: PopulationActor, *, frames_per_batch: int, total_frames: int = -1
+    ) -> None:
+        super().__init__(env, policy, frames_per_batch=frames_per_batch, total_frames=total_frames)
+        self._pool = pool(len(self.transforms))
+
+    def shutdown(self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True) -> None:
+        """Close the env and let go of threads."""
+        super().shutdown(timeout, close_env, raise_on_error)
+        self._pool.shutdown()
+
     def _collect(self) -> TensorDict:
         env = self.bare_env
         steps: dict[Key, list[torch.Tensor]] = {}
@@ -204,14 +216,27 @@ class PopulationCollector(SplitStepCollector):
                 steps.setdefault(key, []).append(value)
             if bool(flags["done"].any()):
                 env.start_episodes(flags["done"].squeeze(-1))
+        ended = torch.stack(steps["next", "done"]).reshape(self.horizon, -1)
+        # What transforms make of the batch is computed beside the rest of it: the physics is done, and the other cores are free.
+        late = [
+            self._pool.submit(_sequence, transform, row, ended)
+            for row, transform in zip(recorded, self.transforms, strict=True)
+        ]
         rows = {key: torch.stack(values, 2) for key, values in steps.items()}
-        ended = rows["next", "done"].movedim(2, 0).reshape(self.horizon, -1)
-        late: dict[Key, torch.Tensor] = {("reward",): env.rewards(rewarded)}
-        for row, transform in zip(recorded, self.transforms, strict=True):
-            late |= transform.forward_sequence(torch.stack(row), ended)
-        for key, value in late.items():
+        entries: dict[Key, torch.Tensor] = {("reward",): env.rewards(rewarded)}
+        for one in late:
+            entries |= one.result()
+        for key, value in entries.items():
             # Laid out alike however many candidates there are: sums take the order of the memory.
             rows["next", *key] = value.view(self.horizon, *env.batch_size, 1).movedim(0, 2).contiguous()
         loc = rows["loc",]
         rows["action_log_prob",] = log_prob(rows["action",], loc, self.policy.log_std(loc.ndim))
         return self._batch(rows)
+
+
+@torch.no_grad()
+def _sequence(
+    transform: DeferrableTransform, recorded: list[torch.Tensor], ended: torch.Tensor
+) -> dict[Any, torch.Tensor]:
+    """What a transform makes of T recorded steps. Gradients are switched off for each thread by itself."""
+    return transform.forward_sequence(torch.stack(recorded), ended)
