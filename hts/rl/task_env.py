@@ -17,6 +17,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
 from hts.rl.random import PopulationRandom
+from hts.rl.tracing import any_or_tracing
 
 
 class TaskEnv(EnvBase):
@@ -161,7 +162,7 @@ class SplitStepEnv(TaskEnv):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = tensordict.get("_reset", None) if tensordict is not None else None
         mask = self.first_mask() if mask is None else mask.view(self.batch_size)
-        if bool(mask.any()):
+        if any_or_tracing(mask):
             self.start_episodes(mask)
         done = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)
         return self._result({"done": done, "terminated": done.clone(), "truncated": done.clone()})

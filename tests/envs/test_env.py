@@ -78,6 +78,16 @@ def put(env, world: int, quaternion=(1.0, 0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.
     env.engine.reset(mask, qpos, qvel)
 
 
+def test_a_rollout_with_gradients_on_works_and_physics_gives_none(make, robot):
+    """As a stock script does it: `env.rollout(n, actor)` with an actor whose parameters are trained."""
+    from hts.policies.files import load_policy
+    from hts.policies.modules import actor_of
+
+    data = make().rollout(3, actor_of(load_policy(robot.pretrained_policy())))
+    assert data.batch_size == (1, 2, 3) and data["loc"].requires_grad
+    assert not data["next", "observation"].requires_grad and not data["next", "reward"].requires_grad
+
+
 # -------------------------------------------------------------------------------------- specs and channels
 
 
