@@ -166,8 +166,8 @@ class SweepConfig(Config):
     anchors: tuple[Literal["best", "pretrained", "front"], ...] = Field(
         ("best", "pretrained"),
         min_length=1,
-        description="which policies to start from; front: for each combination of λ the measured one that goes furthest "
-        "in its direction",
+        description="which policies to start from; front: for each combination of λ the measured one that goes "
+        "furthest in its direction",
     )
 
     @model_validator(mode="after")

@@ -95,7 +95,8 @@ class Registry:
         return self._make("robots", name, dict(settings or {}))
 
     def make_objective(self, name: str, settings: Settings | None = None) -> Objective:
-        """settings: what stands under `objectives.NAME`; the choice of a measurement model in it is not the objective's."""
+        """settings: what stands under `objectives.NAME`; the choice of a measurement model in it is not the
+        objective's."""
         from hts.contracts import own_settings
 
         return self._make("objectives", name, own_settings(settings or {}))
