@@ -72,7 +72,8 @@ def refuse_existing(folder: Path) -> None:
         return
     if (folder / "config.yaml").exists():
         raise RunError(
-            f"{folder}: this folder holds a run already. Go on with it: `hts resume {folder}`; or start anew in another: --out DIR."
+            f"{folder}: this folder holds a run already. Go on with it: `hts resume {folder}`; or start anew in "
+            "another: --out DIR."
         )
     if folder.exists():
         raise RunError(f"{folder}: exists already and is not an empty folder. Choose another one: --out DIR.")
