@@ -1,4 +1,5 @@
-"""How policies do in the training simulation: mean action, straight walks at fixed speeds, one whole trial per world."""
+"""How policies do in the training simulation: mean action, straight walks at fixed speeds,
+one whole trial per world."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ class SimulatedTrial:
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
-    """The training env with straight walks at `speeds`, no pushes, no time-out within the trial; its noise and variants stay."""
+    """The training env with straight walks at `speeds`, no pushes, no time-out within the trial;
+    its noise and variants stay."""
     commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
     calm = base.randomisation.model_copy(update={"push_speed": 0.0})
     changes = {"commands": commands, "randomisation": calm, "episode_seconds": seconds + 1.0, "seed": seed}
@@ -49,11 +51,13 @@ def simulate(
 ) -> list[list[SimulatedTrial]]:
     """Trials of every policy (outer) at every speed (inner); world n walks at speeds[n mod len(speeds)].
 
-    env: of batch size [P, N], made with `test_config`, writing the channel base_velocity; tolerance: relative speed error of a valid segment.
+    env: of batch size [P, N], made with `test_config`, writing the channel base_velocity;
+    tolerance: relative speed error of a valid segment.
     """
     if seconds < SETTLE_SECONDS + 1.0:
         raise ConfigError(
-            f"A trial of {seconds} s has no segment to judge: {SETTLE_SECONDS} s to settle and 1 s at least. Make it longer."
+            f"A trial of {seconds} s has no segment to judge: {SETTLE_SECONDS} s to settle and 1 s at least. Make it "
+            "longer."
         )
     act = PopulationActor(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
