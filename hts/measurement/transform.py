@@ -63,8 +63,8 @@ class Measured(DeferrableTransform):
 class MeasurementTransform(Measured):
     """Predicts the objective's target in every env instance at every step, and turns it into r_real.
 
-    model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape. A model that
-    knows how far it may be wrong may be looked at from its worse side, see `measurement.pessimism`.
+    model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape. A model
+    that knows how far it may be wrong may be looked at from its worse side, see `measurement.pessimism`.
     The memory, (P·N, ...), is emptied where an episode begins; it is part of `state_dict()`, so a run resumes in
     mid-episode. The model's weights are not: they have their own file (`measurement.files`).
     """
