@@ -17,7 +17,8 @@ PAIR = tuple[float, float]
 
 
 def front(run: RunData, pair: tuple[str, str]) -> Figure | None:
-    """What was measured in two objectives, as it counts, the front of all tested policies; beside it the same in simulation."""
+    """What was measured in two objectives, as it counts, the front of all tested policies;
+    beside it the same in simulation."""
     tested = list(_tested(run, pair))
     if not tested:
         return None
@@ -66,16 +67,30 @@ def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple
             bars.append([[max(0.0, value - low)], [max(0.0, high - value)]])
         kept = candidate["id"] in on_front
         panel.errorbar(
-            [place[0]], [place[1]], xerr=bars[0], yerr=bars[1], fmt="x" if candidate.get("fell") else "o",
-            color=ACCENT if kept else REFERENCE, markersize=6 if kept else 4.5, capsize=0, linewidth=1.1,
-            alpha=1.0 if kept else 0.75, zorder=4 if kept else 3,
-        )  # fmt: skip
+            [place[0]],
+            [place[1]],
+            xerr=bars[0],
+            yerr=bars[1],
+            fmt="x" if candidate.get("fell") else "o",
+            color=ACCENT if kept else REFERENCE,
+            markersize=6 if kept else 4.5,
+            capsize=0,
+            linewidth=1.1,
+            alpha=1.0 if kept else 0.75,
+            zorder=4 if kept else 3,
+        )
         if kept:
             line.append((place[0], place[1]))
             panel.annotate(
-                candidate["id"], (place[0], place[1]), xytext=(5, 5), textcoords="offset points", fontsize=7.5,
-                fontweight="bold" if candidate["id"] == best else "normal", color=INK, zorder=5,
-            )  # fmt: skip
+                candidate["id"],
+                (place[0], place[1]),
+                xytext=(5, 5),
+                textcoords="offset points",
+                fontsize=7.5,
+                fontweight="bold" if candidate["id"] == best else "normal",
+                color=INK,
+                zorder=5,
+            )
         if candidate["id"] == best:
             panel.plot([place[0]], [place[1]], "o", markersize=11, markerfacecolor="none", color=INK, zorder=5)
     if "pretrained" in on_front:
@@ -106,9 +121,15 @@ def _simulated(panel, run: RunData, pair: tuple[str, str]) -> None:
             kept = candidate["id"] in fronts.get(index, ())
             walks = not candidate.get("falls") and candidate.get("tracked", True)
             panel.plot(
-                [place[0]], [place[1]], marker=MARKERS[position % len(MARKERS)] if walks else "x", linestyle="none",
-                color=color, markersize=6 if kept else 4.5, alpha=1.0 if kept else 0.45, zorder=3,
-            )  # fmt: skip
+                [place[0]],
+                [place[1]],
+                marker=MARKERS[position % len(MARKERS)] if walks else "x",
+                linestyle="none",
+                color=color,
+                markersize=6 if kept else 4.5,
+                alpha=1.0 if kept else 0.45,
+                zorder=3,
+            )
             if candidate.get("elite"):
                 panel.plot([place[0]], [place[1]], "o", markersize=10, markerfacecolor="none", color=SOFT, mew=0.7)
             if kept:
@@ -130,11 +151,15 @@ def _legend(rounds: Sequence[tuple[int, Json]]) -> list[Any]:
 
     marks = [
         Line2D(
-            [], [], marker=MARKERS[position % len(MARKERS)], linestyle="none", color=ramp(position, len(rounds)),
+            [],
+            [],
+            marker=MARKERS[position % len(MARKERS)],
+            linestyle="none",
+            color=ramp(position, len(rounds)),
             label=f"iteration {index}",
         )
         for position, (index, _) in enumerate(rounds)
-    ]  # fmt: skip
+    ]
     ring = Line2D([], [], marker="o", markersize=9, linestyle="none", markerfacecolor="none", color=SOFT, label="elite")
     cross = Line2D([], [], marker="x", linestyle="none", color=SOFT, label="fell or missed the speed")
     return [*marks, ring, cross]
