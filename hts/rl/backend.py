@@ -38,8 +38,13 @@ class Backend(ABC):
 
     @abstractmethod
     def collector(
-        self, env: EnvBase, actor: PopulationActor, frames_per_batch: int, reference: Population | None, fixed_normaliser: bool
-    ) -> BaseCollector:  # fmt: skip
+        self,
+        env: EnvBase,
+        actor: PopulationActor,
+        frames_per_batch: int,
+        reference: Population | None,
+        fixed_normaliser: bool,
+    ) -> BaseCollector:
         """The fastest collector that env can have: by its parts if it is a `SplitStepEnv`, else TorchRL's own.
 
         reference: whose mean actions learning will ask for; fixed_normaliser: false where observations are
@@ -96,9 +101,15 @@ class GpuBackend(Backend):
         if not can_split(env):
             return torchrl_collector(env, actor, frames_per_batch)
         return CapturedCollector(
-            env, actor, frames_per_batch=frames_per_batch, capture=self.capture, tf32=self.tf32, compiled=self.fuse,
-            side_stream=self.capture and fixed_normaliser, reference=reference,
-        )  # fmt: skip
+            env,
+            actor,
+            frames_per_batch=frames_per_batch,
+            capture=self.capture,
+            tf32=self.tf32,
+            compiled=self.fuse,
+            side_stream=self.capture and fixed_normaliser,
+            reference=reference,
+        )
 
     def gradient_steps(self, population, settings, stop):
         return BatchedSteps(population, settings, stop, self.capture, tf32=self.tf32, fuse=self.fuse)

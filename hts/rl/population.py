@@ -31,8 +31,8 @@ def _activated(device: torch.device) -> Callable[[torch.Tensor, torch.Tensor], t
 
 
 def split_of(count: int, length: int) -> int:
-    """Into how many parts a GPU splits each candidate's samples to sum gradients: the sums over 18 candidates keep half of an
-    H200 busy, partial sums all of it. As many as give at most `PARTIAL` sums, of 512 samples or more."""
+    """Into how many parts a GPU splits each candidate's samples to sum gradients: the sums over 18 candidates keep half
+    of an H200 busy, partial sums all of it. As many as give at most `PARTIAL` sums, of 512 samples or more."""
     most = max(1, min(PARTIAL // count, length // 512))
     return next(parts for parts in range(most, 0, -1) if length % parts == 0)
 
@@ -130,7 +130,8 @@ class Population(nn.Module):
         return self.split(torch.stack(vectors))
 
     def stacked(self) -> torch.Tensor:
-        """A copy of all vectors, [P, D and zeros up to a multiple of `ALIGNED`]: matrix units read 16 bytes at a time."""
+        """A copy of all vectors, [P, D and zeros up to a multiple of `ALIGNED`]:
+        matrix units read 16 bytes at a time."""
         vectors = torch.stack([vector.detach() for vector in self.vectors])
         return F.pad(vectors, (0, -vectors.shape[1] % ALIGNED))
 
