@@ -32,7 +32,8 @@ def read_json(path: Path) -> Any:
         ) from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise RunError(
-            f"{path}: damaged ({error}). Expected the JSON of a finished stage. Delete it and resume: that stage runs again."
+            f"{path}: damaged ({error}). Expected the JSON of a finished stage. Delete it and resume: that stage runs "
+            "again."
         ) from error
 
 
