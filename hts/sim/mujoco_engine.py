@@ -76,9 +76,18 @@ class MujocoEngine(Engine):
     def _rollout(self, state: np.ndarray, ctrl: np.ndarray) -> None:
         """All worlds from state (W, size) with ctrl (W, substeps, nu), into `_states` and `_sensors`."""
         self._pool.rollout(
-            self.models, self._datas, state, ctrl, control_spec=CTRL, skip_checks=True, nstep=self.substeps,
-            initial_warmstart=self._warmstart, state=self._states, sensordata=self._sensors, chunk_size=self._chunk,
-        )  # fmt: skip
+            self.models,
+            self._datas,
+            state,
+            ctrl,
+            control_spec=CTRL,
+            skip_checks=True,
+            nstep=self.substeps,
+            initial_warmstart=self._warmstart,
+            state=self._states,
+            sensordata=self._sensors,
+            chunk_size=self._chunk,
+        )
 
     def snapshot(self, ctrl: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
         return self._state.copy(), ctrl.transpose(0, 1).double().numpy().copy()
