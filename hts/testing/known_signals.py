@@ -38,7 +38,8 @@ class KnownHeat(Objective):
 def known_heat(
     seed: int, policy: str = "a", seconds: float = 20.0, speed: float = 0.8, gait: float = 1.0, **changes: object
 ) -> Recording:
-    """A gait of random size and phase, 50 Hz, and heat(t) = 5 + 2 · mean over 5 samples of Σ effort·rate, 2 samples late.
+    """A gait of random size and phase, 50 Hz, and heat(t) = 5 + 2 · mean over 5 samples of Σ effort·rate,
+    2 samples late.
 
     policy: its hash; speed: commanded, m/s; gait: size of the movement; changes: fields of the recording.
     """
@@ -53,9 +54,18 @@ def known_heat(
     heat = 5.0 + 2.0 * np.convolve(instant, np.full(5, 0.2))[: count + 20]
     values = {EFFORT: effort[20:], RATE: rate[20:], HEAT: heat[18:-2]}
     fields = {
-        "robot": "fake", "world": "bench", "policy_hash": policy, "iteration": 0, "joint_names": ("x", "y", "z"),
-        "kp": (1.0,) * 3, "kd": (0.1,) * 3, "rate_hz": 50.0, "idle": {"heat": 5.0}, "clock": "simulated",
+        "robot": "fake",
+        "world": "bench",
+        "policy_hash": policy,
+        "iteration": 0,
+        "joint_names": ("x", "y", "z"),
+        "kp": (1.0,) * 3,
+        "kd": (0.1,) * 3,
+        "rate_hz": 50.0,
+        "idle": {"heat": 5.0},
+        "clock": "simulated",
         "schedule": ScheduleConfig(commands=(Command(seconds=seconds, vx=speed),)),
-        "time": np.arange(count) / 50, "channels": {c.name: Series(c, v) for c, v in values.items()},
-    }  # fmt: skip
+        "time": np.arange(count) / 50,
+        "channels": {c.name: Series(c, v) for c, v in values.items()},
+    }
     return Recording(**(fields | changes))  # type: ignore[arg-type]

@@ -36,9 +36,14 @@ class KnownWorld(World):
     simulated = True
 
     def __init__(
-        self, robot: Robot, objectives: Sequence[Objective], idle: Mapping[str, float], extra: Sequence[Channel] = (),
-        settings: Settings | None = None, seed: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        robot: Robot,
+        objectives: Sequence[Objective],
+        idle: Mapping[str, float],
+        extra: Sequence[Channel] = (),
+        settings: Settings | None = None,
+        seed: int = 0,
+    ) -> None:
         """idle: level per real channel, in its unit; extra: real channels beside the objectives' targets."""
         self.robot, self.settings, self.seed = robot, settings or Settings(), seed
         self._idle = dict(idle)
@@ -97,12 +102,24 @@ class KnownWorld(World):
         known = {**self.robot.channels(), **self.real}
         length = len(commanded) / spec.control_rate_hz
         return Recording(
-            robot=spec.name, world=self.name, policy_hash=DeployedPolicy(Path(policy)).card.policy_hash, iteration=0,
-            joint_names=spec.joint_names, kp=spec.kp, kd=spec.kd, rate_hz=spec.control_rate_hz, schedule=schedule,
-            idle=self._idle, clock="simulated", time=block * length + np.arange(len(commanded)) / spec.control_rate_hz,
+            robot=spec.name,
+            world=self.name,
+            policy_hash=DeployedPolicy(Path(policy)).card.policy_hash,
+            iteration=0,
+            joint_names=spec.joint_names,
+            kp=spec.kp,
+            kd=spec.kd,
+            rate_hz=spec.control_rate_hz,
+            schedule=schedule,
+            idle=self._idle,
+            clock="simulated",
+            time=block * length + np.arange(len(commanded)) / spec.control_rate_hz,
             channels={name: Series(known[name], array) for name, array in values.items() if name in known},
-            mass_kg=10.0, session=session, block=block, role=role,
-        )  # fmt: skip
+            mass_kg=10.0,
+            session=session,
+            block=block,
+            role=role,
+        )
 
 
 def make_known(settings, context: WorldContext) -> KnownWorld:

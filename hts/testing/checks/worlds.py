@@ -1,7 +1,7 @@
 """Worlds: what they cost and what they record, tried with the kit's own robot and objective.
 
-A world that refuses these (it has one kind of machine) is tried with a robot of its own package and an objective of that
-package, of the kit, or of any other.
+A world that refuses these (it has one kind of machine) is tried with a robot of its own package and an objective of
+that package, of the kit, or of any other.
 """
 
 from __future__ import annotations
@@ -74,7 +74,8 @@ def gives_recordings(entry: Entry, registry: Registry) -> None:
 
 
 def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
-    """head_to_head gives blocks in the order A-B-B-A, of one session per speed, with their roles; or waits for a person."""
+    """head_to_head gives blocks in the order A-B-B-A, of one session per speed, with their roles;
+    or waits for a person."""
     with _world(entry, registry) as (world, crew, policy, folder):
         try:
             recordings = world.head_to_head(policy, policy, (0.5, 0.8))
@@ -112,7 +113,10 @@ def _whole(recording: Recording, crew: Crew, world: str, seconds: float, folder:
     ensure(not lacking, f"its recordings lack {listed(lacking)}")
     for name, channel in wanted.items():
         found = recording.channels[name].channel
-        ensure((found.unit, found.shape) == (channel.unit, channel.shape), f"'{name}' is {found.unit} {found.shape}, not {channel.unit} {channel.shape}")  # fmt: skip
+        ensure(
+            (found.unit, found.shape) == (channel.unit, channel.shape),
+            f"'{name}' is {found.unit} {found.shape}, not {channel.unit} {channel.shape}",
+        )
     RecordingStore(folder / "data.zarr", create=True).write(recording)  # refuses NaN, wrong shapes and times
 
 
