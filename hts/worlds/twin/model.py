@@ -50,7 +50,8 @@ def columns(addresses: np.ndarray) -> slice | np.ndarray:
 
 
 def by_gearing(spec: RobotSpec, plain: float, extra_stage: float) -> np.ndarray:
-    """One value per joint, (J,): joints whose gear ratio exceeds the robot's smallest have a further stage or linkage."""
+    """One value per joint, (J,): joints whose gear ratio exceeds the robot's smallest have a further stage or
+    linkage."""
     if spec.motors is None:
         return np.full(spec.num_joints, plain)
     ratio = np.array(spec.motors.gear_ratio)
@@ -63,8 +64,8 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
     spec = robot.spec
     if root is None:
         raise UnfitWorldError(
-            f"Robot '{spec.name}' has no model (it is log-only, or brings an env of its own), so there is no twin of it. "
-            "Start a run in another world: --world field, or one of a plugin's."
+            f"Robot '{spec.name}' has no model (it is log-only, or brings an env of its own), so there is no twin of "
+            "it. Start a run in another world: --world field, or one of a plugin's."
         )
     machine_rng = np.random.default_rng([parameters.machine, 1])
     friction = by_gearing(spec, parameters.joint_friction, parameters.joint_friction_extra_stage)

@@ -135,7 +135,8 @@ def _part_of(progress: Progress | None, done: float, share: float) -> Progress:
 
 
 class PolicyBatch:
-    """The controllers of a block: robots with the same policy share one. hashes: of each robot's policy; kp, kd (W, J)."""
+    """The controllers of a block: robots with the same policy share one.
+    hashes: of each robot's policy; kp, kd (W, J)."""
 
     def __init__(self, machine: Machine, policies: Sequence[str | None], seed: int = 0) -> None:
         self._machine, self._spec = machine, machine.spec
