@@ -18,7 +18,7 @@ class Commands:
 
     STATE = ("value", "heading", "keeps_heading", "steps_left")
 
-    def __init__(self, config: CommandConfig, shape: tuple[int, int], dt: float, device: torch.device):
+    def __init__(self, config: CommandConfig, shape: tuple[int, int], dt: float, device: torch.device) -> None:
         self.config, self.dt = config, dt
         self.value = torch.zeros(*shape, 3, device=device)
         self.heading = torch.zeros(shape, device=device)  # target, rad

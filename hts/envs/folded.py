@@ -48,7 +48,7 @@ class FoldedEnv(TaskEnv):
         critic_observation: Sequence[Key] = (),
         action_limit: float | None = None,
         reward_scale: float | None = None,
-    ):
+    ) -> None:
         worlds = inner.batch_size.numel()
         if len(inner.batch_size) != 1 or worlds % num_candidates:
             raise ConfigError(
@@ -106,7 +106,7 @@ class FoldedEnv(TaskEnv):
         names = [(key if isinstance(key, str) else key[-1], key) for key in self.parts["observation"]]
         return [{"name": name, "size": self._size(key)} for name, key in names]
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flat = None
         if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118 - a TensorDict
             mask = tensordict["_reset"].reshape(-1, 1)
@@ -156,7 +156,7 @@ class FoldedEnv(TaskEnv):
     def _set_seed(self, seed: int | None) -> None:
         """Worlds are seeded when they are made."""
 
-    def close(self, **kwargs) -> None:
+    def close(self, **kwargs: Any) -> None:
         if not self.inner.is_closed:
             self.inner.close()
         super().close(**kwargs)

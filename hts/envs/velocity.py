@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -55,7 +56,7 @@ class VelocityEnv(SplitStepEnv):
         config: EnvConfig,
         channels: Mapping[str, Channel],
         seeds: Sequence[int],
-    ):
+    ) -> None:
         super().__init__(device=engine.device, batch_size=torch.Size([num_candidates, num_envs]))
         self.engine, self.robot_spec, self.config = engine, spec, config
         self.shape2 = (num_candidates, num_envs)
@@ -391,6 +392,6 @@ class VelocityEnv(SplitStepEnv):
         self._read_pose()
         self._resuming = True
 
-    def close(self, **kwargs) -> None:
+    def close(self, **kwargs: Any) -> None:
         self.engine.close()
         super().close(**kwargs)
