@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import torch
+from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig
@@ -109,6 +110,6 @@ def simulate(
     return results
 
 
-def _forward_speed(env: EnvBase, after) -> torch.Tensor:
+def _forward_speed(env: EnvBase, after: TensorDictBase) -> torch.Tensor:
     """Trunk speed forward, m/s, [P, N]: the channel of any env that writes it."""
     return after["channels", "base_velocity"][..., 0]
