@@ -5,7 +5,7 @@ What is left to write: `settings`, `fit`, `sequence`, `step` and `initial_state`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -91,10 +91,11 @@ class TorchModel(nn.Module, MeasurementModel):
         self._folded = None
         return super().train(mode)
 
-    def _apply(self, fn, recurse: bool = True):  # .to(device), .double(), ...
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> TorchModel:
+        # What .to(device), .double(), ... call.
         self._folded = None
         return super()._apply(fn, recurse)
 
-    def _load_from_state_dict(self, *args, **kwargs) -> None:
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         self._folded = None
         super()._load_from_state_dict(*args, **kwargs)

@@ -13,7 +13,7 @@ env's reward: `hts.rl.MeasuredReward` adds λ·dt·(r_real − centre) to r_sim.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDictBase
@@ -128,7 +128,7 @@ class MeasurementTransform(Measured):
             outside: model.outside(inputs).unsqueeze(-1),
         }
 
-    def _load_from_state_dict(self, state_dict, prefix, *args, **kwargs) -> None:
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any) -> None:
         saved = state_dict.get(prefix + "memory")
         own = self._model[0].initial_state(1).shape[1:]
         if saved is not None and saved.shape[1:] != own and saved.movedim(-1, 0).shape[1:] == own:
