@@ -23,7 +23,7 @@ class DeployedPolicy:
     card: its PolicyCard as a plain namespace. Raises PolicyError for a file that is not an exported policy.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         try:

@@ -63,7 +63,7 @@ def graph_nodes(layers: int) -> list[onnx.NodeProto]:
 class _Actor(torch.nn.Module):
     """The mean action of one policy, for tracing."""
 
-    def __init__(self, policy: Policy):
+    def __init__(self, policy: Policy) -> None:
         super().__init__()
         self.layers = len(policy.card.hidden) + 1
         for name, value in policy.tensors.items():
