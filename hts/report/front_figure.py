@@ -11,6 +11,7 @@ from hts.report.data import Json, RunData
 from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, figure, ramp
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 PAIR = tuple[float, float]
@@ -51,7 +52,7 @@ def counts(candidate: Json, objective: str, result: Json) -> tuple[float, Sequen
     return score, None
 
 
-def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple[Json, list[Json]]]) -> None:
+def _measured(panel: Axes, run: RunData, pair: tuple[str, str], tested: Sequence[tuple[Json, list[Json]]]) -> None:
     factors = [wording.scale(run.unit(name)) for name in pair]
     on_front = {entry["id"] for entry in run.front}
     best = (run.summary.get("final") or {}).get("policy")
@@ -105,7 +106,7 @@ def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple
     panel.margins(0.12)
 
 
-def _simulated(panel, run: RunData, pair: tuple[str, str]) -> None:
+def _simulated(panel: Axes, run: RunData, pair: tuple[str, str]) -> None:
     """Scores above those of the pretrained policy, by the measurement models of each iteration."""
     fronts = {int(entry["iteration"]): set(entry["ids"]) for entry in run.simulated_fronts}
     _cross(panel)
@@ -165,13 +166,13 @@ def _legend(rounds: Sequence[tuple[int, Json]]) -> list[Any]:
     return [*marks, ring, cross]
 
 
-def _stairs(panel, points: Sequence[PAIR], color: str) -> None:
+def _stairs(panel: Axes, points: Sequence[PAIR], color: str) -> None:
     """The edge of what the front dominates: below and left of it is beaten by one of its points."""
     if len(points) > 1:
         panel.step(*zip(*sorted(points), strict=True), where="pre", color=color, linewidth=1.3, alpha=0.7, zorder=2)
 
 
-def _cross(panel) -> None:
+def _cross(panel: Axes) -> None:
     """The pretrained policy's level in both."""
     panel.axhline(0.0, color=SOFT, linewidth=0.8, zorder=1)
     panel.axvline(0.0, color=SOFT, linewidth=0.8, zorder=1)
