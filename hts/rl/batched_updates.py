@@ -56,7 +56,14 @@ class BatchedSteps(GradientSteps):
 
     # --------------------------------------------------------------------------------------------------- a batch
 
-    def run(self, samples, constant, multipliers, orders, policy_on):
+    def run(
+        self,
+        samples: Samples,
+        constant: Samples,
+        multipliers: torch.Tensor,
+        orders: Sequence[torch.Tensor],
+        policy_on: float,
+    ) -> dict[str, torch.Tensor]:
         self._hold(samples, constant, multipliers, policy_on)
         self._sums.zero_()
         updates = 0
@@ -127,7 +134,9 @@ class BatchedSteps(GradientSteps):
             self.adapt(parts[REPORTED.index("kl_old")])
         self._sums += torch.stack(parts)
 
-    def _forward(self, stacked, batch, multipliers, policy_on) -> tuple[torch.Tensor, ...]:
+    def _forward(
+        self, stacked: torch.Tensor, batch: Samples, multipliers: torch.Tensor, policy_on: torch.Tensor
+    ) -> tuple[torch.Tensor, ...]:
         """The loss summed over candidates, which share no parameter, and what is reported of it, each [P]."""
         loss = self._loss(batch, multipliers, policy_on, slice(None), self.population.split(stacked))
         return (loss.total.sum(), *(getattr(loss, name) for name in REPORTED))

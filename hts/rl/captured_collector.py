@@ -19,7 +19,7 @@ from hts.rl.capture import StaticBuffers, captured, explained, warm_up
 from hts.rl.population import Population
 from hts.rl.population_collector import FLAGS, Key, SplitStepCollector
 from hts.rl.precision import tf32
-from hts.rl.random import PrefetchedNoise
+from hts.rl.random import PopulationRandom, PrefetchedNoise
 from hts.rl.task_env import LaunchedSimulator, ReplacedState
 from hts.rl.tracing import TracedGraph, any_or_tracing, can_compile
 
@@ -110,7 +110,7 @@ class CapturedCollector(SplitStepCollector):
                 transform.forget(done.reshape(-1))
         return tuple(outcome.values())
 
-    def _randoms(self):
+    def _randoms(self) -> list[PopulationRandom]:
         return [random for random in (self.bare_env.random, self.policy.random) if random is not None]
 
     # -------------------------------------------------------------------------------------------------- a step

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import nn
+from torch.distributions import Distribution
 from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
@@ -125,7 +127,7 @@ class KLConstrainedPPOLoss(LossModule):
         if self._value_estimator is not None:
             self._value_estimator.set_keys(**{name: getattr(self.tensor_keys, name) for name in ESTIMATED})
 
-    def make_value_estimator(self, value_type: ValueEstimators | None = None, **hyperparams) -> LossModule:
+    def make_value_estimator(self, value_type: ValueEstimators | None = None, **hyperparams: Any) -> LossModule:
         """GAE on this loss's critic and keys, as `loss.value_estimator`; hyperparams: gamma, lmbda, ... Raises
         NotImplementedError for any other estimator: give its advantage and value_target in the batch instead."""
         if value_type not in (None, ValueEstimators.GAE):
@@ -183,7 +185,7 @@ class KLConstrainedPPOLoss(LossModule):
         return self.multiplier.update(kl)
 
     @torch.no_grad()
-    def _reference_in(self, batch: TensorDictBase):
+    def _reference_in(self, batch: TensorDictBase) -> Distribution:
         return self.reference.get_dist(batch.copy())
 
     def _mean(self, x: torch.Tensor) -> torch.Tensor:

@@ -76,7 +76,12 @@ class GradientSteps(ABC):
         """Let go of threads."""
 
     def _loss(
-        self, batch: Samples, multipliers: torch.Tensor, policy_on: float | torch.Tensor, members: slice, named=None
+        self,
+        batch: Samples,
+        multipliers: torch.Tensor,
+        policy_on: float | torch.Tensor,
+        members: slice,
+        named: Mapping[str, torch.Tensor] | None = None,
     ) -> LossParts:
         config = self.config
         return population_loss(
@@ -107,7 +112,14 @@ class SeparateSteps(GradientSteps):
         self._moments: list[dict[str, torch.Tensor]] = [{} for _ in range(population.count)]  # in the layout's order
         self._pool = pool(population.count)
 
-    def run(self, samples, constant, multipliers, orders, policy_on):
+    def run(
+        self,
+        samples: Samples,
+        constant: Samples,
+        multipliers: torch.Tensor,
+        orders: Sequence[torch.Tensor],
+        policy_on: float,
+    ) -> dict[str, torch.Tensor]:
         def train(index: int) -> dict[str, torch.Tensor]:
             own, fixed = ({name: value[index] for name, value in of.items()} for of in (samples, constant))
             return self._train(index, Columns(own, fixed), float(multipliers[index]), orders, policy_on)
@@ -117,7 +129,9 @@ class SeparateSteps(GradientSteps):
         return {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
 
     @torch.no_grad()
-    def _train(self, index, columns: Columns, multiplier: float, orders, policy_on: float) -> dict[str, torch.Tensor]:
+    def _train(
+        self, index: int, columns: Columns, multiplier: float, orders: Sequence[torch.Tensor], policy_on: float
+    ) -> dict[str, torch.Tensor]:
         """All steps of a candidate; mean losses, each []."""
         vector = self.population.vectors[index]
         learner = Learner(self._layout, vector)
