@@ -25,7 +25,7 @@ from hts.training.sweep import combinations, own_weights
 class Job:
     """One run in one folder. Objects that cost time are made when a stage first needs them."""
 
-    def __init__(self, config: RunConfig, folder: Path, registry: Registry, stages: Stages):
+    def __init__(self, config: RunConfig, folder: Path, registry: Registry, stages: Stages) -> None:
         self.config, self.folder, self.registry, self.stages = config, folder, registry, stages
         self.robot: Robot = registry.make_robot(config.robot.name, config.robot.settings)
         self.objectives: dict[str, Objective] = {

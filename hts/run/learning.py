@@ -24,6 +24,7 @@ from hts.selection.fronts import towards
 from hts.training.finetune import finetune as finetune_candidates
 from hts.training.finetune import measured_env
 from hts.training.sweep import FRONT, Candidate, candidates
+from hts.training.trainer import BatchStats
 
 Report = Callable[[float], None]
 
@@ -103,13 +104,11 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     checkpoint = job.folder / "iterations" / f"{iteration:02d}" / "checkpoint"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
     curves = job.folder / "log" / f"iteration-{iteration:02d}"
-    if not list(
-        checkpoint.parent.glob(f"{checkpoint.name}-*")
-    ):  # from the start: what a killed process logged comes again
+    if not list(checkpoint.parent.glob(f"{checkpoint.name}-*")):  # from the start: a killed process' log comes again
         shutil.rmtree(curves, ignore_errors=True)
     writer = SummaryWriter(str(curves))
 
-    def log(stats, members) -> None:
+    def log(stats: BatchStats, members: Sequence[Candidate]) -> None:
         for name, values in stats.values.items():
             for member, value in zip(members, values, strict=True):
                 writer.add_scalar(f"{name}/{member.id}", value, stats.steps // len(members))
@@ -223,7 +222,7 @@ def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated:
     return simulated is True or (candidate.falls == 0 and stopped is None)
 
 
-def _judge(row: dict[str, Any], results, tolerance: float) -> SimulatedCandidate:
+def _judge(row: dict[str, Any], results: Sequence[SimulatedTrial], tolerance: float) -> SimulatedCandidate:
     """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations)."""
     falls = sum(trial.falls for trial in results)
     tracked = all(abs(trial.mean_speed - trial.speed) <= tolerance * trial.speed for trial in results)

@@ -53,7 +53,7 @@ class Stages:
     Only one process may work in a folder: RunError if another one does.
     """
 
-    def __init__(self, folder: Path, progress: Progress):
+    def __init__(self, folder: Path, progress: Progress) -> None:
         self.folder, self.progress = folder, progress
         self._lock = (folder / ".lock").open("w")
         try:
