@@ -24,7 +24,9 @@ class MujocoEngine(Engine):
     neighbours: each world is integrated alone, from its full state, with a zero solver warm start.
     """
 
-    def __init__(self, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, threads: int = 0):
+    def __init__(
+        self, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, threads: int = 0
+    ) -> None:
         self.models = [models[index] for index in assignment]
         model = self.models[0]
         self.num_worlds = worlds = len(self.models)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import mujoco
 import torch
@@ -57,7 +58,7 @@ class WarpEngine(Engine, LaunchedSimulator):
         device: torch.device,
         contacts: int = 0,
         constraints: int = 0,
-    ):
+    ) -> None:
         self._wp, self._mjw = wp, mjw = import_warp()
         self.num_worlds, self.substeps, self.device = len(assignment), substeps, device
         self._place = warp_device(wp, device)
@@ -165,7 +166,7 @@ class WarpEngine(Engine, LaunchedSimulator):
         except RuntimeError as error:
             raise explained(error, self.num_worlds, self.device) from error
 
-    def _stream(self):
+    def _stream(self) -> Any:  # Warp has no types
         """Torch's current stream, as Warp's."""
         current = torch.cuda.current_stream(self.device)
         if current.cuda_stream not in self._streams:
