@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from hts.channels import Channel
 from hts.config import Command, Named, ScheduleConfig
 from hts.contracts import Comparison, Objective, Signals
 from hts.recordings.recording import Recording, Series
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from hts.evaluation.segments import Segments
 
 EFFORT, RATE, HEAT = Channel("effort", "N*m", (3,)), Channel("rate", "rad/s", (3,)), Channel("heat", "W")
 SIGNALS = Signals((EFFORT, RATE), HEAT, 50.0)
@@ -18,20 +26,20 @@ class KnownHeat(Objective):
 
     name, unit, inputs, target = "cool", "1", ("effort", "rate"), HEAT
 
-    def measurement_model(self):
+    def measurement_model(self) -> Named:
         return Named(name="lstm", hidden=16, products=True, stream=250, batch=4)
 
-    def reward(self, prediction):
+    def reward(self, prediction: Tensor) -> Tensor:
         return -prediction
 
-    def score(self, segments):
+    def score(self, segments: Segments) -> Mapping[str, np.ndarray]:
         return {"heat": segments.values("heat").mean(1)}
 
-    def compare(self, policy, reference):
+    def compare(self, policy: Mapping[str, float], reference: Mapping[str, float]) -> Comparison:
         saving = 1.0 - policy["heat"] / reference["heat"]
         return Comparison(saving, saving)
 
-    def proxy(self, channels):
+    def proxy(self, channels: Mapping[str, Tensor]) -> Tensor:
         return (channels["effort"] * channels["rate"]).sum(-1)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -122,7 +123,7 @@ class KnownWorld(World):
         )
 
 
-def make_known(settings, context: WorldContext) -> KnownWorld:
+def make_known(settings: Mapping[str, Any], context: WorldContext) -> KnownWorld:
     """The world `known` for the robot and the objectives of a run, found in the registry."""
     from hts.plugins import load
 

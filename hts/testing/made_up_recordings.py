@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from hts.config import Command, ScheduleConfig
 from hts.contracts import Comparison, Objective
 from hts.evaluation.segments import Segments, cut
 from hts.recordings.recording import Recording, Series
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 COST = Channel("cost", "1", (), "what the known world charges for walking")
 
@@ -23,7 +27,7 @@ class CostObjective(Objective):
     inputs = ("base_velocity",)
     target = COST
 
-    def reward(self, prediction):
+    def reward(self, prediction: Tensor) -> Tensor:
         return -prediction
 
     def score(self, segments: Segments) -> Mapping[str, np.ndarray]:
