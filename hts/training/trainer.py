@@ -77,7 +77,7 @@ class PopulationTrainer:
         weights: Mapping[str, torch.Tensor] | None = None,
         update_normaliser: bool = False,
         resume: TensorDictBase | None = None,
-    ):
+    ) -> None:
         self.env, self.population, self.config, self.anchor = env, population, config, anchor
         self.names, self.update_normaliser = list(names), update_normaliser
         count, device = population.count, population.device
