@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -126,7 +127,7 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
     )
 
 
-def _motors_for_servos(root, joints: list) -> None:
+def _motors_for_servos(root: Any, joints: list) -> None:
     """Position servos become plain torque motors in joint order: the twin does its own motor control."""
     for sensor in root.find_all("sensor"):  # sensors of the robot's own model; the twin has other ones
         sensor.remove()
@@ -136,7 +137,7 @@ def _motors_for_servos(root, joints: list) -> None:
         root.actuator.add("motor", name=joint.name, joint=joint, ctrllimited=False)
 
 
-def _foot_sensors(root, spec: RobotSpec) -> None:
+def _foot_sensors(root: Any, spec: RobotSpec) -> None:
     """Normal force on and velocity of each foot."""
     for index, name in enumerate(spec.foot_sites):
         site = root.find("site", name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -170,7 +171,7 @@ class PolicyBatch:
             if mask[worlds].any():
                 self._controllers[path].reset(mask[worlds])
 
-    def _controller(self, path: str | None):
+    def _controller(self, path: str | None) -> Any:  # Standing, or DeployedPolicy, which alone has a card
         if path is None:
             return Standing(self._machine)
         from hts.policies.deploy import DeployedPolicy
