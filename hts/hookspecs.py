@@ -13,6 +13,9 @@ Two plugins may not use one name: that stops the run and names both packages.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import pluggy
 
 API_VERSION = 2
@@ -23,6 +26,9 @@ CHANGES: dict[int, str] = {
     "hts_measurement_models",
 }
 """Version of the hooks -> what a plugin that was written for it has to change for the next one."""
+
+Register = Callable[[str, Callable[..., Any]], None]
+"""What each hook is given, for those who annotate theirs."""
 
 hookspec = pluggy.HookspecMarker("hts")
 hookimpl = pluggy.HookimplMarker("hts")
