@@ -98,7 +98,7 @@ def make_racing(settings: Settings) -> Selector:
 
 
 def make_csv(settings: Settings) -> LogReader:
-    """Comma-separated files, told by a mapping which column is which channel."""
+    """Comma-separated files; a mapping says which column is which channel."""
     from hts.recordings.csv_reader import make
 
     return make(settings)

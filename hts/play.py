@@ -240,7 +240,7 @@ def _display() -> bool:
 
 
 def _prepare_drawing() -> None:
-    """Load MuJoCo; without a display it must be told before to draw off screen. Raises SimulationError."""
+    """Load MuJoCo; without a display drawing off screen must be chosen before. Raises SimulationError."""
     if not os.environ.get("MUJOCO_GL") and sys.platform.startswith("linux") and not _display():
         backends = [
             backend for library, backend in (("EGL", "egl"), ("OSMesa", "osmesa")) if ctypes.util.find_library(library)

@@ -24,7 +24,8 @@ def bench_env(
     sizes: Sizes | None = None,
 ) -> dict[str, Any]:
     """Collection by the collector, exploring policies, env and measurement model of a real run, in control steps per
-    second over all worlds; `profile` is where the time of a step goes. Keys: steps_per_s, bare_steps_per_s, ratio, …"""
+    second over all env instances; `profile` is where the time of a step goes.
+    Keys: steps_per_s, bare_steps_per_s, ratio, …"""
     machine, chosen = find(robot, objective)
     trainer = make_trainer(machine, chosen, engine, candidates, envs, sizes=sizes)
     try:

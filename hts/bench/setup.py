@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from hts.contracts import Objective, Robot
 
 KL_BOUND, WEIGHT = 0.5, 1.0
-SAMPLE_STEPS, SAMPLE_WORLDS = 50, 16  # control steps and worlds from which a model takes its input statistics
+SAMPLE_STEPS, SAMPLE_WORLDS = 50, 16  # control steps and env instances from which a model takes its input statistics
 
 
 def find(robot: str | None, objective: str | None) -> tuple[Robot, Objective]:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SWEEP = 6  # candidates
 ALONE = {"cpu": (64, 128, 256, 512), "cuda": (2048, 4096, 8192, 16384, 32768)}
-"""Numbers of worlds among which a candidate that trains alone has its fastest."""
+"""Numbers of env instances among which a candidate that trains alone has its fastest."""
 
 
 def bench_sweep(
@@ -37,9 +37,10 @@ def bench_sweep(
 ) -> dict[str, Any]:
     """Candidates trained together against one after another, at equal samples; all in control steps per second.
 
-    speedup: over one after another with the same worlds each; the two alternate, a batch of all against a batch of one,
-    so that one batch of one stands for each. speedup_over_fastest: over one after another with the number of worlds at
-    which one alone is fastest, among `alone` (and `envs`). update_difference, repeat_difference: see `same_results`.
+    speedup: over one after another with as many env instances each; the two alternate, a batch of all against a batch
+    of one, so that one batch of one stands for each. speedup_over_fastest: over one after another with the number of
+    instances at which one alone is fastest, among `alone` (and `envs`). update_difference, repeat_difference: see
+    `same_results`.
     whole: also the keys of `whole_trainings`, each of so many control steps per candidate.
     """
     machine, chosen = find(robot, objective)

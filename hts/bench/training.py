@@ -17,8 +17,8 @@ def bench_train(
     seconds: float = 20.0,
     sizes: Sizes | None = None,
 ) -> dict[str, Any]:
-    """Collect and update, with anchor and bound on, in control steps per second over all worlds, against bare physics
-    of the same steps. Keys: steps_per_s, bare_steps_per_s, ratio, epochs, minibatches, …"""
+    """Collect and update, with anchor and bound on, in control steps per second over all env instances, against bare
+    physics of the same steps. Keys: steps_per_s, bare_steps_per_s, ratio, epochs, minibatches, …"""
     machine, chosen = find(robot, objective)
     trainer = make_trainer(machine, chosen, engine, candidates, envs, sizes=sizes)
     try:

@@ -22,7 +22,7 @@ ChannelValues = Callable[[TensorDictBase, torch.Tensor], Mapping[str, torch.Tens
 
 
 class FoldedEnv(TaskEnv):
-    """World n of candidate p is world p·N + n of `inner`. Nothing of the task is changed; what hts needs is added:
+    """Env instance n of candidate p is instance p·N + n of `inner`. The task is unchanged; what hts needs is added:
 
     observation, critic_observation: parts of the inner observation, one after the other, float32 [P, N, O];
     reward: the inner one times reward_scale; by default dt, so that a reward per step becomes a rate per second, as

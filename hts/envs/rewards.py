@@ -49,7 +49,7 @@ class RewardInputs:
     velocity, angular_velocity, gravity: trunk frame (.., 3); command (.., 3): vx, vy, yaw rate;
     torque, joint_velocity, last_joint_velocity, pose_error (.., J); action, last_action (.., J);
     air_time s, landed, contact bool (.., F); foot_speed_squared: horizontal, m^2/s^2 (.., F); fell bool (..);
-    dt: control step, s; tracking_sigma (m/s)^2: 0.25 in Rudin et al. 2022; broken bool (..): worlds whose physics
+    dt: control step, s; tracking_sigma (m/s)^2: 0.25 in Rudin et al. 2022; broken bool (..): instances whose physics
     broke, whose numbers mean nothing and whose only reward is that of a fall; None where there is none.
     """
 

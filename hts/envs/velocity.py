@@ -1,4 +1,4 @@
-"""The velocity task as a TorchRL env of batch size [P, N]: P candidates, N worlds each."""
+"""The velocity task as a TorchRL env of batch size [P, N]: P candidates, N instances each."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ class VelocityEnv(SplitStepEnv):
         """Actions [P, N, J] -> actuator inputs (substeps, P·N, J)."""
         self._draws = self._draw()
         target = torch.addcmul(self.default_pose, self.action_scale, action)
-        # A world with delay d applies the previous target in its first d physics steps.
+        # An instance with delay d applies the previous target in its first d physics steps.
         late = self._substep < self.delay
         ctrl = torch.where(late, self.target - self.joint_offset, target - self.joint_offset)
         self.target = target
@@ -256,7 +256,7 @@ class VelocityEnv(SplitStepEnv):
         flat = mask.reshape(-1)
         self.engine.reset(flat, qpos.view(flat.numel(), -1), qvel.view(flat.numel(), -1))
         keep = ~mask.unsqueeze(-1)
-        # `masked_fill` and not a product: a world whose physics broke may hold NaN, and NaN x 0 is NaN.
+        # `masked_fill` and not a product: an instance whose physics broke may hold NaN, and NaN x 0 is NaN.
         gone = ~keep
         self.action = self.action.masked_fill(gone, 0.0)
         self.last_joint_velocity = self.last_joint_velocity.masked_fill(gone, 0.0)

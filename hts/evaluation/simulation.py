@@ -1,5 +1,5 @@
 """How policies do in the training simulation: mean action, straight walks at fixed speeds,
-one whole trial per world."""
+one whole trial per env instance."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ SETTLE_SECONDS = 2.0  # the start of a trial is not judged
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """One policy at one speed over its worlds.
+    """One policy at one speed over its env instances.
 
-    falls: worlds that fell at least once; mean_speed m/s over worlds that did not; valid: share of their 1 s segments
+    falls: instances that fell at least once; mean_speed m/s over those that did not; valid: share of their 1 s segments
     within the tolerance of the commanded speed; rewards: mean r_real per objective (per second), after settling.
     """
 
@@ -50,7 +50,7 @@ test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 def simulate(
     env: EnvBase, population: Population, speeds: Sequence[float], seconds: float, tolerance: float
 ) -> list[list[SimulatedTrial]]:
-    """Trials of every policy (outer) at every speed (inner); world n walks at speeds[n mod len(speeds)].
+    """Trials of every policy (outer) at every speed (inner); env instance n walks at speeds[n mod len(speeds)].
 
     env: of batch size [P, N], made with `test_config`, writing the channel base_velocity;
     tolerance: relative speed error of a valid segment.
@@ -82,9 +82,9 @@ def simulate(
         if "real_reward" in after.keys():  # noqa: SIM118 - a TensorDict
             for name, value in after["real_reward"].items():
                 sums[name] = sums.get(name, 0.0) + value.squeeze(-1)
-    told = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
+    commanded = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
     pieces = torch.stack(segments)  # (S, P, N)
-    good = ((pieces - told).abs() <= tolerance * told).float().mean(0)
+    good = ((pieces - commanded).abs() <= tolerance * commanded).float().mean(0)
     mean_speed = pieces.mean(0)
     results = []
     for candidate in range(shape[0]):

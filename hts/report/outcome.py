@@ -45,16 +45,16 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
         (one.get("index", number), one.get("best"), [row for row in one.get("candidates") or () if row.get("elite")])
         for number, one in enumerate(summary.get("iterations") or ())
     ]
-    told = []
+    sentences = []
     if (summary.get("final") or {}).get("policy") == "pretrained":
-        told.append(_no_final([row for _, _, rows in iterations for row in rows], bool(iterations)))
+        sentences.append(_no_final([row for _, _, rows in iterations for row in rows], bool(iterations)))
     for nobody, group in groupby(iterations, key=lambda one: one[1] is None):
         streak = list(group)
         if nobody and SEVERAL <= len(streak) < len(iterations):  # if it is all of them, that is said above
             rows = [row for _, _, tried in streak for row in tried]
             about = fates(rows) or "nobody was tested"
-            told.append(f"Iterations {streak[0][0]:02d} to {streak[-1][0]:02d} chose nobody: {about}.")
-    return told
+            sentences.append(f"Iterations {streak[0][0]:02d} to {streak[-1][0]:02d} chose nobody: {about}.")
+    return sentences
 
 
 def _no_final(rows: Sequence[Row], known: bool) -> str:

@@ -182,8 +182,8 @@ def _headline(run: RunData, name: str, result: Json) -> str:
             (worse, "worse"),
             ([k for k in speeds if k not in better + worse], "not clearly either"),
         ]
-        told = ", ".join(f"{word} at {_speeds(keys)}" for keys, word in parts if keys)
-        text = f"Against the pretrained policy, {policy} is, for {name}, {told}."
+        found = ", ".join(f"{word} at {_speeds(keys)}" for keys, word in parts if keys)
+        text = f"Against the pretrained policy, {policy} is, for {name}, {found}."
     if refused:
         text += f" At {_speeds(refused)} it is not judged: it does not keep the commanded speed."
     fell = "It did not fall." if not falls else f"It fell {falls} time{'' if falls == 1 else 's'}."

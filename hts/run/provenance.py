@@ -20,7 +20,7 @@ def collect(seed: int, engine: str, plugins: dict[str, str], diff: bool = False)
     """JSON values; plugins: entry point -> the distribution that registered it.
 
     diff: keep what `git diff HEAD` says of the sources too. Without it only its SHA-256 is kept, so that two results
-    can be told to come from the same sources, and nobody's unpublished work lies in a folder that is passed on.
+    can be shown to come from the same sources, and nobody's unpublished work lies in a folder that is passed on.
     """
     changes = _git("diff", "HEAD")
     return {

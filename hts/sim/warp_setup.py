@@ -23,7 +23,7 @@ UNREAD = {
 
 
 def import_warp() -> tuple[ModuleType, ModuleType]:
-    """The modules `warp` and `mujoco_warp`, told to keep quiet. Raises ConfigError where they are missing."""
+    """`warp` and `mujoco_warp`, with their messages switched off. Raises ConfigError where they are missing."""
     try:
         import mujoco_warp
         import warp
