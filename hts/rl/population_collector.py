@@ -194,9 +194,7 @@ class PopulationCollector(SplitStepCollector):
     Parameters are read at the beginning of each batch.
     """
 
-    def __init__(
-        self, env: EnvBase, policy: PopulationActor, *, frames_per_batch: int, total_frames: int = -1
-    ) -> None:
+    def __init__(self, env: EnvBase, policy: PopulationActor, *, frames_per_batch: int, total_frames: int = -1) -> None:
         super().__init__(env, policy, frames_per_batch=frames_per_batch, total_frames=total_frames)
         self._pool = pool(len(self.transforms))
 
@@ -225,7 +223,8 @@ class PopulationCollector(SplitStepCollector):
             if bool(flags["done"].any()):
                 env.start_episodes(flags["done"].squeeze(-1))
         ended = torch.stack(steps["next", "done"]).reshape(self.horizon, -1)
-        # What transforms make of the batch is computed beside the rest of it: the physics is done, and the other cores are free.
+        # What transforms make of the batch is computed beside the rest of it:
+        # the physics is done, and the other cores are free.
         late = [
             self._pool.submit(_sequence, transform, row, ended)
             for row, transform in zip(recorded, self.transforms, strict=True)
