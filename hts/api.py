@@ -24,10 +24,17 @@ if TYPE_CHECKING:
 
 
 def run(
-    objectives: str | Sequence[str], robot: str, *, out: Path | str, preset: str | None = None, world: str | None = None,
-    engine: str | None = None, seed: int | None = None, config: Path | str | None = None,
+    objectives: str | Sequence[str],
+    robot: str,
+    *,
+    out: Path | str,
+    preset: str | None = None,
+    world: str | None = None,
+    engine: str | None = None,
+    seed: int | None = None,
+    config: Path | str | None = None,
     settings: Mapping[str, Any] | None = None,
-) -> Path:  # fmt: skip
+) -> Path:
     """Algorithm 1 into the new folder `out`; returns it. Like `hts run`.
 
     objectives: one name or several; config: a YAML file; settings: dotted key -> value, as --set takes them.
@@ -43,9 +50,15 @@ def run(
     names = [objectives] if isinstance(objectives, str) else list(objectives)
     overrides = [Override.of(key, value) for key, value in (settings or {}).items()]
     resolved = load_config(
-        preset=preset, file=Path(config) if config else None, objectives=names, robot=robot, world=world, engine=engine,
-        seed=seed, overrides=overrides,
-    )  # fmt: skip
+        preset=preset,
+        file=Path(config) if config else None,
+        objectives=names,
+        robot=robot,
+        world=world,
+        engine=engine,
+        seed=seed,
+        overrides=overrides,
+    )
     return start_run(resolved, Path(out))
 
 
@@ -72,10 +85,15 @@ def fit(objective: str, data: Path | str, out: Path | str, settings: Mapping[str
 
 
 def evaluate(
-    folder: Path | str, speeds: Sequence[float] | None = None, *, policy: str | Path = "best", world: str | None = None,
+    folder: Path | str,
+    speeds: Sequence[float] | None = None,
+    *,
+    policy: str | Path = "best",
+    world: str | None = None,
     seed: int | None = None,
-) -> dict[str, Any]:  # fmt: skip
-    """Head-to-head of a run's policy against its pretrained one; returns what evaluation.json holds. Like `hts evaluate`.
+) -> dict[str, Any]:
+    """Head-to-head of a run's policy against its pretrained one; returns what evaluation.json holds.
+    Like `hts evaluate`.
 
     For example `api.evaluate("runs/first", [0.8])["objectives"]["OBJECTIVE"]["speeds"]["0.8"]["improvement"]`.
     """

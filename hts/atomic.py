@@ -8,7 +8,8 @@ from pathlib import Path
 
 
 def temporary_of(path: Path) -> Path:
-    """Where `path` is written before it appears. One name for each file: what a killed writer left, the next one overwrites."""
+    """Where `path` is written before it appears. One name for each file: what a killed writer left,
+    the next one overwrites."""
     return path.with_name(f".{path.name}.tmp")
 
 

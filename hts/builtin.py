@@ -11,32 +11,33 @@ from hts import hookimpl
 
 if TYPE_CHECKING:
     from hts.contracts import LogReader, MeasurementModel, ModelContext, Selector, Settings, World, WorldContext
+    from hts.hookspecs import Register
 
 HTS_API = 2
 
 
 @hookimpl
-def hts_measurement_models(register):
+def hts_measurement_models(register: Register) -> None:
     register("lstm", make_lstm)
     register("linear", make_linear)
     register("ensemble", make_ensemble)
 
 
 @hookimpl
-def hts_worlds(register):
+def hts_worlds(register: Register) -> None:
     register("twin", make_twin)
     register("field", make_field)
 
 
 @hookimpl
-def hts_selectors(register):
+def hts_selectors(register: Register) -> None:
     register("hierarchical", make_hierarchical)
     register("pareto", make_pareto)
     register("racing", make_racing)
 
 
 @hookimpl
-def hts_log_readers(register):
+def hts_log_readers(register: Register) -> None:
     register("csv", make_csv)
 
 
@@ -97,7 +98,7 @@ def make_racing(settings: Settings) -> Selector:
 
 
 def make_csv(settings: Settings) -> LogReader:
-    """Comma-separated files, told by a mapping which column is which channel."""
+    """Comma-separated files; a mapping says which column is which channel."""
     from hts.recordings.csv_reader import make
 
     return make(settings)

@@ -49,7 +49,7 @@ class ScheduleConfig(Config):
 
 
 class RandomisationConfig(Config):
-    """What differs between training worlds; (low, high) of a uniform distribution."""
+    """What differs between env instances; (low, high) of a uniform distribution."""
 
     enabled: bool = Field(True, description="false: every world is the nominal one")
     friction: tuple[float, float] = Field((0.4, 1.2), description="sliding friction of the floor, 1")
@@ -73,11 +73,13 @@ class CommandConfig(Config):
     heading: bool = Field(True, description="yaw rate = clip(gain · heading error), as Rudin et al. 2022")
     heading_gain: float = Field(0.5, description="rad/s per rad")
     resample_seconds: float = Field(10.0, gt=0, description="a new command every so often, s")
-    straight: float = Field(0.3, ge=0, le=1, description="share of worlds told vy = 0 and to keep their heading")
-    fixed: tuple[float, ...] = Field(
-        (), description="test speeds, m/s: world n walks straight at fixed[n mod len], for good"
+    straight: float = Field(
+        0.3, ge=0, le=1, description="share of env instances with the command vy = 0 that keep their heading"
     )
-    stand: float = Field(0.05, ge=0, le=1, description="share of worlds told to stand still")
+    fixed: tuple[float, ...] = Field(
+        (), description="test speeds, m/s: env instance n walks straight at fixed[n mod len], for good"
+    )
+    stand: float = Field(0.05, ge=0, le=1, description="share of env instances with the command to stand still")
 
 
 class EnvConfig(Config):
@@ -166,8 +168,8 @@ class SweepConfig(Config):
     anchors: tuple[Literal["best", "pretrained", "front"], ...] = Field(
         ("best", "pretrained"),
         min_length=1,
-        description="which policies to start from; front: for each combination of λ the measured one that goes furthest "
-        "in its direction",
+        description="which policies to start from; front: for each combination of λ the measured one that goes "
+        "furthest in its direction",
     )
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""The JSON schema of a config file, for editors: the core's sections, and the settings of every plugin that is installed.
+"""The JSON schema of a config file, for editors: the core's sections, and the settings of every installed plugin.
 
 Nothing is required that a preset or an option of the command line may give; the items of a list are replaced whole, so
 those keep what they need.
@@ -75,7 +75,8 @@ def _objectives(registry: Registry, definitions: Schema) -> Schema:
 
 
 def _settings(registry: Registry, kind: str, name: str, definitions: Schema, extra: Schema) -> Schema | None:
-    """Reference to a definition of the settings of one plugin; None if they are not known. extra: further properties."""
+    """Reference to a definition of the settings of one plugin; None if they are not known.
+    extra: further properties."""
     model = settings_model(registry, kind, name)
     if model is None:
         return None

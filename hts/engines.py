@@ -1,4 +1,4 @@
-"""The names of the physics engines. Known on the lowest floor, so that a configuration is refused without any of them."""
+"""The names of the physics engines, on the lowest floor: a configuration is refused without importing any."""
 
 from __future__ import annotations
 

@@ -51,7 +51,8 @@ class WorldError(HtsError):
 
 
 class UnfitWorldError(WorldError):
-    """This world cannot serve the run's robot or objectives: going on with the run does not help, another world does."""
+    """This world cannot serve the run's robot or objectives: going on with the run does not help,
+    another world does."""
 
 
 class EvaluationError(HtsError):
@@ -71,10 +72,19 @@ class RunError(HtsError):
 BY_NAME: dict[str, type[HtsError]] = {
     kind.__name__: kind
     for kind in (
-        HtsError, ConfigError, PluginError, RecordingError, PolicyError, SimulationError, WorldError, UnfitWorldError,
-        EvaluationError, WaitingForRobot, RunError,
+        HtsError,
+        ConfigError,
+        PluginError,
+        RecordingError,
+        PolicyError,
+        SimulationError,
+        WorldError,
+        UnfitWorldError,
+        EvaluationError,
+        WaitingForRobot,
+        RunError,
     )
-}  # fmt: skip
+}
 """For an error that another process raised and could only name."""
 
 

@@ -53,9 +53,9 @@ def explain(
     # A list whose items are refused counts as too short: that is no fault of its own.
     faults = [fault for fault in faults if fault["type"] != "too_short" or tuple(fault["loc"]) not in inside]
     faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
-    told = list(dict.fromkeys(_fault(fault, model, origin or dotted) for fault in faults))
-    text = " Also: ".join(told[:SHOWN])
-    more = len(told) - SHOWN
+    texts = list(dict.fromkeys(_fault(fault, model, origin or dotted) for fault in faults))
+    text = " Also: ".join(texts[:SHOWN])
+    more = len(texts) - SHOWN
     return text + (f" ({more} more thing{'s' if more > 1 else ''} wrong.)" if more > 0 else "")
 
 

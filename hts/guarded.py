@@ -12,7 +12,8 @@ Made = TypeVar("Made")
 
 
 def guarded(what: str, work: Callable[[], Made]) -> Made:
-    """The result of a plugin's code. Its own HtsErrors pass; PluginError, beginning with `what`, for anything unforeseen."""
+    """The result of a plugin's code. Its own HtsErrors pass; PluginError, beginning with `what`,
+    for anything unforeseen."""
     try:
         return work()
     except HtsError:

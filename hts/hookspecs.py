@@ -13,15 +13,22 @@ Two plugins may not use one name: that stops the run and names both packages.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import pluggy
 
 API_VERSION = 2
 
 CHANGES: dict[int, str] = {
-    1: "an objective's measurement_model() returns hts.config.Named(name='lstm', …) with the settings beside the name instead "
-    "of a MeasurementModelConfig (inputs and target are the objective's own), and there is a new hook, hts_measurement_models",
+    1: "an objective's measurement_model() returns hts.config.Named(name='lstm', …) with the settings beside the name "
+    "instead of a MeasurementModelConfig (inputs and target are the objective's own), and there is a new hook, "
+    "hts_measurement_models",
 }
 """Version of the hooks -> what a plugin that was written for it has to change for the next one."""
+
+Register = Callable[[str, Callable[..., Any]], None]
+"""What each hook is given, for those who annotate theirs."""
 
 hookspec = pluggy.HookspecMarker("hts")
 hookimpl = pluggy.HookimplMarker("hts")
@@ -41,8 +48,8 @@ def hts_measurement_models(register):
     """Offer measurement models: what predicts a real channel from sim channels, fitted to recordings.
 
     Call ``register(name, factory)``; ``factory(settings, context)`` returns a fresh, unfitted
-    ``hts.contracts.MeasurementModel``; context is a ``hts.contracts.ModelContext``: what the model will read and predict.
-    An objective names its default; ``objectives.NAME.model`` in the configuration chooses another.
+    ``hts.contracts.MeasurementModel``; context is a ``hts.contracts.ModelContext``: what the model will read and
+    predict. An objective names its default; ``objectives.NAME.model`` in the configuration chooses another.
     """
 
 

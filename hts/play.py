@@ -114,9 +114,12 @@ class Walk:
         command = (self.speed, 0.0, float(np.clip(-HEADING_GAIN * yaw, -YAW_RATE, YAW_RATE)))
         joints = slice(7, 7 + spec.num_joints), slice(6, 6 + spec.num_joints)
         readings = {
-            "angular_velocity": data.qvel[3:6], "projected_gravity": -rotation[2], "command": command,
-            "joint_position": data.qpos[joints[0]], "joint_velocity": data.qvel[joints[1]],
-        }  # fmt: skip
+            "angular_velocity": data.qvel[3:6],
+            "projected_gravity": -rotation[2],
+            "command": command,
+            "joint_position": data.qpos[joints[0]],
+            "joint_velocity": data.qvel[joints[1]],
+        }
         batch = {name: np.asarray(value, np.float32)[None] for name, value in readings.items()}
         data.ctrl[:] = self.policy.targets(batch)[0]
         self._step(self.model, data, spec.substeps)
@@ -237,7 +240,7 @@ def _display() -> bool:
 
 
 def _prepare_drawing() -> None:
-    """Load MuJoCo; without a display it must be told before to draw off screen. Raises SimulationError."""
+    """Load MuJoCo; without a display drawing off screen must be chosen before. Raises SimulationError."""
     if not os.environ.get("MUJOCO_GL") and sys.platform.startswith("linux") and not _display():
         backends = [
             backend for library, backend in (("EGL", "egl"), ("OSMesa", "osmesa")) if ctypes.util.find_library(library)

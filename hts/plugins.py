@@ -95,7 +95,8 @@ class Registry:
         return self._make("robots", name, dict(settings or {}))
 
     def make_objective(self, name: str, settings: Settings | None = None) -> Objective:
-        """settings: what stands under `objectives.NAME`; the choice of a measurement model in it is not the objective's."""
+        """settings: what stands under `objectives.NAME`; the choice of a measurement model in it is not the
+        objective's."""
         from hts.contracts import own_settings
 
         return self._make("objectives", name, own_settings(settings or {}))
@@ -194,7 +195,7 @@ def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[st
         )
     if written_for != hookspecs.API_VERSION:
         raise PluginError(_other_version(module, package, written_for))
-    manager = pluggy.PluginManager(GROUP)  # one each, so that what it registers can be told from the others'
+    manager = pluggy.PluginManager(GROUP)  # one each, so that what it registers can be told apart from the others'
     manager.add_hookspecs(hookspecs)
     manager.register(module, name=point.name)
     manager.check_pending()  # pluggy accepts a misspelt hook without a word

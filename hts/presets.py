@@ -35,7 +35,7 @@ SMOKE: dict[str, Any] = {
     "evaluation": {"speeds": [0.8], "min_valid": 0.0, "min_segments": 1, "bootstrap": 200},
 }
 
-# Commands of fine-tuning: mostly straight ahead at the speeds that are measured, some turning so that it is not forgotten.
+# Commands of fine-tuning: mostly straight ahead at the measured speeds, some turning so that it is not forgotten.
 FORWARD: dict[str, Any] = {"vx": [0.4, 1.2], "vy": [-0.2, 0.2], "straight": 0.8, "stand": 0.0}
 
 QUICK: dict[str, Any] = {
@@ -84,7 +84,8 @@ SEVERAL: dict[str, dict[str, Any]] = {
 """Laid over the preset where several objectives run together; a config file and options win over it."""
 
 # The baseline sees no measurements, so one round does; it gets the candidates' samples of all rounds and as many
-# tests in reality (arXiv 2502.10956, experiments: c {0.1, 0.2, 0.5, 1, 5, inf}, 24 tested). The λ are the objective's own.
+# tests in reality (arXiv 2502.10956, experiments: c {0.1, 0.2, 0.5, 1, 5, inf}, 24 tested).
+# The λ are the objective's own.
 BASELINES: dict[str, dict[str, Any]] = {
     "smoke": {"iterations": 1, "sweep": {"kl_bounds": [1.0]}},
     "quick": {

@@ -1,7 +1,8 @@
 """Units of channels and logs: which there are, whether two mean the same quantity, and how to convert.
 
-Those in `UNITS` are known without further ado, everything else that `pint` can read is as good ("K/s", "kg/s", "mA"); pint
-is imported when one of those turns up, since that takes half a second. A plugin brings a unit of its own by a definition:
+Those in `UNITS` are known without further ado, everything else that `pint` can read is as good ("K/s", "kg/s", "mA");
+pint is imported when one of those turns up, since that takes half a second. A plugin brings a unit of its own by a
+definition:
 
     from hts import units
 
@@ -50,7 +51,8 @@ TRAPS = {"Nm": "N*m"}
 """What people write -> what they mean. To pint "Nm" is a yarn count, metres per gram."""
 
 LONGEST = 60  # characters
-# A number is only ever an exponent of one digit or the 1 of "1/s": pint computes what it reads, and 9**9**9 takes for ever.
+# A number is only ever an exponent of one digit or the 1 of "1/s": pint computes what it reads,
+# and 9**9**9 takes for ever.
 TOWER = re.compile(r"\d\d|(\^|\*\*)\s*-?\s*(\d\s*(\^|\*\*)|\()")
 DEFINITION = re.compile(r"\s*([^\W\d]\w*)\s*=\s*\S.*")
 
@@ -69,7 +71,8 @@ def define(definition: str) -> None:
     name = match[1]
     if _defined.get(name, definition) != definition or name in UNITS:
         raise RecordingError(
-            f"The unit '{name}' is defined twice: as '{_defined.get(name, UNITS.get(name))}' and as '{definition}'. Rename one."
+            f"The unit '{name}' is defined twice: as '{_defined.get(name, UNITS.get(name))}' and as '{definition}'. "
+            "Rename one."
         )
     if name not in _defined:
         _defined[name] = definition
@@ -78,7 +81,8 @@ def define(definition: str) -> None:
 
 
 def keep(unit: str) -> None:
-    """Take over a unit as a store has it, also one that a missing plugin defines: then it converts to nothing but itself.
+    """Take over a unit as a store has it, also one that a missing plugin defines:
+    then it converts to nothing but itself.
 
     Raises RecordingError for what could never have been one.
     """
@@ -137,7 +141,8 @@ def conversion(source: str, target: str) -> tuple[float, float]:
 
 @functools.cache
 def _registry() -> Any:
-    """pint's registry with our definitions and those of plugins. Raises RecordingError for a definition it cannot read."""
+    """pint's registry with our definitions and those of plugins.
+    Raises RecordingError for a definition it cannot read."""
     import pint
 
     registry: Any = pint.UnitRegistry()

@@ -15,11 +15,17 @@ WARM_UP, LEAST_ROUNDS = 3, 3  # batches
 
 
 def bench_env(
-    robot: str | None, objective: str | None, engine: str = "mujoco", candidates: int = 6, envs: int = 64,
-    seconds: float = 10.0, sizes: Sizes | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    robot: str | None,
+    objective: str | None,
+    engine: str = "mujoco",
+    candidates: int = 6,
+    envs: int = 64,
+    seconds: float = 10.0,
+    sizes: Sizes | None = None,
+) -> dict[str, Any]:
     """Collection by the collector, exploring policies, env and measurement model of a real run, in control steps per
-    second over all worlds; `profile` is where the time of a step goes. Keys: steps_per_s, bare_steps_per_s, ratio, …"""
+    second over all env instances; `profile` is where the time of a step goes.
+    Keys: steps_per_s, bare_steps_per_s, ratio, …"""
     machine, chosen = find(robot, objective)
     trainer = make_trainer(machine, chosen, engine, candidates, envs, sizes=sizes)
     try:
@@ -32,7 +38,8 @@ def bench_env(
 def measure(trainer: PopulationTrainer, work: Callable[[], Any], seconds: float) -> dict[str, Any]:
     """Alternate `work`, which collects one batch (and may do more), with the bare replay of what it collected.
 
-    On a GPU, where remembering would be part of what is timed, the batch that is replayed is the one after the timed one.
+    On a GPU, where remembering would be part of what is timed, the batch that is replayed is the one after the timed
+    one.
     """
     device, replay = trainer.population.device, Replay(trainer.env.engine)
     for _ in range(WARM_UP):
@@ -53,10 +60,12 @@ def measure(trainer: PopulationTrainer, work: Callable[[], Any], seconds: float)
         bare.append(replay.seconds())
     steps = trainer.steps_per_batch
     return {
-        "steps_per_s": steps / statistics.median(fast), "bare_steps_per_s": steps / statistics.median(bare),
-        "ratio": statistics.median(b / f for b, f in zip(bare, fast, strict=True)), "rounds": len(fast),
+        "steps_per_s": steps / statistics.median(fast),
+        "bare_steps_per_s": steps / statistics.median(bare),
+        "ratio": statistics.median(b / f for b, f in zip(bare, fast, strict=True)),
+        "rounds": len(fast),
         "steps_per_round": steps,
-    }  # fmt: skip
+    }
 
 
 def profile(trainer: PopulationTrainer, batches: int = 3) -> dict[str, float] | None:
@@ -68,10 +77,11 @@ def profile(trainer: PopulationTrainer, batches: int = 3) -> dict[str, float] | 
         return None
     env = trainer.env.base_env
     clocks = {
-        "physics": [Clock(env.engine, "step")], "policy": [Clock(trainer.population, "mean")],
+        "physics": [Clock(env.engine, "step")],
+        "policy": [Clock(trainer.population, "mean")],
         "measurement": [Clock(one, name) for one in trainer.env.transform for name in ("record", "forward_sequence")],
         "env": [Clock(env, name) for name in ("begin_step", "end_step", "rewards", "channel_values", "start_episodes")],
-    }  # fmt: skip
+    }
     start = time.perf_counter()
     for _ in range(batches):
         trainer.collect()

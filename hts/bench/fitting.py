@@ -29,9 +29,10 @@ def bench_fit(
 ) -> dict[str, Any]:
     """Fitting to made-up recordings of the robot's channels, read from a store first.
 
-    epochs: 0 for as many as fit into `seconds`; otherwise a whole fit of so many, as `hts fit` does it. Keys: samples_per_s
-    (samples times epochs over seconds, validation included), samples, epochs, seconds; read_seconds of the channels that are
-    fitted, checksums compared; name_seconds: of hashing every array for the dataset's name, which a fit does too; …
+    epochs: 0 for as many as fit into `seconds`; otherwise a whole fit of so many, as `hts fit` does it. Keys:
+    samples_per_s (samples times epochs over seconds, validation included), samples, epochs, seconds; read_seconds of
+    the channels that are fitted, checksums compared; name_seconds: of hashing every array for the dataset's name, which
+    a fit does too; …
     """
     machine, chosen = find(robot, objective)
     length = SHORT if samples <= SAMPLES else LONG
@@ -45,11 +46,21 @@ def bench_fit(
     report = model.fit(recordings, epochs=patience, max_seconds=math.inf if epochs else seconds)
     spent = time.perf_counter() - start
     return {
-        "bench": "fit", "samples_per_s": report["samples"] * report["epochs"] / spent, "samples": report["samples"],
-        "epochs": report["epochs"], "seconds": spent, **reading, "recordings_read": len(recordings), "robot": machine.spec.name,
-        "objective": chosen.name, "model": choice.name, "hidden": model.settings["hidden"], "cores": available(),
-        "recordings": "made up: slow sines and noise on the robot's channels", "torch": str(torch.__version__),
-    }  # fmt: skip
+        "bench": "fit",
+        "samples_per_s": report["samples"] * report["epochs"] / spent,
+        "samples": report["samples"],
+        "epochs": report["epochs"],
+        "seconds": spent,
+        **reading,
+        "recordings_read": len(recordings),
+        "robot": machine.spec.name,
+        "objective": chosen.name,
+        "model": choice.name,
+        "hidden": model.settings["hidden"],
+        "cores": available(),
+        "recordings": "made up: slow sines and noise on the robot's channels",
+        "torch": str(torch.__version__),
+    }
 
 
 def from_store(recordings: Sequence[Recording], objective: Objective) -> tuple[list[Recording], dict[str, float]]:
@@ -71,8 +82,8 @@ def from_store(recordings: Sequence[Recording], objective: Objective) -> tuple[l
 
 
 def made_up(objective: Objective, robot: Robot, seed: int, seconds: float = SHORT) -> Recording:
-    """A recording of the right shape, with every channel of the robot: each a sine with noise, the target the mean square
-    of the objective's inputs."""
+    """A recording of the right shape, with every channel of the robot: each a sine with noise, the target the mean
+    square of the objective's inputs."""
     rng, rate = np.random.default_rng(seed), robot.spec.control_rate_hz
     time_axis = np.arange(round(seconds * rate)) / rate
     known, channels, sums = robot.channels(), {}, np.zeros(len(time_axis))
@@ -86,7 +97,17 @@ def made_up(objective: Objective, robot: Robot, seed: int, seconds: float = SHOR
             sums += np.square(values).reshape(len(time_axis), -1).mean(1)
     channels[objective.target.name] = Series(objective.target, sums.reshape(-1, *objective.target.shape))
     return Recording(
-        robot=robot.spec.name, world="made up", policy_hash="", iteration=0, joint_names=robot.spec.joint_names,
-        kp=robot.spec.kp, kd=robot.spec.kd, rate_hz=rate, clock="simulated", time=time_axis, channels=channels,
-        schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=0.0),)), idle={objective.target.name: 0.0},
-    )  # fmt: skip
+        robot=robot.spec.name,
+        world="made up",
+        policy_hash="",
+        iteration=0,
+        joint_names=robot.spec.joint_names,
+        kp=robot.spec.kp,
+        kd=robot.spec.kd,
+        rate_hz=rate,
+        clock="simulated",
+        time=time_axis,
+        channels=channels,
+        schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=0.0),)),
+        idle={objective.target.name: 0.0},
+    )

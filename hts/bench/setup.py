@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from hts.contracts import Objective, Robot
 
 KL_BOUND, WEIGHT = 0.5, 1.0
-SAMPLE_STEPS, SAMPLE_WORLDS = 50, 16  # control steps and worlds from which a model takes its input statistics
+SAMPLE_STEPS, SAMPLE_WORLDS = 50, 16  # control steps and env instances from which a model takes its input statistics
 
 
 def find(robot: str | None, objective: str | None) -> tuple[Robot, Objective]:
@@ -91,9 +91,16 @@ def make_population(robot: Robot, count: int, hidden: Sequence[int] = ()) -> Pop
 
 
 def make_trainer(
-    robot: Robot, objective: Objective, engine: str, candidates: int, envs: int, seed: int = 0,
-    ppo: PPOConfig | None = None, sizes: Sizes | None = None, model: MeasurementModel | None = None,
-) -> PopulationTrainer:  # fmt: skip
+    robot: Robot,
+    objective: Objective,
+    engine: str,
+    candidates: int,
+    envs: int,
+    seed: int = 0,
+    ppo: PPOConfig | None = None,
+    sizes: Sizes | None = None,
+    model: MeasurementModel | None = None,
+) -> PopulationTrainer:
     """A trainer as fine-tuning makes it: anchored, bounded, with the measurement model's reward, already walking.
 
     model: one with its input statistics; without it a new one, barely fitted to a second of walking.
@@ -110,13 +117,19 @@ def make_trainer(
         _fit_barely(env, population, model, robot)
     env = measured_env(env, [MeasurementTransform.of(objective, model)])
     return PopulationTrainer(
-        env, population, ppo or PPOConfig(), seeds=seeds, names=[str(seed) for seed in seeds], anchor=population.frozen(),
-        bounds=torch.full((candidates,), KL_BOUND), weights={objective.name: torch.full((candidates,), WEIGHT)},
-    )  # fmt: skip
+        env,
+        population,
+        ppo or PPOConfig(),
+        seeds=seeds,
+        names=[str(seed) for seed in seeds],
+        anchor=population.frozen(),
+        bounds=torch.full((candidates,), KL_BOUND),
+        weights={objective.name: torch.full((candidates,), WEIGHT)},
+    )
 
 
 def _fit_barely(env: EnvBase, population: Population, model: MeasurementModel, robot: Robot) -> None:
-    """Walk for a second; one pass over what some worlds gave, with a made-up target: the model has its statistics then."""
+    """Walk for a second; one pass over what some env instances gave, with a made-up target, sets the statistics."""
     act: TensorDictModuleBase = PopulationActor(population)
     seen: list[torch.Tensor] = []
     with torch.no_grad():
@@ -138,10 +151,20 @@ def _recording(inputs: torch.Tensor, model: MeasurementModel, robot: Robot) -> R
     channels[signals.target.name] = Series(signals.target, square.numpy())
     seconds = len(inputs) / signals.rate_hz
     return Recording(
-        robot=spec.name, world="made up", policy_hash="", iteration=0, joint_names=spec.joint_names, kp=spec.kp, kd=spec.kd,
-        rate_hz=signals.rate_hz, schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=0.0),)),
-        idle={signals.target.name: 0.0}, clock="simulated", time=np.arange(len(inputs)) / signals.rate_hz, channels=channels,
-    )  # fmt: skip
+        robot=spec.name,
+        world="made up",
+        policy_hash="",
+        iteration=0,
+        joint_names=spec.joint_names,
+        kp=spec.kp,
+        kd=spec.kd,
+        rate_hz=signals.rate_hz,
+        schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=0.0),)),
+        idle={signals.target.name: 0.0},
+        clock="simulated",
+        time=np.arange(len(inputs)) / signals.rate_hz,
+        channels=channels,
+    )
 
 
 def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective) -> dict[str, Any]:
@@ -149,13 +172,21 @@ def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective) -
     shape: Sequence[int] = trainer.env.batch_size
     made = trainer.env.engine
     return {
-        "robot": robot.spec.name, "engine": "mujoco" if isinstance(made, MujocoEngine) else "warp", "candidates": shape[0], "envs": shape[1],
-        "horizon": trainer.config.horizon, "substeps": robot.spec.substeps,
-        "measurement": f"{objective.name}: unfitted model of the default size (one pass), statistics from the collected channels",
-        "hidden": list(trainer.population.sizes.hidden), "device": _device(trainer.population.device), "cores": os.cpu_count() or 1,
-        "engine_threads": made.threads if isinstance(made, MujocoEngine) else 0, "torch_threads": 1,  # see `hts.rl.threads`
+        "robot": robot.spec.name,
+        "engine": "mujoco" if isinstance(made, MujocoEngine) else "warp",
+        "candidates": shape[0],
+        "envs": shape[1],
+        "horizon": trainer.config.horizon,
+        "substeps": robot.spec.substeps,
+        "measurement": f"{objective.name}: unfitted model of the default size (one pass), "
+        "statistics from the collected channels",
+        "hidden": list(trainer.population.sizes.hidden),
+        "device": _device(trainer.population.device),
+        "cores": os.cpu_count() or 1,
+        "engine_threads": made.threads if isinstance(made, MujocoEngine) else 0,
+        "torch_threads": 1,  # see `hts.rl.threads`
         "torch": str(torch.__version__),
-    }  # fmt: skip
+    }
 
 
 def _device(device: torch.device) -> str:

@@ -21,18 +21,26 @@ if TYPE_CHECKING:
 
 SWEEP = 6  # candidates
 ALONE = {"cpu": (64, 128, 256, 512), "cuda": (2048, 4096, 8192, 16384, 32768)}
-"""Numbers of worlds among which a candidate that trains alone has its fastest."""
+"""Numbers of env instances among which a candidate that trains alone has its fastest."""
 
 
 def bench_sweep(
-    robot: str | None, objective: str | None, engine: str = "mujoco", envs: int = 64, seconds: float = 10.0,
-    candidates: int = SWEEP, sizes: Sizes | None = None, alone: Sequence[int] = (), whole: int = 0,
-) -> dict[str, Any]:  # fmt: skip
+    robot: str | None,
+    objective: str | None,
+    engine: str = "mujoco",
+    envs: int = 64,
+    seconds: float = 10.0,
+    candidates: int = SWEEP,
+    sizes: Sizes | None = None,
+    alone: Sequence[int] = (),
+    whole: int = 0,
+) -> dict[str, Any]:
     """Candidates trained together against one after another, at equal samples; all in control steps per second.
 
-    speedup: over one after another with the same worlds each; the two alternate, a batch of all against a batch of one,
-    so that one batch of one stands for each. speedup_over_fastest: over one after another with the number of worlds at
-    which one alone is fastest, among `alone` (and `envs`). update_difference, repeat_difference: see `same_results`.
+    speedup: over one after another with as many env instances each; the two alternate, a batch of all against a batch
+    of one, so that one batch of one stands for each. speedup_over_fastest: over one after another with the number of
+    instances at which one alone is fastest, among `alone` (and `envs`). update_difference, repeat_difference: see
+    `same_results`.
     whole: also the keys of `whole_trainings`, each of so many control steps per candidate.
     """
     machine, chosen = find(robot, objective)
@@ -60,21 +68,34 @@ def bench_sweep(
     fastest = max(rates, key=lambda worlds: rates[worlds])
     spent = whole_trainings(machine, chosen, engine, candidates, envs, fastest, whole, sizes) if whole else {}
     return {
-        "bench": "sweep", "steps_per_s": rate, "one_after_another_steps_per_s": in_turn,
+        "bench": "sweep",
+        "steps_per_s": rate,
+        "one_after_another_steps_per_s": in_turn,
         "speedup": statistics.median(b / a for a, b in zip(all_at_once, one_by_one, strict=True)),
-        "alone_steps_per_s": {str(worlds): rates[worlds] for worlds in sorted(rates)}, "fastest_alone_envs": fastest,
-        "speedup_over_fastest": rate / rates[fastest], **same, "rounds": len(all_at_once), **spent, **about,
-    }  # fmt: skip
+        "alone_steps_per_s": {str(worlds): rates[worlds] for worlds in sorted(rates)},
+        "fastest_alone_envs": fastest,
+        "speedup_over_fastest": rate / rates[fastest],
+        **same,
+        "rounds": len(all_at_once),
+        **spent,
+        **about,
+    }
 
 
 def whole_trainings(
-    robot: Robot, objective: Objective, engine: str, candidates: int, envs: int, envs_alone: int, steps: int,
+    robot: Robot,
+    objective: Objective,
+    engine: str,
+    candidates: int,
+    envs: int,
+    envs_alone: int,
+    steps: int,
     sizes: Sizes | None = None,
-) -> dict[str, Any]:  # fmt: skip
-    """Whole trainings of `steps` control steps per candidate, from nothing to the last batch: all together with `envs` worlds
-    each, and one alone with `envs_alone`, whose time counts candidates times. Both have been run for a batch before, so that nothing
-    is compiled for the first time. Keys: together_s, one_after_another_s, of each the part before the first batch is over
-    (_first_batch_s), and how many batches one training had (_batches)."""
+) -> dict[str, Any]:
+    """Whole trainings of `steps` control steps per candidate, from nothing to the last batch: all together with `envs`
+    worlds each, and one alone with `envs_alone`, whose time counts candidates times. Both have been run for a batch
+    before, so that nothing is compiled for the first time. Keys: together_s, one_after_another_s, of each the part
+    before the first batch is over (_first_batch_s), and how many batches one training had (_batches)."""
     model = _with_statistics(robot, objective, engine, envs, sizes)
     found: dict[str, Any] = {"whole_steps_per_candidate": steps}
     for name, count, worlds, times in (
@@ -108,9 +129,10 @@ def same_results(
 ) -> dict[str, float]:
     """How much otherwise a candidate's first batch changes its parameters, with products in float32.
 
-    update_difference: in the crowd, |crowd - alone| / |alone - start|, looked at in the first and the last candidate, which
-    start from the same parameters, seeds, worlds and measurement model; repeat_difference: alone once more. 0 on the CPU. On a GPU
-    sums are taken in another order, contact makes that grow, and Adam makes a whole step of the smallest gradient.
+    update_difference: in the crowd, |crowd - alone| / |alone - start|, looked at in the first and the last candidate,
+    which start from the same parameters, seeds, worlds and measurement model; repeat_difference: alone once more. 0 on
+    the CPU. On a GPU sums are taken in another order, contact makes that grow, and Adam makes a whole step of the
+    smallest gradient.
     """
     model = _with_statistics(robot, objective, engine, envs, sizes)
 
@@ -137,8 +159,8 @@ def same_results(
 def _with_statistics(
     robot: Robot, objective: Objective, engine: str, envs: int, sizes: Sizes | None
 ) -> MeasurementModel:
-    """A measurement model with its statistics. Taking them draws random numbers and moves robots, so none of the trainers
-    that are compared does it."""
+    """A measurement model with its statistics. Taking them draws random numbers and moves robots, so none of the
+    trainers that are compared does it."""
     trainer = make_trainer(robot, objective, engine, 1, envs, sizes=sizes)
     trainer.close()
     return next(part.model for part in _transforms(trainer))

@@ -15,7 +15,8 @@ LOWEST = 1.0  # ELU's outputs lie above minus this
 
 
 def widened(sizes: Sizes, tensors: Mapping[str, Tensor], hidden: tuple[int, ...]) -> tuple[Sizes, dict[str, Tensor]]:
-    """A policy's actor and critic in networks with `hidden` layers, each at least as wide, and at least as many of them.
+    """A policy's actor and critic in networks with `hidden` layers, each at least as wide,
+    and at least as many of them.
 
     Added units get small random weights and are not listened to. An added layer hands its inputs on: they are outputs
     of an ELU, so x + 1 > 0 and ELU(x + 1) = x + 1; the bias of the layer after it takes the 1 back. Every gradient is

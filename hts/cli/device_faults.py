@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 FEWER = (
-    "Lower the number of worlds (--set finetune.num_envs=N; of `hts pretrain` --set num_envs=N), train fewer candidates "
-    "together (--set finetune.max_candidates=P), or free memory that other programs hold"
+    "Lower the number of worlds (--set finetune.num_envs=N; of `hts pretrain` --set num_envs=N), train fewer "
+    "candidates together (--set finetune.max_candidates=P), or free memory that other programs hold"
 )
 INSTEAD = "or go without a GPU: --engine mujoco"
 
@@ -43,8 +43,8 @@ def _in_text(text: str) -> str | None:
         return f"No CUDA device can be used ({_short(first)}). Install or repair the NVIDIA driver, {INSTEAD}."
     if any(phrase in low for phrase in BROKEN):
         return (
-            f"The GPU reported an error ({_short(first)}). Give the command again; if it comes back, look at `nvidia-smi` "
-            f"and restart the machine, {INSTEAD}."
+            f"The GPU reported an error ({_short(first)}). Give the command again; if it comes back, look at "
+            f"`nvidia-smi` and restart the machine, {INSTEAD}."
         )
     return None
 

@@ -34,16 +34,16 @@ def command(
 
     registry = load()
     machine = registry.make_robot(robot)
-    told = load_mapping(mapping)
-    channels = told.get("channels")
+    given = load_mapping(mapping)
+    channels = given.get("channels")
     for name in drop or []:
         if not isinstance(channels, dict) or name not in channels:
             known = channels if isinstance(channels, dict) else ()
             raise ConfigError(f"{mapping}: --drop: " + unknown_name("channel", name, known))
         del channels[name]
-    groups = [files] if told.get("files") else [[file] for file in files]
+    groups = [files] if given.get("files") else [[file] for file in files]
     try:
-        recordings = [read_log(registry, group, told, machine) for group in groups]
+        recordings = [read_log(registry, group, given, machine) for group in groups]
     except ConfigError as error:
         raise ConfigError(f"{mapping}: {error}") from error
     except RecordingError as error:

@@ -29,10 +29,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception as error:
-        told = one_line(error)
-        if told is None or os.environ.get("HTS_DEBUG") == "1":
+        explained = one_line(error)
+        if explained is None or os.environ.get("HTS_DEBUG") == "1":
             raise
-        line, code = told
+        line, code = explained
         print(line, file=sys.stderr)
         return code
     return status if isinstance(status, int) else 0

@@ -74,8 +74,8 @@ def resumable(folder: Path) -> Iterator[None]:
             print("\nstopped before anything was written", file=sys.stderr)
         raise typer.Exit(130) from None
     except HtsError as error:
-        told = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in str(error)
-        if told or not (folder / "config.yaml").exists():
+        advised = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in str(error)
+        if advised or not (folder / "config.yaml").exists():
             raise
         raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error
     except Exception as error:

@@ -16,9 +16,13 @@ from hts.plugins import KINDS, Registry
 Data = dict[str, Any]
 
 WHERE = {
-    "objectives": "objectives.{name}.", "measurement_models": "objectives.OBJECTIVE.model.", "robots": "robot.", "worlds": "world.", "instruments": "world.instruments.{name}.",
+    "objectives": "objectives.{name}.",
+    "measurement_models": "objectives.OBJECTIVE.model.",
+    "robots": "robot.",
+    "worlds": "world.",
+    "instruments": "world.instruments.{name}.",
     "selectors": "selection.selector.",
-}  # fmt: skip
+}
 """Kind -> what stands before a setting's key in a config file and in --set; log readers are set by their mapping."""
 
 
@@ -34,9 +38,11 @@ def plugin_data(registry: Registry, name: str) -> list[Data]:
 def _data(registry: Registry, kind: str, name: str) -> Data:
     entry = registry.entry(kind, name)
     data: Data = {
-        "kind": KINDS[kind], "name": name, "package": entry.package,
+        "kind": KINDS[kind],
+        "name": name,
+        "package": entry.package,
         "about": " ".join((entry.factory.__doc__ or "").split()),
-    }  # fmt: skip
+    }
     if kind in WITH_SETTINGS:
         model = settings_model(registry, kind, name)
         data["settings_key"] = WHERE.get(kind, "").format(name=name)
@@ -60,22 +66,26 @@ def _more(registry: Registry, kind: str, name: str) -> Data:
         spec = robot.spec
         return {
             "facts": {
-                "joints": list(spec.joint_names), "control rate": f"{spec.control_rate_hz:g} Hz",
+                "joints": list(spec.joint_names),
+                "control rate": f"{spec.control_rate_hz:g} Hz",
                 "physics step": f"{spec.physics_dt:g} s",
             },
             "channels": [_channel(channel) for channel in robot.channels().values()],
             "real_channels": _real_channels(registry),
-        }  # fmt: skip
+        }
     if kind == "objectives":
         objective = registry.make_objective(name)
         return {
             "facts": {
-                "inputs": list(objective.inputs), "target": objective.target.name, "instrument": objective.instrument,
+                "inputs": list(objective.inputs),
+                "target": objective.target.name,
+                "instrument": objective.instrument,
                 "improvement in": "a fraction" if objective.unit == "1" else objective.unit,
-                "λ": list(objective.weights), "λ of the baseline": list(objective.baseline_weights),
+                "λ": list(objective.weights),
+                "λ of the baseline": list(objective.baseline_weights),
             },
             "channels": [_channel(objective.target)],
-        }  # fmt: skip
+        }
     if kind == "instruments" and registry.robots:
         instrument = registry.make_instrument(name, {}, registry.make_robot(min(registry.robots)))
         return {"channels": [_channel(channel) for channel in instrument.channels]}
@@ -104,8 +114,11 @@ def _real_channels(registry: Registry) -> list[Data]:
 
 def _channel(channel: Channel) -> Data:
     return {
-        "name": channel.name, "unit": channel.unit, "shape": list(channel.shape), "description": channel.description,
-    }  # fmt: skip
+        "name": channel.name,
+        "unit": channel.unit,
+        "shape": list(channel.shape),
+        "description": channel.description,
+    }
 
 
 def plugin_text(pages: Sequence[Data]) -> str:

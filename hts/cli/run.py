@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hts.cli import options
+
+if TYPE_CHECKING:
+    from hts.config import RunConfig
 
 
 def command(
@@ -37,7 +41,7 @@ def command(
     start(resolved, out, dry_run)
 
 
-def start(config, out: Path | None, dry_run: bool) -> None:
+def start(config: RunConfig, out: Path | None, dry_run: bool) -> None:
     """Check everything that can be checked for nothing, then run into a folder of its own."""
     from hts.cli.one_line import resumable
     from hts.config_loading import check_names
@@ -54,7 +58,7 @@ def start(config, out: Path | None, dry_run: bool) -> None:
         start_run(config, folder, dry_run=dry_run, registry=registry)
 
 
-def default_folder(config) -> Path:
+def default_folder(config: RunConfig) -> Path:
     """runs/OBJECTIVE-ROBOT-PRESET-SEED, with `proxy` for a baseline: one folder for one command line."""
     parts = ["+".join(config.objectives), config.robot.name, config.preset, str(config.seed)]
     if config.reward_source != "model":
@@ -72,7 +76,8 @@ def refuse_existing(folder: Path) -> None:
         return
     if (folder / "config.yaml").exists():
         raise RunError(
-            f"{folder}: this folder holds a run already. Go on with it: `hts resume {folder}`; or start anew in another: --out DIR."
+            f"{folder}: this folder holds a run already. Go on with it: `hts resume {folder}`; or start anew in "
+            "another: --out DIR."
         )
     if folder.exists():
         raise RunError(f"{folder}: exists already and is not an empty folder. Choose another one: --out DIR.")

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 
 class Installed(Protocol):
-    """`hts.plugins.Registry`, as far as worlds and models made of models need it. Each raises ConfigError for an unknown name or wrong settings."""
+    """`hts.plugins.Registry`, as far as worlds and models made of models need it.
+    Each raises ConfigError for an unknown name or wrong settings."""
 
     def make_robot(self, name: str, settings: Settings | None = None) -> Robot: ...
 

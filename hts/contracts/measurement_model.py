@@ -1,7 +1,8 @@
 """A measurement model f: sim channels → real channel. Fitted to recordings, then run inside the training env.
 
 What an author gets to write: `fit`, `sequence`, `step`, `initial_state`, and how the numbers go in and out
-(`tensors`, `load_tensors`, `to`). `hts.measurement.torch_model.TorchModel` does the second half for a `torch.nn.Module`.
+(`tensors`, `load_tensors`, `to`). `hts.measurement.torch_model.TorchModel` does the second half for a
+`torch.nn.Module`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
 Progress = Callable[[int, int, float], None]
-"""progress(epoch, epochs, error): after each pass over the data; error: mean squared, in z-scores, on data not fitted to."""
+"""progress(epoch, epochs, error): after each pass over the data;
+error: mean squared, in z-scores, on data not fitted to."""
 
 
 class Prediction(NamedTuple):
@@ -69,8 +71,9 @@ class Signals:
 class ModelContext:
     """What a factory of measurement models gets beside the settings.
 
-    signals: what the model will read and predict; default: the model that the objective uses where nobody chose another,
-    None when a model is read from its file; registry: everything that is installed, for models made of other models.
+    signals: what the model will read and predict; default: the model that the objective uses where nobody chose
+    another, None when a model is read from its file; registry: everything that is installed, for models made of other
+    models.
     """
 
     signals: Signals
@@ -81,18 +84,19 @@ class ModelContext:
 class MeasurementModel(ABC):
     """f, with an explicit memory: of recordings in `sequence`, of a batch of worlds, one sample at a time, in `step`.
 
-    A fresh model is unfitted; its tensors have their final names and shapes already, so that a file can be read into it.
-    Predictions are z-scores of the target: an objective's reward and λ count in standard deviations of the data.
+    A fresh model is unfitted; its tensors have their final names and shapes already, so that a file can be read into
+    it. Predictions are z-scores of the target: an objective's reward and λ count in standard deviations of the data.
 
-    `step` runs inside the training env at every control step, on a GPU as part of a captured CUDA graph, or written down
-    operation by operation and compiled. So it does not wait for the device (no `.item()`, no `bool(tensor)`, no numpy), does
-    not branch on values, gives the same shapes each time, draws no random numbers, needs no gradients, and changes neither its inputs
-    nor its state in place. A world's prediction depends on that world alone. A NaN or infinite input never becomes a
-    finite prediction: the reward is minus a cost, and 0 would be the best there is.
+    `step` runs inside the training env at every control step, on a GPU as part of a captured CUDA graph, or written
+    down operation by operation and compiled. So it does not wait for the device (no `.item()`, no `bool(tensor)`, no
+    numpy), does not branch on values, gives the same shapes each time, draws no random numbers, needs no gradients, and
+    changes neither its inputs nor its state in place. A world's prediction depends on that world alone. A NaN or
+    infinite input never becomes a finite prediction: the reward is minus a cost, and 0 would be the best there is.
 
     name: as registered (the registry writes it); signals: what it was made for;
     target_mean, target_std: of the data it was fitted to, in the target's unit, 0-dimensional tensors;
-    pessimism: β, by how many of its own standard deviations the reward looks at the worse side (`hts.measurement.pessimism`).
+    pessimism: β, by how many of its own standard deviations the reward looks at the worse side
+    (`hts.measurement.pessimism`).
     """
 
     name: str = ""
@@ -119,15 +123,16 @@ class MeasurementModel(ABC):
     ) -> dict[str, Any]:
         """Fit to all the recordings, in place; what is held out stays with the caller. Returns a report of JSON values.
 
-        epochs, max_seconds: at most so much work, for models that learn by passes over the data; warm_start: a fitted model
-        to go on from, used if it is of the same make. The same recordings and seed give the same model, unless time ran out;
-        the global random generator is left alone. Raises RecordingError for recordings that cannot be learned from
-        (`hts.measurement.data.training_data` reads them and does).
+        epochs, max_seconds: at most so much work, for models that learn by passes over the data; warm_start: a fitted
+        model to go on from, used if it is of the same make. The same recordings and seed give the same model, unless
+        time ran out; the global random generator is left alone. Raises RecordingError for recordings that cannot be
+        learned from (`hts.measurement.data.training_data` reads them and does).
         """
 
     @abstractmethod
     def sequence(self, inputs: torch.Tensor, state: torch.Tensor | None = None) -> tuple[Prediction, torch.Tensor]:
-        """Along recordings: inputs (B, T, F) in channel units -> predictions (B, T) and the state after them, (B, ...)."""
+        """Along recordings: inputs (B, T, F) in channel units -> predictions (B, T), and the state after them
+        (B, ...)."""
 
     @abstractmethod
     def step(self, inputs: torch.Tensor, state: torch.Tensor) -> tuple[Prediction, torch.Tensor]:
@@ -135,20 +140,23 @@ class MeasurementModel(ABC):
 
     @abstractmethod
     def initial_state(self, num_worlds: int) -> torch.Tensor:
-        """The memory of W worlds that have just begun, (W, ...), on the model's device; (W, 0) for a model without memory.
+        """The memory of W worlds that have just begun, (W, ...), on the model's device;
+        (W, 0) for a model without memory.
 
         Worlds lead in the shape, not necessarily in memory: a permuted view is as good.
         """
 
     def reset(self, state: torch.Tensor, begun: torch.Tensor) -> torch.Tensor:
-        """The state with the worlds in begun, bool (W,), as `initial_state` has them; the others to the bit as they were."""
+        """The state with the worlds in begun, bool (W,), as `initial_state` has them;
+        the others to the bit as they were."""
         import torch
 
         mask = begun.view(-1, *(1,) * (state.ndim - 1))
         return torch.where(mask, self.initial_state(len(begun)), state)
 
     def steps(self, inputs: torch.Tensor, state: torch.Tensor, ended: torch.Tensor) -> tuple[Prediction, torch.Tensor]:
-        """`step` T times, then `reset` where an episode ended with the step: inputs (T, W, F), ended bool (T, W) -> (T, W).
+        """`step` T times, then `reset` where an episode ended with the step:
+        inputs (T, W, F), ended bool (T, W) -> (T, W).
 
         A model that can do it faster overrides this, to the same bits.
         """
@@ -180,7 +188,8 @@ class MeasurementModel(ABC):
 
     @abstractmethod
     def load_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Take over what `tensors` gave; names and shapes have been checked. The model then predicts as that one did."""
+        """Take over what `tensors` gave; names and shapes have been checked.
+        The model then predicts as that one did."""
 
     @abstractmethod
     def to(self, device: torch.device | str) -> MeasurementModel:
@@ -193,8 +202,8 @@ class MeasurementModel(ABC):
 
 
 MODEL = "model"
-"""The key under `objectives.NAME` that chooses a measurement model. The core reads it; the objective's own settings do not
-have it."""
+"""The key under `objectives.NAME` that chooses a measurement model. The core reads it; the objective's own settings do
+not have it."""
 
 
 def own_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -214,8 +223,8 @@ def chosen_model(objective: Objective, settings: Mapping[str, Any] | None = None
     values = {"name": given} if isinstance(given, str) else given
     if not isinstance(values, Mapping) or not isinstance(values.get("name", ""), str) or values.get("name") == "":
         raise ConfigError(
-            f"objectives.{objective.name}.{MODEL}: expected the name of a measurement model, or its settings with the name "
-            f"among them, found {given!r}. `hts plugins` lists the models."
+            f"objectives.{objective.name}.{MODEL}: expected the name of a measurement model, or its settings with the "
+            f"name among them, found {given!r}. `hts plugins` lists the models."
         )
     if values.get("name", default.name) != default.name:
         return Named(**values)
@@ -223,8 +232,8 @@ def chosen_model(objective: Objective, settings: Mapping[str, Any] | None = None
 
 
 def robot_signals(objective: Objective, robot: Robot) -> Signals:
-    """What a model of the objective reads and predicts, as the robot's channels have it. Raises ConfigError for one that it
-    does not give."""
+    """What a model of the objective reads and predicts, as the robot's channels have it. Raises ConfigError for one
+    that it does not give."""
     known: Mapping[str, Channel] = robot.channels()
     for name in objective.inputs:
         if name not in known:

@@ -48,8 +48,8 @@ class Objective(ABC):
     def measurement_model(self) -> Named:
         """The measurement model it uses where nobody chose another, by registered name, with settings.
 
-        `objectives.NAME.model` in the configuration chooses; that key is the core's, so an objective's own settings have none
-        of that name.
+        `objectives.NAME.model` in the configuration chooses; that key is the core's, so an objective's own settings
+        have none of that name.
         """
         return Named(name="lstm")
 

@@ -88,9 +88,14 @@ class Robot(ABC):
         """Path of the starting policy's `.safetensors` (its `.json` lies beside it); None if log-only."""
 
     def make_env(
-        self, engine: str, num_candidates: int, num_envs: int, config: EnvConfig,
-        channels: Sequence[str] = (), seeds: Sequence[int] | None = None,
-    ) -> EnvBase:  # fmt: skip
+        self,
+        engine: str,
+        num_candidates: int,
+        num_envs: int,
+        config: EnvConfig,
+        channels: Sequence[str] = (),
+        seeds: Sequence[int] | None = None,
+    ) -> EnvBase:
         """A TorchRL env of batch size [num_candidates, num_envs] that writes ("channels", name).
 
         channels: names to write, all if empty; seeds: one per candidate, so that a candidate's random numbers
@@ -101,7 +106,8 @@ class Robot(ABC):
         By default a robot has none: raises ConfigError, which says how to give it one.
         """
         raise ConfigError(
-            f"Robot '{self.spec.name}' has no env to train in. If it follows commanded velocities, let its class derive "
-            "from hts.envs.velocity_robot.VelocityRobot instead of hts.contracts.Robot (whose default env that was in "
-            "version 1 of the hooks); else give it a make_env. A log-only robot is for `hts import` and `hts fit`."
+            f"Robot '{self.spec.name}' has no env to train in. If it follows commanded velocities, let its class "
+            "derive from hts.envs.velocity_robot.VelocityRobot instead of hts.contracts.Robot (whose default env that "
+            "was in version 1 of the hooks); else give it a make_env. A log-only robot is for `hts import` and `hts "
+            "fit`."
         )

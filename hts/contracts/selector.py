@@ -70,8 +70,8 @@ class Selector(ABC):
         """Id of the anchor of the next iteration; None if nothing beats the reference."""
 
     def rounds(self) -> Rounds | None:
-        """None, the default: every elite gets one whole head-to-head. Else they are tested in rounds, and `keep` is asked
-        after each."""
+        """None, the default: every elite gets one whole head-to-head. Else they are tested in rounds, and `keep` is
+        asked after each."""
         return None
 
     def keep(self, raced: Sequence[RacedCandidate]) -> list[str]:

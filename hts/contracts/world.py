@@ -73,11 +73,13 @@ class World(ABC):
         return None
 
     def head_to_head_seconds(self) -> float:
-        """Robot time of one head-to-head at one speed, s, for `--dry-run`. By default four blocks of 80 s, as in the paper."""
+        """Robot time of one head-to-head at one speed, s, for `--dry-run`.
+        By default four blocks of 80 s, as in the paper."""
         return 4 * 80.0
 
     def on_progress(self, report: Callable[[float], None]) -> None:  # noqa: B027 - most have nothing to say
-        """From now on call `report` with the share of the current request that is done, 0 to 1. By default nobody does."""
+        """From now on call `report` with the share of the current request that is done, 0 to 1.
+        By default nobody does."""
 
     def cost(self, robot_seconds: float) -> Mapping[str, float]:
         """What so many seconds of walking will cost here, e.g. {"robot_minutes": 5.3, "wall_seconds": 12.0}."""

@@ -1,4 +1,4 @@
-"""Commanded velocities of the training worlds: resampling, heading control, fixed test speeds."""
+"""Commanded velocities of the env instances: resampling, heading control, fixed test speeds."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import torch
 from hts.config import CommandConfig
 from hts.rl.tracing import any_or_tracing
 
-DRAWS = 7  # uniform numbers a world needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
+DRAWS = 7  # uniform numbers an env instance needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
 
 
 class Commands:
-    """The command [P, N, 3] (vx m/s, vy m/s, yaw rate rad/s) of each world and what it follows from."""
+    """The command [P, N, 3] (vx m/s, vy m/s, yaw rate rad/s) of each instance and what it follows from."""
 
     STATE = ("value", "heading", "keeps_heading", "steps_left")
 
-    def __init__(self, config: CommandConfig, shape: tuple[int, int], dt: float, device: torch.device):
+    def __init__(self, config: CommandConfig, shape: tuple[int, int], dt: float, device: torch.device) -> None:
         self.config, self.dt = config, dt
         self.value = torch.zeros(*shape, 3, device=device)
         self.heading = torch.zeros(shape, device=device)  # target, rad
@@ -49,7 +49,7 @@ class Commands:
             new = torch.stack((vx, vy, yaw_rate), -1) * (~stand).unsqueeze(-1)
             steps = (
                 c.resample_seconds / self.dt * (0.5 + draws[..., 6])
-            )  # spread, so that worlds do not resample together
+            )  # spread, so that instances do not resample together
             self.steps_left = torch.where(mask, steps, self.steps_left)
         self.value = torch.where(mask.unsqueeze(-1), new, self.value)
         self.heading = torch.where(mask, heading, self.heading)
@@ -64,7 +64,7 @@ class Commands:
         self.steer(yaw)
 
     def steer(self, yaw: torch.Tensor) -> None:
-        """yaw rate = clip(gain x heading error), Rudin et al. 2022, where a world keeps a heading."""
+        """yaw rate = clip(gain x heading error), Rudin et al. 2022, where an instance keeps a heading."""
         error = torch.remainder(self.heading - yaw + math.pi, 2 * math.pi) - math.pi
         low, high = self.config.yaw_rate
         wanted = (self.config.heading_gain * error).clamp(low, high)

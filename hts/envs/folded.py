@@ -1,4 +1,5 @@
-"""Any TorchRL env of batch size [P·N], such as TorchRL's wrappers of other libraries give, in the shape that hts trains on."""
+"""Any TorchRL env of batch size [P·N], such as TorchRL's wrappers of other libraries give,
+in the shape that hts trains on."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ ChannelValues = Callable[[TensorDictBase, torch.Tensor], Mapping[str, torch.Tens
 
 
 class FoldedEnv(TaskEnv):
-    """World n of candidate p is world p·N + n of `inner`. Nothing of the task is changed; what hts needs is added:
+    """Env instance n of candidate p is instance p·N + n of `inner`. The task is unchanged; what hts needs is added:
 
     observation, critic_observation: parts of the inner observation, one after the other, float32 [P, N, O];
     reward: the inner one times reward_scale; by default dt, so that a reward per step becomes a rate per second, as
@@ -29,17 +30,25 @@ class FoldedEnv(TaskEnv):
     ("channels", name): from `values(inner step, action sent)`, both of batch size [P·N]; (P·N, *shape) each.
 
     inner: has the flags done, terminated, truncated, and resets single worlds (`_reset`); dt: control step, s;
-    action_limit: actions are clipped to ± this, for tasks that do not do so themselves. A card of a policy calls the parts
-    of the observation by their last name (`observation_layout`). Seeds are the inner env's own affair.
+    action_limit: actions are clipped to ± this, for tasks that do not do so themselves. A card of a policy calls the
+    parts of the observation by their last name (`observation_layout`). Seeds are the inner env's own affair.
     """
 
     batch_locked = True
 
     def __init__(
-        self, inner: EnvBase, num_candidates: int, *, dt: float, observation: Sequence[Key], channels: Mapping[str, Channel],
-        values: ChannelValues, critic_observation: Sequence[Key] = (), action_limit: float | None = None,
+        self,
+        inner: EnvBase,
+        num_candidates: int,
+        *,
+        dt: float,
+        observation: Sequence[Key],
+        channels: Mapping[str, Channel],
+        values: ChannelValues,
+        critic_observation: Sequence[Key] = (),
+        action_limit: float | None = None,
         reward_scale: float | None = None,
-    ):  # fmt: skip
+    ) -> None:
         worlds = inner.batch_size.numel()
         if len(inner.batch_size) != 1 or worlds % num_candidates:
             raise ConfigError(
@@ -68,8 +77,9 @@ class FoldedEnv(TaskEnv):
         for name in FLAGS:
             if name not in flags:
                 raise ConfigError(
-                    f"FoldedEnv: the inner env has no flag '{name}' (it has {', '.join(map(_shown, sorted(flags, key=str)))}). "
-                    "An episode that ends by time is truncated, one that ends by failing is terminated, either is done."
+                    f"FoldedEnv: the inner env has no flag '{name}' (it has "
+                    f"{', '.join(map(_shown, sorted(flags, key=str)))}). An episode that ends by time is truncated, "
+                    "one that ends by failing is terminated, either is done."
                 )
 
     def _make_specs(self) -> None:
@@ -96,7 +106,7 @@ class FoldedEnv(TaskEnv):
         names = [(key if isinstance(key, str) else key[-1], key) for key in self.parts["observation"]]
         return [{"name": name, "size": self._size(key)} for name, key in names]
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flat = None
         if tensordict is not None and "_reset" in tensordict.keys():  # noqa: SIM118 - a TensorDict
             mask = tensordict["_reset"].reshape(-1, 1)
@@ -127,7 +137,8 @@ class FoldedEnv(TaskEnv):
         return TensorDict(entries, shape, device=self.device)
 
     def _channel(self, found: Mapping[str, torch.Tensor], channel: Channel) -> torch.Tensor:
-        """One of the channels that `values` gave, [P, N, *shape] float32. Raises PluginError if it is not there or is odd."""
+        """One of the channels that `values` gave, [P, N, *shape] float32.
+        Raises PluginError if it is not there or is odd."""
         if not isinstance(found, Mapping):
             raise PluginError(f"FoldedEnv: values() gives a {type(found).__name__}, expected a mapping name -> tensor.")
         if channel.name not in found:
@@ -137,15 +148,15 @@ class FoldedEnv(TaskEnv):
             raise PluginError(f"FoldedEnv: values()['{channel.name}'] is a {type(tensor).__name__}, expected a tensor.")
         if tensor.shape[:1] != (worlds,) or tensor.numel() != worlds * math.prod(channel.shape):
             raise PluginError(
-                f"FoldedEnv: values()['{channel.name}'] has shape {tuple(tensor.shape)}, expected {(worlds, *channel.shape)}: "
-                "worlds of all candidates first, then the channel's own shape."
+                f"FoldedEnv: values()['{channel.name}'] has shape {tuple(tensor.shape)}, expected "
+                f"{(worlds, *channel.shape)}: worlds of all candidates first, then the channel's own shape."
             )
         return tensor.float().reshape(*self.batch_size, *channel.shape)
 
     def _set_seed(self, seed: int | None) -> None:
         """Worlds are seeded when they are made."""
 
-    def close(self, **kwargs) -> None:
+    def close(self, **kwargs: Any) -> None:
         if not self.inner.is_closed:
             self.inner.close()
         super().close(**kwargs)

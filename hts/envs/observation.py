@@ -4,8 +4,13 @@ from __future__ import annotations
 
 # What the policy sees, in this order, all of it measurable on a robot. joint_position_offset = q - default pose.
 OBSERVATION = (
-    "angular_velocity", "projected_gravity", "command", "joint_position_offset", "joint_velocity", "last_action",
-)  # fmt: skip
+    "angular_velocity",
+    "projected_gravity",
+    "command",
+    "joint_position_offset",
+    "joint_velocity",
+    "last_action",
+)
 # Uniform sensor noise of training, +-, per observation entry (Rudin et al. 2022): rad/s, 1, rad, rad/s.
 NOISE = {"angular_velocity": 0.2, "projected_gravity": 0.05, "joint_position_offset": 0.01, "joint_velocity": 1.5}
 

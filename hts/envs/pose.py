@@ -21,7 +21,7 @@ def trunk_frame(qpos: torch.Tensor, qvel: torch.Tensor, down: torch.Tensor) -> t
 
 
 def yaw_of(qpos: torch.Tensor) -> torch.Tensor:
-    """Heading [...], rad. In double precision: torch's single one differs in the last bit between the bulk of a tensor and
-    its end."""
+    """Heading [...], rad. In double precision: torch's single one differs in the last bit between the bulk of a tensor
+    and its end."""
     w, x, y, z = qpos[..., 3:7].unbind(-1)
     return torch.atan2((w * z + x * y).double(), (0.5 - (y * y + z * z)).double()).float()

@@ -49,8 +49,8 @@ class RewardInputs:
     velocity, angular_velocity, gravity: trunk frame (.., 3); command (.., 3): vx, vy, yaw rate;
     torque, joint_velocity, last_joint_velocity, pose_error (.., J); action, last_action (.., J);
     air_time s, landed, contact bool (.., F); foot_speed_squared: horizontal, m^2/s^2 (.., F); fell bool (..);
-    dt: control step, s; tracking_sigma (m/s)^2: 0.25 in Rudin et al. 2022; broken bool (..): worlds whose physics broke, whose
-    numbers mean nothing and whose only reward is that of a fall; None where there is none.
+    dt: control step, s; tracking_sigma (m/s)^2: 0.25 in Rudin et al. 2022; broken bool (..): instances whose physics
+    broke, whose numbers mean nothing and whose only reward is that of a fall; None where there is none.
     """
 
     velocity: torch.Tensor
@@ -119,9 +119,10 @@ def total(inputs: RewardInputs, weights: Mapping[str, float]) -> torch.Tensor:
     """
     vectors = _vectors(inputs)
     scale = _scale(
-        tuple(weights.get(name, 0.0) for name in vectors), tuple(vector.shape[-1] for vector in vectors.values()),
+        tuple(weights.get(name, 0.0) for name in vectors),
+        tuple(vector.shape[-1] for vector in vectors.values()),
         inputs.torque.device,
-    )  # fmt: skip
+    )
     result = torch.cat(list(vectors.values()), -1).square_().mul_(scale).sum(-1)
     for name, value in _others(inputs).items():
         if weights.get(name):

@@ -1,53 +1,62 @@
-"""The velocity task as a TorchRL env of batch size [P, N]: P candidates, N worlds each."""
+"""The velocity task as a TorchRL env of batch size [P, N]: P candidates, N instances each."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
 
 from hts.channels import Channel
 from hts.config import EnvConfig
-from hts.contracts import Robot, RobotSpec
+from hts.contracts import RobotSpec
 from hts.envs.commands import DRAWS, Commands
+from hts.envs.constants import delays_and_offsets
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
 from hts.envs.pose import trunk_frame, yaw_of
 from hts.envs.rewards import RewardInputs, resolve_weights, stacked, total
-from hts.errors import ConfigError
 from hts.rl.random import PopulationRandom
 from hts.rl.task_env import LaunchedSimulator, ReplacedState, SplitStepEnv
 from hts.rl.tracing import any_or_tracing
 from hts.sim.engine import Engine
-from hts.sim.models import variants
-from hts.sim.selection import make_engine
 
-# An episode ends below this share of the standing height or beyond this tilt (gravity's z in the trunk frame: -1 is upright).
+# An episode ends below this share of the standing height or beyond this tilt (gravity's z in the
+# trunk frame: -1 is upright).
 FALL_HEIGHT, FALL_GRAVITY_Z = 0.55, -0.5
 
 # Channel -> where the env keeps it, for those that it makes anew at every step.
 CHANNEL_FIELDS = {
-    "joint_position": "_joint_position", "joint_velocity": "_joint_velocity", "joint_target": "target",
-    "projected_gravity": "_gravity", "base_velocity": "_velocity",
-}  # fmt: skip
+    "joint_position": "_joint_position",
+    "joint_velocity": "_joint_velocity",
+    "joint_target": "target",
+    "projected_gravity": "_gravity",
+    "base_velocity": "_velocity",
+}
 
 
 class VelocityEnv(SplitStepEnv):
     """Follow a commanded velocity; see `hts.envs.rewards` for r_sim.
 
     Writes observation [P, N, 9 + 3 J], critic_observation [P, N, 9 + 3 J + 4 + F] (noise-free, with trunk velocity m/s,
-    height m and contacts), reward [P, N, 1], done, terminated (fell), truncated (time-out) and ("channels", name) for the channels asked for.
+    height m and contacts), reward [P, N, 1], done, terminated (fell), truncated (time-out) and
+    ("channels", name) for the channels asked for.
     """
 
     batch_locked = True
 
     def __init__(
-        self, engine: Engine, spec: RobotSpec, num_candidates: int, num_envs: int, config: EnvConfig,
-        channels: Mapping[str, Channel], seeds: Sequence[int],
-    ):  # fmt: skip
+        self,
+        engine: Engine,
+        spec: RobotSpec,
+        num_candidates: int,
+        num_envs: int,
+        config: EnvConfig,
+        channels: Mapping[str, Channel],
+        seeds: Sequence[int],
+    ) -> None:
         super().__init__(device=engine.device, batch_size=torch.Size([num_candidates, num_envs]))
         self.engine, self.robot_spec, self.config = engine, spec, config
         self.shape2 = (num_candidates, num_envs)
@@ -65,7 +74,7 @@ class VelocityEnv(SplitStepEnv):
         self._foot_velocity = self._sensor_block([f"foot_velocity_{leg}" for leg in legs])
         self._trunk_touch = engine.sensor("trunk_touch")
         self.observation_layout = observation_layout(joints)
-        self._draw_worlds()
+        self._draw_constants()
         shape = self.shape2
         self.commands = Commands(config.commands, shape, self.dt, device)
         zeros = torch.zeros
@@ -91,7 +100,8 @@ class VelocityEnv(SplitStepEnv):
         self._make_specs(joints, feet)
 
     def __setattr__(self, name: str, value: object) -> None:
-        # A step replaces some twenty tensors; for each of them EnvBase looks at length whether it is a submodule or a spec.
+        # A step replaces some twenty tensors; for each of them EnvBase looks at length whether it is a submodule
+        # or a spec.
         if isinstance(value, torch.Tensor):
             object.__setattr__(self, name, value)
         else:
@@ -106,21 +116,10 @@ class VelocityEnv(SplitStepEnv):
             assert left.stop == right.start, names  # a robot's author keeps them together; see docs
         return slice(slices[0].start, slices[-1].stop)
 
-    def _draw_worlds(self) -> None:
-        """Constants of each world (delay, encoder zero); the same N for every candidate, whoever trains beside it."""
-        r = self.config.randomisation
-        if r.enabled and r.delay_steps[1] > self.robot_spec.substeps:
-            raise ConfigError(
-                f"randomisation.delay_steps: {r.delay_steps[1]} physics steps are longer than a control step "
-                f"({self.robot_spec.substeps} of them), the longest delay the env simulates. Lower the upper end."
-            )
-        rng = np.random.default_rng([self.config.seed, 5417])
-        count, joints = self.shape2[1], self.robot_spec.num_joints
-        delay = rng.integers(r.delay_steps[0], r.delay_steps[1], size=count, endpoint=True)
-        offset = rng.uniform(*r.joint_offset, size=(count, joints))
-        if not r.enabled:
-            delay, offset = np.zeros_like(delay), np.zeros_like(offset)
-        device = self.engine.device
+    def _draw_constants(self) -> None:
+        """What stays as it is in each env instance; the same N for every candidate, whoever trains beside it."""
+        count, device = self.shape2[1], self.engine.device
+        delay, offset = delays_and_offsets(self.config, self.robot_spec, count)
         self.delay = torch.from_numpy(delay).to(device).view(1, 1, count, 1)
         self.joint_offset = torch.from_numpy(offset).float().to(device)
 
@@ -132,10 +131,12 @@ class VelocityEnv(SplitStepEnv):
 
         channels = {name: unbounded(*channel.shape) for name, channel in self.channel_specs.items()}
         self.observation_spec = Composite(
-            observation=unbounded(9 + 3 * joints), critic_observation=unbounded(critic_observation_size(joints, feet)),
+            observation=unbounded(9 + 3 * joints),
+            critic_observation=unbounded(critic_observation_size(joints, feet)),
             **({"channels": Composite(channels, shape=shape, device=device)} if channels else {}),
-            shape=shape, device=device,
-        )  # fmt: skip
+            shape=shape,
+            device=device,
+        )
         self.action_spec = unbounded(joints)
         self.reward_spec = unbounded(1)
         flag = Binary(1, (*shape, 1), device=device, dtype=torch.bool)
@@ -162,7 +163,7 @@ class VelocityEnv(SplitStepEnv):
         """Actions [P, N, J] -> actuator inputs (substeps, P·N, J)."""
         self._draws = self._draw()
         target = torch.addcmul(self.default_pose, self.action_scale, action)
-        # A world with delay d applies the previous target in its first d physics steps.
+        # An instance with delay d applies the previous target in its first d physics steps.
         late = self._substep < self.delay
         ctrl = torch.where(late, self.target - self.joint_offset, target - self.joint_offset)
         self.target = target
@@ -205,9 +206,10 @@ class VelocityEnv(SplitStepEnv):
             self._observation = self._observation.masked_fill(broken, 0.0)
             self._critic_observation = self._critic_observation.masked_fill(broken, 0.0)
         return {
-            "terminated": terminated.unsqueeze(-1), "truncated": truncated.unsqueeze(-1),
+            "terminated": terminated.unsqueeze(-1),
+            "truncated": truncated.unsqueeze(-1),
             "done": (terminated | truncated).unsqueeze(-1),
-        }  # fmt: skip
+        }
 
     def _draw(self) -> torch.Tensor:
         """The uniform numbers of a step [P, N, ...]."""
@@ -254,7 +256,7 @@ class VelocityEnv(SplitStepEnv):
         flat = mask.reshape(-1)
         self.engine.reset(flat, qpos.view(flat.numel(), -1), qvel.view(flat.numel(), -1))
         keep = ~mask.unsqueeze(-1)
-        # `masked_fill` and not a product: a world whose physics broke may hold NaN, and NaN x 0 is NaN.
+        # `masked_fill` and not a product: an instance whose physics broke may hold NaN, and NaN x 0 is NaN.
         gone = ~keep
         self.action = self.action.masked_fill(gone, 0.0)
         self.last_joint_velocity = self.last_joint_velocity.masked_fill(gone, 0.0)
@@ -299,23 +301,33 @@ class VelocityEnv(SplitStepEnv):
             | self.engine.diverged.view(self.shape2)
         )
         seen = RewardInputs(
-            velocity=self._velocity, angular_velocity=self._angular_velocity, gravity=self._gravity,
-            command=self.commands.value, torque=sensors[..., self._torques], joint_velocity=self._joint_velocity,
-            last_joint_velocity=self.last_joint_velocity, pose_error=self._joint_position - self.default_pose,
-            action=action, last_action=self.action, air_time=air_time, landed=landed, contact=now,
-            foot_speed_squared=foot_velocity[..., :2].square().sum(-1), fell=fell, dt=self.dt,
+            velocity=self._velocity,
+            angular_velocity=self._angular_velocity,
+            gravity=self._gravity,
+            command=self.commands.value,
+            torque=sensors[..., self._torques],
+            joint_velocity=self._joint_velocity,
+            last_joint_velocity=self.last_joint_velocity,
+            pose_error=self._joint_position - self.default_pose,
+            action=action,
+            last_action=self.action,
+            air_time=air_time,
+            landed=landed,
+            contact=now,
+            foot_speed_squared=foot_velocity[..., :2].square().sum(-1),
+            fell=fell,
+            dt=self.dt,
             tracking_sigma=self.config.tracking_sigma,
-        )  # fmt: skip
+        )
         self.air_time = air_time * ~contact
         self.was_contact = now
         self._contact = now
         return seen
 
     def _observe(self, draws: torch.Tensor) -> None:
-        clean = torch.cat(
-            (self._angular_velocity, self._gravity, self.commands.value, self._joint_position - self.default_pose,
-             self._joint_velocity, self.action), -1,
-        )  # fmt: skip
+        offset = self._joint_position - self.default_pose
+        body = (self._angular_velocity, self._gravity, self.commands.value)
+        clean = torch.cat((*body, offset, self._joint_velocity, self.action), -1)
         # Uniform in +-noise: clean - noise + 2 noise u.
         self._observation = torch.addcmul(clean - self._noise, draws, 2 * self._noise) if self._noisy else clean
         self._critic_observation = torch.cat((clean, self._velocity, self._height, self._contact.to(clean.dtype)), -1)
@@ -334,9 +346,18 @@ class VelocityEnv(SplitStepEnv):
     # ------------------------------------------------------------------------------------- saving the whole state
 
     STATE = (
-        "action", "last_joint_velocity", "target", "air_time", "was_contact", "steps", "falls", "breakdowns", "_draws",
-        "_observation", "_critic_observation",
-    )  # fmt: skip
+        "action",
+        "last_joint_velocity",
+        "target",
+        "air_time",
+        "was_contact",
+        "steps",
+        "falls",
+        "breakdowns",
+        "_draws",
+        "_observation",
+        "_critic_observation",
+    )
 
     def launched_simulator(self) -> LaunchedSimulator | None:
         """The engine, where its step is a launch."""
@@ -354,9 +375,11 @@ class VelocityEnv(SplitStepEnv):
         """Physics, commands, buffers and random generators: everything to go on exactly from here."""
         buffers = {name: getattr(self, name).clone() for name in self.STATE}
         parts = {
-            "buffers": buffers, "engine": self.engine.state_dict(), "commands": self.commands.state_dict(),
+            "buffers": buffers,
+            "engine": self.engine.state_dict(),
+            "commands": self.commands.state_dict(),
             "random": self.random.state_dict(),
-        }  # fmt: skip
+        }
         return TensorDict(parts, batch_size=[])
 
     def load_full_state(self, state: TensorDictBase) -> None:
@@ -369,22 +392,6 @@ class VelocityEnv(SplitStepEnv):
         self._read_pose()
         self._resuming = True
 
-    def close(self, **kwargs) -> None:
+    def close(self, **kwargs: Any) -> None:
         self.engine.close()
         super().close(**kwargs)
-
-
-def make_velocity_env(
-    robot: Robot, engine: str, num_candidates: int, num_envs: int, config: EnvConfig,
-    channels: Sequence[str] = (), seeds: Sequence[int] | None = None,
-) -> VelocityEnv:  # fmt: skip
-    """The velocity task for a robot. channels: which of the robot's sim channels to write; seeds: one per candidate."""
-    known = robot.channels()
-    pool = variants(robot, config.randomisation, config.seed)
-    assignment = [world % len(pool) for _ in range(num_candidates) for world in range(num_envs)]
-    made = make_engine(engine, pool, assignment, robot.spec.substeps, threads=config.threads, device=config.device,
-        contacts_per_world=config.contacts_per_world, constraints_per_world=config.constraints_per_world,
-    )  # fmt: skip
-    seeds = list(seeds) if seeds is not None else [config.seed + index for index in range(num_candidates)]
-    wanted = {name: known[name] for name in (channels or known)}
-    return VelocityEnv(made, robot.spec, num_candidates, num_envs, config, wanted, seeds)

@@ -21,10 +21,15 @@ class VelocityRobot(Robot):
     """
 
     def make_env(
-        self, engine: str, num_candidates: int, num_envs: int, config: EnvConfig,
-        channels: Sequence[str] = (), seeds: Sequence[int] | None = None,
-    ) -> EnvBase:  # fmt: skip
+        self,
+        engine: str,
+        num_candidates: int,
+        num_envs: int,
+        config: EnvConfig,
+        channels: Sequence[str] = (),
+        seeds: Sequence[int] | None = None,
+    ) -> EnvBase:
         """The velocity task, see `Robot.make_env`. Raises ConfigError for a robot without a model or a wrong engine."""
-        from hts.envs.velocity import make_velocity_env
+        from hts.envs.make_velocity import make_velocity_env
 
         return make_velocity_env(self, engine, num_candidates, num_envs, config, channels, seeds)

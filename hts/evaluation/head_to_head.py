@@ -221,10 +221,12 @@ def _check_enough(segments: Segments, role: str, speed: float, config: Evaluatio
         f"{config.min_valid:.0%} are needed. Nothing is reported: check that it walks and that base_velocity is right.",
         role,
         {
-            "speed": speed, "walked": None if math.isnan(segments.walked) else float(segments.walked),
-            "valid": float(segments.valid), "falls": segments.falls,
+            "speed": speed,
+            "walked": None if math.isnan(segments.walked) else float(segments.walked),
+            "valid": float(segments.valid),
+            "falls": segments.falls,
         },
-    )  # fmt: skip
+    )
 
 
 def _scores(objective: Objective, segments: Segments, role: str) -> dict[str, np.ndarray]:

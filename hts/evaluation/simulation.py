@@ -1,4 +1,5 @@
-"""How policies do in the training simulation: mean action, straight walks at fixed speeds, one whole trial per world."""
+"""How policies do in the training simulation: mean action, straight walks at fixed speeds,
+one whole trial per env instance."""
 
 from __future__ import annotations
 
@@ -6,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import torch
+from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig
@@ -18,9 +20,9 @@ SETTLE_SECONDS = 2.0  # the start of a trial is not judged
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """One policy at one speed over its worlds.
+    """One policy at one speed over its env instances.
 
-    falls: worlds that fell at least once; mean_speed m/s over worlds that did not; valid: share of their 1 s segments
+    falls: instances that fell at least once; mean_speed m/s over those that did not; valid: share of their 1 s segments
     within the tolerance of the commanded speed; rewards: mean r_real per objective (per second), after settling.
     """
 
@@ -33,7 +35,8 @@ class SimulatedTrial:
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
-    """The training env with straight walks at `speeds`, no pushes, no time-out within the trial; its noise and variants stay."""
+    """The training env with straight walks at `speeds`, no pushes, no time-out within the trial;
+    its noise and variants stay."""
     commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
     calm = base.randomisation.model_copy(update={"push_speed": 0.0})
     changes = {"commands": commands, "randomisation": calm, "episode_seconds": seconds + 1.0, "seed": seed}
@@ -47,13 +50,15 @@ test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 def simulate(
     env: EnvBase, population: Population, speeds: Sequence[float], seconds: float, tolerance: float
 ) -> list[list[SimulatedTrial]]:
-    """Trials of every policy (outer) at every speed (inner); world n walks at speeds[n mod len(speeds)].
+    """Trials of every policy (outer) at every speed (inner); env instance n walks at speeds[n mod len(speeds)].
 
-    env: of batch size [P, N], made with `test_config`, writing the channel base_velocity; tolerance: relative speed error of a valid segment.
+    env: of batch size [P, N], made with `test_config`, writing the channel base_velocity;
+    tolerance: relative speed error of a valid segment.
     """
     if seconds < SETTLE_SECONDS + 1.0:
         raise ConfigError(
-            f"A trial of {seconds} s has no segment to judge: {SETTLE_SECONDS} s to settle and 1 s at least. Make it longer."
+            f"A trial of {seconds} s has no segment to judge: {SETTLE_SECONDS} s to settle and 1 s at least. Make it "
+            "longer."
         )
     act = PopulationActor(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
@@ -77,9 +82,9 @@ def simulate(
         if "real_reward" in after.keys():  # noqa: SIM118 - a TensorDict
             for name, value in after["real_reward"].items():
                 sums[name] = sums.get(name, 0.0) + value.squeeze(-1)
-    told = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
+    commanded = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
     pieces = torch.stack(segments)  # (S, P, N)
-    good = ((pieces - told).abs() <= tolerance * told).float().mean(0)
+    good = ((pieces - commanded).abs() <= tolerance * commanded).float().mean(0)
     mean_speed = pieces.mean(0)
     results = []
     for candidate in range(shape[0]):
@@ -105,6 +110,6 @@ def simulate(
     return results
 
 
-def _forward_speed(env: EnvBase, after) -> torch.Tensor:
+def _forward_speed(env: EnvBase, after: TensorDictBase) -> torch.Tensor:
     """Trunk speed forward, m/s, [P, N]: the channel of any env that writes it."""
     return after["channels", "base_velocity"][..., 0]

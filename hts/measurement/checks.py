@@ -1,4 +1,4 @@
-"""How far a measurement model can be trusted: errors on data it has not seen, against `linear` and an analytic stand-in."""
+"""How far a measurement model can be trusted: errors on unseen data, against `linear` and an analytic stand-in."""
 
 from __future__ import annotations
 

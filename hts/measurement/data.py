@@ -34,7 +34,8 @@ class Piece:
 
 
 def recorded_signals(objective: Objective, recording: Recording) -> Signals:
-    """What a model of the objective reads and predicts, with the shapes and units of a recording. Raises RecordingError."""
+    """What a model of the objective reads and predicts, with the shapes and units of a recording.
+    Raises RecordingError."""
     for name in (*objective.inputs, objective.target.name):
         recording.values(name)  # says which channel is missing, and which are there
     inputs = tuple(recording.channels[name].channel for name in objective.inputs)
@@ -44,8 +45,8 @@ def recorded_signals(objective: Objective, recording: Recording) -> Signals:
 def training_data(signals: Signals, recordings: Sequence[Recording]) -> list[Piece]:
     """Every recording as float32 tensors in channel units: inputs (T, F), target (T,).
 
-    Raises RecordingError for recordings that are none, of other rates, joints, units or shapes, or not finite, and for a
-    target that does not vary.
+    Raises RecordingError for recordings that are none, of other rates, joints, units or shapes, or not finite, and for
+    a target that does not vary.
     """
     if not recordings:
         raise RecordingError(f"No recordings to fit '{signals.target.name}' to. Record or import some first.")
@@ -107,7 +108,8 @@ def _same_unit(first: str, second: str) -> bool:
 
 
 def input_tensor(signals: Signals, recording: Recording) -> Tensor:
-    """The inputs along a recording, (T, F) float32. Raises RecordingError for another count of numbers than the model's."""
+    """The inputs along a recording, (T, F) float32. Raises RecordingError for another count of numbers than the
+    model's."""
     values = {name: recording.values(name) for name in signals.names}
     inputs = torch.from_numpy(stack_channels(values, signals.names))
     if inputs.shape[1] != signals.num_inputs:

@@ -1,8 +1,8 @@
-"""`ensemble`: several models of one kind, each fitted to a sample of the recordings; their mean, and how far they disagree.
+"""`ensemble`: several models of one kind, each fitted to its own sample of the recordings: mean and disagreement.
 
-Each member sees as many recordings as there are, drawn with replacement (bootstrap), and starts from a seed of its own. The
-spread over members says how much the prediction hangs on which recordings there happened to be: small where there is
-data, large where a policy has left it. It does not hold the sensor's own scatter.
+Each member sees as many recordings as there are, drawn with replacement (bootstrap), and starts from a seed of its own.
+The spread over members says how much the prediction hangs on which recordings there happened to be: small where there
+is data, large where a policy has left it. It does not hold the sensor's own scatter.
 """
 
 from __future__ import annotations
@@ -96,10 +96,17 @@ class Ensemble(MeasurementModel):
 
     @torch.no_grad()
     def fit(
-        self, recordings: Sequence[Recording], *, seed: int = 0, epochs: int = 20, max_seconds: float = math.inf,
-        progress: Progress | None = None, warm_start: MeasurementModel | None = None,
-    ) -> dict[str, Any]:  # fmt: skip
-        """Member by member; each gets an equal part of the time that is left. The report holds each one's own as `members`."""
+        self,
+        recordings: Sequence[Recording],
+        *,
+        seed: int = 0,
+        epochs: int = 20,
+        max_seconds: float = math.inf,
+        progress: Progress | None = None,
+        warm_start: MeasurementModel | None = None,
+    ) -> dict[str, Any]:
+        """Member by member; each gets an equal part of the time that is left.
+        The report holds each one's own as `members`."""
         began = time.monotonic()
         pieces = training_data(self.signals, recordings)
         parts, rng, count = enough_parts(recordings), np.random.default_rng(seed), len(self.members)
@@ -115,9 +122,13 @@ class Ensemble(MeasurementModel):
             drawn = [parts[i] for i in rng.integers(len(parts), size=len(parts))]
             with torch.enable_grad():
                 report = member.fit(
-                    drawn, seed=seed + index, epochs=epochs, max_seconds=left / (count - index), progress=share,
+                    drawn,
+                    seed=seed + index,
+                    epochs=epochs,
+                    max_seconds=left / (count - index),
+                    progress=share,
                     warm_start=before[index] if before is not None else None,
-                )  # fmt: skip
+                )
             reports.append(report)
         self._scale(torch.cat([piece.inputs for piece in pieces]), torch.cat([piece.target for piece in pieces]))
         return {
@@ -137,8 +148,11 @@ class Ensemble(MeasurementModel):
         own = {
             "scale": torch.stack([s / std for _, s in members]),
             "shift": torch.stack([(m - mean) / std for m, _ in members]),
-            "target_mean": mean, "target_std": std, "input_low": inputs.amin(0), "input_high": inputs.amax(0),
-        }  # fmt: skip
+            "target_mean": mean,
+            "target_std": std,
+            "input_low": inputs.amin(0),
+            "input_high": inputs.amax(0),
+        }
         self._own = {name: value.float() for name, value in own.items()}
 
     # --------------------------------------------------------------------------------------------- running
@@ -209,5 +223,6 @@ def enough_parts(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _together(states: Sequence[Tensor]) -> Tensor:
-    """Members' states (W, ...) as one (W, K, ...), laid out worlds last in memory, as a member that keeps its own so finds it."""
+    """Members' states (W, ...) as one (W, K, ...), laid out worlds last in memory, as a member that keeps its own so
+    finds it."""
     return torch.stack([state.movedim(0, -1) for state in states]).movedim(-1, 0)

@@ -1,7 +1,8 @@
 """Measurement models on disk: `NAME.safetensors` with the numbers, `NAME.json` beside it with the rest.
 
-No pickle: opening a file runs no code of its own. The JSON names the model as it is registered, so that what is installed makes
-it again, and the SHA-256 of its numbers, so that two files of different models cannot be mistaken for one.
+No pickle: opening a file runs no code of its own. The JSON names the model as it is registered, so that what is
+installed makes it again, and the SHA-256 of its numbers, so that two files of different models cannot be mistaken for
+one.
 
 Format 2 is written. Format 1, which knew one kind of model and no units, is read as `lstm`.
 """

@@ -1,7 +1,7 @@
 """`hts fit`: one measurement model from a recording store, with its checks.
 
-`OUT/model.safetensors` and `OUT/model.json` are the model, `OUT/fit.json` says what it was fitted to and how well it predicts.
-`fit_and_check` is the same thing for callers that have the recordings in hand, such as a run.
+`OUT/model.safetensors` and `OUT/model.json` are the model, `OUT/fit.json` says what it was fitted to and how well it
+predicts. `fit_and_check` is the same thing for callers that have the recordings in hand, such as a run.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ def new_model(
 ) -> MeasurementModel:
     """The objective's model, unfitted, for the channels as the recording has them.
 
-    settings: what stands under `objectives.NAME`, of which `model` chooses; registry: None, everything that is installed.
+    settings: what stands under `objectives.NAME`, of which `model` chooses;
+    registry: None, everything that is installed.
     """
     if registry is None:
         from hts import plugins
@@ -164,8 +165,9 @@ def summary_line(report: Mapping[str, Any]) -> str:
     against = f", linear {_number(linear['r2'])}" if linear else ""
     against += f", analytic stand-in {_number(proxy['r2'])}" if proxy else ""
     return (
-        f"{report['target']}: R² {_number(report['held_out_r2'])} on {len(held['recordings'])} held-out recordings{against}; "
-        f"rank correlation across {len(held['policies'])} policies {_number(report['rank_correlation'])}"
+        f"{report['target']}: R² {_number(report['held_out_r2'])} on {len(held['recordings'])} held-out "
+        f"recordings{against}; rank correlation across {len(held['policies'])} policies "
+        f"{_number(report['rank_correlation'])}"
     )
 
 
@@ -186,8 +188,9 @@ def _settings(overrides: Sequence[str | Override], objective_name: str) -> dict[
             raise ConfigError(f"{one.text}: " + unknown_name("objective of this fit", one.path[1], [objective_name]))
     found = nested(sets, in_full)
     return {
-        "measurement": found.get("measurement", {}), "objectives": found.get("objectives", {}).get(objective_name, {})
-    }  # fmt: skip
+        "measurement": found.get("measurement", {}),
+        "objectives": found.get("objectives", {}).get(objective_name, {}),
+    }
 
 
 def _measurement_config(values: Mapping[str, Any]) -> MeasurementConfig:

@@ -1,9 +1,9 @@
-"""`linear`: ridge regression on inputs, their products and their past. What little data can carry; every fit is compared with it.
+"""`linear`: ridge regression on inputs, their products and their past; every fit is compared with it.
 
     z(t) = b + Σ_ℓ w_ℓ · φ(t − ℓ)        φ: z-scored features, 0 (their mean) before an episode began; ℓ: lags
 
-It is solved in one go. In the env it costs one small matrix product: the memory of a world is not its past, but what that
-past will still add to each of the next predictions.
+It is solved in one go. In the env it costs one small matrix product: the memory of a world is not its past, but what
+that past will still add to each of the next predictions.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def make(settings: Mapping[str, Any], context: ModelContext) -> MeasurementModel
 
 
 class Linear(TorchModel):
-    """weight: (L, G), one row per lag; bias: (). The memory of W worlds is (W, M): what the past adds to the next M predictions,
-    M the longest lag in samples."""
+    """weight: (L, G), one row per lag; bias: (). The memory of W worlds is (W, M): what the past adds to the next M
+    predictions, M the longest lag in samples."""
 
     def __init__(self, config: LinearSettings, signals: Signals) -> None:
         super().__init__(signals, config.products)
@@ -66,9 +66,15 @@ class Linear(TorchModel):
 
     @torch.no_grad()
     def fit(
-        self, recordings: Sequence[Recording], *, seed: int = 0, epochs: int = 20, max_seconds: float = math.inf,
-        progress: Progress | None = None, warm_start: MeasurementModel | None = None,
-    ) -> dict[str, Any]:  # fmt: skip
+        self,
+        recordings: Sequence[Recording],
+        *,
+        seed: int = 0,
+        epochs: int = 20,
+        max_seconds: float = math.inf,
+        progress: Progress | None = None,
+        warm_start: MeasurementModel | None = None,
+    ) -> dict[str, Any]:
         """Least squares, in double precision; seed, epochs and warm start have nothing to change in it."""
         began = time.monotonic()
         pieces = training_data(self.signals, recordings)

@@ -51,8 +51,8 @@ def make(settings: Mapping[str, Any], context: ModelContext) -> MeasurementModel
 class LSTM(TorchModel):
     """An LSTM with a linear head between z-scored features and a z-scored target.
 
-    The memory of W worlds is (W, layers, 2, hidden): outputs h, then cells c. It is a view of (layers, 2, hidden, W), worlds
-    last, in which the gates are computed; a state that is laid out in another way is taken too, and copied.
+    The memory of W worlds is (W, layers, 2, hidden): outputs h, then cells c. It is a view of (layers, 2, hidden, W),
+    worlds last, in which the gates are computed; a state that is laid out in another way is taken too, and copied.
     """
 
     def __init__(self, config: LSTMSettings, signals: Signals, seed: int = 0) -> None:
@@ -72,8 +72,8 @@ class LSTM(TorchModel):
 
     @torch.no_grad()
     def initialise(self, seed: int) -> None:
-        """As if never fitted. Uniform ±1/√hidden as in torch; forget biases 1, so that memory lasts from the start (Gers et
-        al. 2000)."""
+        """As if never fitted. Uniform ±1/√hidden as in torch; forget biases 1, so that memory lasts from the start
+        (Gers et al. 2000)."""
         generator = torch.Generator().manual_seed(seed)
         bound = self.config.hidden**-0.5
         for parameter in self.parameters():
@@ -87,9 +87,15 @@ class LSTM(TorchModel):
         self._folded = None
 
     def fit(
-        self, recordings: Sequence[Recording], *, seed: int = 0, epochs: int = 20, max_seconds: float = math.inf,
-        progress: Progress | None = None, warm_start: MeasurementModel | None = None,
-    ) -> dict[str, Any]:  # fmt: skip
+        self,
+        recordings: Sequence[Recording],
+        *,
+        seed: int = 0,
+        epochs: int = 20,
+        max_seconds: float = math.inf,
+        progress: Progress | None = None,
+        warm_start: MeasurementModel | None = None,
+    ) -> dict[str, Any]:
         """See `hts.measurement.lstm_fit`."""
         from hts.measurement.lstm_fit import fit_lstm
 

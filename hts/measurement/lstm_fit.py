@@ -34,9 +34,14 @@ Memory = tuple[Tensor, Tensor]  # h and c, each (layers, B, hidden)
 
 
 def fit_lstm(
-    model: LSTM, recordings: Sequence[Recording], seed: int, epochs: int, max_seconds: float,
-    progress: Progress | None, warm_start: MeasurementModel | None,
-) -> dict[str, Any]:  # fmt: skip
+    model: LSTM,
+    recordings: Sequence[Recording],
+    seed: int,
+    epochs: int,
+    max_seconds: float,
+    progress: Progress | None,
+    warm_start: MeasurementModel | None,
+) -> dict[str, Any]:
     """Fit the model in place; see `MeasurementModel.fit` for what is given and kept.
 
     Adam with clipped gradients and a cosine step size; the epoch with the least error on the last 10 % of each

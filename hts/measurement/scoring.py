@@ -1,4 +1,5 @@
-"""Measured against predicted, along recordings: variance explained, errors, ranks of policies, and whether a spread is honest.
+"""Measured against predicted, along recordings: variance explained, errors, ranks of policies,
+and whether a spread is honest.
 
 The first second of each recording is not scored: the model's memory starts empty, the real sensor's does not.
 """
@@ -125,7 +126,8 @@ def _pooled_r2(traces: Sequence[Trace]) -> float | None:
 def calibration(traces: Sequence[Trace]) -> dict[str, Any] | None:
     """Whether errors are as large as the model's own standard deviations say; None without them, or without samples.
 
-    within_1, within_2: share of samples whose error is at most one, two standard deviations (of a Gaussian: 0.68, 0.95);
+    within_1, within_2: share of samples whose error is at most one, two standard deviations (of a
+    Gaussian: 0.68, 0.95);
     error_over_spread: root mean square of one over the other, the factor that the spread would need; policies:
     per policy the error of its mean, and the mean spread, target's unit, with the same shares over policies. The spread
     of a mean over time is at most the mean of the spreads, so those shares are on the generous side.

@@ -5,7 +5,7 @@ What is left to write: `settings`, `fit`, `sequence`, `step` and `initial_state`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -16,12 +16,12 @@ from hts.measurement.data import pairs_of, with_products
 
 
 class TorchModel(nn.Module, MeasurementModel):
-    """Buffers from the data it was fitted to, in channel units: target_mean, target_std, input_low, input_high (F,), and of
-    the features (G,): feature_mean, feature_std.
+    """Buffers from the data it was fitted to, in channel units: target_mean, target_std, input_low, input_high (F,),
+    and of the features (G,): feature_mean, feature_std.
 
-    Features are the inputs and, with products, the products of channels of one size, place by place: of τ and q̇ of 12 joints
-    τ², τq̇ and q̇², so G = 24 + 36. A model that is given them need not learn to multiply from a few gaits, which it does badly
-    outside them.
+    Features are the inputs and, with products, the products of channels of one size, place by place: of τ and q̇ of 12
+    joints τ², τq̇ and q̇², so G = 24 + 36. A model that is given them need not learn to multiply from a few gaits,
+    which it does badly outside them.
     """
 
     def __init__(self, signals: Signals, products: bool = False) -> None:
@@ -91,10 +91,11 @@ class TorchModel(nn.Module, MeasurementModel):
         self._folded = None
         return super().train(mode)
 
-    def _apply(self, fn, recurse: bool = True):  # .to(device), .double(), ...
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> TorchModel:
+        # What .to(device), .double(), ... call.
         self._folded = None
         return super()._apply(fn, recurse)
 
-    def _load_from_state_dict(self, *args, **kwargs) -> None:
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         self._folded = None
         super()._load_from_state_dict(*args, **kwargs)

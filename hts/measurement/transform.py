@@ -13,7 +13,7 @@ env's reward: `hts.rl.MeasuredReward` adds λ·dt·(r_real − centre) to r_sim.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDictBase
@@ -63,8 +63,8 @@ class Measured(DeferrableTransform):
 class MeasurementTransform(Measured):
     """Predicts the objective's target in every env instance at every step, and turns it into r_real.
 
-    model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape. A model that
-    knows how far it may be wrong may be looked at from its worse side, see `measurement.pessimism`.
+    model: one for all candidates, moved to the env's device; reward: z-scored prediction -> r_real, any shape. A model
+    that knows how far it may be wrong may be looked at from its worse side, see `measurement.pessimism`.
     The memory, (P·N, ...), is emptied where an episode begins; it is part of `state_dict()`, so a run resumes in
     mid-episode. The model's weights are not: they have their own file (`measurement.files`).
     """
@@ -128,7 +128,7 @@ class MeasurementTransform(Measured):
             outside: model.outside(inputs).unsqueeze(-1),
         }
 
-    def _load_from_state_dict(self, state_dict, prefix, *args, **kwargs) -> None:
+    def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any) -> None:
         saved = state_dict.get(prefix + "memory")
         own = self._model[0].initial_state(1).shape[1:]
         if saved is not None and saved.shape[1:] != own and saved.movedim(-1, 0).shape[1:] == own:

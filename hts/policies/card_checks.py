@@ -17,7 +17,8 @@ NOT_NEGATIVE = ("kp", "kd", "exploration_std")
 
 
 def check_card(card: Mapping[str, Any], path: Path) -> None:
-    """Raises PolicyError, one line with the key, for a card with missing keys, wrong lengths, or absurd or non-finite numbers."""
+    """Raises PolicyError, one line with the key, for a card with missing keys, wrong lengths,
+    or absurd or non-finite numbers."""
     if not isinstance(card, Mapping):
         raise PolicyError(
             f"{path}: not a policy card (it is a {type(card).__name__}). Copy or export the policy again."

@@ -23,7 +23,7 @@ class DeployedPolicy:
     card: its PolicyCard as a plain namespace. Raises PolicyError for a file that is not an exported policy.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         try:
@@ -34,7 +34,8 @@ class DeployedPolicy:
             card: dict[str, Any] = json.loads(meta[CARD_KEY])
         except Exception as error:  # onnxruntime raises its own classes for each way a file can be broken
             raise PolicyError(
-                f"{path}: not an exported policy ({type(error).__name__}: {str(error)[:120]}). Export it again with `hts export`."
+                f"{path}: not an exported policy ({type(error).__name__}: {str(error)[:120]}). Export it again with "
+                "`hts export`."
             ) from error
         check_card(card, path)
         self._check_ends(path, card)
@@ -56,8 +57,8 @@ class DeployedPolicy:
             if found != [(name, "tensor(float)", size)]:
                 shown = ", ".join(f"{other} ({kind}, {width} wide)" for other, kind, width in found[:4])
                 raise PolicyError(
-                    f"{path}: its graph {what} {shown or 'nothing'}, its card says {name} (tensor(float), {size} wide). "
-                    "Export it again with `hts export`."
+                    f"{path}: its graph {what} {shown or 'nothing'}, its card says {name} (tensor(float), {size} "
+                    "wide). Export it again with `hts export`."
                 )
 
     def start(self, num: int, seed: int | None = None) -> None:
@@ -79,8 +80,8 @@ class DeployedPolicy:
         return self._pose + self._scale * self.action({**readings, "joint_position_offset": offset})
 
     def action(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
-        """The action itself (W, J), for machines whose actions are no joint targets. readings: every part of the policy's
-        observation by its name, (W, size); `last_action` is added."""
+        """The action itself (W, J), for machines whose actions are no joint targets. readings: every part of the
+        policy's observation by its name, (W, size); `last_action` is added."""
         values = {**readings, "last_action": self._last_action}
         observation = np.concatenate([np.asarray(values[name], np.float32) for name in self._parts], axis=1)
         if self.card.history > 1:

@@ -1,4 +1,5 @@
-"""Policies for robots: ONNX (any runtime) and TorchScript (LibTorch), both with the normaliser inside and the card attached."""
+"""Policies for robots: ONNX (any runtime) and TorchScript (LibTorch), both with the normaliser inside and the card
+attached."""
 
 from __future__ import annotations
 
@@ -31,11 +32,12 @@ def to_onnx(policy: Policy, path: Path) -> Path:
     initial = [numpy_helper.from_array(value.numpy().astype(np.float32), name) for name, value in weights.items()]
     initial += [numpy_helper.from_array(np.float32(value), name) for name, value in (("low", -CLIP), ("high", CLIP))]
     graph = helper.make_graph(
-        graph_nodes(layers), "policy",
+        graph_nodes(layers),
+        "policy",
         [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", policy.card.observation_size])],
         [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", len(policy.card.joint_names)])],
         initial,
-    )  # fmt: skip
+    )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, {CARD_KEY: json.dumps(asdict(policy.card))})
     onnx.checker.check_model(model)
@@ -61,7 +63,7 @@ def graph_nodes(layers: int) -> list[onnx.NodeProto]:
 class _Actor(torch.nn.Module):
     """The mean action of one policy, for tracing."""
 
-    def __init__(self, policy: Policy):
+    def __init__(self, policy: Policy) -> None:
         super().__init__()
         self.layers = len(policy.card.hidden) + 1
         for name, value in policy.tensors.items():

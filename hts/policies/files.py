@@ -79,11 +79,19 @@ def make_card(
 ) -> PolicyCard:
     """The card of a policy for a robot; `made` records how it was made."""
     return PolicyCard(
-        robot=spec.name, joint_names=spec.joint_names, default_pose=spec.default_pose, action_scale=spec.action_scale,
-        kp=spec.kp, kd=spec.kd, control_rate_hz=spec.control_rate_hz, observation=tuple(observation),
-        critic_observation_size=sizes.critic_observation, hidden=tuple(sizes.hidden),
-        policy_hash=hash_tensors(tensors), made=made,
-    )  # fmt: skip
+        robot=spec.name,
+        joint_names=spec.joint_names,
+        default_pose=spec.default_pose,
+        action_scale=spec.action_scale,
+        kp=spec.kp,
+        kd=spec.kd,
+        control_rate_hz=spec.control_rate_hz,
+        observation=tuple(observation),
+        critic_observation_size=sizes.critic_observation,
+        hidden=tuple(sizes.hidden),
+        policy_hash=hash_tensors(tensors),
+        made=made,
+    )
 
 
 def tensor_path(path: Path) -> Path:
@@ -166,10 +174,14 @@ def parse_card(text: str, path: Path) -> PolicyCard:
 def check_robot(path: Path, card: PolicyCard, robot: RobotSpec) -> None:
     """Raises PolicyError unless the policy was made for this robot with these joints, gains and rate."""
     for what, of_policy, of_robot in (
-        ("robot", card.robot, robot.name), ("joint order", card.joint_names, robot.joint_names),
-        ("default pose", card.default_pose, robot.default_pose), ("action scale", card.action_scale, robot.action_scale),
-        ("kp", card.kp, robot.kp), ("kd", card.kd, robot.kd), ("control rate", card.control_rate_hz, robot.control_rate_hz),
-    ):  # fmt: skip
+        ("robot", card.robot, robot.name),
+        ("joint order", card.joint_names, robot.joint_names),
+        ("default pose", card.default_pose, robot.default_pose),
+        ("action scale", card.action_scale, robot.action_scale),
+        ("kp", card.kp, robot.kp),
+        ("kd", card.kd, robot.kd),
+        ("control rate", card.control_rate_hz, robot.control_rate_hz),
+    ):
         if of_policy != of_robot:
             raise PolicyError(
                 f"{path}: made for {what} {of_policy}, robot '{robot.name}' has {of_robot}. "

@@ -29,7 +29,8 @@ from hts.rl.population import Population, Sizes
 
 # rsl_rl's EmpiricalNormalization divides by std + 0.01 (rsl_rl/modules/normalization.py).
 RSL_RL_EPSILON = 0.01
-# Without a normaliser, ours would clip raw observations at 10. This factor, exact in binary, moves that to 80 and changes no result.
+# Without a normaliser, ours would clip raw observations at 10.
+# This factor, exact in binary, moves that to 80 and changes no result.
 HEADROOM = 8.0
 NEW_CRITIC = "new"
 
@@ -86,7 +87,8 @@ def _from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy:
     properties = {entry.key: entry.value for entry in model.metadata_props}
     if CARD_KEY not in properties:
         raise PolicyError(
-            f"{path}: an ONNX file without our card (metadata '{CARD_KEY}'). Only files written by `hts export` can be read back."
+            f"{path}: an ONNX file without our card (metadata '{CARD_KEY}'). Only files written by `hts export` can be "
+            "read back."
         )
     card = parse_card(properties[CARD_KEY], path)
     check_robot(path, card, robot)
@@ -124,10 +126,14 @@ def _compare_graph(path: Path, model: Any, layers: int) -> None:
         )
     for node, own in zip(model.graph.node, expected, strict=True):
         if (node.domain, list(node.input), list(node.output), _attributes(node)) != (
-            "", list(own.input), list(own.output), _attributes(own),
-        ):  # fmt: skip
+            "",
+            list(own.input),
+            list(own.output),
+            _attributes(own),
+        ):
             raise PolicyError(
-                f"{path}: its {node.op_type} of {', '.join(node.input)} is not that of an exported policy. Export it again."
+                f"{path}: its {node.op_type} of {', '.join(node.input)} is not that of an exported policy. Export it "
+                "again."
             )
 
 
@@ -150,8 +156,9 @@ def _from_rsl_rl(path: Path, robot: RobotSpec, layout: Layout | None, std: float
     inputs, outputs = layers[0][0].shape[1], layers[-1][0].shape[0]
     if inputs != theirs or outputs != robot.num_joints:
         raise PolicyError(
-            f"{path}: its actor maps {inputs} observations to {outputs} actions, expected {theirs} to {robot.num_joints} "
-            f"for robot '{robot.name}'. Say with a Layout what it observes, or use a policy of this robot."
+            f"{path}: its actor maps {inputs} observations to {outputs} actions, expected {theirs} to "
+            f"{robot.num_joints} for robot '{robot.name}'. Say with a Layout what it observes, or use a policy of this "
+            "robot."
         )
     columns, scale, joints = _order(path, robot, layout, ours)
     if normaliser is None:
@@ -212,8 +219,9 @@ def _rsl_rl_parts(
 ) -> tuple[dict[str, torch.Tensor], tuple[torch.Tensor, torch.Tensor] | None, torch.Tensor | None]:
     """Layers by `N.weight`; mean and spread of the normaliser or None; log sigma or None.
 
-    rsl_rl up to 3 keeps one model_state_dict (actor.N.*, std or log_std, actor_obs_normalizer.*; before 3 the normaliser
-    lies beside it, obs_norm_state_dict); from 4 on an actor_state_dict (mlp.N.*, distribution.*, obs_normalizer.*).
+    rsl_rl up to 3 keeps one model_state_dict (actor.N.*, std or log_std, actor_obs_normalizer.*; before 3 the
+    normaliser lies beside it, obs_norm_state_dict); from 4 on an actor_state_dict (mlp.N.*, distribution.*,
+    obs_normalizer.*).
     """
     extra: tuple[str, ...]
     if "actor_state_dict" in data:
@@ -222,12 +230,14 @@ def _rsl_rl_parts(
         state, prefix, extra = data["model_state_dict"], "actor.", ("actor_obs_normalizer.", "std", "log_std", "critic")
     else:
         raise PolicyError(
-            f"{path}: has the parts {sorted(map(str, data))[:8]}, expected 'model_state_dict' or 'actor_state_dict' of rsl_rl."
+            f"{path}: has the parts {sorted(map(str, data))[:8]}, expected 'model_state_dict' or 'actor_state_dict' of "
+            "rsl_rl."
         )
     strange = [name for name in state if not name.startswith((prefix, *extra))]
     if strange:
         raise PolicyError(
-            f"{path}: its actor is more than layers and a normaliser (it has '{strange[0]}'): only plain rsl_rl actors can be read."
+            f"{path}: its actor is more than layers and a normaliser (it has '{strange[0]}'): only plain rsl_rl actors "
+            "can be read."
         )
     layers = {name.removeprefix(prefix): value.float() for name, value in state.items() if name.startswith(prefix)}
     inside = {name.split(".")[-1]: value for name, value in state.items() if name.startswith(extra[0])}

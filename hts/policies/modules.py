@@ -58,7 +58,8 @@ def _network(part: str, normaliser: str, tensors: Mapping[str, torch.Tensor]) ->
 
 
 def actor_of(policy: Policy) -> ProbabilisticActor:
-    """The policy as a `ProbabilisticActor`: observation [..., O] -> loc, scale, action [..., A] and action_log_prob [...].
+    """The policy as a `ProbabilisticActor`: observation [..., O] -> loc, scale, action [..., A] and
+    action_log_prob [...].
 
     For example `actor_of(load_policy(path))`. Its parameters can be trained; the observation normaliser stays.
     """

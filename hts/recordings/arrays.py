@@ -40,7 +40,8 @@ def write_group(folder: Path, attributes: Mapping[str, Any], arrays: Mapping[str
 
 
 def read_array(folder: Path, shape: tuple[int, ...]) -> np.ndarray:
-    """The decoded array of that shape. Raises OSError, ValueError, KeyError, … if it is damaged; the caller hashes the result."""
+    """The decoded array of that shape. Raises OSError, ValueError, KeyError, … if it is damaged;
+    the caller hashes the result."""
     metadata = json.loads((folder / "zarr.json").read_bytes())
     found, chunk = metadata["shape"], metadata["chunk_grid"]["configuration"]["chunk_shape"]
     # Before zarr makes room for it: a file of a few bytes can ask for any amount of memory.

@@ -178,8 +178,8 @@ def _channel(name: str, one: ChannelMapping, components: int, robot: Robot) -> C
         units.conversion(one.unit, own.unit)
     except RecordingError as error:
         raise ConfigError(
-            f"Mapping: '{name}' is in {own.unit} on robot '{robot.spec.name}', not {one.unit}: {error} Correct the unit, or "
-            "the column."
+            f"Mapping: '{name}' is in {own.unit} on robot '{robot.spec.name}', not {one.unit}: {error} Correct the "
+            "unit, or the column."
         ) from error
     if int(np.prod(own.shape)) != components:
         raise ConfigError(

@@ -11,6 +11,7 @@ from hts.report.data import Json, RunData
 from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, error_bar, figure, ramp, zero_line
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -203,7 +204,7 @@ def _styles(rows: list[Json], objective: str) -> dict[str, dict[str, str]]:
     }
 
 
-def _simulated(panel, iteration: Json, objective: str, styles: dict[str, dict[str, str]]) -> None:
+def _simulated(panel: Axes, iteration: Json, objective: str, styles: dict[str, dict[str, str]]) -> None:
     for bound in sorted({c["kl_bound"] for c in iteration["candidates"] if c["kl_bound"] is not None}):
         panel.axvline(bound, color=SOFT, linewidth=0.8, linestyle=(0, (3, 3)), zorder=1)
         panel.annotate(
@@ -234,7 +235,9 @@ def _simulated(panel, iteration: Json, objective: str, styles: dict[str, dict[st
     panel.margins(x=0.1, y=0.15)
 
 
-def _measured(panel, run: RunData, iteration: Json, objective: str, factor: float, styles) -> None:
+def _measured(
+    panel: Axes, run: RunData, iteration: Json, objective: str, factor: float, styles: dict[str, dict[str, str]]
+) -> None:
     tested = [
         (candidate, speed, result)
         for candidate, speed, result in run.tested(iteration, objective)

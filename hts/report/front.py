@@ -9,10 +9,10 @@ from hts.report import wording
 from hts.report.data import RunData
 
 FRONT_CAPTION = (
-    "Left: every policy tried in reality, by what its gain over the pretrained policy (diamond) counts as; bars are 95 % "
-    "intervals, crosses fell. Dark: the front, beaten by no other in both at once; the line is the edge of what it beats. Ringed: the "
-    "final policy. Right: every candidate by its scores in simulation above those of the pretrained policy; each "
-    "iteration has measurement models of its own, so that its points compare among themselves."
+    "Left: every policy tried in reality, by what its gain over the pretrained policy (diamond) counts as; bars are 95 "
+    "% intervals, crosses fell. Dark: the front, beaten by no other in both at once; the line is the edge of what it "
+    "beats. Ringed: the final policy. Right: every candidate by its scores in simulation above those of the pretrained "
+    "policy; each iteration has measurement models of its own, so that its points compare among themselves."
 )
 
 
@@ -37,11 +37,13 @@ def front_text(run: RunData, tested: int) -> str:
     names = " and ".join(run.objectives)
     found = [entry for entry in run.front if entry["id"] != "pretrained"]
     if not found:
-        return f"None of the {tested} policies tried in reality gains in any of {names}: the pretrained policy is the front."
+        none = f"None of the {tested} policies tried in reality gains in any of {names}"
+        return f"{none}: the pretrained policy is the front."
     verb = "is" if len(found) == 1 else "are"
     text = (
-        f"{len(found)} of {tested} policies tried in reality {verb} beaten by no other in {names} together. They are compared "
-        "by what counts, which an objective may make stricter than its improvement (the smaller of two savings, say)."
+        f"{len(found)} of {tested} policies tried in reality {verb} beaten by no other in {names} together. They are "
+        "compared by what counts, which an objective may make stricter than its improvement (the smaller of two "
+        "savings, say)."
     )
     if len(found) < len(run.front):
         text += " None of them gains in everything, so that the pretrained policy is one of the front too."

@@ -11,13 +11,15 @@ from hts.report.data import Json, RunData
 from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, figure, ramp
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 PAIR = tuple[float, float]
 
 
 def front(run: RunData, pair: tuple[str, str]) -> Figure | None:
-    """What was measured in two objectives, as it counts, the front of all tested policies; beside it the same in simulation."""
+    """What was measured in two objectives, as it counts, the front of all tested policies;
+    beside it the same in simulation."""
     tested = list(_tested(run, pair))
     if not tested:
         return None
@@ -50,7 +52,7 @@ def counts(candidate: Json, objective: str, result: Json) -> tuple[float, Sequen
     return score, None
 
 
-def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple[Json, list[Json]]]) -> None:
+def _measured(panel: Axes, run: RunData, pair: tuple[str, str], tested: Sequence[tuple[Json, list[Json]]]) -> None:
     factors = [wording.scale(run.unit(name)) for name in pair]
     on_front = {entry["id"] for entry in run.front}
     best = (run.summary.get("final") or {}).get("policy")
@@ -66,16 +68,30 @@ def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple
             bars.append([[max(0.0, value - low)], [max(0.0, high - value)]])
         kept = candidate["id"] in on_front
         panel.errorbar(
-            [place[0]], [place[1]], xerr=bars[0], yerr=bars[1], fmt="x" if candidate.get("fell") else "o",
-            color=ACCENT if kept else REFERENCE, markersize=6 if kept else 4.5, capsize=0, linewidth=1.1,
-            alpha=1.0 if kept else 0.75, zorder=4 if kept else 3,
-        )  # fmt: skip
+            [place[0]],
+            [place[1]],
+            xerr=bars[0],
+            yerr=bars[1],
+            fmt="x" if candidate.get("fell") else "o",
+            color=ACCENT if kept else REFERENCE,
+            markersize=6 if kept else 4.5,
+            capsize=0,
+            linewidth=1.1,
+            alpha=1.0 if kept else 0.75,
+            zorder=4 if kept else 3,
+        )
         if kept:
             line.append((place[0], place[1]))
             panel.annotate(
-                candidate["id"], (place[0], place[1]), xytext=(5, 5), textcoords="offset points", fontsize=7.5,
-                fontweight="bold" if candidate["id"] == best else "normal", color=INK, zorder=5,
-            )  # fmt: skip
+                candidate["id"],
+                (place[0], place[1]),
+                xytext=(5, 5),
+                textcoords="offset points",
+                fontsize=7.5,
+                fontweight="bold" if candidate["id"] == best else "normal",
+                color=INK,
+                zorder=5,
+            )
         if candidate["id"] == best:
             panel.plot([place[0]], [place[1]], "o", markersize=11, markerfacecolor="none", color=INK, zorder=5)
     if "pretrained" in on_front:
@@ -90,7 +106,7 @@ def _measured(panel, run: RunData, pair: tuple[str, str], tested: Sequence[tuple
     panel.margins(0.12)
 
 
-def _simulated(panel, run: RunData, pair: tuple[str, str]) -> None:
+def _simulated(panel: Axes, run: RunData, pair: tuple[str, str]) -> None:
     """Scores above those of the pretrained policy, by the measurement models of each iteration."""
     fronts = {int(entry["iteration"]): set(entry["ids"]) for entry in run.simulated_fronts}
     _cross(panel)
@@ -106,9 +122,15 @@ def _simulated(panel, run: RunData, pair: tuple[str, str]) -> None:
             kept = candidate["id"] in fronts.get(index, ())
             walks = not candidate.get("falls") and candidate.get("tracked", True)
             panel.plot(
-                [place[0]], [place[1]], marker=MARKERS[position % len(MARKERS)] if walks else "x", linestyle="none",
-                color=color, markersize=6 if kept else 4.5, alpha=1.0 if kept else 0.45, zorder=3,
-            )  # fmt: skip
+                [place[0]],
+                [place[1]],
+                marker=MARKERS[position % len(MARKERS)] if walks else "x",
+                linestyle="none",
+                color=color,
+                markersize=6 if kept else 4.5,
+                alpha=1.0 if kept else 0.45,
+                zorder=3,
+            )
             if candidate.get("elite"):
                 panel.plot([place[0]], [place[1]], "o", markersize=10, markerfacecolor="none", color=SOFT, mew=0.7)
             if kept:
@@ -130,23 +152,27 @@ def _legend(rounds: Sequence[tuple[int, Json]]) -> list[Any]:
 
     marks = [
         Line2D(
-            [], [], marker=MARKERS[position % len(MARKERS)], linestyle="none", color=ramp(position, len(rounds)),
+            [],
+            [],
+            marker=MARKERS[position % len(MARKERS)],
+            linestyle="none",
+            color=ramp(position, len(rounds)),
             label=f"iteration {index}",
         )
         for position, (index, _) in enumerate(rounds)
-    ]  # fmt: skip
+    ]
     ring = Line2D([], [], marker="o", markersize=9, linestyle="none", markerfacecolor="none", color=SOFT, label="elite")
     cross = Line2D([], [], marker="x", linestyle="none", color=SOFT, label="fell or missed the speed")
     return [*marks, ring, cross]
 
 
-def _stairs(panel, points: Sequence[PAIR], color: str) -> None:
+def _stairs(panel: Axes, points: Sequence[PAIR], color: str) -> None:
     """The edge of what the front dominates: below and left of it is beaten by one of its points."""
     if len(points) > 1:
         panel.step(*zip(*sorted(points), strict=True), where="pre", color=color, linewidth=1.3, alpha=0.7, zorder=2)
 
 
-def _cross(panel) -> None:
+def _cross(panel: Axes) -> None:
     """The pretrained policy's level in both."""
     panel.axhline(0.0, color=SOFT, linewidth=0.8, zorder=1)
     panel.axvline(0.0, color=SOFT, linewidth=0.8, zorder=1)

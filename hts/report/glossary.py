@@ -21,16 +21,16 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
     (
         "Head-to-head",
         (
-            "Both policies on one robot, one after the other in the order A-B-B-A, so that anything that drifts steadily, "
-            "such as charge or heat, adds the same to both and cancels."
+            "Both policies on one robot, one after the other in the order A-B-B-A, so that anything that drifts "
+            "steadily, such as charge or heat, adds the same to both and cancels."
         ),
     ),
     (
         "Segment",
         (
             "One second of walking whose mean forward speed is within the allowed deviation (10 % by default) of the "
-            "commanded speed. The first two seconds after each change and everything near a fall are left out. The share "
-            "in brackets is the valid part of all seconds."
+            "commanded speed. The first two seconds after each change and everything near a fall are left out. The "
+            "share in brackets is the valid part of all seconds."
         ),
     ),
     ("Mean speed", "Over the valid segments; in brackets that of the pretrained policy. Walking slower is not saving."),
@@ -42,8 +42,8 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
     (
         "Pretrained, anchor, best",
         (
-            "The policy the run started from; the policy a candidate was fine-tuned from and is kept close to; the elite "
-            "with the best measured score, which is an anchor of the next iteration."
+            "The policy the run started from; the policy a candidate was fine-tuned from and is kept close to; the "
+            "elite with the best measured score, which is an anchor of the next iteration."
         ),
     ),
     (
@@ -53,32 +53,32 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
     (
         "KL, c",
         (
-            "How far a candidate's actions are from its anchor's, on average over the states it visits, in nats; c is the "
-            "bound that fine-tuning keeps it under (∞: none)."
+            "How far a candidate's actions are from its anchor's, on average over the states it visits, in nats; c is "
+            "the bound that fine-tuning keeps it under (∞: none)."
         ),
     ),
     ("λ", "Weight of the measured objective against the walking task in the reward."),
     (
         "Score in simulation",
         (
-            "Mean reward of the objective alone, as the measurement model of that iteration predicts it: larger is better. "
-            "Scores of different iterations come from different models and are not comparable. A white cross marks a "
-            "candidate that fell in simulation."
+            "Mean reward of the objective alone, as the measurement model of that iteration predicts it: larger is "
+            "better. Scores of different iterations come from different models and are not comparable. A white cross "
+            "marks a candidate that fell in simulation."
         ),
     ),
     (
         "Front",
         (
             "With several objectives: the policies tried in reality for which no other is at least as good in all of "
-            "them and better in one, the pretrained policy among them. Compared by what each objective selects by, which can "
-            "be stricter than the improvement that is drawn. Policies that fell are not on it."
+            "them and better in one, the pretrained policy among them. Compared by what each objective selects by, "
+            "which can be stricter than the improvement that is drawn. Policies that fell are not on it."
         ),
     ),
     (
         "Improvement during iterations",
         (
-            "Measured in one shorter head-to-head each. The largest of several noisy numbers is flattering by nature; the "
-            "final head-to-head measures the chosen policy afresh."
+            "Measured in one shorter head-to-head each. The largest of several noisy numbers is flattering by nature; "
+            "the final head-to-head measures the chosen policy afresh."
         ),
     ),
     (
@@ -88,29 +88,29 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
     (
         "Held-out R²",
         (
-            "Share of the variance of the measured quantity that the model explains in recordings it was not fitted on; "
-            "1 is perfect, 0 is no better than the mean."
+            "Share of the variance of the measured quantity that the model explains in recordings it was not fitted "
+            "on; 1 is perfect, 0 is no better than the mean."
         ),
     ),
     (
         "Analytic stand-in",
         (
-            "A formula of simulated quantities that the objective offers instead of a learned model, fitted to the same "
-            "recordings as well as it can be: the baseline."
+            "A formula of simulated quantities that the objective offers instead of a learned model, fitted to the "
+            "same recordings as well as it can be: the baseline."
         ),
     ),
     (
         "Rank correlation",
         (
-            "Agreement between predicted and measured order of the policies, from −1 to 1; it says whether the model can "
-            "tell a better policy from a worse one. Needs at least two policies."
+            "Agreement between predicted and measured order of the policies, from −1 to 1; it says whether the model "
+            "can tell a better policy from a worse one. Needs at least two policies."
         ),
     ),
     (
         "Segment by segment",
         (
-            "Each point is one second of the final head-to-head: the first quantity that the objective scores, relative to "
-            "the mean of the pretrained policy. Bars are means."
+            "Each point is one second of the final head-to-head: the first quantity that the objective scores, "
+            "relative to the mean of the pretrained policy. Bars are means."
         ),
     ),
     (

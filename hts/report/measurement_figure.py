@@ -10,6 +10,7 @@ from hts.report.style import ACCENT, INK, REFERENCE, SOFT, figure
 from hts.report.wording import label
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -42,7 +43,7 @@ def proxy_r2(fit: Mapping[str, Any]) -> float | None:
     return (proxy.get("smoothed") or proxy).get("r2")
 
 
-def _quality(panel, rows: list[tuple[int, Mapping[str, Any]]], proxy: list[tuple[int, float | None]]) -> None:
+def _quality(panel: Axes, rows: list[tuple[int, Mapping[str, Any]]], proxy: list[tuple[int, float | None]]) -> None:
     for values, name, color, marker in (
         ([(index, model.get("held_out_r2")) for index, model in rows], "held-out R²", ACCENT, "o"),
         ([(index, model.get("rank_correlation")) for index, model in rows], "rank correlation", INK, "D"),
@@ -64,7 +65,7 @@ def _quality(panel, rows: list[tuple[int, Mapping[str, Any]]], proxy: list[tuple
         panel.legend(loc="lower right")
 
 
-def _predicted(panel, index: int, fit: Mapping[str, Any]) -> None:
+def _predicted(panel: Axes, index: int, fit: Mapping[str, Any]) -> None:
     points = policy_means(fit)
     unit = (fit.get("held_out") or {}).get("unit", "1")
     what = label(str(fit.get("target", "target"))) + ("" if unit == "1" else f", {unit}")

@@ -39,29 +39,32 @@ def nobody_chosen(rows: Sequence[Row]) -> str:
 
 
 def closing(summary: Mapping[str, Any]) -> list[str]:
-    """Sentences for the end of a run in which nobody, or for long nobody, was chosen; empty if there is nothing to say."""
+    """Sentences for the end of a run in which nobody, or for long nobody, was chosen;
+    empty if there is nothing to say."""
     iterations = [
         (one.get("index", number), one.get("best"), [row for row in one.get("candidates") or () if row.get("elite")])
         for number, one in enumerate(summary.get("iterations") or ())
     ]
-    told = []
+    sentences = []
     if (summary.get("final") or {}).get("policy") == "pretrained":
-        told.append(_no_final([row for _, _, rows in iterations for row in rows], bool(iterations)))
+        sentences.append(_no_final([row for _, _, rows in iterations for row in rows], bool(iterations)))
     for nobody, group in groupby(iterations, key=lambda one: one[1] is None):
         streak = list(group)
         if nobody and SEVERAL <= len(streak) < len(iterations):  # if it is all of them, that is said above
             rows = [row for _, _, tried in streak for row in tried]
             about = fates(rows) or "nobody was tested"
-            told.append(f"Iterations {streak[0][0]:02d} to {streak[-1][0]:02d} chose nobody: {about}.")
-    return told
+            sentences.append(f"Iterations {streak[0][0]:02d} to {streak[-1][0]:02d} chose nobody: {about}.")
+    return sentences
 
 
 def _no_final(rows: Sequence[Row], known: bool) -> str:
     text = "No final head-to-head: "
     if rows and all(row.get("refused") for row in rows):
-        return f"{text}every elite was refused, so nothing could be compared; the pretrained policy stays the best. {_capital(fates(rows))}. {ADVICE}"
+        text += "every elite was refused, so nothing could be compared; the pretrained policy stays the best."
+        return f"{text} {_capital(fates(rows))}. {ADVICE}"
     if known and not rows:
-        return f"{text}no candidate was tested, since all fell or were stopped in simulation; the pretrained policy stays the best."
+        text += "no candidate was tested, since all fell or were stopped in simulation; "
+        return f"{text}the pretrained policy stays the best."
     text += "no candidate measured better than the pretrained policy, which stays the best."
     return f"{text} {_capital(fates(rows))}." if rows else text
 

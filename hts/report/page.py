@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SOURCES = {
-    "twin": "a twin: a second simulation with other dynamics and its own simulated instruments, into which learning could not look",
+    "twin": "a twin: a second simulation with other dynamics and its own simulated instruments, "
+    "into which learning could not look",
     "field": "recorded by a person with a robot and imported",
 }
 """Where the measurements of our own worlds come from; the end of a sentence."""
@@ -78,8 +79,8 @@ def world_words(run: RunData) -> tuple[str, str]:
     if run.world_simulated:
         source = SOURCES.get(run.world, f"the world '{run.world}', which computes its physics")
         return "Simulated reality.", (
-            f"No robot was involved. The measurements come from {source}. They show that the method works there; what a "
-            "real robot gains only a real robot can tell."
+            f"No robot was involved. The measurements come from {source}. They show that the method works there; what "
+            "a real robot gains only a real robot can tell."
         )
     if run.world_simulated is False:
         source = SOURCES.get(run.world, f"made on a machine, in the world '{run.world}'")
@@ -181,8 +182,8 @@ def _headline(run: RunData, name: str, result: Json) -> str:
             (worse, "worse"),
             ([k for k in speeds if k not in better + worse], "not clearly either"),
         ]
-        told = ", ".join(f"{word} at {_speeds(keys)}" for keys, word in parts if keys)
-        text = f"Against the pretrained policy, {policy} is, for {name}, {told}."
+        found = ", ".join(f"{word} at {_speeds(keys)}" for keys, word in parts if keys)
+        text = f"Against the pretrained policy, {policy} is, for {name}, {found}."
     if refused:
         text += f" At {_speeds(refused)} it is not judged: it does not keep the commanded speed."
     fell = "It did not fall." if not falls else f"It fell {falls} time{'' if falls == 1 else 's'}."
@@ -199,7 +200,8 @@ def _later(run: RunData) -> dict[str, Any] | None:
         return None
     return {
         "text": f"`hts evaluate`: policy {evaluation.get('policy', 'best')} against pretrained on world "
-        f"{evaluation.get('world', 'unknown')}{' (simulated)' if evaluation.get('world_simulated') else ''}, seed {evaluation.get('seed', 'unknown')}.",
+        f"{evaluation.get('world', 'unknown')}{' (simulated)' if evaluation.get('world_simulated') else ''}, seed "
+        f"{evaluation.get('seed', 'unknown')}.",
         "objectives": [result_rows(name, result) for name, result in evaluation["objectives"].items()],
     }
 
@@ -217,8 +219,8 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             "improvement",
             "Improvement by speed",
             (
-                "Final head-to-head against the pretrained policy (zero). Bars: 95 % intervals. Open marks, if any: the objective's "
-                "other fractions."
+                "Final head-to-head against the pretrained policy (zero). Bars: 95 % intervals. Open marks, if any: "
+                "the objective's other fractions."
             ),
             figures.improvement,
         ),
@@ -226,8 +228,8 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             "distribution",
             "Segment by segment",
             (
-                "Each point is one second of the final head-to-head, relative to the mean of the pretrained policy. Short "
-                "lines: means."
+                "Each point is one second of the final head-to-head, relative to the mean of the pretrained policy. "
+                "Short lines: means."
             ),
             figures.distribution,
         ),
@@ -235,8 +237,8 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             "iterations",
             "Over the iterations",
             (
-                "Measured improvement of every elite, and of the best one with its 95 % interval. The best of several noisy "
-                "numbers is flattering; the final head-to-head measures afresh."
+                "Measured improvement of every elite, and of the best one with its 95 % interval. The best of several "
+                "noisy numbers is flattering; the final head-to-head measures afresh."
             ),
             figures.iterations,
         ),
@@ -244,8 +246,9 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             "sweep",
             "Sweep",
             (
-                "Left: every candidate by its distance from its anchor (dashed: the bounds c) and its score in simulation; "
-                "rings are elites. Right: what the elites gained in reality, with 95 % intervals; the best is in bold."
+                "Left: every candidate by its distance from its anchor (dashed: the bounds c) and its score in "
+                "simulation; rings are elites. Right: what the elites gained in reality, with 95 % intervals; the best "
+                "is in bold."
             ),
             figures.sweep,
         ),
@@ -253,8 +256,9 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             "measurement",
             "Measurement model",
             (
-                "Left: how well the model predicts recordings it was not fitted to, and in which order it puts the policies. "
-                "Right: each point is a policy at one commanded speed; on the line, prediction equals measurement."
+                "Left: how well the model predicts recordings it was not fitted to, and in which order it puts the "
+                "policies. Right: each point is a policy at one commanded speed; on the line, prediction equals "
+                "measurement."
             ),
             measurement_figure.measurement,
         ),

@@ -6,10 +6,10 @@
     for data in collector:
         advantage(data)
         for batch in minibatches(data): ...                                           # loss(batch), backward, step
-        loss.update_multiplier(loss.kl_to_reference(data))                            # once a batch; forward changes nothing
+        loss.update_multiplier(loss.kl_to_reference(data))                            # once a batch
 
-Every piece works alone, with TorchRL's other pieces and with plain `ProbabilisticActor`s; `examples/torchrl_ppo.py` is a
-stock TorchRL script with three of them swapped in. Names are imported when they are first asked for.
+Every piece works alone, with TorchRL's other pieces and with plain `ProbabilisticActor`s; `examples/torchrl_ppo.py` is
+a stock TorchRL script with three of them swapped in. Names are imported when they are first asked for.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ _HOMES = {
     "gaussian_kl": "kl",
     "project_to_kl_bound": "kl_bound",
 }
-"""Public name -> the module it lives in. Torch and TorchRL take seconds to import, and not everybody needs all of this."""
+"""Public name -> the module it lives in. Torch and TorchRL take seconds to import, and not everybody needs all of
+this."""
 
 __all__ = [
     "Backend",

@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch.distributions import Independent, Normal
 
-from hts.rl.population import Population
+from hts.rl.population import Parameters, Population
 from hts.rl.random import PopulationRandom
 
 LOG_2PI = math.log(2 * math.pi)
@@ -52,7 +52,7 @@ class PopulationActor(TensorDictModuleBase):
         """Mean actions [P, ..., A], without gradients."""
         return self.population.mean(observation.flatten(1, -2)).view(*observation.shape[:-1], -1)
 
-    def log_std(self, ndim: int, named=None) -> torch.Tensor:
+    def log_std(self, ndim: int, named: Parameters | None = None) -> torch.Tensor:
         """ln sigma, [P, 1, ..., 1, A] of ndim dimensions."""
         log_std = self.population.log_std(named)
         return log_std.view(len(log_std), *(1,) * (ndim - 2), -1)

@@ -10,13 +10,19 @@ from hts.rl.population import Population
 
 
 def advantages(
-    reward: torch.Tensor, value: torch.Tensor, next_value: torch.Tensor, terminated: torch.Tensor, done: torch.Tensor,
-    gamma: float, lam: float,
-) -> tuple[torch.Tensor, torch.Tensor]:  # fmt: skip
+    reward: torch.Tensor,
+    value: torch.Tensor,
+    next_value: torch.Tensor,
+    terminated: torch.Tensor,
+    done: torch.Tensor,
+    gamma: float,
+    lam: float,
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Advantage and value target, each [P, N, T].
 
-    reward, value, terminated, done [P, N, T]; next_value [P, N, T]: V of the state that each step ended in, which at the end
-    of an episode is the last one of the old episode. A time-out (done, not terminated) bootstraps from it, a fall from 0.
+    reward, value, terminated, done [P, N, T]; next_value [P, N, T]: V of the state that each step ended in, which at
+    the end of an episode is the last one of the old episode. A time-out (done, not terminated) bootstraps from it, a
+    fall from 0.
     """
     column = (..., None)
     # Step by step and not TorchRL's vectorised form, whose sums depend a little on the number of candidates.

@@ -38,8 +38,13 @@ class Backend(ABC):
 
     @abstractmethod
     def collector(
-        self, env: EnvBase, actor: PopulationActor, frames_per_batch: int, reference: Population | None, fixed_normaliser: bool
-    ) -> BaseCollector:  # fmt: skip
+        self,
+        env: EnvBase,
+        actor: PopulationActor,
+        frames_per_batch: int,
+        reference: Population | None,
+        fixed_normaliser: bool,
+    ) -> BaseCollector:
         """The fastest collector that env can have: by its parts if it is a `SplitStepEnv`, else TorchRL's own.
 
         reference: whose mean actions learning will ask for; fixed_normaliser: false where observations are
@@ -68,18 +73,25 @@ class CpuBackend(Backend):
 
     kl_stride = 1
 
-    def collector(self, env, actor, frames_per_batch, reference, fixed_normaliser):
+    def collector(
+        self,
+        env: EnvBase,
+        actor: PopulationActor,
+        frames_per_batch: int,
+        reference: Population | None,
+        fixed_normaliser: bool,
+    ) -> BaseCollector:
         if can_split(env):
             return PopulationCollector(env, actor, frames_per_batch=frames_per_batch)
         return torchrl_collector(env, actor, frames_per_batch)
 
-    def gradient_steps(self, population, settings, stop):
+    def gradient_steps(self, population: Population, settings: UpdateSettings, stop: Stop) -> GradientSteps:
         return SeparateSteps(population, settings, stop)
 
-    def next_values(self, population, data, value):
+    def next_values(self, population: Population, data: TensorDictBase, value: torch.Tensor) -> torch.Tensor:
         return sparse_next_values(population, data, value)
 
-    def permutation(self, random, count):
+    def permutation(self, random: PopulationRandom, count: int) -> torch.Tensor:
         return torch.stack([torch.randperm(count, generator=generator) for generator in random.generators])
 
 
@@ -92,26 +104,39 @@ class GpuBackend(Backend):
     def __init__(self, device: torch.device, capture: bool, tf32: bool, fuse: bool | None) -> None:
         self.device, self.capture, self.tf32, self.fuse = device, capture and device.type == "cuda", tf32, fuse
 
-    def collector(self, env, actor, frames_per_batch, reference, fixed_normaliser):
+    def collector(
+        self,
+        env: EnvBase,
+        actor: PopulationActor,
+        frames_per_batch: int,
+        reference: Population | None,
+        fixed_normaliser: bool,
+    ) -> BaseCollector:
         if not can_split(env):
             return torchrl_collector(env, actor, frames_per_batch)
         return CapturedCollector(
-            env, actor, frames_per_batch=frames_per_batch, capture=self.capture, tf32=self.tf32, compiled=self.fuse,
-            side_stream=self.capture and fixed_normaliser, reference=reference,
-        )  # fmt: skip
+            env,
+            actor,
+            frames_per_batch=frames_per_batch,
+            capture=self.capture,
+            tf32=self.tf32,
+            compiled=self.fuse,
+            side_stream=self.capture and fixed_normaliser,
+            reference=reference,
+        )
 
-    def gradient_steps(self, population, settings, stop):
+    def gradient_steps(self, population: Population, settings: UpdateSettings, stop: Stop) -> GradientSteps:
         return BatchedSteps(population, settings, stop, self.capture, tf32=self.tf32, fuse=self.fuse)
 
-    def next_values(self, population, data, value):
+    def next_values(self, population: Population, data: TensorDictBase, value: torch.Tensor) -> torch.Tensor:
         seen = data["next", "critic_observation"].flatten(1, 2)
         return population.value(seen).view(value.shape)
 
-    def permutation(self, random, count):
+    def permutation(self, random: PopulationRandom, count: int) -> torch.Tensor:
         draws = torch.empty(len(random.generators), count, device=self.device)
         return random.fill("uniform_", draws).argsort(dim=1)  # one sort for all of them
 
-    def repeated(self, function):
+    def repeated(self, function: Callable[[], Result]) -> Callable[[], Result]:
         return Captured(function, self.device) if self.capture else function
 
 

@@ -1,4 +1,4 @@
-"""The gradient steps of a batch on a GPU: all candidates in each, as one CUDA graph that is launched again and again."""
+"""The gradient steps of a batch on a GPU: all candidates in each, as one CUDA graph that is replayed."""
 
 from __future__ import annotations
 
@@ -25,9 +25,15 @@ class BatchedSteps(GradientSteps):
     """
 
     def __init__(
-        self, population: Population, config: UpdateSettings, stop: Stop, capture: bool, *, tf32: bool = True,
+        self,
+        population: Population,
+        config: UpdateSettings,
+        stop: Stop,
+        capture: bool,
+        *,
+        tf32: bool = True,
         fuse: bool | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(population, config, stop)
         count, device = population.count, population.device
         self._capture, self._tf32 = capture, tf32
@@ -50,7 +56,14 @@ class BatchedSteps(GradientSteps):
 
     # --------------------------------------------------------------------------------------------------- a batch
 
-    def run(self, samples, constant, multipliers, orders, policy_on):
+    def run(
+        self,
+        samples: Samples,
+        constant: Samples,
+        multipliers: torch.Tensor,
+        orders: Sequence[torch.Tensor],
+        policy_on: float,
+    ) -> dict[str, torch.Tensor]:
         self._hold(samples, constant, multipliers, policy_on)
         self._sums.zero_()
         updates = 0
@@ -72,11 +85,14 @@ class BatchedSteps(GradientSteps):
         for (name, value), broad, full in zip(samples.items(), wide, padded, strict=True):
             self._columns[name] = (start, broad.shape[-1], value.ndim == 2)
             start += full.shape[-1]
+        first_rows = torch.arange(len(multipliers)).unsqueeze(1) * wide[0].shape[1]  # of each candidate's samples
         new = {
-            **constant, "samples": torch.cat(padded, -1), "multipliers": multipliers,
+            **constant,
+            "samples": torch.cat(padded, -1),
+            "multipliers": multipliers,
             "policy_on": torch.tensor(policy_on),
-            "first": torch.arange(len(multipliers)).unsqueeze(1) * wide[0].shape[1],  # row of a candidate's first sample
-        }  # fmt: skip
+            "first": first_rows,
+        }
         self._constant = tuple(constant)
         for name, value in new.items():
             if name not in self._fixed or self._fixed[name].shape != value.shape:
@@ -118,7 +134,9 @@ class BatchedSteps(GradientSteps):
             self.adapt(parts[REPORTED.index("kl_old")])
         self._sums += torch.stack(parts)
 
-    def _forward(self, stacked, batch, multipliers, policy_on) -> tuple[torch.Tensor, ...]:
+    def _forward(
+        self, stacked: torch.Tensor, batch: Samples, multipliers: torch.Tensor, policy_on: torch.Tensor
+    ) -> tuple[torch.Tensor, ...]:
         """The loss summed over candidates, which share no parameter, and what is reported of it, each [P]."""
         loss = self._loss(batch, multipliers, policy_on, slice(None), self.population.split(stacked))
         return (loss.total.sum(), *(getattr(loss, name) for name in REPORTED))
@@ -131,9 +149,15 @@ class BatchedSteps(GradientSteps):
         self._update(*memory)
 
     def _adam_step(
-        self, gradient: torch.Tensor, leaf: torch.Tensor, exp_avg: torch.Tensor, exp_avg_sq: torch.Tensor,
-        step: torch.Tensor, rates: torch.Tensor, running: torch.Tensor,
-    ) -> None:  # fmt: skip
+        self,
+        gradient: torch.Tensor,
+        leaf: torch.Tensor,
+        exp_avg: torch.Tensor,
+        exp_avg_sq: torch.Tensor,
+        step: torch.Tensor,
+        rates: torch.Tensor,
+        running: torch.Tensor,
+    ) -> None:
         """In place: gradient, leaf and moments [P, D], step [], rates [P], running bool [P]."""
         norms = torch.linalg.vector_norm(gradient, dim=1)
         running &= norms.isfinite()
@@ -143,10 +167,23 @@ class BatchedSteps(GradientSteps):
         before = leaf.clone()
         # Adam's step is proportional to its rate: it is taken with rate 1 and then scaled by each candidate's own.
         adam(
-            [leaf], [clipped], [exp_avg], [exp_avg_sq], [], [step], foreach=False, fused=not self._fuse,
-            capturable=self._fuse or leaf.device.type == "cuda", amsgrad=False, beta1=0.9, beta2=0.999, lr=1.0, weight_decay=0.0,
-            eps=1e-8, maximize=False,
-        )  # fmt: skip
+            [leaf],
+            [clipped],
+            [exp_avg],
+            [exp_avg_sq],
+            [],
+            [step],
+            foreach=False,
+            fused=not self._fuse,
+            capturable=self._fuse or leaf.device.type == "cuda",
+            amsgrad=False,
+            beta1=0.9,
+            beta2=0.999,
+            lr=1.0,
+            weight_decay=0.0,
+            eps=1e-8,
+            maximize=False,
+        )
         leaf.copy_(torch.lerp(before, leaf, torch.where(running, rates, 0.0).unsqueeze(1)))
 
     def adapt(self, kl_old: torch.Tensor) -> None:

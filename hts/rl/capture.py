@@ -27,8 +27,8 @@ def warm_up(function: Callable[[], Any], device: torch.device, times: int = WARM
 
 @contextlib.contextmanager
 def explained() -> Iterator[None]:
-    """Around what a capture does for the first time. Raises SimulationError where something in it waits for the device or
-    reads a value, which can be neither captured nor written down."""
+    """Around what a capture does for the first time. Raises SimulationError where something in it waits for the device
+    or reads a value, which can be neither captured nor written down."""
     try:
         yield
     except HtsError:

@@ -1,8 +1,8 @@
 """Collection on a GPU: a control step is three launches, and nothing in it waits for the host.
 
-They are a CUDA graph of everything before the physics (policy, exploration noise, the simulator's inputs), the simulator's
-own, and a graph of everything after it (reward, measurements, resets). Where torch.compile can work, what is captured
-are compiled traces of these parts.
+They are a CUDA graph of everything before the physics (policy, exploration noise, the simulator's inputs), the
+simulator's own, and a graph of everything after it (reward, measurements, resets). Where torch.compile can work, what
+is captured are compiled traces of these parts.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hts.rl.capture import StaticBuffers, captured, explained, warm_up
 from hts.rl.population import Population
 from hts.rl.population_collector import FLAGS, Key, SplitStepCollector
 from hts.rl.precision import tf32
-from hts.rl.random import PrefetchedNoise
+from hts.rl.random import PopulationRandom, PrefetchedNoise
 from hts.rl.task_env import LaunchedSimulator, ReplacedState
 from hts.rl.tracing import TracedGraph, any_or_tracing, can_compile
 
@@ -30,15 +30,24 @@ class CapturedCollector(SplitStepCollector):
     """`PopulationCollector` for a GPU, with the same batches. A batch lies in memory that the next one overwrites.
 
     side_stream: also state_value [P, N, T, 1], and reference_loc [P, N, T, A] where there is a reference: what learning
-    wants to know of the states that steps begin in, computed beside the physics, which leaves room. capture: False takes the same
-    steps one operation after the other; the env then needs no `launched_simulator`. tf32: matrix products in TF32;
-    compiled: traces of the parts through torch.compile, None where that can work.
+    wants to know of the states that steps begin in, computed beside the physics, which leaves room. capture: False
+    takes the same steps one operation after the other; the env then needs no `launched_simulator`. tf32: matrix
+    products in TF32; compiled: traces of the parts through torch.compile, None where that can work.
     """
 
     def __init__(
-        self, env: EnvBase, policy: PopulationActor, *, frames_per_batch: int, total_frames: int = -1, capture: bool = True,
-        tf32: bool = True, side_stream: bool = False, reference: Population | None = None, compiled: bool | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        env: EnvBase,
+        policy: PopulationActor,
+        *,
+        frames_per_batch: int,
+        total_frames: int = -1,
+        capture: bool = True,
+        tf32: bool = True,
+        side_stream: bool = False,
+        reference: Population | None = None,
+        compiled: bool | None = None,
+    ) -> None:
         super().__init__(env, policy, frames_per_batch=frames_per_batch, total_frames=total_frames)
         device = self.bare_env.device
         self.tf32, self.reference, self._with_side = tf32, reference, side_stream
@@ -48,8 +57,10 @@ class CapturedCollector(SplitStepCollector):
         self._wants_capture = capture
         self._compiled = capture and (can_compile(device) if compiled is None else compiled)
         self._parts: dict[str, Part] = {
-            "before": self._begin_step, "side": self._look_aside, "after": self._end_step,
-        }  # fmt: skip
+            "before": self._begin_step,
+            "side": self._look_aside,
+            "after": self._end_step,
+        }
         self._keys: dict[str, list[Key]] = {}
 
     @property
@@ -99,7 +110,7 @@ class CapturedCollector(SplitStepCollector):
                 transform.forget(done.reshape(-1))
         return tuple(outcome.values())
 
-    def _randoms(self):
+    def _randoms(self) -> list[PopulationRandom]:
         return [random for random in (self.bare_env.random, self.policy.random) if random is not None]
 
     # -------------------------------------------------------------------------------------------------- a step
@@ -246,7 +257,8 @@ class CapturedCollector(SplitStepCollector):
 
 
 def _traced(part: Part, given: Sequence[torch.Tensor], state: Sequence[torch.Tensor], compiled: bool) -> Part:
-    """The traced graph of a part of a step; given: what it is called with; state: what else it reads, and changes in place."""
+    """The traced graph of a part of a step; given: what it is called with;
+    state: what else it reads, and changes in place."""
     with explained():
         graph = TracedGraph(lambda *tensors: part(*tensors[: len(given)]), [*given, *state], compiled)
     return lambda *given: graph(*given, *state)

@@ -17,9 +17,9 @@ from hts.rl.task_env import ReplacedState
 class DeferrableTransform(Transform):
     """Adds entries to each step that neither the policy nor the env reads, such as a measured reward.
 
-    A subclass says what it reads of a step (`record`), what it makes of it (`evaluate`, which may change a memory of each
-    env instance), and how that memory is emptied (`forget`). Inside a plain `TransformedEnv` this happens step by step; a
-    collector may record every step and evaluate a whole batch at once (`forward_sequence`), to the same bits.
+    A subclass says what it reads of a step (`record`), what it makes of it (`evaluate`, which may change a memory of
+    each env instance), and how that memory is emptied (`forget`). Inside a plain `TransformedEnv` this happens step by
+    step; a collector may record every step and evaluate a whole batch at once (`forward_sequence`), to the same bits.
     """
 
     @abstractmethod

@@ -24,8 +24,8 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
     """KL(policy || reference) in each state, shape of `policy.batch_shape`, nats; differentiable in policy.
 
     In closed form where torch knows one. Both squashed by the same bijection (a tanh): that of what was squashed, since
-    a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action a ~ policy, which has
-    the right mean.
+    a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action a ~ policy, which
+    has the right mean.
     """
     inner = [_unsquashed(one) for one in (policy, reference)]
     if type(policy) is type(reference) and None not in inner:

@@ -25,8 +25,8 @@ def project_to_kl_bound(
 ) -> torch.Tensor:
     """Shrink every candidate that ended beyond its bound towards its reference until it is inside; returns s [P].
 
-    theta <- reference + s (theta - reference), the largest s in [0, 1] with KL <= c on these observations, by bisection.
-    The multiplier holds the mean over batches; a single last batch may end a little beyond.
+    theta <- reference + s (theta - reference), the largest s in [0, 1] with KL <= c on these observations, by
+    bisection. The multiplier holds the mean over batches; a single last batch may end a little beyond.
     """
     ends = [vector.clone() for vector in population.vectors]
     scale = torch.ones_like(bounds)

@@ -17,7 +17,8 @@ NETWORKS = {"observation": "actor", "critic_observation": "critic"}
 
 
 class Layout:
-    """The order in which a candidate's parameters lie while it learns: a bias is its weight's last column, as in `MLP`."""
+    """The order in which a candidate's parameters lie while it learns: a bias is its weight's last column,
+    as in `MLP`."""
 
     def __init__(self, population: Population) -> None:
         self.layers = len(population.sizes.hidden) + 1
@@ -49,7 +50,8 @@ class Layout:
 
 
 class Learner:
-    """parameters [D], at first the candidate's, and their gradient [D], renewed by `differentiate`, in the layout's order."""
+    """parameters [D], at first the candidate's, and their gradient [D], renewed by `differentiate`,
+    in the layout's order."""
 
     def __init__(self, layout: Layout, parameters: Tensor) -> None:
         self.parameters, self.gradient = layout.packed(parameters), torch.empty_like(parameters)
@@ -73,15 +75,23 @@ class Learner:
             self._spaces[samples] = Workspace(self._widths, samples, self.parameters)
         space = self._spaces[samples]
         by_mean, by_log_std, policy, kl_old = policy_gradient(
-            self._actor.forward(x, space), self._log_std, batch, multiplier,
-            clip=config.clip, entropy_coef=config.entropy_coef, policy_on=policy_on,
-        )  # fmt: skip
+            self._actor.forward(x, space),
+            self._log_std,
+            batch,
+            multiplier,
+            clip=config.clip,
+            entropy_coef=config.entropy_coef,
+            policy_on=policy_on,
+        )
         self._by_log_std.copy_(by_log_std)
         self._actor.backward(x, by_mean, space)
         by_value, value = value_gradient(
-            self._critic.forward(y, space)[0], batch["old_value"], batch["target"],
-            clip=config.clip, value_coef=config.value_coef,
-        )  # fmt: skip
+            self._critic.forward(y, space)[0],
+            batch["old_value"],
+            batch["target"],
+            clip=config.clip,
+            value_coef=config.value_coef,
+        )
         self._critic.backward(y, by_value.unsqueeze(0), space)
         return {"policy": policy, "value": value, "kl_old": kl_old}
 

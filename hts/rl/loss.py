@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import nn
+from torch.distributions import Distribution
 from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
@@ -44,13 +46,14 @@ class KLConstrainedPPOLoss(LossModule):
 
         loss.update_multiplier(loss.kl_to_reference(data))
 
-    actor_network: has `get_dist`, as a `ProbabilisticActor`; critic_network: writes the value; reference: the policy to stay
-    close to, copied and frozen with everything it holds (its observation normaliser too); None: the actor as it is now.
+    actor_network: has `get_dist`, as a `ProbabilisticActor`; critic_network: writes the value; reference: the policy to
+    stay close to, copied and frozen with everything it holds (its observation normaliser too); None: the actor as it is
+    now.
     kl_bound: c, nats, infinity for no bound (then, with equal settings, this is `ClipPPOLoss`).
 
-    With a float kl_bound everything is a mean over the batch and every output a scalar. With a tensor [P] the batch's first dimension
-    is P candidates, outputs are [P], nothing is reduced over candidates, and c = inf switches single ones off. Sum the
-    losses before `backward`: candidates share no parameter.
+    With a float kl_bound everything is a mean over the batch and every output a scalar. With a tensor [P] the batch's
+    first dimension is P candidates, outputs are [P], nothing is reduced over candidates, and c = inf switches single
+    ones off. Sum the losses before `backward`: candidates share no parameter.
 
     multiplier_rate: eta of `LagrangeMultiplier`; clip_epsilon: eps; critic_coeff: v; entropy_coeff: h; clip_value: None
     for no clipping of the value, True for eps; normalize_advantage: to mean 0 and deviation 1, of each candidate.
@@ -79,11 +82,19 @@ class KLConstrainedPPOLoss(LossModule):
     out_keys = ["loss_objective", "loss_critic", "loss_entropy", "kl", "kl_approx", "clip_fraction"]  # noqa: RUF012
 
     def __init__(
-        self, actor_network: TensorDictModuleBase, critic_network: TensorDictModuleBase, *,
-        reference: TensorDictModuleBase | None = None, kl_bound: float | torch.Tensor = 0.5, multiplier_rate: float = 0.05,
-        clip_epsilon: float = 0.2, critic_coeff: float = 1.0, entropy_coeff: float = 0.0,
-        clip_value: float | bool | None = True, normalize_advantage: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        actor_network: TensorDictModuleBase,
+        critic_network: TensorDictModuleBase,
+        *,
+        reference: TensorDictModuleBase | None = None,
+        kl_bound: float | torch.Tensor = 0.5,
+        multiplier_rate: float = 0.05,
+        clip_epsilon: float = 0.2,
+        critic_coeff: float = 1.0,
+        entropy_coeff: float = 0.0,
+        clip_value: float | bool | None = True,
+        normalize_advantage: bool = False,
+    ) -> None:
         super().__init__()
         self.actor_network, self.critic_network = actor_network, critic_network
         self.reference = frozen(actor_network if reference is None else reference)
@@ -116,7 +127,7 @@ class KLConstrainedPPOLoss(LossModule):
         if self._value_estimator is not None:
             self._value_estimator.set_keys(**{name: getattr(self.tensor_keys, name) for name in ESTIMATED})
 
-    def make_value_estimator(self, value_type: ValueEstimators | None = None, **hyperparams) -> LossModule:
+    def make_value_estimator(self, value_type: ValueEstimators | None = None, **hyperparams: Any) -> LossModule:
         """GAE on this loss's critic and keys, as `loss.value_estimator`; hyperparams: gamma, lmbda, ... Raises
         NotImplementedError for any other estimator: give its advantage and value_target in the batch instead."""
         if value_type not in (None, ValueEstimators.GAE):
@@ -157,8 +168,10 @@ class KLConstrainedPPOLoss(LossModule):
             "loss_objective": objective,
             "loss_critic": self.critic_coeff * self._mean(value_error(value, target, old_value, self.clip_value)),
             "loss_entropy": -self.entropy_coeff * self._mean(_entropy(policy, log_ratio)),
-            "kl": mean_kl.detach(), "kl_approx": self._mean(-log_ratio.detach()), "clip_fraction": self._mean(clipped),
-        }  # fmt: skip
+            "kl": mean_kl.detach(),
+            "kl_approx": self._mean(-log_ratio.detach()),
+            "clip_fraction": self._mean(clipped),
+        }
         return TensorDict(losses, batch_size=self.multiplier.value.shape)
 
     @torch.no_grad()
@@ -172,7 +185,7 @@ class KLConstrainedPPOLoss(LossModule):
         return self.multiplier.update(kl)
 
     @torch.no_grad()
-    def _reference_in(self, batch: TensorDictBase):
+    def _reference_in(self, batch: TensorDictBase) -> Distribution:
         return self.reference.get_dist(batch.copy())
 
     def _mean(self, x: torch.Tensor) -> torch.Tensor:

@@ -25,9 +25,14 @@ class MeasuredReward(Transform):
     """
 
     def __init__(
-        self, weight: float | torch.Tensor, dt: float, *, in_key: NestedKey, reward_key: NestedKey = "reward",
+        self,
+        weight: float | torch.Tensor,
+        dt: float,
+        *,
+        in_key: NestedKey,
+        reward_key: NestedKey = "reward",
         centring: RewardCentring | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(in_keys=[in_key, reward_key], out_keys=[reward_key])
         self.dt = dt
         self.register_buffer("weight", torch.as_tensor(weight, dtype=torch.get_default_dtype()))

@@ -44,7 +44,8 @@ class MLP:
         return torch.mm(self.layers[-1], x)
 
     def backward(self, x: Tensor, d: Tensor, space: Workspace) -> None:
-        """Gradients of sum(d * y), d [outputs, B], after `forward` with the same x and space, which is used up by it."""
+        """Gradients of sum(d * y), d [outputs, B], after `forward` with the same x and space,
+        which is used up by it."""
         inputs = [x, *space.after]
         for index in reversed(range(len(self.layers))):
             torch.mm(d, inputs[index].t(), out=self.gradients[index])  # dL/dW = d h^T

@@ -19,6 +19,9 @@ MANY = 512  # samples per candidate from which on a CPU takes candidates side by
 ALIGNED = 8  # numbers; rows of matrices on a GPU begin at a multiple
 PARTIAL = 64  # sums side by side
 
+Parameters = list[dict[str, torch.Tensor]] | Mapping[str, torch.Tensor]
+"""By name: a list of dicts on a CPU, one of them for each candidate, one dict of stacked ones [P, ...] on a GPU."""
+
 
 @functools.cache
 def _activated(device: torch.device) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
@@ -31,8 +34,8 @@ def _activated(device: torch.device) -> Callable[[torch.Tensor, torch.Tensor], t
 
 
 def split_of(count: int, length: int) -> int:
-    """Into how many parts a GPU splits each candidate's samples to sum gradients: the sums over 18 candidates keep half of an
-    H200 busy, partial sums all of it. As many as give at most `PARTIAL` sums, of 512 samples or more."""
+    """Into how many parts a GPU splits each candidate's samples to sum gradients: the sums over 18 candidates keep half
+    of an H200 busy, partial sums all of it. As many as give at most `PARTIAL` sums, of 512 samples or more."""
     most = max(1, min(PARTIAL // count, length // 512))
     return next(parts for parts in range(most, 0, -1) if length % parts == 0)
 
@@ -80,7 +83,7 @@ class Population(nn.Module):
 
     def __init__(
         self, sizes: Sizes, count: int, init_std: float = 1.0, seed: int = 0, device: torch.device | str = "cpu"
-    ):
+    ) -> None:
         super().__init__()
         self.sizes, self.count = sizes, count
         self._shapes = sizes.shapes()
@@ -93,7 +96,7 @@ class Population(nn.Module):
             self.register_buffer(f"{name}_count", torch.zeros(count, device=device))
         self._stacked: torch.Tensor | None = None
         self._versions: list[int] = []
-        self._cache: list[dict[str, torch.Tensor]] | dict[str, torch.Tensor] | None = None
+        self._cache: Parameters | None = None
 
     def _initial_vector(self, init_std: float, seed: int) -> torch.Tensor:
         generator = torch.Generator().manual_seed(seed)
@@ -122,7 +125,7 @@ class Population(nn.Module):
         lead = vector.shape[:-1]
         return {name: part.view(*lead, *shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)}
 
-    def named(self, members: slice = slice(None)) -> list[dict[str, torch.Tensor]] | dict[str, torch.Tensor]:
+    def named(self, members: slice = slice(None)) -> Parameters:
         """Parameters as the forward pass wants them: a list of P dicts on the CPU, one stacked dict on a GPU."""
         vectors = list(self.vectors)[members]
         if self.device.type == "cpu":
@@ -130,7 +133,8 @@ class Population(nn.Module):
         return self.split(torch.stack(vectors))
 
     def stacked(self) -> torch.Tensor:
-        """A copy of all vectors, [P, D and zeros up to a multiple of `ALIGNED`]: matrix units read 16 bytes at a time."""
+        """A copy of all vectors, [P, D and zeros up to a multiple of `ALIGNED`]:
+        matrix units read 16 bytes at a time."""
         vectors = torch.stack([vector.detach() for vector in self.vectors])
         return F.pad(vectors, (0, -vectors.shape[1] % ALIGNED))
 
@@ -187,7 +191,7 @@ class Population(nn.Module):
         with pool(len(named)) as threads:
             return list(threads.map(run, x.unbind(0), named))
 
-    def _mlp(self, part: str, x: torch.Tensor, named) -> torch.Tensor:
+    def _mlp(self, part: str, x: torch.Tensor, named: Parameters) -> torch.Tensor:
         """x [P, B, inputs] -> [P, B, outputs]."""
         last = len(self.sizes.hidden)
         if isinstance(named, list):
@@ -225,13 +229,15 @@ class Population(nn.Module):
         x = (x - mean).div_(std).clamp(-10.0, 10.0)  # not in place: `vmap` knows no clamp_
         return x if x.device.type == "cpu" else F.pad(x, (0, -x.shape[-1] % ALIGNED))
 
-    def mean(self, observation: torch.Tensor, named=None, normalised: bool = False) -> torch.Tensor:
+    def mean(
+        self, observation: torch.Tensor, named: Parameters | None = None, normalised: bool = False
+    ) -> torch.Tensor:
         """Mean action [P, B, J] of observations [P, B, O]; normalised: they are already."""
         if named is None:
             named = self._ready()
         return self._mlp("actor", observation if normalised else self.normalised("observation", observation), named)
 
-    def log_std(self, named=None) -> torch.Tensor:
+    def log_std(self, named: Parameters | None = None) -> torch.Tensor:
         """log sigma [P, 1, J]."""
         if named is None:
             named = self._ready()
@@ -239,7 +245,9 @@ class Population(nn.Module):
             return torch.stack([one["log_std"] for one in named]).unsqueeze(1)
         return named["log_std"].unsqueeze(1)
 
-    def value(self, critic_observation: torch.Tensor, named=None, normalised: bool = False) -> torch.Tensor:
+    def value(
+        self, critic_observation: torch.Tensor, named: Parameters | None = None, normalised: bool = False
+    ) -> torch.Tensor:
         """V [P, B] of critic observations [P, B, O_c]; normalised: they are already."""
         if named is None:
             named = self._ready()
@@ -253,16 +261,17 @@ class Population(nn.Module):
         x = self.normalised("critic_observation", critic_observation.unsqueeze(0), member)
         return self._mlp("critic", x, one).view(-1)
 
-    def _ready(self):
+    def _ready(self) -> Parameters:
         if self._cache is None or self._now() != self._versions:
             self.refresh()
-        return self._cache
+        return self._cache  # type: ignore[return-value]  # `refresh` has made it
 
     def _now(self) -> list[int]:
         """How often each candidate's parameters have been changed, also by an optimiser."""
         return [vector._version for vector in self.vectors]
 
-    def _apply(self, fn, recurse: bool = True):  # .to(device), .double(), ...
+    def _apply(self, fn: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> Population:
+        # What .to(device), .double(), ... call.
         self._versions = []  # counts nothing: the copies are of other parameters now
         return super()._apply(fn, recurse)
 
@@ -304,7 +313,7 @@ class Population(nn.Module):
 
     @classmethod
     def from_candidates(
-        cls, sizes: Sizes, candidates: Sequence[Mapping[str, torch.Tensor]], device="cpu"
+        cls, sizes: Sizes, candidates: Sequence[Mapping[str, torch.Tensor]], device: torch.device | str = "cpu"
     ) -> Population:
         """A population whose members start as these."""
         population = cls(sizes, len(candidates), device=device)

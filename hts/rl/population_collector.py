@@ -1,8 +1,9 @@
-"""A TorchRL collector for populations: the batches of TorchRL's own `Collector`, to the bit, with less around the physics.
+"""A TorchRL collector for populations: to the bit the batches of TorchRL's `Collector`, with less between steps.
 
-TorchRL's `Collector` puts each step together as nested TensorDicts and asks after each one whether an episode has ended.
-`PopulationCollector` steps a `SplitStepEnv` by its parts and does in a step only what the next step waits for; the rest is
-done once per batch, in fewer and larger operations. `hts.rl.captured_collector` launches each step as CUDA graphs.
+TorchRL's `Collector` puts each step together as nested TensorDicts and asks after each one whether an episode has
+ended. `PopulationCollector` steps a `SplitStepEnv` by its parts and does in a step only what the next step waits for;
+the rest is done once per batch, in fewer and larger operations. `hts.rl.captured_collector` launches each step as CUDA
+graphs.
 """
 
 from __future__ import annotations
@@ -37,11 +38,18 @@ def torchrl_collector(env: EnvBase, actor: TensorDictModuleBase, frames_per_batc
     """TorchRL's own collector of endless batches [P, N, T], set up for envs and actors of populations."""
     device = env.device or torch.device("cpu")
     return Collector(
-        env, actor, frames_per_batch=frames_per_batch, total_frames=-1, device=device, track_traj_ids=False,
-        trust_policy=True, use_buffers=False, track_policy_version=False,
+        env,
+        actor,
+        frames_per_batch=frames_per_batch,
+        total_frames=-1,
+        device=device,
+        track_traj_ids=False,
+        trust_policy=True,
+        use_buffers=False,
+        track_policy_version=False,
         return_same_td=device.type != "cuda",  # each batch is a fresh one, so there is nothing to copy it for
         auto_register_policy_transforms=False,  # nothing here is recurrent: the memory is the transform's own
-    )  # fmt: skip
+    )
 
 
 class SplitStepCollector(BaseCollector):
@@ -53,8 +61,8 @@ class SplitStepCollector(BaseCollector):
         if not can_split(env):
             strangers = [type(one).__name__ for one in transforms if not isinstance(one, DeferrableTransform)]
             raise TypeError(
-                f"{type(self).__name__} steps an env by its parts: expected a SplitStepEnv with deferrable transforms, found "
-                f"{' + '.join([type(bare).__name__, *strangers])}. Take torchrl.collectors.Collector."
+                f"{type(self).__name__} steps an env by its parts: expected a SplitStepEnv with deferrable transforms, "
+                f"found {' + '.join([type(bare).__name__, *strangers])}. Take torchrl.collectors.Collector."
             )
         assert isinstance(bare, SplitStepEnv)
         per_step = bare.batch_size.numel()
@@ -77,9 +85,9 @@ class SplitStepCollector(BaseCollector):
         """Batches [P, N, T] until total_frames are reached, without end if they are -1. Each goes on where the last one
         ended.
 
-        Of every step: observation, critic_observation, loc, action, action_log_prob, the flags, and under "next": reward,
-        the flags, the observations that the step ended in (of the old episode where it ended one), and the entries
-        that transforms add.
+        Of every step: observation, critic_observation, loc, action, action_log_prob, the flags, and under "next":
+        reward, the flags, the observations that the step ended in (of the old episode where it ended one), and the
+        entries that transforms add.
         """
         while self.total_frames < 0 or self._frames < self.total_frames:
             if self.pre_collect_hook is not None:
@@ -186,9 +194,7 @@ class PopulationCollector(SplitStepCollector):
     Parameters are read at the beginning of each batch.
     """
 
-    def __init__(
-        self, env: EnvBase, policy: PopulationActor, *, frames_per_batch: int, total_frames: int = -1
-    ) -> None:
+    def __init__(self, env: EnvBase, policy: PopulationActor, *, frames_per_batch: int, total_frames: int = -1) -> None:
         super().__init__(env, policy, frames_per_batch=frames_per_batch, total_frames=total_frames)
         self._pool = pool(len(self.transforms))
 
@@ -217,7 +223,8 @@ class PopulationCollector(SplitStepCollector):
             if bool(flags["done"].any()):
                 env.start_episodes(flags["done"].squeeze(-1))
         ended = torch.stack(steps["next", "done"]).reshape(self.horizon, -1)
-        # What transforms make of the batch is computed beside the rest of it: the physics is done, and the other cores are free.
+        # What transforms make of the batch is computed beside the rest of it:
+        # the physics is done, and the other cores are free.
         late = [
             self._pool.submit(_sequence, transform, row, ended)
             for row, transform in zip(recorded, self.transforms, strict=True)

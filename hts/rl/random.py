@@ -47,7 +47,7 @@ class PopulationRandom:
     prefetched: where the numbers of a step come from instead, once a collector has set it.
     """
 
-    def __init__(self, seeds: Sequence[int], device: torch.device):
+    def __init__(self, seeds: Sequence[int], device: torch.device) -> None:
         self.device = device
         self.generators = [torch.Generator(device).manual_seed(int(seed)) for seed in seeds]
         self.prefetched: PrefetchedNoise | None = None

@@ -17,9 +17,15 @@ NextValues = Callable[[Population, TensorDictBase, torch.Tensor], torch.Tensor]
 
 
 def samples_of(
-    data: TensorDictBase, reward: torch.Tensor, population: Population, reference: Population | None, *,
-    gamma: float, lam: float, next_values: NextValues,
-) -> tuple[Samples, Samples]:  # fmt: skip
+    data: TensorDictBase,
+    reward: torch.Tensor,
+    population: Population,
+    reference: Population | None,
+    *,
+    gamma: float,
+    lam: float,
+    next_values: NextValues,
+) -> tuple[Samples, Samples]:
     """Flatten a batch [P, N, T] to [P, S] samples with everything the loss needs (`surrogate.population_loss`),
     observations as the networks see them; and what is one per candidate, [P, 1, J].
 
@@ -36,10 +42,13 @@ def samples_of(
     samples = {
         "observation": population.normalised("observation", observation),
         "critic_observation": population.normalised("critic_observation", critic_observation),
-        "action": data["action"].flatten(1, 2), "old_mean": data["loc"].flatten(1, 2),
-        "log_prob": data["action_log_prob"].flatten(1, 2), "advantage": row_standardised(advantage.flatten(1)),
-        "target": target.flatten(1), "old_value": value.flatten(1),
-    }  # fmt: skip
+        "action": data["action"].flatten(1, 2),
+        "old_mean": data["loc"].flatten(1, 2),
+        "log_prob": data["action_log_prob"].flatten(1, 2),
+        "advantage": row_standardised(advantage.flatten(1)),
+        "target": target.flatten(1),
+        "old_value": value.flatten(1),
+    }
     if reference is not None:
         loc = data.get("reference_loc", None)
         samples["reference_mean"] = reference.mean(observation) if loc is None else loc.flatten(1, 2)
@@ -50,8 +59,8 @@ def samples_of(
 def kl_of_batch(
     data: TensorDictBase, population: Population, reference: Population, reference_mean: torch.Tensor, stride: int
 ) -> torch.Tensor:
-    """Mean KL(pi || reference) [P] over every stride-th state of a batch [P, N, T], with the parameters as they are now;
-    reference_mean [P, N T, J]: the reference's mean actions in all of them."""
+    """Mean KL(pi || reference) [P] over every stride-th state of a batch [P, N, T], with the parameters as they are
+    now; reference_mean [P, N T, J]: the reference's mean actions in all of them."""
     observation = data["observation"].flatten(1, 2)[:, ::stride]
     mean = population.mean(observation)
     return row_mean(gaussian_kl(mean, population.log_std(), reference_mean[:, ::stride], reference.log_std()))

@@ -1,6 +1,7 @@
-"""The mathematics of the KL-constrained PPO loss, as functions of tensors: what the loss module and every fast path call.
+"""The mathematics of the KL-constrained PPO loss, as functions of tensors that loss module and fast paths call.
 
-L = -E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)] - h H + v E[max((V - G)^2, (V_clip - G)^2)] + alpha E[KL(pi || reference)].
+L = -E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)] - h H + v E[max((V - G)^2, (V_clip - G)^2)]
+    + alpha E[KL(pi || reference)].
 
 TorchRL's `KLPENPPOLoss` is not this: it penalises the KL to the behaviour policy, in the other direction. Nothing here
 reduces over candidates, so nobody's gradient depends on the others, and nothing changes a coefficient.
@@ -47,10 +48,18 @@ class LossParts:
 
 
 def population_loss(
-    population: Population, batch: Mapping[str, torch.Tensor], multipliers: torch.Tensor, *,
-    clip: float, value_coef: float, entropy_coef: float, policy_on: float | torch.Tensor = 1.0,
-    members: slice = slice(None), normalised: bool = False, named: Mapping[str, torch.Tensor] | None = None,
-) -> LossParts:  # fmt: skip
+    population: Population,
+    batch: Mapping[str, torch.Tensor],
+    multipliers: torch.Tensor,
+    *,
+    clip: float,
+    value_coef: float,
+    entropy_coef: float,
+    policy_on: float | torch.Tensor = 1.0,
+    members: slice = slice(None),
+    normalised: bool = False,
+    named: Mapping[str, torch.Tensor] | None = None,
+) -> LossParts:
     """One minibatch [P, B]: observation, critic_observation, action, old_mean, log_prob, advantage (normalised per
     candidate), target (value target), old_value, old_log_std [P, 1, J]; reference_mean, reference_log_std if there is a
     reference.
@@ -63,17 +72,32 @@ def population_loss(
     mean, log_std = population.mean(batch["observation"], parameters, normalised), population.log_std(parameters)
     value = population.value(batch["critic_observation"], parameters, normalised)
     return gaussian_loss(
-        mean, log_std, value, batch, multipliers,
-        clip=clip, value_coef=value_coef, entropy_coef=entropy_coef, policy_on=policy_on,
-    )  # fmt: skip
+        mean,
+        log_std,
+        value,
+        batch,
+        multipliers,
+        clip=clip,
+        value_coef=value_coef,
+        entropy_coef=entropy_coef,
+        policy_on=policy_on,
+    )
 
 
 def gaussian_loss(
-    mean: torch.Tensor, log_std: torch.Tensor, value: torch.Tensor, batch: Mapping[str, torch.Tensor],
-    multipliers: torch.Tensor, *, clip: float, value_coef: float, entropy_coef: float,
+    mean: torch.Tensor,
+    log_std: torch.Tensor,
+    value: torch.Tensor,
+    batch: Mapping[str, torch.Tensor],
+    multipliers: torch.Tensor,
+    *,
+    clip: float,
+    value_coef: float,
+    entropy_coef: float,
     policy_on: float | torch.Tensor = 1.0,
-) -> LossParts:  # fmt: skip
-    """The loss of policies N(mean [P, B, J], diag exp(2 log_std [P, 1, J])) and values [P, B]; the rest as `population_loss`."""
+) -> LossParts:
+    """The loss of policies N(mean [P, B, J], diag exp(2 log_std [P, 1, J])) and values [P, B];
+    the rest as `population_loss`."""
     log_ratio = log_prob(batch["action"], mean, log_std) - batch["log_prob"]
     policy = row_mean(surrogate(log_ratio, batch["advantage"], clip))
     value_loss = row_mean(value_error(value, batch["target"], batch["old_value"], clip))

@@ -1,8 +1,8 @@
 """The gradient of `population_loss` by what one candidate's networks give, written out for a CPU.
 
-Between the networks and the loss lie some forty operations on a few thousand numbers, and through autograd as many again,
-none of which is worth its call. Samples in columns: [J, B] for actions, [B] for the rest. `hts.rl.surrogate` defines the
-loss; a test compares every gradient here with autograd's of it.
+Between the networks and the loss lie some forty operations on a few thousand numbers, and through autograd as many
+again, none of which is worth its call. Samples in columns: [J, B] for actions, [B] for the rest. `hts.rl.surrogate`
+defines the loss; a test compares every gradient here with autograd's of it.
 """
 
 from __future__ import annotations
@@ -16,15 +16,21 @@ from hts.rl.actor import LOG_2PI
 
 
 def policy_gradient(
-    mean: Tensor, log_std: Tensor, batch: Mapping[str, Tensor], multiplier: float, *, clip: float, entropy_coef: float,
+    mean: Tensor,
+    log_std: Tensor,
+    batch: Mapping[str, Tensor],
+    multiplier: float,
+    *,
+    clip: float,
+    entropy_coef: float,
     policy_on: float,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """By mean [J, B] and log_std [J, 1], of
 
     policy_on (E[-min(rho A, clip(rho, 1 - eps, 1 + eps) A)] - h sum log sigma) + alpha E[KL(pi || reference)].
 
-    batch: action, old_mean [J, B], log_prob, advantage [B], old_log_std [J, 1]; reference_mean, reference_log_std alike if
-    there is a reference. Returns both gradients, E[-min(...)] and E[KL(old || pi)], nats.
+    batch: action, old_mean [J, B], log_prob, advantage [B], old_log_std [J, 1]; reference_mean, reference_log_std alike
+    if there is a reference. Returns both gradients, E[-min(...)] and E[KL(old || pi)], nats.
     """
     joints, samples = mean.shape
     inverse = torch.exp(-log_std)
@@ -47,7 +53,8 @@ def policy_gradient(
         precision = torch.exp(-2.0 * batch["reference_log_std"])
         by_mean.addcmul_(torch.sub(mean, batch["reference_mean"]), precision, value=multiplier / samples)
         by_log_std.add_(torch.exp(2.0 * log_std).mul_(precision).sub_(1.0), alpha=multiplier)
-    # E[KL(old || pi)] = sum_j (e^2r_j + E[(old_mean_j - mean_j)^2] / sigma_j^2 - 1) / 2 - r_j, r = ln(sigma_old / sigma)
+    # E[KL(old || pi)] = sum_j (e^2r_j + E[(old_mean_j - mean_j)^2] / sigma_j^2 - 1) / 2 - r_j,
+    # r = ln(sigma_old / sigma)
     r = batch["old_log_std"] - log_std
     moved = torch.sub(batch["old_mean"], mean).mul_(inverse).square_().mean(1, keepdim=True)
     kl_old = torch.exp(2.0 * r).add_(moved).sub_(1.0).mul_(0.5).sub_(r).sum()

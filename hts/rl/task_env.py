@@ -23,16 +23,16 @@ from hts.rl.tracing import any_or_tracing
 class TaskEnv(EnvBase):
     """A TorchRL env of batch size [P, N]: P candidates, N env instances each.
 
-    dt: control step, s; observation_layout: names and sizes of the parts of `observation`, for the card of a policy that
-    is pretrained here, [{"name", "size"}], or None.
+    dt: control step, s; observation_layout: names and sizes of the parts of `observation`, for the card of a policy
+    that is pretrained here, [{"name", "size"}], or None.
     """
 
     dt: float
     observation_layout: list[dict[str, Any]] | None = None
 
     def full_state(self) -> TensorDict | None:
-        """Everything needed to go on exactly from here; None, the default: this env cannot say, and a training in it that
-        is stopped starts again."""
+        """Everything needed to go on exactly from here; None, the default: this env cannot say, and a training in it
+        that is stopped starts again."""
         return None
 
     def load_full_state(self, state: TensorDictBase) -> None:
@@ -97,8 +97,8 @@ class SplitStepEnv(TaskEnv):
         for name in ("_step", "_reset"):
             if name in vars(cls):
                 raise TypeError(
-                    f"{cls.__name__} overrides {name}: a collector that steps by parts would pass it by. Override the parts "
-                    "(begin_step, simulate, end_step, rewards, start_episodes), or derive from TaskEnv."
+                    f"{cls.__name__} overrides {name}: a collector that steps by parts would pass it by. Override the "
+                    "parts (begin_step, simulate, end_step, rewards, start_episodes), or derive from TaskEnv."
                 )
 
     # -------------------------------------------------------------------------------------------- a step in parts
@@ -115,8 +115,8 @@ class SplitStepEnv(TaskEnv):
     def end_step(self, action: torch.Tensor) -> tuple[Any, dict[str, torch.Tensor]]:
         """A control step after its physics, but for its reward.
 
-        Returns what `rewards` wants to know of it, which must stay as it is while later steps are taken, and terminated,
-        truncated and done, bool [P, N, 1]. Never waits for a GPU.
+        Returns what `rewards` wants to know of it, which must stay as it is while later steps are taken, and
+        terminated, truncated and done, bool [P, N, 1]. Never waits for a GPU.
         """
 
     @abstractmethod

@@ -25,8 +25,8 @@ def can_compile(device: torch.device) -> bool:
 
 
 def compiled(function: Function, device: torch.device, wanted: bool | None = None, dynamic: bool = False) -> Function:
-    """function, compiled; itself where that cannot be. wanted: None decides by `can_compile`; dynamic: once for all shapes,
-    otherwise anew for each."""
+    """function, compiled; itself where that cannot be. wanted: None decides by `can_compile`; dynamic: once for all
+    shapes, otherwise anew for each."""
     if not (can_compile(device) if wanted is None else wanted):
         return function
     import torch
@@ -40,8 +40,9 @@ def compiled(function: Function, device: torch.device, wanted: bool | None = Non
 
 
 def _copied(function: Any) -> Any:
-    """function with a code object of its own. torch.compile counts how often it has compiled a code object, for all objects
-    and shapes that share it, and after eight times runs it as it is, without a word: a long process would become slow."""
+    """function with a code object of its own. torch.compile counts how often it has compiled a code object, for all
+    objects and shapes that share it, and after eight times runs it as it is, without a word: a long process would
+    become slow."""
     if isinstance(function, MethodType):
         return MethodType(_copied(function.__func__), function.__self__)
     if not isinstance(function, FunctionType):
@@ -75,13 +76,13 @@ def _traced() -> Iterator[None]:
 class TracedGraph:
     """What a function does to tensors, written down operation by operation, and then compiled as a whole.
 
-    torch.compile alone cannot read a control step, whose state lies in the attributes of many objects. So the step runs once
-    while its operations are recorded, as a CUDA graph would record its kernels, and what was recorded is compiled.
+    torch.compile alone cannot read a control step, whose state lies in the attributes of many objects. So the step runs
+    once while its operations are recorded, as a CUDA graph would record its kernels, and what was recorded is compiled.
 
     function: of tensors, returns tensors. It may look at attributes and replace them, and change tensors in place; the
     program does the same to the same memory. A tensor it replaces must be copied back to where it was found.
-    inputs: what it is called with here, left as they were; later calls take others of the same shapes. Whatever it changes
-    in place is to be among them. compiled: False only records.
+    inputs: what it is called with here, left as they were; later calls take others of the same shapes. Whatever it
+    changes in place is to be among them. compiled: False only records.
     """
 
     def __init__(self, function: Callable[..., Any], inputs: Sequence[torch.Tensor], compiled: bool = True) -> None:
@@ -101,8 +102,8 @@ class TracedGraph:
 
 
 def _move_numbers(graph: torch.fx.GraphModule, device: torch.device) -> None:
-    """Put numbers that became tensors, as in `torch.where(mask, 0.0, x)`, on the device: they are made on the CPU, and a CUDA
-    graph cannot fetch them there."""
+    """Put numbers that became tensors, as in `torch.where(mask, 0.0, x)`, on the device: they are made on the CPU, and
+    a CUDA graph cannot fetch them there."""
     import torch
 
     for node in graph.graph.nodes:

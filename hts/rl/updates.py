@@ -22,7 +22,8 @@ Samples = Mapping[str, torch.Tensor]
 
 
 def adapted(rates: torch.Tensor, kl_old: torch.Tensor, desired: float) -> torch.Tensor:
-    """Learning rates / 1.5 where KL(old || new) is above twice the desired one, x 1.5 below half of it (rsl_rl); all [P], nats."""
+    """Learning rates / 1.5 where KL(old || new) is above twice the desired one, x 1.5 below half of it (rsl_rl);
+    all [P], nats."""
     slower, faster = (rates / 1.5).clamp(min=LEAST_RATE), (rates * 1.5).clamp(max=MOST_RATE)
     wanted = torch.where((kl_old > 0) & (kl_old < desired / 2), faster, rates)
     return torch.where(kl_old > 2 * desired, slower, wanted)
@@ -40,9 +41,13 @@ class GradientSteps(ABC):
 
     @abstractmethod
     def run(
-        self, samples: Samples, constant: Samples, multipliers: torch.Tensor, orders: Sequence[torch.Tensor],
+        self,
+        samples: Samples,
+        constant: Samples,
+        multipliers: torch.Tensor,
+        orders: Sequence[torch.Tensor],
         policy_on: float,
-    ) -> dict[str, torch.Tensor]:  # fmt: skip
+    ) -> dict[str, torch.Tensor]:
         """All gradient steps on a batch. samples: name -> [P, S, ...]; constant: name -> [P, 1, J]; multipliers [P];
         orders: of the samples, [P, S] an epoch; policy_on: 0 fits the critic only. Mean losses, each [P]."""
 
@@ -71,19 +76,33 @@ class GradientSteps(ABC):
         """Let go of threads."""
 
     def _loss(
-        self, batch: Samples, multipliers: torch.Tensor, policy_on: float | torch.Tensor, members: slice, named=None
+        self,
+        batch: Samples,
+        multipliers: torch.Tensor,
+        policy_on: float | torch.Tensor,
+        members: slice,
+        named: Mapping[str, torch.Tensor] | None = None,
     ) -> LossParts:
         config = self.config
         return population_loss(
-            self.population, batch, multipliers, clip=config.clip, value_coef=config.value_coef,
-            entropy_coef=config.entropy_coef, policy_on=policy_on, members=members, normalised=True, named=named,
-        )  # fmt: skip
+            self.population,
+            batch,
+            multipliers,
+            clip=config.clip,
+            value_coef=config.value_coef,
+            entropy_coef=config.entropy_coef,
+            policy_on=policy_on,
+            members=members,
+            normalised=True,
+            named=named,
+        )
 
 
 class SeparateSteps(GradientSteps):
     """On a CPU: candidates share nothing, so each takes all its steps alone, as many side by side as there are cores.
 
-    Gradients are written out (`hts.rl.learner`): few and large operations, so that threads seldom meet at Python's lock.
+    Gradients are written out (`hts.rl.learner`): few and large operations, so that threads seldom meet at Python's
+    lock.
     """
 
     def __init__(self, population: Population, config: UpdateSettings, stop: Stop) -> None:
@@ -93,7 +112,14 @@ class SeparateSteps(GradientSteps):
         self._moments: list[dict[str, torch.Tensor]] = [{} for _ in range(population.count)]  # in the layout's order
         self._pool = pool(population.count)
 
-    def run(self, samples, constant, multipliers, orders, policy_on):
+    def run(
+        self,
+        samples: Samples,
+        constant: Samples,
+        multipliers: torch.Tensor,
+        orders: Sequence[torch.Tensor],
+        policy_on: float,
+    ) -> dict[str, torch.Tensor]:
         def train(index: int) -> dict[str, torch.Tensor]:
             own, fixed = ({name: value[index] for name, value in of.items()} for of in (samples, constant))
             return self._train(index, Columns(own, fixed), float(multipliers[index]), orders, policy_on)
@@ -103,7 +129,9 @@ class SeparateSteps(GradientSteps):
         return {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
 
     @torch.no_grad()
-    def _train(self, index, columns: Columns, multiplier: float, orders, policy_on: float) -> dict[str, torch.Tensor]:
+    def _train(
+        self, index: int, columns: Columns, multiplier: float, orders: Sequence[torch.Tensor], policy_on: float
+    ) -> dict[str, torch.Tensor]:
         """All steps of a candidate; mean losses, each []."""
         vector = self.population.vectors[index]
         learner = Learner(self._layout, vector)
@@ -137,9 +165,20 @@ class SeparateSteps(GradientSteps):
             moments |= {name: torch.zeros_like(learner.gradient) for name in MOMENTS} | {"step": torch.zeros(())}
         # What `torch.optim.Adam(fused=True)` calls, without the 0.1 ms of Python around it.
         torch._fused_adam_(
-            [learner.parameters], [learner.gradient], [moments["exp_avg"]], [moments["exp_avg_sq"]], [],
-            [moments["step"].add_(1.0)], lr=self._rates[index], beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
-        )  # fmt: skip
+            [learner.parameters],
+            [learner.gradient],
+            [moments["exp_avg"]],
+            [moments["exp_avg_sq"]],
+            [],
+            [moments["step"].add_(1.0)],
+            lr=self._rates[index],
+            beta1=0.9,
+            beta2=0.999,
+            weight_decay=0.0,
+            eps=1e-8,
+            amsgrad=False,
+            maximize=False,
+        )
 
     def adapt(self, index: int, kl_old: torch.Tensor) -> None:
         """The candidate's next rate, from kl_old [] or [1], nats."""

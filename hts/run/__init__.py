@@ -1,4 +1,5 @@
-"""A run: Algorithm 1 in `algorithm`, its stages' work in `learning`, `reality` and `testing_elites`, the rest beside."""
+"""A run: Algorithm 1 in `algorithm`, its stages' work in `learning`, `reality` and `testing_elites`,
+the rest beside."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ if TYPE_CHECKING:
 
 
 def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: Registry | None = None) -> Path:
-    """Run into the new folder `out`; returns it. dry_run: only say what it would cost; registry: left out, it is loaded.
+    """Run into the new folder `out`; returns it. dry_run: only say what it would cost;
+    registry: left out, it is loaded.
 
     Raises RunError if the folder holds something already; nothing is ever overwritten. Whatever can be wrong with
     names, settings and folder shows before anything heavy is imported; then everything that the run will need is built

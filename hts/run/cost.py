@@ -27,7 +27,8 @@ BASE_MEMORY_GB = 1.2
 def estimate(config: RunConfig, registry: Registry, steps_per_second: float | None = None) -> dict[str, Any]:
     """Numbers of a run that hold if nothing is refused; times are rough.
 
-    steps_per_second: control steps from collection to update as measured on this machine; None: those of STEPS_PER_SECOND.
+    steps_per_second: control steps from collection to update as measured on this machine;
+    None: those of STEPS_PER_SECOND.
     """
     rate = steps_per_second or STEPS_PER_SECOND.get(config.engine, STEPS_PER_SECOND["mujoco"])
     assumed = {"warp": "an H200", "mujoco": "two cores"}.get(config.engine, "two cores")
@@ -52,23 +53,25 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test
     test_steps = test.num_envs * len(test.speeds) * test.seconds * robot.spec.control_rate_hz
-    steps += round(
-        (sum(counts) + config.iterations) * test_steps
-    )  # every candidate, and the pretrained policy beside them
+    # Every candidate, and the pretrained policy beside them.
+    steps += round((sum(counts) + config.iterations) * test_steps)
     together = min(max(counts), config.finetune.max_candidates)
     samples = together * config.finetune.num_envs * config.finetune.ppo.horizon
     cost = dict(world.cost(robot_seconds))
     world.close()
+    measured = "measured here" if steps_per_second else f"as on {assumed}; not measured here"
     return {
         "combinations": ", ".join(_shown(one) for one in weights) if len(objectives) > 1 else None,
         "selector": config.selection.selector.name,
-        "candidates": sum(counts), "tested on the robot": elites, "robot_minutes": robot_seconds / 60.0,
+        "candidates": sum(counts),
+        "tested on the robot": elites,
+        "robot_minutes": robot_seconds / 60.0,
         "charges": robot_seconds / 60.0 / robot.spec.endurance_minutes if robot.spec.endurance_minutes else None,
         "simulation_steps": steps,
-        "speed": f"{rate:,.0f} a second, {'measured here' if steps_per_second else f'as on {assumed}; not measured here'}",
+        "speed": f"{rate:,.0f} a second, {measured}",
         "wall_minutes": (steps / rate + cost.get("wall_seconds", robot_seconds)) / 60.0,
         "memory_gb": BASE_MEMORY_GB + samples * BYTES_PER_SAMPLE / 1e9,
-    }  # fmt: skip
+    }
 
 
 def _shown(weights: Mapping[str, float]) -> str:
@@ -85,10 +88,17 @@ def print_estimate(cost: dict[str, Any]) -> None:
     table.add_column(justify="right", width=30)
     table.add_column()
     labels = {
-        "combinations": "combinations of λ", "selector": "selector", "candidates": "candidates trained",
-        "tested on the robot": "of them tested in the world", "robot_minutes": "minutes of walking",
-        "charges": "charges of the robot", "simulation_steps": "simulation steps", "speed": "of them", "wall_minutes": "minutes in all, about", "memory_gb": "GB of memory, about",
-    }  # fmt: skip
+        "combinations": "combinations of λ",
+        "selector": "selector",
+        "candidates": "candidates trained",
+        "tested on the robot": "of them tested in the world",
+        "robot_minutes": "minutes of walking",
+        "charges": "charges of the robot",
+        "simulation_steps": "simulation steps",
+        "speed": "of them",
+        "wall_minutes": "minutes in all, about",
+        "memory_gb": "GB of memory, about",
+    }
     for key, value in cost.items():
         if value is not None:
             shown = value if isinstance(value, str) else f"{value:,.1f}" if isinstance(value, float) else f"{value:,}"

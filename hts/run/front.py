@@ -73,9 +73,10 @@ def _entry(policy: Measured, objectives: Sequence[str]) -> dict[str, Any]:
     for name, gain in zip(objectives, policy.gains, strict=True):
         measured = next(iter(policy.real[name].values())) if policy.real else {"improvement": 0.0}
         improvements[name] = {
-            "improvement": measured["improvement"], "improvement_ci95": measured.get("improvement_ci95"),
+            "improvement": measured["improvement"],
+            "improvement_ci95": measured.get("improvement_ci95"),
             "selection_score": gain,
-        }  # fmt: skip
+        }
     return {"id": policy.id, "iteration": policy.iteration, "improvements": improvements}
 
 

@@ -25,7 +25,7 @@ from hts.training.sweep import combinations, own_weights
 class Job:
     """One run in one folder. Objects that cost time are made when a stage first needs them."""
 
-    def __init__(self, config: RunConfig, folder: Path, registry: Registry, stages: Stages):
+    def __init__(self, config: RunConfig, folder: Path, registry: Registry, stages: Stages) -> None:
         self.config, self.folder, self.registry, self.stages = config, folder, registry, stages
         self.robot: Robot = registry.make_robot(config.robot.name, config.robot.settings)
         self.objectives: dict[str, Objective] = {
@@ -80,7 +80,8 @@ class Job:
         return to_onnx(policy, path.with_suffix(".onnx"))
 
     def save_exploring(self, name: str, share: float) -> Path:
-        """The ONNX file of a policy that adds `share` of its own sigma as noise; another policy to a model, with its own hash."""
+        """The ONNX file of a policy that adds `share` of its own sigma as noise;
+        another policy to a model, with its own hash."""
         policy = self.policy(name)
         std = tuple((policy.tensors["log_std"].exp() * share).tolist())
         own = hashlib.sha256(f"{policy.card.policy_hash}{std}".encode()).hexdigest()
@@ -108,9 +109,13 @@ class Job:
     def world(self) -> World:
         """Where policies run "for real"."""
         context = WorldContext(
-            robot=self.config.robot.name, robot_settings=self.config.robot.settings, objectives=self.config.objectives,
-            seed=self.config.seed, folder=self.folder / "world", registry=self.registry,
-        )  # fmt: skip
+            robot=self.config.robot.name,
+            robot_settings=self.config.robot.settings,
+            objectives=self.config.objectives,
+            seed=self.config.seed,
+            folder=self.folder / "world",
+            registry=self.registry,
+        )
         return self.registry.make_world(self.config.world.name, self.config.world.settings, context)
 
     @cached_property

@@ -24,6 +24,7 @@ from hts.selection.fronts import towards
 from hts.training.finetune import finetune as finetune_candidates
 from hts.training.finetune import measured_env
 from hts.training.sweep import FRONT, Candidate, candidates
+from hts.training.trainer import BatchStats
 
 Report = Callable[[float], None]
 
@@ -41,9 +42,14 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
             report((number + epoch / epochs) / len(job.objectives))
 
         fitted = fit_and_check(
-            objective, recordings, job.config.measurement, settings=job.config.objectives[name], registry=job.registry,
-            keep=keep, progress=share,
-        )  # fmt: skip
+            objective,
+            recordings,
+            job.config.measurement,
+            settings=job.config.objectives[name],
+            registry=job.registry,
+            keep=keep,
+            progress=share,
+        )
         notes = {"dataset": dataset.sha256, "iteration": iteration}
         files.save(fitted.model, model_path(job, iteration, name), notes)
         result[name] = {**fitted.report, "dataset": dataset.sha256, "recordings": list(dataset.ids)}
@@ -98,22 +104,30 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     checkpoint = job.folder / "iterations" / f"{iteration:02d}" / "checkpoint"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
     curves = job.folder / "log" / f"iteration-{iteration:02d}"
-    if not list(
-        checkpoint.parent.glob(f"{checkpoint.name}-*")
-    ):  # from the start: what a killed process logged comes again
+    if not list(checkpoint.parent.glob(f"{checkpoint.name}-*")):  # from the start: a killed process' log comes again
         shutil.rmtree(curves, ignore_errors=True)
     writer = SummaryWriter(str(curves))
 
-    def log(stats, members) -> None:
+    def log(stats: BatchStats, members: Sequence[Candidate]) -> None:
         for name, values in stats.values.items():
             for member, value in zip(members, values, strict=True):
                 writer.add_scalar(f"{name}/{member.id}", value, stats.steps // len(members))
 
     key = f"{iteration}/{'/'.join(anchor.card.policy_hash for anchor in anchors.values())}/{config.seed}"
     tuned, steps = finetune_candidates(
-        job.robot, config.engine, config.finetune, group, anchors, lambda: transforms(job, iteration), inputs(job),
-        seed=job.seed("finetune", iteration), checkpoint=checkpoint, key=key, progress=report, log=log,
-    )  # fmt: skip
+        job.robot,
+        config.engine,
+        config.finetune,
+        group,
+        anchors,
+        lambda: transforms(job, iteration),
+        inputs(job),
+        seed=job.seed("finetune", iteration),
+        checkpoint=checkpoint,
+        key=key,
+        progress=report,
+        log=log,
+    )
     writer.close()
     rows = []
     for one in tuned:
@@ -131,11 +145,18 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
         job.save(c.id, Policy(one.tensors, card))
         rows.append(
             {
-                "id": c.id, "anchor": c.anchor, "weights": dict(c.weights), "kl_bound": c.kl_bound, "kl": one.kl,
-                "std": one.std, "anchor_std": one.anchor_std, "stopped": one.stopped, "policy_hash": card.policy_hash,
+                "id": c.id,
+                "anchor": c.anchor,
+                "weights": dict(c.weights),
+                "kl_bound": c.kl_bound,
+                "kl": one.kl,
+                "std": one.std,
+                "anchor_std": one.anchor_std,
+                "stopped": one.stopped,
+                "policy_hash": card.policy_hash,
                 "curve": one.history[:: max(1, len(one.history) // 50)],
             }
-        )  # fmt: skip
+        )
     _remove_checkpoints(checkpoint)
     return {"candidates": rows, "steps": steps}
 
@@ -186,9 +207,11 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         "scores": {c.id: c.score for c in judged},
         "objective_scores": {name: _scores(row) for name, row in results.items()},  # of the pretrained policy too
         "falls": {c.id: c.falls for c in judged},
-        "tracked": {c.id: c.tracked for c in judged}, "elites": elites, "trials": details,
+        "tracked": {c.id: c.tracked for c in judged},
+        "elites": elites,
+        "trials": details,
         "steps": round(test.seconds * job.robot.spec.control_rate_hz) * worlds * len(names),
-    }  # fmt: skip
+    }
 
 
 def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:
@@ -199,7 +222,7 @@ def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated:
     return simulated is True or (candidate.falls == 0 and stopped is None)
 
 
-def _judge(row: dict[str, Any], results, tolerance: float) -> SimulatedCandidate:
+def _judge(row: dict[str, Any], results: Sequence[SimulatedTrial], tolerance: float) -> SimulatedCandidate:
     """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations)."""
     falls = sum(trial.falls for trial in results)
     tracked = all(abs(trial.mean_speed - trial.speed) <= tolerance * trial.speed for trial in results)

@@ -16,7 +16,7 @@ START = 0.05  # share of a stage that says nothing of the rest: kernels are comp
 class Progress:
     """Stages one after the other. total: how many there are; skipped ones do not count."""
 
-    def __init__(self, total: int, console: Console | None = None):
+    def __init__(self, total: int, console: Console | None = None) -> None:
         self.console = console or Console()
         self.total, self.index = total, 0
 

@@ -19,8 +19,8 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # at the beginning of a requir
 def collect(seed: int, engine: str, plugins: dict[str, str], diff: bool = False) -> dict[str, Any]:
     """JSON values; plugins: entry point -> the distribution that registered it.
 
-    diff: keep what `git diff HEAD` says of the sources too. Without it only its SHA-256 is kept, so that two results can be
-    told to come from the same sources, and nobody's unpublished work lies in a folder that is passed on.
+    diff: keep what `git diff HEAD` says of the sources too. Without it only its SHA-256 is kept, so that two results
+    can be shown to come from the same sources, and nobody's unpublished work lies in a folder that is passed on.
     """
     changes = _git("diff", "HEAD")
     return {
@@ -33,10 +33,12 @@ def collect(seed: int, engine: str, plugins: dict[str, str], diff: bool = False)
         "seed": seed,
         "engine": engine,
         "hardware": {
-            "machine": platform.machine(), "system": platform.platform(), "cores": os.cpu_count(),
+            "machine": platform.machine(),
+            "system": platform.platform(),
+            "cores": os.cpu_count(),
             "accelerator": _accelerator(),
         },
-    }  # fmt: skip
+    }
 
 
 def packages(distributions: Iterable[str]) -> dict[str, str]:

@@ -82,9 +82,13 @@ def check_world(config: RunConfig, registry: Registry) -> None:
     """The world can serve this robot and these objectives. Raises what its `check` raises."""
     with tempfile.TemporaryDirectory(prefix="hts-ready-") as nowhere:
         context = WorldContext(
-            robot=config.robot.name, robot_settings=config.robot.settings, objectives=config.objectives,
-            seed=config.seed, folder=Path(nowhere), registry=registry,
-        )  # fmt: skip
+            robot=config.robot.name,
+            robot_settings=config.robot.settings,
+            objectives=config.objectives,
+            seed=config.seed,
+            folder=Path(nowhere),
+            registry=registry,
+        )
         world = registry.make_world(config.world.name, config.world.settings, context)
         try:
             guarded(f"World '{config.world.name}': check()", world.check)

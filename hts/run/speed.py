@@ -40,8 +40,15 @@ def control_steps_per_second(config: RunConfig, registry: Registry) -> float | N
     guarded(
         "Fine-tuning",
         lambda: finetune(
-            robot, config.engine, short, group, {PRETRAINED: policy}, lambda: transforms(config, registry), inputs,
-            seed=config.seed, progress=lambda share: ends.append(time.perf_counter()),
+            robot,
+            config.engine,
+            short,
+            group,
+            {PRETRAINED: policy},
+            lambda: transforms(config, registry),
+            inputs,
+            seed=config.seed,
+            progress=lambda share: ends.append(time.perf_counter()),
         ),
-    )  # fmt: skip
+    )
     return len(group) * envs * horizon * (len(ends) - 1) / (ends[-1] - ends[0]) if len(ends) > 1 else None

@@ -32,7 +32,8 @@ def read_json(path: Path) -> Any:
         ) from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise RunError(
-            f"{path}: damaged ({error}). Expected the JSON of a finished stage. Delete it and resume: that stage runs again."
+            f"{path}: damaged ({error}). Expected the JSON of a finished stage. Delete it and resume: that stage runs "
+            "again."
         ) from error
 
 
@@ -52,7 +53,7 @@ class Stages:
     Only one process may work in a folder: RunError if another one does.
     """
 
-    def __init__(self, folder: Path, progress: Progress):
+    def __init__(self, folder: Path, progress: Progress) -> None:
         self.folder, self.progress = folder, progress
         self._lock = (folder / ".lock").open("w")
         try:

@@ -25,12 +25,16 @@ def summarise(job: Job) -> dict[str, Any]:
         samples += tested["samples"]
         iterations.append(
             {
-                "index": index, "best": tested["best"], "best_so_far": tested["best_so_far"],
-                "measurement_models": {key: _model(report, tested["model_checks"].get(key)) for key, report in fit.items()},
+                "index": index,
+                "best": tested["best"],
+                "best_so_far": tested["best_so_far"],
+                "measurement_models": {
+                    key: _model(report, tested["model_checks"].get(key)) for key, report in fit.items()
+                },
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
                 "candidates": [_candidate(row, simulated, tested) for row in tuned["candidates"]],
             }
-        )  # fmt: skip
+        )
     final = job.read("final")
     checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(config.iterations)]
     ranks = (
@@ -39,13 +43,22 @@ def summarise(job: Job) -> dict[str, Any]:
         else {}
     )
     return {
-        "objectives": list(config.objectives), "robot": config.robot.name, "world": config.world.name, "world_simulated": job.world.simulated,
-        "preset": config.preset, "engine": config.engine, "seed": config.seed, "reward_source": config.reward_source,
-        "wall_seconds": round(sum(job.stages.seconds().values()), 1), "sim_steps": steps,
-        "real_samples": samples + final["samples"], "iterations": iterations, "measurement_models": ranks,
+        "objectives": list(config.objectives),
+        "robot": config.robot.name,
+        "world": config.world.name,
+        "world_simulated": job.world.simulated,
+        "preset": config.preset,
+        "engine": config.engine,
+        "seed": config.seed,
+        "reward_source": config.reward_source,
+        "wall_seconds": round(sum(job.stages.seconds().values()), 1),
+        "sim_steps": steps,
+        "real_samples": samples + final["samples"],
+        "iterations": iterations,
+        "measurement_models": ranks,
         "front": front_entry(job),
         "final": {"policy": final["policy"], "objectives": final["objectives"]},
-    }  # fmt: skip
+    }
 
 
 def pooled_ranks(checks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -74,21 +87,33 @@ def _model(report: dict[str, Any], checked: dict[str, Any] | None) -> dict[str, 
     checked = checked or {}
     proxy, tried = report["held_out"].get("proxy"), checked.get("proxy")
     return {
-        "dataset": report["dataset"], "held_out_r2": report["held_out_r2"],
-        "rank_correlation": checked.get("rank_correlation", report["rank_correlation"]), "elites_r2": checked.get("r2"),
-        "proxy_held_out_r2": proxy, "proxy_elites": tried,
-    }  # fmt: skip
+        "dataset": report["dataset"],
+        "held_out_r2": report["held_out_r2"],
+        "rank_correlation": checked.get("rank_correlation", report["rank_correlation"]),
+        "elites_r2": checked.get("r2"),
+        "proxy_held_out_r2": proxy,
+        "proxy_elites": tried,
+    }
 
 
 def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str, Any]) -> dict[str, Any]:
     name = row["id"]
     result = tested["results"].get(name, {})
     entry = {
-        "id": name, "anchor": row["anchor"], "weights": row["weights"], "kl_bound": row["kl_bound"], "kl": row["kl"],
-        "std": row["std"], "anchor_std": row["anchor_std"], "sim_score": simulated["scores"][name],
-        "sim_scores": (simulated.get("objective_scores") or {}).get(name, {}), "tracked": simulated["tracked"][name],
-        "elite": name in tested["elites"], "falls": simulated["falls"][name], "real": result.get("real"),
-    }  # fmt: skip
+        "id": name,
+        "anchor": row["anchor"],
+        "weights": row["weights"],
+        "kl_bound": row["kl_bound"],
+        "kl": row["kl"],
+        "std": row["std"],
+        "anchor_std": row["anchor_std"],
+        "sim_score": simulated["scores"][name],
+        "sim_scores": (simulated.get("objective_scores") or {}).get(name, {}),
+        "tracked": simulated["tracked"][name],
+        "elite": name in tested["elites"],
+        "falls": simulated["falls"][name],
+        "real": result.get("real"),
+    }
     if result.get("tested"):
         entry["selection_scores"], entry["fell"] = result["tested"]["selection_score"], result["tested"]["fell"]
     if result.get("refused"):

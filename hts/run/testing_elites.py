@@ -49,14 +49,16 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     incumbent = _incumbent(job, iteration, best)
     races = {"rounds": tests.races} if tests.races else {}
     return {
-        "elites": elites, "results": {elite: _row(found) for elite, found in tests.results.items()}, "recordings": ids,
+        "elites": elites,
+        "results": {elite: _row(found) for elite, found in tests.results.items()},
+        "recordings": ids,
         "best": selector.best(tested),
         # The protocol is the same in every iteration, so an earlier winner that measured better stays.
         "best_so_far": selector.best([*tested, *incumbent]) or best,
         "samples": sum(recording.num_samples for recording in tests.recorded),
         **races,
         "model_checks": _check_models(job, iteration, ids),
-    }  # fmt: skip
+    }
 
 
 test.__test__ = False  # type: ignore[attr-defined]  # not a pytest test

@@ -1,8 +1,8 @@
 """`pareto`: for several objectives. Elites cover the simulated front; the best is the measured compromise.
 
 Elites: non-dominated sorting and crowding distance of K. Deb, A. Pratap, S. Agarwal, T. Meyarivan, A fast and elitist
-multiobjective genetic algorithm: NSGA-II, IEEE Trans. Evolutionary Computation 6 (2002) 182; crowding is found anew after
-each removal, S. Kukkonen and K. Deb, Improved pruning of non-dominated solutions, IEEE CEC (2006) 1179.
+multiobjective genetic algorithm: NSGA-II, IEEE Trans. Evolutionary Computation 6 (2002) 182; crowding is found anew
+after each removal, S. Kukkonen and K. Deb, Improved pruning of non-dominated solutions, IEEE CEC (2006) 1179.
 Best: the largest product of gains over the reference, J. F. Nash, The bargaining problem, Econometrica 18 (1950) 155;
 with weights, E. Kalai, Nonsymmetric Nash solutions, Int. J. Game Theory 6 (1977) 129.
 """

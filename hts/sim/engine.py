@@ -37,7 +37,8 @@ class Engine(ABC):
         """Put the worlds of mask (W,) into rows of qpos (W, nq), qvel (W, nv); other rows are not read."""
 
     def push(self, mask: torch.Tensor, velocity: torch.Tensor) -> None:
-        """Add velocity (W, 2), m/s, to the trunk's horizontal velocity in the worlds of mask (W,); their solver starts cold."""
+        """Add velocity (W, 2), m/s, to the trunk's horizontal velocity in the worlds of mask (W,);
+        their solver starts cold."""
         qvel = self.qvel.clone()
         qvel[:, :2] += velocity
         self.reset(mask, self.qpos, qvel)

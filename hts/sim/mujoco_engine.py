@@ -24,7 +24,9 @@ class MujocoEngine(Engine):
     neighbours: each world is integrated alone, from its full state, with a zero solver warm start.
     """
 
-    def __init__(self, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, threads: int = 0):
+    def __init__(
+        self, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, threads: int = 0
+    ) -> None:
         self.models = [models[index] for index in assignment]
         model = self.models[0]
         self.num_worlds = worlds = len(self.models)
@@ -76,9 +78,18 @@ class MujocoEngine(Engine):
     def _rollout(self, state: np.ndarray, ctrl: np.ndarray) -> None:
         """All worlds from state (W, size) with ctrl (W, substeps, nu), into `_states` and `_sensors`."""
         self._pool.rollout(
-            self.models, self._datas, state, ctrl, control_spec=CTRL, skip_checks=True, nstep=self.substeps,
-            initial_warmstart=self._warmstart, state=self._states, sensordata=self._sensors, chunk_size=self._chunk,
-        )  # fmt: skip
+            self.models,
+            self._datas,
+            state,
+            ctrl,
+            control_spec=CTRL,
+            skip_checks=True,
+            nstep=self.substeps,
+            initial_warmstart=self._warmstart,
+            state=self._states,
+            sensordata=self._sensors,
+            chunk_size=self._chunk,
+        )
 
     def snapshot(self, ctrl: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
         return self._state.copy(), ctrl.transpose(0, 1).double().numpy().copy()

@@ -1,4 +1,5 @@
-"""Which engine a run gets: the one that was asked for if it can work here, with `auto` the fastest that can; and making it."""
+"""Which engine a run gets: the one that was asked for if it can work here, with `auto` the fastest that can;
+and making it."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
 
 
 def select_engine(name: str, device: str = "auto", tell: Callable[[str], None] | None = None) -> str:
-    """`mujoco` or `warp`: what `name` stands for on this machine. `auto` is `warp` where CUDA and the package are there.
+    """`mujoco` or `warp`: what `name` stands for on this machine.
+    `auto` is `warp` where CUDA and the package are there.
 
     device: where the engine is to run, as `EnvConfig.device`; tell: gets one line if a GPU is there and `auto` cannot
     use it. Raises ConfigError, one line with what to do, for an engine nobody knows or one that cannot work here; so
@@ -77,7 +79,10 @@ def make_engine(
     from hts.sim.warp_engine import make_warp_engine
 
     return make_warp_engine(
-        models, assignment, substeps, device=options.get("device", "auto"),
+        models,
+        assignment,
+        substeps,
+        device=options.get("device", "auto"),
         contacts_per_world=options.get("contacts_per_world", 0),
         constraints_per_world=options.get("constraints_per_world", 0),
-    )  # fmt: skip
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import mujoco
 import torch
@@ -50,9 +51,14 @@ class WarpEngine(Engine, LaunchedSimulator):
     finite_when_diverged = False
 
     def __init__(
-        self, models: Sequence[mujoco.MjModel], assignment: Sequence[int], substeps: int, device: torch.device,
-        contacts: int = 0, constraints: int = 0,
-    ):  # fmt: skip
+        self,
+        models: Sequence[mujoco.MjModel],
+        assignment: Sequence[int],
+        substeps: int,
+        device: torch.device,
+        contacts: int = 0,
+        constraints: int = 0,
+    ) -> None:
         self._wp, self._mjw = wp, mjw = import_warp()
         self.num_worlds, self.substeps, self.device = len(assignment), substeps, device
         self._place = warp_device(wp, device)
@@ -74,9 +80,15 @@ class WarpEngine(Engine, LaunchedSimulator):
         self.qpos, self.qvel, self.sensordata, self._time, self._warmstart, self._overflow, self._ctrl = (
             wp.to_torch(array)
             for array in (
-                data.qpos, data.qvel, data.sensordata, data.time, data.qacc_warmstart, data.overflow, self._inputs,
+                data.qpos,
+                data.qvel,
+                data.sensordata,
+                data.time,
+                data.qacc_warmstart,
+                data.overflow,
+                self._inputs,
             )
-        )  # fmt: skip
+        )
         self._act = wp.to_torch(data.act) if models[0].na else None
         self.diverged = torch.zeros(self.num_worlds, dtype=torch.bool, device=device)
         self._bad_input = torch.zeros_like(self.diverged)
@@ -154,7 +166,7 @@ class WarpEngine(Engine, LaunchedSimulator):
         except RuntimeError as error:
             raise explained(error, self.num_worlds, self.device) from error
 
-    def _stream(self):
+    def _stream(self) -> Any:  # Warp has no types
         """Torch's current stream, as Warp's."""
         current = torch.cuda.current_stream(self.device)
         if current.cuda_stream not in self._streams:
@@ -176,7 +188,8 @@ class WarpEngine(Engine, LaunchedSimulator):
         return self._slices[name]
 
     def check(self) -> None:
-        """Raise SimulationError if a buffer has overflowed or an input was not finite since the start. Waits for the device."""
+        """Raise SimulationError if a buffer has overflowed or an input was not finite since the start.
+        Waits for the device."""
         kind = self._mjw.OverflowType
         contact = kind.BROADPHASE | kind.NARROWPHASE | kind.CCD | kind.HFIELD | kind.EPA_HORIZON
         row = kind.NEFC | kind.NJMAX_NNZ
@@ -218,9 +231,13 @@ class WarpEngine(Engine, LaunchedSimulator):
     def _saved(self) -> dict[str, torch.Tensor]:
         """All that the next step depends on, and what the last one left to be read."""
         saved = {
-            "qpos": self.qpos, "qvel": self.qvel, "qacc_warmstart": self._warmstart, "time": self._time,
-            "sensordata": self.sensordata, "diverged": self.diverged,
-        }  # fmt: skip
+            "qpos": self.qpos,
+            "qvel": self.qvel,
+            "qacc_warmstart": self._warmstart,
+            "time": self._time,
+            "sensordata": self.sensordata,
+            "diverged": self.diverged,
+        }
         return saved if self._act is None else saved | {"act": self._act}
 
     def close(self) -> None:

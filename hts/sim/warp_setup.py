@@ -1,4 +1,5 @@
-"""What the `warp` engine needs before the first step: packages, a device, buffers of the right size, models per world."""
+"""What the `warp` engine needs before the first step: packages, a device, buffers of the right size,
+models per world."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ UNREAD = {
 
 
 def import_warp() -> tuple[ModuleType, ModuleType]:
-    """The modules `warp` and `mujoco_warp`, told to keep quiet. Raises ConfigError where they are missing."""
+    """`warp` and `mujoco_warp`, with their messages switched off. Raises ConfigError where they are missing."""
     try:
         import mujoco_warp
         import warp
@@ -67,7 +68,8 @@ def warp_device(wp: ModuleType, device: torch.device) -> Any:
     if driver < DRIVER or not wp.is_conditional_graph_supported():
         found, needed = (".".join(map(str, version)) for version in (driver, DRIVER))
         raise ConfigError(
-            f"The NVIDIA driver supports CUDA {found}, the warp engine needs {needed} or newer: update the driver, {INSTEAD}."
+            f"The NVIDIA driver supports CUDA {found}, the warp engine needs {needed} or newer: update the driver, "
+            f"{INSTEAD}."
         )
     try:
         return wp.device_from_torch(device)
@@ -108,7 +110,8 @@ def contacts_of_pair(model: mujoco.MjModel, first: int, second: int) -> int:
 
 
 def buffer_sizes(models: Sequence[mujoco.MjModel], pairs: np.ndarray) -> tuple[int, int]:
-    """Contacts and constraint rows per world that suffice in the worst case, or `MOST_CONTACTS` and what follows from it.
+    """Contacts and constraint rows per world that suffice in the worst case, or `MOST_CONTACTS` and what follows from
+    it.
 
     pairs (n, 2): geoms that may touch. Rows: one per joint with friction or a limit, six per equality, and for
     each contact 2 (condim - 1) with a pyramidal cone, condim with an elliptic one, 1 without friction.

@@ -59,10 +59,14 @@ class KnownRounds:
             own = cost * (1 + wandering[part] + self.block_scatter * rng.standard_normal())
             blocks.append(
                 known_recording(
-                    own, role="reference" if who is None else "policy", block=block, session=f"round-{number}",
-                    start=float(part.start), rate_hz=5.0,
+                    own,
+                    role="reference" if who is None else "policy",
+                    block=block,
+                    session=f"round-{number}",
+                    start=float(part.start),
+                    rate_hz=5.0,
                 )
-            )  # fmt: skip
+            )
         return shared_out(blocks, order, len(racing))
 
 

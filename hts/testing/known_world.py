@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -36,9 +37,14 @@ class KnownWorld(World):
     simulated = True
 
     def __init__(
-        self, robot: Robot, objectives: Sequence[Objective], idle: Mapping[str, float], extra: Sequence[Channel] = (),
-        settings: Settings | None = None, seed: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        robot: Robot,
+        objectives: Sequence[Objective],
+        idle: Mapping[str, float],
+        extra: Sequence[Channel] = (),
+        settings: Settings | None = None,
+        seed: int = 0,
+    ) -> None:
         """idle: level per real channel, in its unit; extra: real channels beside the objectives' targets."""
         self.robot, self.settings, self.seed = robot, settings or Settings(), seed
         self._idle = dict(idle)
@@ -97,15 +103,27 @@ class KnownWorld(World):
         known = {**self.robot.channels(), **self.real}
         length = len(commanded) / spec.control_rate_hz
         return Recording(
-            robot=spec.name, world=self.name, policy_hash=DeployedPolicy(Path(policy)).card.policy_hash, iteration=0,
-            joint_names=spec.joint_names, kp=spec.kp, kd=spec.kd, rate_hz=spec.control_rate_hz, schedule=schedule,
-            idle=self._idle, clock="simulated", time=block * length + np.arange(len(commanded)) / spec.control_rate_hz,
+            robot=spec.name,
+            world=self.name,
+            policy_hash=DeployedPolicy(Path(policy)).card.policy_hash,
+            iteration=0,
+            joint_names=spec.joint_names,
+            kp=spec.kp,
+            kd=spec.kd,
+            rate_hz=spec.control_rate_hz,
+            schedule=schedule,
+            idle=self._idle,
+            clock="simulated",
+            time=block * length + np.arange(len(commanded)) / spec.control_rate_hz,
             channels={name: Series(known[name], array) for name, array in values.items() if name in known},
-            mass_kg=10.0, session=session, block=block, role=role,
-        )  # fmt: skip
+            mass_kg=10.0,
+            session=session,
+            block=block,
+            role=role,
+        )
 
 
-def make_known(settings, context: WorldContext) -> KnownWorld:
+def make_known(settings: Mapping[str, Any], context: WorldContext) -> KnownWorld:
     """The world `known` for the robot and the objectives of a run, found in the registry."""
     from hts.plugins import load
 

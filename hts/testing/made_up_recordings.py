@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from hts.config import Command, ScheduleConfig
 from hts.contracts import Comparison, Objective
 from hts.evaluation.segments import Segments, cut
 from hts.recordings.recording import Recording, Series
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 COST = Channel("cost", "1", (), "what the known world charges for walking")
 
@@ -23,7 +27,7 @@ class CostObjective(Objective):
     inputs = ("base_velocity",)
     target = COST
 
-    def reward(self, prediction):
+    def reward(self, prediction: Tensor) -> Tensor:
         return -prediction
 
     def score(self, segments: Segments) -> Mapping[str, np.ndarray]:
@@ -126,10 +130,18 @@ def known_head_to_head(
 
 
 def made_up_recording(
-    sim: Mapping[str, Channel], real: Mapping[str, Channel], factors: Mapping[str, float] | None = None, *,
-    seconds: float = 10.0, speed: float = 0.8, idle: float = 0.5, seed: int = 0, rate_hz: float = 50.0,
-) -> Recording:  # fmt: skip
-    """A straight walk of nobody in particular: random numbers in every channel, upright, at exactly the commanded speed.
+    sim: Mapping[str, Channel],
+    real: Mapping[str, Channel],
+    factors: Mapping[str, float] | None = None,
+    *,
+    seconds: float = 10.0,
+    speed: float = 0.8,
+    idle: float = 0.5,
+    seed: int = 0,
+    rate_hz: float = 50.0,
+) -> Recording:
+    """A straight walk of nobody in particular: random numbers in every channel, upright,
+    at exactly the commanded speed.
 
     sim, real: channels by name; every value lies 0.5 to 1.5 above `idle` (real) or 0 (sim). factors: on what a real
     channel shows above idle.
@@ -146,15 +158,26 @@ def made_up_recording(
     known = {"base_velocity": Channel("base_velocity", "m/s", (3,)), **sim, **real}
     known.setdefault("projected_gravity", Channel("projected_gravity", "1", (3,)))
     return Recording(
-        robot="nobody", world="made-up", policy_hash=f"{seed:02x}" * 32, iteration=0, joint_names=("joint",), kp=(1.0,),
-        kd=(0.1,), rate_hz=rate_hz, schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=speed),)),
-        idle=dict.fromkeys(real, idle), clock="simulated", time=np.arange(samples) / rate_hz,
-        channels={name: Series(known[name], array) for name, array in values.items()}, mass_kg=10.0,
-    )  # fmt: skip
+        robot="nobody",
+        world="made-up",
+        policy_hash=f"{seed:02x}" * 32,
+        iteration=0,
+        joint_names=("joint",),
+        kp=(1.0,),
+        kd=(0.1,),
+        rate_hz=rate_hz,
+        schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=speed),)),
+        idle=dict.fromkeys(real, idle),
+        clock="simulated",
+        time=np.arange(samples) / rate_hz,
+        channels={name: Series(known[name], array) for name, array in values.items()},
+        mass_kg=10.0,
+    )
 
 
 def known_segments(levels: Mapping[Channel, float], idle: float = 0.0, seconds: float = 10.0) -> Segments:
-    """Segments of a walk in which real channels show constant levels, in their units: what a score should be, on paper."""
+    """Segments of a walk in which real channels show constant levels, in their units:
+    what a score should be, on paper."""
     real = {channel.name: channel for channel in levels}
     recording = made_up_recording({}, real, idle=idle, seconds=seconds)
     series = {

@@ -48,8 +48,8 @@ def on_path(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def kit_installed() -> Iterator[None]:
-    """Robot `tiny`, objective `fake` with its instrument, measurement model `fading`, selector `plain` and world `known` are
-    plugins like others."""
+    """Robot `tiny`, objective `fake` with its instrument, measurement model `fading`, selector `plain` and world
+    `known` are plugins like others."""
     with tempfile.TemporaryDirectory(prefix="hts-testing-") as folder:
         write_package(Path(folder), KIT, {}, {"kit": "hts.testing.kit_plugin"})
         with on_path(Path(folder)):

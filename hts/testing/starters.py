@@ -22,7 +22,8 @@ EXAMPLES = {"objective": "fake", "measurement-model": "fading", "robot": "tiny",
 
 RUN = {
     "objective": "hts run --objective $name --robot ROBOT --preset smoke",
-    "measurement-model": "hts run --objective OBJECTIVE --set objectives.OBJECTIVE.model=$name --robot ROBOT --preset smoke",
+    "measurement-model": "hts run --objective OBJECTIVE --set objectives.OBJECTIVE.model=$name --robot ROBOT "
+    "--preset smoke",
     "robot": "hts run --objective OBJECTIVE --robot $name --preset smoke",
     "selector": "hts run --objective OBJECTIVE --robot ROBOT --preset smoke --set selection.selector.name=$name",
 }
@@ -39,8 +40,8 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
     if not re.fullmatch(r"[a-z][a-z0-9]*([-_][a-z0-9]+)*", name) or keyword.iskeyword(name):
         article = "an" if kind[0] in "aeiou" else "a"
         raise ConfigError(
-            f"'{name}' cannot name {article} {kind}: lower-case letters, digits and single - or _ between them, a letter "
-            "first, no Python keyword."
+            f"'{name}' cannot name {article} {kind}: lower-case letters, digits and single - or _ between them, a "
+            "letter first, no Python keyword."
         )
     _refuse_taken(kind, name)
     module = f"hts_{_field(name)}"
@@ -48,9 +49,15 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
     if folder.exists():
         raise RunError(f"{folder}: exists already. Choose another name, or another place with --to DIR.")
     words = {
-        "name": name, "Name": _class_name(name), "module": module, "package": folder.name, "kind": kind.replace("-", " "),
-        "Names": ", ".join(sorted([_class_name(name), "Settings"])), "version": __version__, "run": first_run(kind, name),
-    }  # fmt: skip
+        "name": name,
+        "Name": _class_name(name),
+        "module": module,
+        "package": folder.name,
+        "kind": kind.replace("-", " "),
+        "Names": ", ".join(sorted([_class_name(name), "Settings"])),
+        "version": __version__,
+        "run": first_run(kind, name),
+    }
     files = {
         f"{module}/{file.name}": _renamed(file, kind, words) for file in (HERE / "examples" / _field(kind)).glob("*.py")
     }
@@ -91,7 +98,8 @@ def _refuse_taken(kind: str, name: str) -> None:
 
 
 def _field(kind: str) -> str:
-    """A kind or a name as Python names it: folder of the example, module, and without the s the field of the registry."""
+    """A kind or a name as Python names it: folder of the example, module, and without the s the field of the
+    registry."""
     return kind.replace("-", "_")
 
 

@@ -29,9 +29,14 @@ TWIN = {"world.block_seconds": 3.0, "world.warmup_seconds": 1.0, "world.unsteady
 
 
 def tiny_run(
-    out: Path, objective: str | Sequence[str] = "fake", robot: str = "tiny", *, world: str = "known",
-    selector: str | None = None, settings: Mapping[str, Any] | None = None,
-) -> Run:  # fmt: skip
+    out: Path,
+    objective: str | Sequence[str] = "fake",
+    robot: str = "tiny",
+    *,
+    world: str = "known",
+    selector: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> Run:
     """Run into the new folder `out`; what it left behind. settings: dotted key -> value, laid over all others.
 
     Names are looked up among the installed plugins and the kit's own, so this needs `packages.kit_installed`.

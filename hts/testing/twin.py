@@ -1,7 +1,7 @@
 """The twin for those who calibrate it: its parameters, its machine, and one session of it, step by step.
 
-For commands of instrument authors that hold a twin against the real machine's data sheets, such as a table of its calibration
-anchors. Never for an objective, a reward or a measurement model: what learns may not look into a world.
+For commands of instrument authors that hold a twin against the real machine's data sheets, such as a table of its
+calibration anchors. Never for an objective, a reward or a measurement model: what learns may not look into a world.
 """
 
 from hts.worlds.base import Operator, request_id, seed_sequence, walking

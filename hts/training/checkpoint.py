@@ -25,7 +25,7 @@ REMEDY = "Delete it and resume: the fine-tuning of this iteration starts again, 
 class _Holder:
     """Something with a state dict, as `torchrl.checkpoint` wants it."""
 
-    def __init__(self, state: Mapping[str, Any] | None = None):
+    def __init__(self, state: Mapping[str, Any] | None = None) -> None:
         self.state = state
 
     def state_dict(self) -> Mapping[str, Any]:

@@ -51,8 +51,8 @@ def measured_env(env: EnvBase, transforms: Sequence[Transform]) -> EnvBase:
 
 
 def check_env(env: EnvBase) -> None:
-    """Raise SimulationError if something went wrong in the simulator since the start; an env of another kind than `TaskEnv`
-    cannot be asked."""
+    """Raise SimulationError if something went wrong in the simulator since the start; an env of another kind than
+    `TaskEnv` cannot be asked."""
     if isinstance(env, TaskEnv):
         env.check()
 
@@ -62,10 +62,20 @@ Share = Callable[[float], None]
 
 
 def finetune(
-    robot: Robot, engine: str, config: FinetuneConfig, candidates: Sequence[Candidate], anchors: Mapping[str, Policy],
-    transforms: Callable[[], Sequence[Transform]], inputs: Sequence[str], *, seed: int, checkpoint: Path | None = None,
-    key: str = "", progress: Share | None = None, log: Log | None = None,
-) -> tuple[list[Finetuned], int]:  # fmt: skip
+    robot: Robot,
+    engine: str,
+    config: FinetuneConfig,
+    candidates: Sequence[Candidate],
+    anchors: Mapping[str, Policy],
+    transforms: Callable[[], Sequence[Transform]],
+    inputs: Sequence[str],
+    *,
+    seed: int,
+    checkpoint: Path | None = None,
+    key: str = "",
+    progress: Share | None = None,
+    log: Log | None = None,
+) -> tuple[list[Finetuned], int]:
     """Fine-tune candidates (in groups of `max_candidates`); returns them and the number of control steps.
 
     anchors: name -> policy; transforms: makes fresh measurement transforms for an env; inputs: channels they read;
@@ -126,9 +136,15 @@ class Group:
     """
 
     def __init__(
-        self, members: Sequence[Candidate], starts: Sequence[Policy], bare: EnvBase, transforms: Sequence[Transform],
-        config: FinetuneConfig, seed: int, saved: Saved,
-    ) -> None:  # fmt: skip
+        self,
+        members: Sequence[Candidate],
+        starts: Sequence[Policy],
+        bare: EnvBase,
+        transforms: Sequence[Transform],
+        config: FinetuneConfig,
+        seed: int,
+        saved: Saved,
+    ) -> None:
         count = len(members)
         self.members, self.bare, self.saved = members, bare, saved
         self.population = Population.from_candidates(
@@ -139,11 +155,16 @@ class Group:
         self.history: list[dict[str, Any]] = []
         before = saved.load()
         self.trainer = PopulationTrainer(
-            measured_env(bare, transforms), self.population, config.ppo, seeds=[seed] * count,
-            names=[member.id for member in members], anchor=self.anchor, bounds=self.bounds,
+            measured_env(bare, transforms),
+            self.population,
+            config.ppo,
+            seeds=[seed] * count,
+            names=[member.id for member in members],
+            anchor=self.anchor,
+            bounds=self.bounds,
             weights={name: torch.tensor([member.weights[name] for member in members]) for name in members[0].weights},
             resume=before[0] if before is not None else None,
-        )  # fmt: skip
+        )
         self.batches = max(1, round(config.steps * count / self.trainer.steps_per_batch))
         self._extra = 0
         if before is not None:  # what was before it, as if the process had never ended
@@ -174,14 +195,20 @@ class Group:
         std, anchor_std = (each.log_std().exp().mean((1, 2)).tolist() for each in (self.population, self.anchor))
         return [
             Finetuned(
-                member, self.population.candidate(index), kl[index], std[index], anchor_std[index],
-                self.trainer.stopped.get(index), [_of_member(row, index) for row in self.history],
+                member,
+                self.population.candidate(index),
+                kl[index],
+                std[index],
+                anchor_std[index],
+                self.trainer.stopped.get(index),
+                [_of_member(row, index) for row in self.history],
             )
             for index, member in enumerate(self.members)
-        ]  # fmt: skip
+        ]
 
     def _project(self) -> list[float]:
-        """Measure the KL on fresh batches of the finished candidates' own states; project who ended beyond its bound."""
+        """Measure the KL on fresh batches of the finished candidates' own states;
+        project who ended beyond its bound."""
         bounds = self.bounds.to(self.bare.device)
         while True:
             observation = self.trainer.collect()["observation"].flatten(1, 2)

@@ -22,7 +22,8 @@ from hts.training.trainer import PopulationTrainer
 def pretrain_policy(
     robot: Robot, config: PretrainConfig, out: Path, progress: Callable[[dict[str, Any]], None] | None = None
 ) -> Path:
-    """Train from scratch; writes out/pretrained.safetensors, .json and curve.json (a row per 20 batches). Returns the policy's path.
+    """Train from scratch; writes out/pretrained.safetensors, .json and curve.json (a row per 20 batches).
+    Returns the policy's path.
 
     progress: called with each row. Raises SimulationError if training goes non-finite.
     """
@@ -32,7 +33,8 @@ def pretrain_policy(
     layout = env.observation_layout if isinstance(env, TaskEnv) else None
     if layout is None:
         raise ConfigError(
-            f"The env of robot '{robot.spec.name}' does not say what a policy sees in it, which the policy's card must hold. "
+            f"The env of robot '{robot.spec.name}' does not say what a policy sees in it, which the policy's card must "
+            "hold. "
             'Derive it from hts.rl.TaskEnv and give it observation_layout = [{"name": ..., "size": ...}, ...].'
         )
     spaces = env.observation_spec
@@ -56,10 +58,12 @@ def pretrain_policy(
     tensors = population.candidate(0)
     check_env(env)
     made = {
-        "command": f"hts pretrain --robot {robot.spec.name}", "config": config.model_dump(mode="json"),
-        "steps": trainer.batches * trainer.steps_per_batch, "seconds": round(time.perf_counter() - started, 1),
+        "command": f"hts pretrain --robot {robot.spec.name}",
+        "config": config.model_dump(mode="json"),
+        "steps": trainer.batches * trainer.steps_per_batch,
+        "seconds": round(time.perf_counter() - started, 1),
         "final": curve[-1],
-    }  # fmt: skip
+    }
     card = make_card(robot.spec, tensors, layout, sizes, **made)
     path = save_policy(Path(out) / "pretrained.safetensors", Policy(tensors, card))
     atomic_write(Path(out) / "curve.json", json.dumps(curve, indent=1) + "\n")

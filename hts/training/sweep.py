@@ -16,7 +16,8 @@ FRONT = "front"
 
 @dataclass(frozen=True)
 class Candidate:
-    """One way to fine-tune: id; anchor "best", "pretrained" or a policy's id; weights: objective -> λ; kl_bound: c, nats."""
+    """One way to fine-tune: id; anchor "best", "pretrained" or a policy's id; weights: objective -> λ;
+    kl_bound: c, nats."""
 
     id: str
     anchor: str
@@ -54,7 +55,8 @@ def combinations(own: Mapping[str, Sequence[float]], given: Mapping[str, Sequenc
 
 
 def _levels(lists: Mapping[str, Sequence[float]], names: Sequence[str]) -> list[dict[str, float]]:
-    """Every set of objectives, small sets first, at every level; the others at 0. Shorter lists are spread over levels."""
+    """Every set of objectives, small sets first, at every level; the others at 0.
+    Shorter lists are spread over levels."""
     count = max((len(values) for values in lists.values()), default=0)
 
     def at(values: Sequence[float], level: int) -> float:

@@ -60,14 +60,24 @@ class PopulationTrainer:
     names: what candidates are called in errors.
 
     Collection and gradient steps are those of the device's `hts.rl.backend`. A candidate whose numbers stop being
-    finite is stopped, named in `stopped`, and put back to its anchor; the others go on. If none is left, SimulationError.
+    finite is stopped, named in `stopped`, and put back to its anchor; the others go on. If none is left,
+    SimulationError.
     """
 
     def __init__(
-        self, env: EnvBase, population: Population, config: PPOConfig, *, seeds: Sequence[int], names: Sequence[str],
-        anchor: Population | None = None, bounds: torch.Tensor | None = None,
-        weights: Mapping[str, torch.Tensor] | None = None, update_normaliser: bool = False, resume: TensorDictBase | None = None,
-    ):  # fmt: skip
+        self,
+        env: EnvBase,
+        population: Population,
+        config: PPOConfig,
+        *,
+        seeds: Sequence[int],
+        names: Sequence[str],
+        anchor: Population | None = None,
+        bounds: torch.Tensor | None = None,
+        weights: Mapping[str, torch.Tensor] | None = None,
+        update_normaliser: bool = False,
+        resume: TensorDictBase | None = None,
+    ) -> None:
         self.env, self.population, self.config, self.anchor = env, population, config, anchor
         self.names, self.update_normaliser = list(names), update_normaliser
         count, device = population.count, population.device
@@ -81,11 +91,13 @@ class PopulationTrainer:
         # A batch is rewarded as a whole: the centre moves once, with all of it.
         self.measured = {
             name: MeasuredReward(
-                weight.to(device), self.dt, in_key=("real_reward", name),
+                weight.to(device),
+                self.dt,
+                in_key=("real_reward", name),
                 centring=RewardCentring(config.centring_rate, count, device),
             )
             for name, weight in (weights or {}).items()
-        }  # fmt: skip
+        }
         self.stopped: dict[int, str] = {}
         self.batches = 0
         self.kl = torch.zeros(count, device=device)
@@ -133,7 +145,7 @@ class PopulationTrainer:
         losses = self._epochs(samples, constant)
         with torch.no_grad():
             if self.update_normaliser:
-                # The observation normaliser moves only between batches: the samples' log-probabilities were made with it.
+                # The observation normaliser moves only between batches: the log-probabilities were made with it.
                 self.population.update_normaliser("observation", data["observation"].flatten(1, 2))
             self.population.refresh()
             if self.anchor is not None:
@@ -178,7 +190,8 @@ class PopulationTrainer:
                 step = self.batches * self.config.horizon + first
                 self._stop(
                     index,
-                    f"{what} is not finite at control step {step} (batch {self.batches}) in {int(bad[index, :, first].sum())} of its worlds",
+                    f"{what} is not finite at control step {step} (batch {self.batches}) in "
+                    f"{int(bad[index, :, first].sum())} of its worlds",
                 )
 
     def _stop(self, index: int, reason: str) -> None:
@@ -198,9 +211,14 @@ class PopulationTrainer:
     def _samples(self, data: TensorDictBase, reward: torch.Tensor) -> tuple[Samples, Samples]:
         """See `samples_of`."""
         return samples_of(
-            data, reward, self.population, self.anchor, gamma=self.config.gamma, lam=self.config.gae_lambda,
+            data,
+            reward,
+            self.population,
+            self.anchor,
+            gamma=self.config.gamma,
+            lam=self.config.gae_lambda,
             next_values=self.backend.next_values,
-        )  # fmt: skip
+        )
 
     def _prepared(self, data: TensorDictBase, reward: torch.Tensor) -> tuple[Samples, Samples]:
         """`_samples`, launched as one where the collector leaves its batches in the same memory each time."""
@@ -239,12 +257,20 @@ class PopulationTrainer:
         vectors = {str(index): vector.detach().clone() for index, vector in enumerate(self.population.vectors)}
         rates = torch.tensor(self.steps.rates, dtype=torch.float64)
         parts = {
-            "vectors": vectors, "optimiser": self.steps.state(), "rates": rates, "noise": self.noise.state_dict(), "order": self.order.state_dict(),
-            "normaliser": {name: value.clone() for name, value in self.population.named_buffers()}, "multipliers": _plain(self.multipliers),
-            "centres": {name: _plain(measured.centring) for name, measured in self.measured.items()}, "kl": self.kl.clone(),
-            "batches": torch.tensor(self.batches), "stopped": torch.tensor(sorted(self.stopped), dtype=torch.int64),
-            "env": self._env_state(), "transforms": self._transform_state(),
-        }  # fmt: skip
+            "vectors": vectors,
+            "optimiser": self.steps.state(),
+            "rates": rates,
+            "noise": self.noise.state_dict(),
+            "order": self.order.state_dict(),
+            "normaliser": {name: value.clone() for name, value in self.population.named_buffers()},
+            "multipliers": _plain(self.multipliers),
+            "centres": {name: _plain(measured.centring) for name, measured in self.measured.items()},
+            "kl": self.kl.clone(),
+            "batches": torch.tensor(self.batches),
+            "stopped": torch.tensor(sorted(self.stopped), dtype=torch.int64),
+            "env": self._env_state(),
+            "transforms": self._transform_state(),
+        }
         return TensorDict(parts, batch_size=[])
 
     @property

@@ -39,7 +39,8 @@ def make_field(settings: Settings, context: WorldContext) -> FieldWorld:
 
 
 class FieldWorld(World):
-    """Deploy bundles out, logs in. A request is known by its content, so asking again after a restart finds its logs."""
+    """Deploy bundles out, logs in. A request is known by its content, so asking again after a restart finds its
+    logs."""
 
     name = "field"
     simulated = False
@@ -54,8 +55,8 @@ class FieldWorld(World):
         missing = [name for name, level in levels.items() if level is None]
         if missing or not levels:
             raise WaitingForRobot(
-                f"The idle level of {', '.join(missing) or 'every measured channel'} is not known. With electronics on and "
-                f"motors idle, read it off and write it into {self._mapping_path()}; then type: {self._command()}"
+                f"The idle level of {', '.join(missing) or 'every measured channel'} is not known. With electronics on "
+                f"and motors idle, read it off and write it into {self._mapping_path()}; then type: {self._command()}"
             )
         return {name: float(level) for name, level in levels.items() if level is not None}
 
@@ -141,8 +142,8 @@ class FieldWorld(World):
         missing = [name for name, found in files.items() if not found]
         if missing:
             raise WaitingForRobot(
-                f"Waiting for {len(missing)} of {len(orders)} logs from the robot ({bundle}/logs/{missing[0]}.csv and so on). "
-                f"What to record is in {bundle}/README.md; then type: {self._command()}"
+                f"Waiting for {len(missing)} of {len(orders)} logs from the robot ({bundle}/logs/{missing[0]}.csv and "
+                f"so on). What to record is in {bundle}/README.md; then type: {self._command()}"
             )
         return [self._read(files[order.name], order) for order in orders]
 
@@ -153,9 +154,13 @@ class FieldWorld(World):
         registry, mapping = self._registry, self._mapping()
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
         facts |= {
-            "world": self.name, "policy_hash": DeployedPolicy(order.policy).card.policy_hash, "session": order.session,
-            "schedule": order.schedule.model_dump(mode="json"), "block": order.block, "role": order.role,
-        }  # fmt: skip
+            "world": self.name,
+            "policy_hash": DeployedPolicy(order.policy).card.policy_hash,
+            "session": order.session,
+            "schedule": order.schedule.model_dump(mode="json"),
+            "block": order.block,
+            "role": order.role,
+        }
         robot = registry.make_robot(self._context.robot, self._context.robot_settings)
         try:
             recording = read_log(registry, files, {**mapping, "recording": facts}, robot)

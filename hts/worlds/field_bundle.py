@@ -66,26 +66,36 @@ def instructions(orders: Sequence[Order], mapping: Path, command: str) -> str:
         + " |"
         for order in orders
     ]
-    return "\n".join([
+    session = (
+        "Logs of one session are recorded on one robot, one after the other, without a pause: swap the policy "
+        "while it walks, or as fast as you can. Warm the robot up first, by walking for ten minutes; the "
+        f"first {UNSTEADY_SECONDS:g} s after a swap are left out later. Keep the heading by hand. If it falls, "
+        "stand it up and go on."
+    )
+    policies = (
+        "Each policy is an ONNX file: input `observation`, output `action`; joint target = default_pose + "
+        "action_scale * action. Its `.json` states joint order, default pose, gains, rate and the parts of the "
+        "observation."
+    )
+    idle = "Before or after, with electronics on and motors idle, read off the idle level of each measured channel."
+    lines = [
         "# What to record",
         "",
-        ("Logs of one session are recorded on one robot, one after the other, without a pause: swap the policy while it "
-        f"walks, or as fast as you can. Warm the robot up first, by walking for ten minutes; the first {UNSTEADY_SECONDS:g} s "
-        "after a swap are left out later. Keep the heading by hand. If it falls, stand it up and go on."),
+        session,
         "",
         "| log | session | block | role | policy | commanded speed |",
         "|---|---|---|---|---|---|",
         *rows,
         "",
-        ("Each policy is an ONNX file: input `observation`, output `action`; joint target = default_pose + action_scale * "
-        "action. Its `.json` states joint order, default pose, gains, rate and the parts of the observation."),
+        policies,
         "",
-        "1. Before or after, with electronics on and motors idle, read off the idle level of each measured channel.",
+        f"1. {idle}",
         f"2. Write it, and the names of your log's columns, into `{mapping}`.",
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
         f"4. Type: `{command}`",
         "",
-    ])  # fmt: skip
+    ]
+    return "\n".join(lines)
 
 
 def write_bundle(folder: Path, orders: Sequence[Order], mapping: Path, command: str) -> None:
@@ -106,10 +116,16 @@ def write_bundle(folder: Path, orders: Sequence[Order], mapping: Path, command: 
             target.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     shown = [Order(o.name, named[o.policy], o.schedule, o.session, o.block, o.role) for o in orders]
     plan = [
-        {"log": o.name, "policy": f"policies/{o.policy.name}", "schedule": o.schedule.model_dump(mode="json"),
-         "session": o.session, "block": o.block, "role": o.role}
+        {
+            "log": o.name,
+            "policy": f"policies/{o.policy.name}",
+            "schedule": o.schedule.model_dump(mode="json"),
+            "session": o.session,
+            "block": o.block,
+            "role": o.role,
+        }
         for o in shown
-    ]  # fmt: skip
+    ]
     (temporary / "plan.json").write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
     (temporary / "README.md").write_text(instructions(shown, mapping, command), encoding="utf-8")
     temporary.rename(folder)

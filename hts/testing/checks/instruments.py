@@ -17,7 +17,8 @@ STEPS = 60  # of 1 ms: three control steps
 
 
 def reads_its_channels(entry: Entry, registry: Registry) -> None:
-    """It is made without settings and reads its channels, and no sim channel, of all robots at once, as finite numbers."""
+    """It is made without settings and reads its channels, and no sim channel, of all robots at once,
+    as finite numbers."""
     instrument = _made(entry)
     named = {channel.name: channel for channel in instrument.channels}
     readings = _used(instrument)
@@ -97,5 +98,10 @@ def _used(instrument: Instrument, others: float = 1.0) -> Mapping[str, np.ndarra
 
 
 CHECKS = (
-    reads_its_channels, knows_idle, repeats_itself, reads_each_robot_alone, leaves_physics_alone, describes_itself,
-)  # fmt: skip
+    reads_its_channels,
+    knows_idle,
+    repeats_itself,
+    reads_each_robot_alone,
+    leaves_physics_alone,
+    describes_itself,
+)

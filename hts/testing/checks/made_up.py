@@ -32,7 +32,7 @@ def kind_of(entry: Entry, registry: Registry) -> str:
 
 
 @dataclass(frozen=True)
-class Crew:
+class Case:
     """A robot and an objective to try a world with, and how a run's context names them."""
 
     robot: Robot
@@ -44,10 +44,10 @@ class Crew:
         return WorldContext(robot=robot, robot_settings={}, objectives={objective: {}}, seed=0, folder=folder)
 
 
-def crew_for(world: Entry, registry: Registry) -> Crew:
+def case_for(world: Entry, registry: Registry) -> Case:
     """The first of these that the world takes: the kit's own robot and objective; robots of the world's package, each
     with objectives of that package, then with the kit's, then with any other that is installed."""
-    kit = Crew(Tiny(), Fake(), ("tiny", "fake"))
+    kit = Case(Tiny(), Fake(), ("tiny", "fake"))
     if _takes(world, kit):
         return kit
     ours = [entry for entry in registry.objectives.values() if entry.package == world.package]
@@ -58,16 +58,16 @@ def crew_for(world: Entry, registry: Registry) -> Crew:
         pairs.append((kit.objective, "fake"))
         pairs += [(registry.make_objective(one.name), one.name) for one in others if one.name != "fake"]
         for objective, name in pairs:
-            crew = Crew(robot, objective, (entry.name, name))
-            if set(objective.inputs) <= set(robot.channels()) and _takes(world, crew):
-                return crew
+            case = Case(robot, objective, (entry.name, name))
+            if set(objective.inputs) <= set(robot.channels()) and _takes(world, case):
+                return case
     return kit
 
 
-def _takes(world: Entry, crew: Crew) -> bool:
+def _takes(world: Entry, case: Case) -> bool:
     """Whether a world of that robot and objective can be made."""
     try:
-        made = world.factory({}, crew.context())
+        made = world.factory({}, case.context())
         if isinstance(made, World):
             made.close()
     except HtsError:  # this world does not know that robot or objective
@@ -78,7 +78,7 @@ def _takes(world: Entry, crew: Crew) -> bool:
 def rest_of(kind: str, entry: Entry, registry: Registry) -> tuple[Any, ...]:
     """What a factory of that kind gets after the settings."""
     if kind == "worlds":
-        return (crew_for(entry, registry).context(),)
+        return (case_for(entry, registry).context(),)
     if kind == "measurement_models":
         return (ModelContext(SIGNALS, Named(name="linear"), registry),)
     return (Tiny(),) if kind == "instruments" else ()

@@ -31,7 +31,8 @@ MEMBER = Named(name="linear", lags=2)  # stands for the objective's own model, f
 
 
 def context_for(entry: Entry, registry: Registry) -> tuple[ModelContext, list[Recording]]:
-    """What to try a model on: channels and walks of an objective whose own model it is, else of the kit's known signals."""
+    """What to try a model on: channels and walks of an objective whose own model it is, else of the kit's known
+    signals."""
     from hts.measurement.data import recorded_signals
 
     for one in registry.objectives.values():
@@ -44,7 +45,8 @@ def context_for(entry: Entry, registry: Registry) -> tuple[ModelContext, list[Re
 
 
 def is_made_unfitted(entry: Entry, registry: Registry) -> None:
-    """It is made without settings for the channels and units that it is given; its settings are JSON and make it again."""
+    """It is made without settings for the channels and units that it is given;
+    its settings are JSON and make it again."""
     context, _ = context_for(entry, registry)
     model = entry.factory({}, context)
     ensure(isinstance(model, MeasurementModel), f"is a {type(model).__name__}, not a hts.contracts.MeasurementModel")
@@ -77,7 +79,8 @@ def after(*first: Check) -> Callable[[Check], Check]:
 
 @after(is_made_unfitted)
 def is_fitted_the_same_again(entry: Entry, registry: Registry) -> None:
-    """fit gives a report that JSON can hold and the same numbers from the same seed, and draws from no global generator."""
+    """fit gives a report that JSON can hold and the same numbers from the same seed, and draws from no global
+    generator."""
     import torch
 
     before = torch.random.get_rng_state(), str(np.random.get_state())  # noqa: NPY002 - global on purpose
@@ -105,7 +108,8 @@ def counts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None
 
 @after(is_made_unfitted)
 def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
-    """step and sequence give a finite float32 per world and sample, a deviation of at least 0 or none; the state leads with worlds."""
+    """step and sequence give a finite float32 per world and sample, a deviation of at least 0 or none;
+    the state leads with worlds."""
     import torch
 
     model = _fitted(entry, registry)
@@ -159,7 +163,8 @@ def keeps_worlds_apart(entry: Entry, registry: Registry) -> None:
 
 @after(is_made_unfitted, predicts_for_each_world)
 def forgets_only_who_begins(entry: Entry, registry: Registry) -> None:
-    """reset empties the memory of the worlds that begin, to what initial_state gives, and leaves the others to the bit."""
+    """reset empties the memory of the worlds that begin, to what initial_state gives, and leaves the others to the
+    bit."""
     import torch
 
     model = _fitted(entry, registry)
@@ -254,7 +259,8 @@ def refuses_foreign_files(entry: Entry, registry: Registry) -> None:
 
 @after(is_made_unfitted)
 def refuses_recordings(entry: Entry, registry: Registry) -> None:
-    """Recordings that it cannot learn from (none, other units, NaN, a constant target) are an error of hts.errors, one line."""
+    """Recordings that it cannot learn from (none, other units, NaN, a constant target) are an error of hts.errors,
+    one line."""
     context, recordings = context_for(entry, registry)
     first, target = recordings[0], context.signals.target
     still = Series(target, np.full_like(first.values(target.name), 3.0))
@@ -282,7 +288,8 @@ def refuses_recordings(entry: Entry, registry: Registry) -> None:
 
 @after(is_made_unfitted, predicts_for_each_world)
 def stays_on_its_device(entry: Entry, registry: Registry) -> None:
-    """step and reset stay on the device, look at no value and move with `to`: training may be a captured graph on a GPU."""
+    """step and reset stay on the device, look at no value and move with `to`:
+    training may be a captured graph on a GPU."""
     import torch
 
     device = torch.device("cuda" if torch.cuda.is_available() else "meta")  # "meta" has shapes and no values to look at
@@ -370,7 +377,17 @@ def _close(first: torch.Tensor, second: torch.Tensor) -> bool:
 
 
 CHECKS: Sequence[Check] = (
-    is_made_unfitted, is_fitted_the_same_again, counts_in_deviations_of_the_target, predicts_for_each_world,
-    step_and_sequence_agree, keeps_worlds_apart, forgets_only_who_begins, lets_nan_through, changes_nothing,
-    is_saved_and_loaded, refuses_foreign_files, refuses_recordings, stays_on_its_device,
-)  # fmt: skip
+    is_made_unfitted,
+    is_fitted_the_same_again,
+    counts_in_deviations_of_the_target,
+    predicts_for_each_world,
+    step_and_sequence_agree,
+    keeps_worlds_apart,
+    forgets_only_who_begins,
+    lets_nan_through,
+    changes_nothing,
+    is_saved_and_loaded,
+    refuses_foreign_files,
+    refuses_recordings,
+    stays_on_its_device,
+)

@@ -55,12 +55,14 @@ def instrument_measures_the_target(entry: Entry, registry: Registry) -> None:
     found = given[target.name]
     ensure(
         (found.unit, found.shape) == (target.unit, target.shape),
-        f"'{target.name}' is {target.unit} {target.shape} here and {found.unit} {found.shape} in '{objective.instrument}'",
+        f"'{target.name}' is {target.unit} {target.shape} here and {found.unit} {found.shape} in "
+        f"'{objective.instrument}'",
     )
 
 
 def model_is_registered(entry: Entry, registry: Registry) -> None:
-    """measurement_model() names a model that is installed, with settings that it takes, for its inputs and its target."""
+    """measurement_model() names a model that is installed, with settings that it takes, for its inputs and its
+    target."""
     from hts.measurement.fit_command import new_model
 
     objective = entry.factory({})
@@ -176,6 +178,13 @@ def _all_values(made_up: Segments) -> dict[str, np.ndarray]:
 
 
 CHECKS = (
-    has_its_parts, channels_are_known, instrument_measures_the_target, model_is_registered,
-    model_is_fitted_saved_and_loaded, scores_each_segment, score_lets_nan_through, compares_means, reward_and_score_agree,
-)  # fmt: skip
+    has_its_parts,
+    channels_are_known,
+    instrument_measures_the_target,
+    model_is_registered,
+    model_is_fitted_saved_and_loaded,
+    scores_each_segment,
+    score_lets_nan_through,
+    compares_means,
+    reward_and_score_agree,
+)

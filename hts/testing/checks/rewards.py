@@ -58,7 +58,8 @@ def gives_one_number_per_world(entry: Entry, registry: Registry) -> None:
 
 
 def does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
-    """A candidate's reward (and proxy) is the same alone and in a crowd: nothing is averaged or scaled over candidates."""
+    """A candidate's reward (and proxy) is the same alone and in a crowd: nothing is averaged or scaled over
+    candidates."""
     import torch
 
     for what, function, given in _both(entry, registry):
@@ -75,7 +76,8 @@ def does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
 
 
 def lets_nan_through(entry: Entry, registry: Registry) -> None:
-    """A NaN stays NaN in reward (and proxy), in its own world alone: as a number it could be the best reward there is."""
+    """A NaN stays NaN in reward (and proxy), in its own world alone: as a number it could be the best reward there
+    is."""
     import torch
 
     for what, function, given in _both(entry, registry):
@@ -111,7 +113,8 @@ def stays_on_its_device(entry: Entry, registry: Registry) -> None:
         try:
             elsewhere = function({name: value.to(device) for name, value in given.items()})
         except (RuntimeError, TypeError, NotImplementedError) as error:
-            # "meta" has shapes and no numbers: what only asks for a number there is no fault, what leaves the device is.
+            # "meta" has shapes and no numbers: what only asks for a number there is no fault,
+            # what leaves the device is.
             text = str(error)
             if device.type == "cuda" or any(phrase in text for phrase in ("device", "numpy", "copy out of meta")):
                 raise PluginError(
@@ -132,6 +135,10 @@ def _copy(given: Tensors) -> Tensors:
 
 
 CHECKS = (
-    gives_one_number_per_world, does_not_depend_on_neighbours, lets_nan_through, changes_nothing, stays_on_its_device,
+    gives_one_number_per_world,
+    does_not_depend_on_neighbours,
+    lets_nan_through,
+    changes_nothing,
+    stays_on_its_device,
     proxy_has_weights,
-)  # fmt: skip
+)

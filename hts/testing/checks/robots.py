@@ -20,7 +20,8 @@ GAINS = ("kp", "kd")  # 0 where actions are torques
 
 
 def spec_is_consistent(entry: Entry, registry: Registry) -> None:
-    """It is made without settings; name as registered, every tuple of its spec follows the joints, poses within limits."""
+    """It is made without settings; name as registered, every tuple of its spec follows the joints,
+    poses within limits."""
     robot = entry.factory({})
     ensure(isinstance(robot, Robot), f"is a {type(robot).__name__}, not a hts.contracts.Robot")
     spec = robot.spec
@@ -65,7 +66,8 @@ def channels_are_standard(entry: Entry, registry: Registry) -> None:
 
 
 def model_matches(entry: Entry, registry: Registry) -> None:
-    """Its model, if it has one, compiles, is fresh each time, has the names of the spec, and a twin can be made of it."""
+    """Its model, if it has one, compiles, is fresh each time, has the names of the spec,
+    and a twin can be made of it."""
     robot = entry.factory({})
     root = robot.mjcf()
     if root is None:
@@ -79,8 +81,10 @@ def model_matches(entry: Entry, registry: Registry) -> None:
 
     model = compile_model(robot)
     for kind, names in (
-        ("joint", robot.spec.joint_names), ("body", (robot.spec.trunk_body,)), ("site", robot.spec.foot_sites),
-    ):  # fmt: skip
+        ("joint", robot.spec.joint_names),
+        ("body", (robot.spec.trunk_body,)),
+        ("site", robot.spec.foot_sites),
+    ):
         number = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
         for name in names:
             ensure(mujoco.mj_name2id(model, number, name) >= 0, f"its model has no {kind} '{name}'")
@@ -175,14 +179,19 @@ def _flat(steps: list[Any], candidate: int) -> dict[str, Any]:
     """Name -> numbers of one candidate over all steps."""
     import torch
 
-    names = [key for key in steps[0].keys(include_nested=True, leaves_only=True)]
-    return {
-        key if isinstance(key, str) else "/".join(key): torch.stack([step[key][candidate] for step in steps]).float().cpu().numpy()
-        for key in names
-    }  # fmt: skip
+    found = {}
+    for key in steps[0].keys(include_nested=True, leaves_only=True):
+        values = torch.stack([step[key][candidate] for step in steps])
+        found[key if isinstance(key, str) else "/".join(key)] = values.float().cpu().numpy()
+    return found
 
 
 CHECKS = (
-    spec_is_consistent, times_fit, channels_are_standard, model_matches, policy_fits, env_gives_what_was_asked,
+    spec_is_consistent,
+    times_fit,
+    channels_are_standard,
+    model_matches,
+    policy_fits,
+    env_gives_what_was_asked,
     env_does_not_depend_on_neighbours,
-)  # fmt: skip
+)

@@ -49,14 +49,14 @@ def settings_are_left_alone(entry: Entry, registry: Registry) -> None:
 
 def wrong_settings_are_told(entry: Entry, registry: Registry) -> None:
     """A setting that does not exist or has an impossible value is refused in one line that names it (pydantic does)."""
-    told = _told(entry, registry, {NOBODY_HAS: 1}, NOBODY_HAS)
-    ensure(told is not None, f"takes the setting '{NOBODY_HAS}', so a misspelt one goes unseen")
-    known = re.search(r"Known: ([^.]*)\.", told or "")
+    refusal = _refusal(entry, registry, {NOBODY_HAS: 1}, NOBODY_HAS)
+    ensure(refusal is not None, f"takes the setting '{NOBODY_HAS}', so a misspelt one goes unseen")
+    known = re.search(r"Known: ([^.]*)\.", refusal or "")
     for key in known.group(1).split(", ") if known else ():
-        _told(entry, registry, {key: object()}, key)
+        _refusal(entry, registry, {key: object()}, key)
 
 
-def _told(entry: Entry, registry: Registry, settings: dict[str, Any], key: str) -> str | None:
+def _refusal(entry: Entry, registry: Registry, settings: dict[str, Any], key: str) -> str | None:
     """What a user would read; None if the settings are taken. Raises PluginError for a text that helps nobody."""
     kind = kind_of(entry, registry)
     make = getattr(registry, f"make_{kind.removesuffix('s')}")

@@ -1,7 +1,7 @@
 """Worlds: what they cost and what they record, tried with the kit's own robot and objective.
 
-A world that refuses these (it has one kind of machine) is tried with a robot of its own package and an objective of that
-package, of the kit, or of any other.
+A world that refuses these (it has one kind of machine) is tried with a robot of its own package and an objective of
+that package, of the kit, or of any other.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hts.errors import ConfigError, WaitingForRobot
 from hts.plugins import Entry, Registry
 from hts.recordings.recording import Recording
 from hts.testing.checks.ensure import ensure, listed, same
-from hts.testing.checks.made_up import Crew, crew_for
+from hts.testing.checks.made_up import Case, case_for
 from hts.testing.packages import kit_installed
 
 SCHEDULE = ScheduleConfig(commands=(Command(seconds=1.5, vx=0.5), Command(seconds=1.5, vx=0.8)))
@@ -31,7 +31,7 @@ SHORT = {"block_seconds": 2.0, "warmup_seconds": 1.0}
 def costs_nothing_yet(entry: Entry, registry: Registry) -> None:
     """Making it writes nothing and changes nothing it is given; it knows its name and its cost, and closes twice."""
     with tempfile.TemporaryDirectory() as folder:
-        given = crew_for(entry, registry).context(Path(folder))
+        given = case_for(entry, registry).context(Path(folder))
         before = copy.deepcopy(given)
         with kit_installed():
             world = entry.factory({}, given)
@@ -54,7 +54,7 @@ def costs_nothing_yet(entry: Entry, registry: Registry) -> None:
 
 def gives_recordings(entry: Entry, registry: Registry) -> None:
     """collect gives one whole recording per policy, in order, the same again; or it waits for a person in one line."""
-    with _world(entry, registry) as (world, crew, policy, folder):
+    with _world(entry, registry) as (world, case, policy, folder):
         try:
             recordings = world.collect([policy, policy], SCHEDULE)
         except WaitingForRobot as waiting:
@@ -64,8 +64,8 @@ def gives_recordings(entry: Entry, registry: Registry) -> None:
         idle = world.idle()
         ensure(all(math.isfinite(level) for level in idle.values()), f"idle levels are {dict(idle)}")
         for recording in recordings:
-            _whole(recording, crew, entry.name, SCHEDULE.seconds, folder)
-            target = crew.objective.target.name
+            _whole(recording, case, entry.name, SCHEDULE.seconds, folder)
+            target = case.objective.target.name
             ensure(target in recording.idle, f"recordings have no idle level of '{target}'")
         again = world.collect([policy, policy], SCHEDULE)
         for first, second in zip(recordings, again, strict=True):
@@ -74,8 +74,9 @@ def gives_recordings(entry: Entry, registry: Registry) -> None:
 
 
 def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
-    """head_to_head gives blocks in the order A-B-B-A, of one session per speed, with their roles; or waits for a person."""
-    with _world(entry, registry) as (world, crew, policy, folder):
+    """head_to_head gives blocks in the order A-B-B-A, of one session per speed, with their roles;
+    or waits for a person."""
+    with _world(entry, registry) as (world, case, policy, folder):
         try:
             recordings = world.head_to_head(policy, policy, (0.5, 0.8))
         except WaitingForRobot:
@@ -88,17 +89,17 @@ def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
             speeds = {command.vx for recording in blocks for command in recording.schedule.commands}
             ensure(len(speeds) == 1, f"blocks of one session have commanded speeds of {sorted(speeds)} m/s")
             for recording in blocks:
-                _whole(recording, crew, entry.name, recording.schedule.seconds, folder)
+                _whole(recording, case, entry.name, recording.schedule.seconds, folder)
         sessions = {recording.session for recording in recordings}
         ensure(len(sessions) == 2, f"two speeds are {len(sessions)} session(s), so their blocks would be mixed")
 
 
-def _whole(recording: Recording, crew: Crew, world: str, seconds: float, folder: Path) -> None:
+def _whole(recording: Recording, case: Case, world: str, seconds: float, folder: Path) -> None:
     """What the store and the rest of a run need of a recording."""
     from hts.recordings.store import RecordingStore
 
     ensure(
-        (recording.robot, recording.world) == (crew.names[0], world),
+        (recording.robot, recording.world) == (case.names[0], world),
         f"its recordings are of {recording.robot} in {recording.world}",
     )
     ensure(bool(recording.policy_hash), "its recordings do not say which policy ran")
@@ -106,32 +107,35 @@ def _whole(recording: Recording, crew: Crew, world: str, seconds: float, folder:
         abs(recording.seconds - seconds) < 0.1 * seconds,
         f"{seconds:g} s were asked for, {recording.seconds:g} s are recorded",
     )
-    target = crew.objective.target
-    wanted = {**crew.robot.channels(), target.name: target}
+    target = case.objective.target
+    wanted = {**case.robot.channels(), target.name: target}
     lacking = set(wanted) - set(recording.channels)
     ensure(not lacking, f"its recordings lack {listed(lacking)}")
     for name, channel in wanted.items():
         found = recording.channels[name].channel
-        ensure((found.unit, found.shape) == (channel.unit, channel.shape), f"'{name}' is {found.unit} {found.shape}, not {channel.unit} {channel.shape}")  # fmt: skip
+        ensure(
+            (found.unit, found.shape) == (channel.unit, channel.shape),
+            f"'{name}' is {found.unit} {found.shape}, not {channel.unit} {channel.shape}",
+        )
     RecordingStore(folder / "data.zarr", create=True).write(recording)  # refuses NaN, wrong shapes and times
 
 
 @contextmanager
-def _world(entry: Entry, registry: Registry) -> Iterator[tuple[World, Crew, Path, Path]]:
+def _world(entry: Entry, registry: Registry) -> Iterator[tuple[World, Case, Path, Path]]:
     """The world, whom it is for, an exported policy, and a folder; all gone afterwards."""
     from hts.policies.export import to_onnx
     from hts.policies.files import load_policy
 
     with tempfile.TemporaryDirectory() as name, kit_installed():
-        crew, folder = crew_for(entry, registry), Path(name)
-        source = crew.robot.pretrained_policy()
-        ensure(source is not None, f"takes no robot with a policy to try, only '{crew.names[0]}'")
+        case, folder = case_for(entry, registry), Path(name)
+        source = case.robot.pretrained_policy()
+        ensure(source is not None, f"takes no robot with a policy to try, only '{case.names[0]}'")
         assert source is not None
-        policy = to_onnx(load_policy(source, crew.robot.spec), folder / "policy.onnx")
-        given = crew.context(folder / "world")
+        policy = to_onnx(load_policy(source, case.robot.spec), folder / "policy.onnx")
+        given = case.context(folder / "world")
         world = entry.factory(_short(entry, given), given)
         try:
-            yield world, crew, policy, folder
+            yield world, case, policy, folder
         finally:
             world.close()
 

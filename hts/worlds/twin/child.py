@@ -31,15 +31,23 @@ class Child:
             raise WorldError(
                 f"{log}: the twin cannot write here ({error.strerror}). Choose a folder with --out that can be written."
             ) from error
-        # One core each: that is what several processes are for. Nothing is drawn, so no library need look for a display.
+        # One core each: that is what several processes are for.
+        # Nothing is drawn, so no library need look for a display.
         environment = {
-            **os.environ, "OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable",
+            **os.environ,
+            "OMP_NUM_THREADS": "1",
+            "MUJOCO_GL": "disable",
             "PYTHONPATH": os.pathsep.join(part for part in sys.path if part),
-        }  # fmt: skip
+        }
         self._process = subprocess.Popen(
             [sys.executable, "-m", "hts.worlds.twin.process"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, text=True, encoding="utf-8", env=environment,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            text=True,
+            encoding="utf-8",
+            env=environment,
+        )
         try:
             self.ask(start)
         except BaseException:
@@ -85,7 +93,8 @@ class Child:
         said = " | ".join([line.strip() for line in text.splitlines() if line.strip()][-TAIL_LINES:]) or "nothing"
         how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
         return WorldError(
-            f"The twin's process ended {how}; it said: {said} (all of it in {self._log_path}). `hts resume` tries again."
+            f"The twin's process ended {how}; it said: {said} (all of it in {self._log_path}). `hts resume` tries "
+            "again."
         )
 
 

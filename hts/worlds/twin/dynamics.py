@@ -182,9 +182,16 @@ class Dynamics:
 
         flat = self._state[:, 0]
         self._rollout.rollout(
-            self._models, self._data, flat, self._control, skip_checks=True, nstep=1,
-            initial_warmstart=self._acceleration, state=self._state, sensordata=self._sensordata,
-        )  # fmt: skip
+            self._models,
+            self._data,
+            flat,
+            self._control,
+            skip_checks=True,
+            nstep=1,
+            initial_warmstart=self._acceleration,
+            state=self._state,
+            sensordata=self._sensordata,
+        )
         np.subtract(self.qvel, self._before, out=self._acceleration)
         self._acceleration /= self.dt
         if instruments:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -50,7 +51,8 @@ def columns(addresses: np.ndarray) -> slice | np.ndarray:
 
 
 def by_gearing(spec: RobotSpec, plain: float, extra_stage: float) -> np.ndarray:
-    """One value per joint, (J,): joints whose gear ratio exceeds the robot's smallest have a further stage or linkage."""
+    """One value per joint, (J,): joints whose gear ratio exceeds the robot's smallest have a further stage or
+    linkage."""
     if spec.motors is None:
         return np.full(spec.num_joints, plain)
     ratio = np.array(spec.motors.gear_ratio)
@@ -63,8 +65,8 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
     spec = robot.spec
     if root is None:
         raise UnfitWorldError(
-            f"Robot '{spec.name}' has no model (it is log-only, or brings an env of its own), so there is no twin of it. "
-            "Start a run in another world: --world field, or one of a plugin's."
+            f"Robot '{spec.name}' has no model (it is log-only, or brings an env of its own), so there is no twin of "
+            "it. Start a run in another world: --world field, or one of a plugin's."
         )
     machine_rng = np.random.default_rng([parameters.machine, 1])
     friction = by_gearing(spec, parameters.joint_friction, parameters.joint_friction_extra_stage)
@@ -125,7 +127,7 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
     )
 
 
-def _motors_for_servos(root, joints: list) -> None:
+def _motors_for_servos(root: Any, joints: list) -> None:
     """Position servos become plain torque motors in joint order: the twin does its own motor control."""
     for sensor in root.find_all("sensor"):  # sensors of the robot's own model; the twin has other ones
         sensor.remove()
@@ -135,7 +137,7 @@ def _motors_for_servos(root, joints: list) -> None:
         root.actuator.add("motor", name=joint.name, joint=joint, ctrllimited=False)
 
 
-def _foot_sensors(root, spec: RobotSpec) -> None:
+def _foot_sensors(root: Any, spec: RobotSpec) -> None:
     """Normal force on and velocity of each foot."""
     for index, name in enumerate(spec.foot_sites):
         site = root.find("site", name)

@@ -29,153 +29,156 @@ def parameter(default: float, low: float, high: float, unit: str, source: str, m
 class DynamicsParameters(Config):
     """How the twin's body and drives differ from the training model."""
 
+    # fmt: off
     physics_dt: float = parameter(
-        0.001, 0.0005, 0.002, "s", "E: 1 kHz, five times finer than training, so that motor control and contact are resolved",
+        0.001, 0.0005, 0.002, "s",
+        "E: 1 kHz, five times finer than training, so that motor control and contact are resolved",
         "physics and motor-control step",
-    )  # fmt: skip
+    )
     trunk_mass_scale: float = parameter(
-        1.04, 0.8, 1.3, "1", "E: +0.2 kg of cables, straps and a computer; data sheet 3.0 gives 12.0 +- 1.5 kg in all (A)",
+        1.04, 0.8, 1.3, "1",
+        "E: +0.2 kg of cables, straps and a computer; data sheet 3.0 gives 12.0 +- 1.5 kg in all (A)",
         "factor on the trunk's mass and inertia",
-    )  # fmt: skip
+    )
     com_shift_x: float = parameter(
-        0.008,
-        -0.03,
-        0.03,
-        "m",
-        "E: heavy parts and computer a little forward",
+        0.008, -0.03, 0.03, "m", "E: heavy parts and computer a little forward",
         "shift of the trunk's centre of mass forward",
     )
     com_shift_y: float = parameter(
-        -0.003, -0.03, 0.03, "m", "E: parts loaded from the side", "shift of the trunk's centre of mass to the left"
+        -0.003, -0.03, 0.03, "m", "E: parts loaded from the side",
+        "shift of the trunk's centre of mass to the left",
     )
     com_shift_z: float = parameter(
-        0.006, -0.03, 0.03, "m", "E: cables on top", "shift of the trunk's centre of mass up"
+        0.006, -0.03, 0.03, "m", "E: cables on top",
+        "shift of the trunk's centre of mass up",
     )
     armature_scale: float = parameter(
         1.15, 0.9, 1.5, "1", "E: rotor inertia in the model leaves the gears out; planet and carrier add 10-20 %",
         "factor on reflected rotor inertia",
-    )  # fmt: skip
+    )
     joint_friction: float = parameter(
         0.3, 0.2, 0.4, "N*m", "menagerie 0.2, playground 0.3, Mini Cheetah 0.2 (A)",
         "tau_c: dry friction of joints with the smallest gear ratio",
-    )  # fmt: skip
+    )
     joint_friction_extra_stage: float = parameter(
-        0.6,
-        0.3,
-        1.0,
-        "N*m",
-        "playground 1.0 (A), else E",
+        0.6, 0.3, 1.0, "N*m", "playground 1.0 (A), else E",
         "tau_c of joints with a larger gear ratio (a further stage or linkage)",
     )
     joint_damping: float = parameter(
-        0.02, 0.01, 0.05, "N*m*s/rad", "Mini Cheetah 0.01 (A), E", "b: viscous joint friction"
+        0.02, 0.01, 0.05, "N*m*s/rad", "Mini Cheetah 0.01 (A), E",
+        "b: viscous joint friction",
     )
     gear_loss: float = parameter(
         0.05, 0.0, 0.10, "1", "planetary stage 92-97 % (trade page, A weak); 0.03-0.10, 0 switches it off",
         "mu: share of the motor torque lost as friction, joints with the smallest gear ratio",
-    )  # fmt: skip
+    )
     gear_loss_extra_stage: float = parameter(
-        0.07, 0.0, 0.10, "1", "as gear_loss, plus linkage (E)", "mu of joints with a larger gear ratio"
+        0.07, 0.0, 0.10, "1", "as gear_loss, plus linkage (E)",
+        "mu of joints with a larger gear ratio",
     )
     torque_constant_error: float = parameter(
         0.03, -0.1, 0.1, "1", "E: torque constants spread a few per cent by magnet and temperature",
         "a motor makes (1 + error) times the torque that its firmware believes",
-    )  # fmt: skip
+    )
     full_torque_speed: float = parameter(
         0.5, 0.2, 1.0, "1", "E: voltage-limited motors lose torque above about half their no-load speed",
         "share of the no-load speed up to which a motor has its full torque; falls linearly to 0 at no-load speed",
-    )  # fmt: skip
+    )
     actuation_delay: float = parameter(
-        0.009, 0.0, 0.03, "s", "E: one 2 ms loop of a 500 Hz link each way, RS-485 to the drives, inference; "
+        0.009, 0.0, 0.03, "s",
+        "E: one 2 ms loop of a 500 Hz link each way, RS-485 to the drives, inference; "
         "walk-these-ways trains with 30 ms (A)",
         "from reading the sensors to the drives following the new target",
-    )  # fmt: skip
-    gain_scale: float = parameter(1.0, 0.8, 1.2, "1", "E: position gains are exact in firmware", "factor on kp and kd")
+    )
+    gain_scale: float = parameter(
+        1.0, 0.8, 1.2, "1", "E: position gains are exact in firmware",
+        "factor on kp and kd",
+    )
     floor_friction: float = parameter(
-        0.8, 0.3, 1.3, "1", "menagerie foot friction 0.8 (A)", "sliding friction of the floor"
+        0.8, 0.3, 1.3, "1", "menagerie foot friction 0.8 (A)",
+        "sliding friction of the floor",
     )
     contact_time: float = parameter(
         0.008, 0.004, 0.03, "s", "E: a rubber foot rings down in under 10 ms; training uses MuJoCo's 0.02",
         "time constant of contact (MuJoCo solref)",
-    )  # fmt: skip
+    )
     contact_impratio: float = parameter(
-        10.0,
-        1.0,
-        100.0,
-        "1",
-        "menagerie uses 100 (A); 10 keeps slip small at 1 ms",
+        10.0, 1.0, 100.0, "1", "menagerie uses 100 (A); 10 keeps slip small at 1 ms",
         "ratio of friction to normal impedance",
     )
     encoder_offset: float = parameter(
         0.008, 0.0, 0.03, "rad", "E: half a degree of calibration error; walk-these-ways trains with 0.02 (A)",
         "zero error of the joint encoders, uniform within +- this, fixed per machine",
-    )  # fmt: skip
+    )
     friction_spread: float = parameter(
         0.15, 0.0, 0.5, "1", "E: gears of one type differ by 10-20 %",
         "relative spread of dry friction from joint to joint, uniform within +- this, fixed per machine",
-    )  # fmt: skip
+    )
+    # fmt: on
     machine: int = Field(1, ge=0, description="serial number: seeds what is fixed per machine (offsets, spread), 1")
 
 
 class SensorParameters(Config):
     """How the robot's own sensors, the camera beside it and the scale see it."""
 
+    # fmt: off
     position_noise: float = parameter(
-        0.001, 0, 0.02, "rad", "E: encoder noise seen through gear play", "joint angle, sigma"
+        0.001, 0, 0.02, "rad", "E: encoder noise seen through gear play",
+        "joint angle, sigma",
     )
     velocity_noise: float = parameter(
-        0.05, 0, 1.0, "rad/s", "E: differentiated encoder, filtered", "joint speed, sigma"
+        0.05, 0, 1.0, "rad/s", "E: differentiated encoder, filtered",
+        "joint speed, sigma",
     )
     velocity_word: float = parameter(
-        0.00123,
-        0,
-        0.1,
-        "rad/s",
-        "Q7 word at the rotor / 6.33 (actuator_sdk, B)",
+        0.00123, 0, 0.1, "rad/s", "Q7 word at the rotor / 6.33 (actuator_sdk, B)",
         "step of the joint speed word; 0: none",
     )
     torque_noise: float = parameter(
-        0.15,
-        0,
-        2.0,
-        "N*m",
-        "E: torque estimates from motor current are noisy (walk-these-ways issue 34, A)",
+        0.15, 0, 2.0, "N*m", "E: torque estimates from motor current are noisy (walk-these-ways issue 34, A)",
         "torque estimate, sigma",
     )
     torque_word: float = parameter(
-        0.0247, 0, 0.5, "N*m", "Q8 word at the rotor x 6.33 (actuator_sdk, B)", "step of the torque word; 0: none"
+        0.0247, 0, 0.5, "N*m", "Q8 word at the rotor x 6.33 (actuator_sdk, B)",
+        "step of the torque word; 0: none",
     )
     gyro_noise: float = parameter(
-        0.02, 0, 0.5, "rad/s", "E: consumer MEMS at 50 Hz with body vibration", "angular velocity, sigma"
+        0.02, 0, 0.5, "rad/s", "E: consumer MEMS at 50 Hz with body vibration",
+        "angular velocity, sigma",
     )
     gravity_noise: float = parameter(
-        0.005, 0, 0.1, "1", "E: attitude filter, 0.3 degrees", "projected gravity, sigma per axis"
+        0.005, 0, 0.1, "1", "E: attitude filter, 0.3 degrees",
+        "projected gravity, sigma per axis",
     )
     tilt_error: float = parameter(
         0.008, 0, 0.05, "rad", "E: mounting and attitude drift of half a degree (comm.h notes drift, A)",
         "constant roll and pitch error, uniform within +- this, fixed per machine",
-    )  # fmt: skip
-    foot_force_noise: float = parameter(3.0, 0, 20, "N", "E: raw air-bag sensor", "foot force, sigma")
+    )
+    foot_force_noise: float = parameter(
+        3.0, 0, 20, "N", "E: raw air-bag sensor",
+        "foot force, sigma",
+    )
     foot_force_drift: float = parameter(
-        0.3, 0, 5, "N/sqrt(s)", "E; drift is reported (legged_sdk issue 86, A)", "foot force, random walk"
+        0.3, 0, 5, "N/sqrt(s)", "E; drift is reported (legged_sdk issue 86, A)",
+        "foot force, random walk",
     )
     foot_force_gain: float = parameter(
-        0.05, 0, 0.3, "1", "E", "gain error of each foot sensor, uniform within +-, fixed per machine"
+        0.05, 0, 0.3, "1", "E",
+        "gain error of each foot sensor, uniform within +-, fixed per machine",
     )
     camera_speed_noise: float = parameter(
-        0.03,
-        0,
-        0.3,
-        "m/s",
-        "E: motion capture, 0.4 mm between frames of 20 ms (sqrt 2 x 0.4 mm / 20 ms)",
+        0.03, 0, 0.3, "m/s", "E: motion capture, 0.4 mm between frames of 20 ms (sqrt 2 x 0.4 mm / 20 ms)",
         "base velocity, sigma per axis",
     )
     camera_scale_error: float = parameter(
-        0.0, -0.02, 0.02, "1", "E: calibrated volume", "relative error of the base velocity"
+        0.0, -0.02, 0.02, "1", "E: calibrated volume",
+        "relative error of the base velocity",
     )
     scale_resolution: float = parameter(
-        0.05, 0.001, 1.0, "kg", "E: a floor scale", "step of the weight someone reads off"
+        0.05, 0.001, 1.0, "kg", "E: a floor scale",
+        "step of the weight someone reads off",
     )
+    # fmt: on
 
 
 class TwinSettings(Config):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -135,7 +136,8 @@ def _part_of(progress: Progress | None, done: float, share: float) -> Progress:
 
 
 class PolicyBatch:
-    """The controllers of a block: robots with the same policy share one. hashes: of each robot's policy; kp, kd (W, J)."""
+    """The controllers of a block: robots with the same policy share one.
+    hashes: of each robot's policy; kp, kd (W, J)."""
 
     def __init__(self, machine: Machine, policies: Sequence[str | None], seed: int = 0) -> None:
         self._machine, self._spec = machine, machine.spec
@@ -169,7 +171,7 @@ class PolicyBatch:
             if mask[worlds].any():
                 self._controllers[path].reset(mask[worlds])
 
-    def _controller(self, path: str | None):
+    def _controller(self, path: str | None) -> Any:  # Standing, or DeployedPolicy, which alone has a card
         if path is None:
             return Standing(self._machine)
         from hts.policies.deploy import DeployedPolicy

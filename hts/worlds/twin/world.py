@@ -48,7 +48,8 @@ class TwinWorld(World):
         return self._guarded(lambda: self._staff(1)[0].ask({"do": "idle"}))
 
     def check(self) -> None:
-        """A twin of this robot can be compiled and its instruments measure the objectives; 1 to 2 s in its own process."""
+        """A twin of this robot can be compiled and its instruments measure the objectives;
+        1 to 2 s in its own process."""
         self._guarded(lambda: self._staff(1)[0].ask({"do": "check"}))
 
     def collect(self, policies: Sequence[Path | None], schedule: ScheduleConfig) -> list[Recording]:
@@ -69,12 +70,15 @@ class TwinWorld(World):
         request = self._request("head to head", [*paths, against], [list(speeds), *lengths])
         sessions = [
             head_to_head(
-                path, against, float(speed), *lengths,
+                path,
+                against,
+                float(speed),
+                *lengths,
                 request_id(request, number, float(speed)),
             )
             for number, path in enumerate(paths)
             for speed in speeds
-        ]  # fmt: skip
+        ]
         rows = self._run(sessions, request)
         width = len(speeds)
         return [[r for row in rows[i * width : (i + 1) * width] for r in row] for i in range(len(paths))]
@@ -125,10 +129,14 @@ class TwinWorld(World):
             shutil.rmtree(self._folder / "spool", ignore_errors=True)  # left by a run that was killed
         context = self._context
         start = {
-            "settings": self.settings.model_dump(mode="json"), "robot": context.robot,
-            "robot_settings": plain(context.robot_settings), "objectives": plain(context.objectives),
-            "seed": context.seed, "name": self.name, "spool": str(self._folder / "spool"),
-        }  # fmt: skip
+            "settings": self.settings.model_dump(mode="json"),
+            "robot": context.robot,
+            "robot_settings": plain(context.robot_settings),
+            "objectives": plain(context.objectives),
+            "seed": context.seed,
+            "name": self.name,
+            "spool": str(self._folder / "spool"),
+        }
         while len(self._children) < number:
             self._children.append(Child(self._folder / f"stderr-{len(self._children)}.txt", start))
         return self._children

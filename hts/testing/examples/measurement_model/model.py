@@ -4,8 +4,9 @@ As it stands: a weighted sum of exponential averages of the inputs and their pro
 
     z(t) = b + w · m(t)        m(t) = m(t − 1) + a (φ(t) − m(t − 1))        φ: z-scored features
 
-with w and b by least squares, and a, how quickly the past is forgotten, the best of a few. It is what a sensor with a delay
-asks for, and little to learn. Replace `fit`, `sequence` and `step` by yours; the memory, here m, may have any shape.
+with w and b by least squares, and a, how quickly the past is forgotten, the best of a few. It is what a sensor with a
+delay asks for, and little to learn. Replace `fit`, `sequence` and `step` by yours; the memory, here m, may have any
+shape.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class Settings(Config):
 
 
 class Fading(TorchModel):
-    """Its numbers: buffers, in the shapes that they keep. `TorchModel` brings statistics, z-scores, files and devices."""
+    """Its numbers: buffers, in the shapes that they keep.
+    `TorchModel` brings statistics, z-scores, files and devices."""
 
     def __init__(self, config: Settings, signals: Signals) -> None:
         super().__init__(signals, config.products)

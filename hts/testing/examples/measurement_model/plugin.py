@@ -1,4 +1,5 @@
-"""Registers the measurement model `fading`. Imports nothing heavy: the factory imports what it makes when it is called."""
+"""Registers the measurement model `fading`. Imports nothing heavy: the factory imports what it makes when it is
+called."""
 
 from __future__ import annotations
 

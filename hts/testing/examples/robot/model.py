@@ -52,7 +52,8 @@ def build() -> mjcf.RootElement:
 
 
 def _add_casters(root, trunk) -> None:
-    """Two balls that slide without friction, so that the cart stands. On a body of their own: they are not the trunk."""
+    """Two balls that slide without friction, so that the cart stands.
+    On a body of their own: they are not the trunk."""
     body = trunk.add("body", name="casters", pos=[0, 0, CASTER_RADIUS - RADIUS + 0.002])
     for name, x in (("front", CASTER_X), ("back", -CASTER_X)):
         free = {"contype": 0, "conaffinity": 0}
