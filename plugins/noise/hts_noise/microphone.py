@@ -1,8 +1,8 @@
-"""The instrument `microphone`: what a sound-level meter beside a simulated robot shows, from the physics of its footfalls.
+"""The instrument `microphone`: what a sound-level meter beside a simulated robot shows, from its footfalls.
 
-Every touchdown is a Hertz contact whose force pulse sets modes of floor, shank and shells ringing; drives whine, the room
-is never silent. The meter A-weights, squares, averages exponentially over 125 ms (`fast`) and shows decibels. What rings
-on is kept as squared amplitudes, so a frame is worked through in closed form, however long the modes ring.
+Every touchdown is a Hertz contact whose force pulse sets modes of floor, shank and shells ringing; drives whine, the
+room is never silent. The meter A-weights, squares, averages exponentially over 125 ms (`fast`) and shows decibels. What
+rings on is kept as squared amplitudes, so a frame is worked through in closed form, however long the modes ring.
 docs/noise.md gives every formula with its number.
 
 Steps are collected and worked through in one go when somebody looks, as in other instruments.
