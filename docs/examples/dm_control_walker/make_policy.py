@@ -1,8 +1,8 @@
 """How policies/pretrained.* was made: `python make_policy.py OUT`, with the run's own PPO.
 
 The suite steps one world at a time, some hundred control steps a second through all wrappers; this takes the same model
-and the same arithmetic to the engine that hts steps many worlds with. `tests/envs/test_foreign_env.py` compares the two.
-Fine-tuning, simulation tests and everything else in `hts run` use the suite's own task.
+and the same arithmetic to the engine that hts steps many worlds with. `tests/envs/test_foreign_env.py` compares the
+two. Fine-tuning, simulation tests and everything else in `hts run` use the suite's own task.
 """
 
 from __future__ import annotations
@@ -79,9 +79,11 @@ class FastWalkerEnv(EnvBase):
         self.steps = torch.zeros(shape)
         size = sum(size for _, size in OBSERVATION)
         self.observation_spec = Composite(
-            observation=Unbounded((*shape, size)), critic_observation=Unbounded((*shape, size)),
-            channels=Composite({"joint_torque": Unbounded((*shape, 6))}, shape=shape), shape=shape,
-        )  # fmt: skip
+            observation=Unbounded((*shape, size)),
+            critic_observation=Unbounded((*shape, size)),
+            channels=Composite({"joint_torque": Unbounded((*shape, 6))}, shape=shape),
+            shape=shape,
+        )
         self.action_spec = Unbounded((*shape, 6))
         self.reward_spec = Unbounded((*shape, 1))
         flag = Binary(1, (*shape, 1), dtype=torch.bool)
@@ -143,9 +145,14 @@ def settings(steps: int, worlds: int) -> PretrainConfig:
     """Rate 1e-3, adapted to the KL between batches; 64-64 networks, so that the file stays small."""
     ppo = PPOConfig(learning_rate=1e-3, adaptive_rate=True, entropy_coef=0.002, horizon=32, epochs=5, minibatches=4)
     return PretrainConfig(
-        engine="mujoco", num_envs=worlds, steps=steps, hidden=(64, 64), init_std=0.6, ppo=ppo,
+        engine="mujoco",
+        num_envs=worlds,
+        steps=steps,
+        hidden=(64, 64),
+        init_std=0.6,
+        ppo=ppo,
         env={"episode_seconds": 25.0},
-    )  # fmt: skip
+    )
 
 
 def main(out: Path, steps: int = 7_000_000, worlds: int = 256) -> None:

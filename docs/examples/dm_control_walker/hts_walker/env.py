@@ -26,10 +26,14 @@ def make_walker_env(
         for world in range(num_envs)
     ]
     return FoldedEnv(
-        SerialEnv(len(makers), makers), num_candidates, dt=SPEC.physics_dt * SPEC.substeps,
-        observation=[name for name, _ in OBSERVATION], channels=channels, values=_channels,
+        SerialEnv(len(makers), makers),
+        num_candidates,
+        dt=SPEC.physics_dt * SPEC.substeps,
+        observation=[name for name, _ in OBSERVATION],
+        channels=channels,
+        values=_channels,
         action_limit=1.0,  # what the suite's own action spec allows
-    )  # fmt: skip
+    )
 
 
 def _channels(after: TensorDictBase, action: torch.Tensor) -> Mapping[str, torch.Tensor]:

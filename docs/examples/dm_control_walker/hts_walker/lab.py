@@ -87,11 +87,24 @@ class WalkerLab(World):
         time, values = machine.walk(policy, schedule.seconds)
         channels = {channel.name: channel for channel in (*CHANNELS, POWER)}
         return Recording(
-            robot=SPEC.name, world=self.name, policy_hash=policy.card.policy_hash, iteration=0,
-            joint_names=SPEC.joint_names, kp=SPEC.kp, kd=SPEC.kd, rate_hz=RATE, schedule=schedule, idle=self.idle(),
-            clock="simulated", time=time, channels={n: Series(channels[n], values[n]) for n in channels},
-            mass_kg=machine.mass, session=session, role=role, block=block,
-        )  # fmt: skip
+            robot=SPEC.name,
+            world=self.name,
+            policy_hash=policy.card.policy_hash,
+            iteration=0,
+            joint_names=SPEC.joint_names,
+            kp=SPEC.kp,
+            kd=SPEC.kd,
+            rate_hz=RATE,
+            schedule=schedule,
+            idle=self.idle(),
+            clock="simulated",
+            time=time,
+            channels={n: Series(channels[n], values[n]) for n in channels},
+            mass_kg=machine.mass,
+            session=session,
+            role=role,
+            block=block,
+        )
 
 
 class Machine:
