@@ -1,4 +1,4 @@
-"""A policy that keeps the commanded speed at one speed and not at another: what it did is reported, the rest is named."""
+"""A policy that keeps the commanded speed at one speed and not at another: what it did is reported, the rest named."""
 
 from __future__ import annotations
 
@@ -30,11 +30,24 @@ def block(role: str, number: int, told: float, walked: float, level: float) -> R
         CostObjective.target.name: Series(CostObjective.target, cost),
     }
     return Recording(
-        robot="r", world="w", policy_hash=role, iteration=0, joint_names=(), kp=(), kd=(), rate_hz=50.0,
-        schedule=ScheduleConfig(commands=(Command(seconds=22, vx=told),)), idle={CostObjective.target.name: 0.0},
-        clock="simulated", time=np.arange(count) / 50, channels=series, mass_kg=10.0, session=f"s{told}", block=number,
+        robot="r",
+        world="w",
+        policy_hash=role,
+        iteration=0,
+        joint_names=(),
+        kp=(),
+        kd=(),
+        rate_hz=50.0,
+        schedule=ScheduleConfig(commands=(Command(seconds=22, vx=told),)),
+        idle={CostObjective.target.name: 0.0},
+        clock="simulated",
+        time=np.arange(count) / 50,
+        channels=series,
+        mass_kg=10.0,
+        session=f"s{told}",
+        block=number,
         role=role,
-    )  # fmt: skip
+    )
 
 
 def session(told: float, policy: float, reference: float) -> list[Recording]:

@@ -1,4 +1,4 @@
-"""Stores that somebody else wrote, hashes and all: a name is no path, a shape takes no memory, and each fault is one line."""
+"""Stores that somebody else wrote, hashes and all: a name is no path, a shape takes no memory, a fault is one line."""
 
 from __future__ import annotations
 
