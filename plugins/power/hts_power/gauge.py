@@ -4,8 +4,8 @@ Per step and joint: copper, iron and inverter losses on top of tau * q'; all joi
 battery delivers; windings and housings warm up and stay warm when policies are swapped; the gauge averages, delays,
 rounds and holds. docs/twin.md gives every formula with its number.
 
-Steps are collected and worked through in one go when somebody looks, because numpy on (K, W, J) arrays costs
-hardly more than on (W, J).
+Steps are collected and worked through in one go when a reading is asked for, because numpy on (K, W, J) arrays
+costs hardly more than on (W, J).
 """
 
 from __future__ import annotations

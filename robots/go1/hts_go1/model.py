@@ -77,7 +77,7 @@ def build() -> mjcf.RootElement:
     )
     root.asset.add("material", name="grid", texture="grid", texrepeat=[2, 2], texuniform=True)
     root.worldbody.add("light", pos=[0, 0, 4], dir=[0, 0, -1], directional=True)
-    # The floor's friction wins over the feet's (priority 1), so one number per world randomises grip.
+    # The floor's friction wins over the feet's (priority 1), so one number per env instance randomises grip.
     root.worldbody.add(
         "geom",
         name="floor",
