@@ -49,7 +49,7 @@ DIFFERENT = (
 
 
 class Contestant:
-    """A process that works when it is told to."""
+    """A process that works when it is asked to."""
 
     def __init__(self, python: Path | str, name: str, robot: str) -> None:
         self.name, self.rates = name, list[float]()

@@ -40,9 +40,9 @@ def answer(command: list[str], environment: dict[str, str]) -> dict[str, Any]:
     """The JSON that a command prints; what goes wrong is a result too ("error"), and the next size goes on."""
     done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
     if done.returncode:
-        told = (done.stderr.strip() or done.stdout.strip() or "nothing").splitlines()
-        print("\n".join(told[-30:]), file=sys.stderr)
-        return {"error": f"status {done.returncode}: {told[-1]}"}
+        printed = (done.stderr.strip() or done.stdout.strip() or "nothing").splitlines()
+        print("\n".join(printed[-30:]), file=sys.stderr)
+        return {"error": f"status {done.returncode}: {printed[-1]}"}
     return json.loads(done.stdout[done.stdout.index("{") :])
 
 

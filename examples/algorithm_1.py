@@ -38,7 +38,7 @@ from hts.rl import (
     project_to_kl_bound,
 )
 
-DT, WORLDS, HORIZON, CPU = 0.05, 32, 32, torch.device("cpu")  # s, env instances a candidate, steps a batch
+DT, INSTANCES, HORIZON, CPU = 0.05, 32, 32, torch.device("cpu")  # s, env instances a candidate, steps a batch
 TORQUE, CURRENT = Channel("motor_torque", "N*m", (2,)), Channel("battery_current", "A", ())
 SIZES = Sizes(observation=2, critic_observation=2, action=2, hidden=(32, 32))
 WEIGHTS, BOUNDS, ELITES, ITERATIONS = (0.5, 1.0, 5.0), (0.2, 0.5, 1.0), 3, 3
@@ -135,12 +135,12 @@ def train(starts, weights, bounds, batches: int, model: Linear | None = None):
     count, random = len(starts), PopulationRandom([3] * len(starts), CPU)
     population = Population.from_candidates(SIZES, starts)
     anchor, actor, critic = population.frozen(), PopulationActor(population, random), PopulationCritic(population)
-    env = Sled(count, WORLDS)
+    env = Sled(count, INSTANCES)
     measured = None
     if model is not None:
         env = TransformedEnv(env, MeasurementTransform(model, torch.neg, "current"), auto_unwrap=False)
         measured = MeasuredReward(weights, DT, in_key=("real_reward", "current"))
-    collector = PopulationCollector(env, actor, frames_per_batch=count * WORLDS * HORIZON)
+    collector = PopulationCollector(env, actor, frames_per_batch=count * INSTANCES * HORIZON)
     advantage = GAE(gamma=0.97, lmbda=0.95, value_network=critic, vectorized=False)
     loss = KLConstrainedPPOLoss(actor, critic, kl_bound=bounds, multiplier_rate=0.1, normalize_advantage=True)
     optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)

@@ -81,8 +81,8 @@ class WalkerLab(World):
     def _recording(self, machine, policy, schedule, session, role="collection", block=0) -> Recording:
         if any(command.vx != SPEED for command in schedule.commands):
             raise WorldError(
-                f"World 'walker_lab' was told {[command.vx for command in schedule.commands]} m/s, its task has no "
-                f"command but {SPEED}. Use the settings in walker.yaml: --config walker.yaml"
+                f"World 'walker_lab' was commanded {[command.vx for command in schedule.commands]} m/s, its task "
+                f"has no command but {SPEED}. Use the settings in walker.yaml: --config walker.yaml"
             )
         time, values = machine.walk(policy, schedule.seconds)
         channels = {channel.name: channel for channel in (*CHANNELS, POWER)}
