@@ -68,9 +68,9 @@ class Treadmill(EnvBase):
         return self._write(fell, reward=torch.zeros(*self.batch_size, 1))
 
 
-def judge(speeds, falls=None, told=(0.5, 1.0), seconds=4.0):
+def judge(speeds, falls=None, commanded=(0.5, 1.0), seconds=4.0):
     population = Population(Sizes(3, 3, 1, (4,)), len(speeds))
-    return simulate(Treadmill(speeds, falls), population, told, seconds, tolerance=0.1)
+    return simulate(Treadmill(speeds, falls), population, commanded, seconds, tolerance=0.1)
 
 
 def test_worlds_are_told_the_speeds_in_turn_and_judged_by_their_own():

@@ -242,9 +242,9 @@ def test_taken_together_a_gradient_that_is_not_finite_stops_its_candidate_alone(
 
     population = Population(Sizes(3, 3, 2, (4,)), 2)
     before = torch.stack(list(population.vectors)).detach().clone()
-    told = []
+    reported = []
     steps = BatchedSteps(
-        population, UpdateSettings(minibatches=2), lambda index, reason: told.append((index, reason)), capture=False
+        population, UpdateSettings(minibatches=2), lambda index, reason: reported.append((index, reason)), capture=False
     )
     samples = {
         "observation": torch.randn(2, 8, 3),
@@ -259,7 +259,7 @@ def test_taken_together_a_gradient_that_is_not_finite_stops_its_candidate_alone(
     samples["advantage"][0, 3] = torch.inf
     order = torch.arange(8).expand(2, 8)
     steps.run(samples, {"old_log_std": torch.zeros(2, 1, 2)}, torch.zeros(2), [order], 1.0)
-    assert told == [(0, "the gradient is not finite")]
+    assert reported == [(0, "the gradient is not finite")]
     after = torch.stack(list(population.vectors)).detach()
     assert torch.isfinite(after).all() and not torch.equal(after[1], before[1])
     steps.halt(0)

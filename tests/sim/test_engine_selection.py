@@ -168,8 +168,8 @@ def test_a_run_out_of_memory_says_how_it_goes_on(tmp_path):
     (tmp_path / "config.yaml").write_text("preset: smoke\n")
     with pytest.raises(RunError, match=f"num_envs.*hts resume {tmp_path}") as caught, resumable(tmp_path):
         raise torch.OutOfMemoryError(OOM)
-    told = one_line(caught.value)
-    assert told is not None and "\n" not in told[0] and told[1] == 2
+    line = one_line(caught.value)
+    assert line is not None and "\n" not in line[0] and line[1] == 2
 
 
 @pytest.mark.parametrize(
@@ -190,9 +190,9 @@ def test_a_run_out_of_memory_says_how_it_goes_on(tmp_path):
     ],
 )
 def test_what_the_libraries_say_becomes_what_to_do(error, expected):
-    told = device_fault(error)
-    assert told is not None and expected in told and "\n" not in told
-    assert one_line(error) == (f"error: {told}", 2)
+    fault = device_fault(error)
+    assert fault is not None and expected in fault and "\n" not in fault
+    assert one_line(error) == (f"error: {fault}", 2)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("shape mismatch"), ValueError("out of memory"), KeyError("cuda error")])
@@ -239,14 +239,14 @@ def test_auto_takes_no_slow_double_of_the_gpu_engine(usable):
 
 
 def test_a_gpu_that_auto_cannot_use_is_told_with_the_reason(usable, monkeypatch):
-    told: list[str] = []
+    messages: list[str] = []
     usable("the package is missing")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    assert selection.select_engine("auto", tell=told.append) == "mujoco"
-    assert len(told) == 1 and "the package is missing" in told[0]
+    assert selection.select_engine("auto", tell=messages.append) == "mujoco"
+    assert len(messages) == 1 and "the package is missing" in messages[0]
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert selection.select_engine("auto", tell=told.append) == "mujoco"
-    assert len(told) == 1  # no GPU, nothing to tell
+    assert selection.select_engine("auto", tell=messages.append) == "mujoco"
+    assert len(messages) == 1  # no GPU, nothing to tell
 
 
 def test_quick_is_automatic_and_an_engine_that_is_named_is_taken():

@@ -218,17 +218,17 @@ def test_words_have_whole_steps_and_step_nothing_leaves_values_alone():
 
 def test_the_operator_turns_against_the_heading_error_and_no_faster_than_one():
     operator = Operator(3)
-    told = np.array([[0.5, 0.0, 0.0]] * 3)
-    operator.command(told, np.zeros(3))  # heading 0 is to be kept
-    sent = operator.command(told, np.array([0.4, -3.0, 2 * np.pi + 0.2]))
+    commanded = np.array([[0.5, 0.0, 0.0]] * 3)
+    operator.command(commanded, np.zeros(3))  # heading 0 is to be kept
+    sent = operator.command(commanded, np.array([0.4, -3.0, 2 * np.pi + 0.2]))
     assert sent[:, 2] == pytest.approx([-0.2, 1.0, -0.1])
 
 
 def test_the_operator_leaves_turns_and_standing_alone():
     operator = Operator(2)
-    told = np.array([[0.5, 0.0, 0.3], [0.0, 0.0, 0.0]])
-    operator.command(told, np.zeros(2))
-    assert operator.command(told, np.full(2, 0.4)).tolist() == told.tolist()
+    commanded = np.array([[0.5, 0.0, 0.3], [0.0, 0.0, 0.0]])
+    operator.command(commanded, np.zeros(2))
+    assert operator.command(commanded, np.full(2, 0.4)).tolist() == commanded.tolist()
 
 
 def test_a_schedule_becomes_one_command_per_control_step():
