@@ -2,10 +2,10 @@
 
     python benchmarks/compare_cpu.py [--rounds 5] [--seconds 5] [--out FILE]
 
-Makes an environment for the rivals (Stable-Baselines3 and gymnasium from PyPI) in benchmarks/.environments, starts every
-contestant in a process of its own and lets them work in turn, so that whatever else runs on the machine meets all of them.
-Prints JSON: control steps per second, collection and update, of each; `ratio`, ours over Stable-Baselines3's best. What
-they share and where they differ is in `same` and `different`; the contestants are in cpu_rivals.py.
+Makes an environment for the rivals (Stable-Baselines3 and gymnasium from PyPI) in benchmarks/.environments, starts
+every contestant in a process of its own and lets them work in turn, so that whatever else runs on the machine meets all
+of them. Prints JSON: control steps per second, collection and update, of each; `ratio`, ours over Stable-Baselines3's
+best. What they share and where they differ is in `same` and `different`; the contestants are in cpu_rivals.py.
 """
 
 from __future__ import annotations
@@ -28,11 +28,18 @@ from output import give
 from hts.cores import available
 
 REQUIREMENTS = (
-    "stable-baselines3==2.9.2", "gymnasium==1.4.0", "farama-notifications", "pandas", "python-dateutil", "pytz", "tzdata", "six",
-)  # fmt: skip
+    "stable-baselines3==2.9.2",
+    "gymnasium==1.4.0",
+    "farama-notifications",
+    "pandas",
+    "python-dateutil",
+    "pytz",
+    "tzdata",
+    "six",
+)
 SAME = (
-    "MJCF, variants, 4 physics steps of 5 ms per control step, delay, observation and its noise, commands, pushes, reward "
-    "terms and weights, time-outs; starting policy; actor and critic 256-128 ELU; "
+    "MJCF, variants, 4 physics steps of 5 ms per control step, delay, observation and its noise, commands, pushes, "
+    "reward terms and weights, time-outs; starting policy; actor and critic 256-128 ELU; "
     f"{BATCH} samples per candidate and batch, {EPOCHS} epochs of minibatches of {MINIBATCH}"
 )
 DIFFERENT = (
@@ -42,16 +49,19 @@ DIFFERENT = (
 
 
 class Contestant:
-    """A process that works when it is told to."""
+    """A process that works when it is asked to."""
 
     def __init__(self, python: Path | str, name: str, robot: str) -> None:
         self.name, self.rates = name, list[float]()
         here = Path(__file__).parent
         self.process = subprocess.Popen(
-            [python, here / "cpu_rivals.py", name, robot], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            [python, here / "cpu_rivals.py", name, robot],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
             stderr=subprocess.DEVNULL if not os.environ.get("SHOW") else None,
             env={**os.environ, "OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable"},
-        )  # fmt: skip
+        )
 
     def work(self, seconds: float) -> float:
         """Control steps per second of whole batches, at least `seconds` of them."""
@@ -134,9 +144,13 @@ def main() -> None:
     python = given.python or python_with("sb3", REQUIREMENTS)
     result = compare(given.robot, names, given.rounds, given.seconds, python)
     result |= {
-        "robot": given.robot, "same": SAME, "different": DIFFERENT, "cores": available(),
-        "processor": platform.processor() or platform.machine(), "python": platform.python_version(),
-    }  # fmt: skip
+        "robot": given.robot,
+        "same": SAME,
+        "different": DIFFERENT,
+        "cores": available(),
+        "processor": platform.processor() or platform.machine(),
+        "python": platform.python_version(),
+    }
     give(result, given.out)
 
 

@@ -23,9 +23,16 @@ from environment import python_with
 from output import give
 
 REQUIREMENTS = (
-    "mjlab==1.6.0", "mujoco==3.11.0", "mujoco-warp==3.11.0", "rsl-rl-lib==5.4.2", "tyro", "docstring_parser",
-    "typeguard", "prettytable", "wcwidth",
-)  # fmt: skip
+    "mjlab==1.6.0",
+    "mujoco==3.11.0",
+    "mujoco-warp==3.11.0",
+    "rsl-rl-lib==5.4.2",
+    "tyro",
+    "docstring_parser",
+    "typeguard",
+    "prettytable",
+    "wcwidth",
+)
 HERE = Path(__file__).parent
 
 
@@ -33,18 +40,19 @@ def answer(command: list[str], environment: dict[str, str]) -> dict[str, Any]:
     """The JSON that a command prints; what goes wrong is a result too ("error"), and the next size goes on."""
     done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
     if done.returncode:
-        told = (done.stderr.strip() or done.stdout.strip() or "nothing").splitlines()
-        print("\n".join(told[-30:]), file=sys.stderr)
-        return {"error": f"status {done.returncode}: {told[-1]}"}
+        printed = (done.stderr.strip() or done.stdout.strip() or "nothing").splitlines()
+        print("\n".join(printed[-30:]), file=sys.stderr)
+        return {"error": f"status {done.returncode}: {printed[-1]}"}
     return json.loads(done.stdout[done.stdout.index("{") :])
 
 
 def ours(given: argparse.Namespace, worlds: int, bench: str) -> dict[str, Any]:
     """`hts bench train` or `env`: against bare physics of the same steps in the same process."""
     command = [
-        sys.executable, "-m", "hts.cli.main", "bench", bench, "--robot", given.robot, "--engine", "warp", "--device", given.device,
-        "--candidates", str(given.candidates), "--envs", str(max(1, worlds // given.candidates)), "--hidden", given.hidden,
-        "--memory", str(given.memory), "--seconds", str(given.seconds), "--json",
+        sys.executable, "-m", "hts.cli.main", "bench", bench,
+        "--robot", given.robot, "--engine", "warp", "--device", given.device,
+        "--candidates", str(given.candidates), "--envs", str(max(1, worlds // given.candidates)),
+        "--hidden", given.hidden, "--memory", str(given.memory), "--seconds", str(given.seconds), "--json",
     ]  # fmt: skip
     return answer(command, dict(os.environ))
 
@@ -59,8 +67,8 @@ def mjlab(given: argparse.Namespace, worlds: int) -> dict[str, Any]:
         environment.pop("PYTHONPATH", None)
     device = "cuda:0" if given.device in ("auto", "cuda") else given.device
     command = [
-        str(python), str(HERE / "mjlab_rival.py"), "--worlds", str(worlds), "--rounds", str(given.rounds), "--iterations",
-        str(given.iterations), "--device", device,
+        str(python), str(HERE / "mjlab_rival.py"), "--worlds", str(worlds), "--rounds", str(given.rounds),
+        "--iterations", str(given.iterations), "--device", device,
     ]  # fmt: skip
     return answer(command, environment)
 
@@ -96,9 +104,11 @@ def main() -> None:
         print(f"{worlds} worlds: {rates}", file=sys.stderr)
         sizes.append(row)
     result = {
-        "benchmark": "compare_gpu", "sizes": sizes,
-        "different": "each its own Go1 model, reward and randomisation; ours also runs the measurement model and the anchor",
-    }  # fmt: skip
+        "benchmark": "compare_gpu",
+        "sizes": sizes,
+        "different": "each its own Go1 model, reward and randomisation; "
+        "ours also runs the measurement model and the anchor",
+    }
     give(result, given.out)
 
 

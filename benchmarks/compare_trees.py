@@ -1,12 +1,13 @@
 """One bench of two source trees, in alternating pairs: by how much is the new one faster than the old one?
 
-    python benchmarks/compare_trees.py OLD NEW [--bench train] [--pairs 12] [--seconds 10] [--out FILE] [--robot go1 ...]
+    python benchmarks/compare_trees.py OLD NEW [--bench train] [--pairs 12] [--seconds 10] [--out FILE] [--robot go1
+    ...]
 
-OLD and NEW are checkouts, for instance made by `git worktree add`; other options are those of `hts bench`. Both run in this
-Python, each measurement in a process of its own with the tree's sources first on the path. Which of the two goes first
-changes from pair to pair, so that a machine that slows down meets both. Prints JSON: of `ratio` (of bare physics) and
-`steps_per_s` the geometric mean of new over old and its 95 % t-interval over pairs, every measurement, and how many cores
-others used meanwhile.
+OLD and NEW are checkouts, for instance made by `git worktree add`; other options are those of `hts bench`. Both run in
+this Python, each measurement in a process of its own with the tree's sources first on the path. Which of the two goes
+first changes from pair to pair, so that a machine that slows down meets both. Prints JSON: of `ratio` (of bare physics)
+and `steps_per_s` the geometric mean of new over old and its 95 % t-interval over pairs, every measurement, and how many
+cores others used meanwhile.
 """
 
 from __future__ import annotations
@@ -47,9 +48,14 @@ def sources(tree: Path) -> str:
 def python(tree: Path, *arguments: str) -> str:
     """What Python prints, run in a tree with its sources first."""
     done = subprocess.run(
-        [sys.executable, *arguments], check=False, cwd=tree, env={**os.environ, "PYTHONPATH": sources(tree)}, text=True,
-        stdout=subprocess.PIPE, stderr=None if os.environ.get("SHOW") else subprocess.DEVNULL,
-    )  # fmt: skip
+        [sys.executable, *arguments],
+        check=False,
+        cwd=tree,
+        env={**os.environ, "PYTHONPATH": sources(tree)},
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=None if os.environ.get("SHOW") else subprocess.DEVNULL,
+    )
     if done.returncode:
         sys.exit(f"{' '.join(arguments)} ended with status {done.returncode} in {tree}. SHOW=1 shows what it printed.")
     return done.stdout
@@ -77,10 +83,13 @@ def compare(trees: tuple[Path, Path], bench: str, pairs: int, seconds: float, op
         old, new = ([one[name] for one in each] for each in found)
         mean, low, high = new_over_old(list(zip(old, new, strict=True)))
         result[name] = {
-            "new_over_old": round(mean, 4), "interval": [round(low, 4), round(high, 4)],
-            "old": [round(value, 4) for value in old], "new": [round(value, 4) for value in new],
-            "median_old": round(statistics.median(old), 4), "median_new": round(statistics.median(new), 4),
-        }  # fmt: skip
+            "new_over_old": round(mean, 4),
+            "interval": [round(low, 4), round(high, 4)],
+            "old": [round(value, 4) for value in old],
+            "new": [round(value, 4) for value in new],
+            "median_old": round(statistics.median(old), 4),
+            "median_new": round(statistics.median(new), 4),
+        }
     return result | {"others_busy_cores": [round(one, 2) for one in load]}
 
 

@@ -1,9 +1,9 @@
 """The contestants of `compare_cpu.py`, each run in a process of its own: `python cpu_rivals.py NAME` serves rounds.
 
-Each line on stdin is a number of seconds; the answer is one line of JSON, {"steps", "seconds"}, of whole batches. Between
-rounds a contestant waits and takes no processor time. All of them walk with the shipped policy (a robot in the air is
-simulated twice as fast as one on its feet) and hardly change it (learning rate 1e-5); 1,536 samples a candidate and batch,
-5 epochs of 4 minibatches of 384, networks 256-128 with ELU.
+Each line on stdin is a number of seconds; the answer is one line of JSON, {"steps", "seconds"}, of whole batches.
+Between rounds a contestant waits and takes no processor time. All of them walk with the shipped policy (a robot in the
+air is simulated twice as fast as one on its feet) and hardly change it (learning rate 1e-5); 1,536 samples a candidate
+and batch, 5 epochs of 4 minibatches of 384, networks 256-128 with ELU.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def ours(robot_name: str, candidates: int, anchored: bool, engine: str = "mujoco
 
 
 def folded_actor(robot) -> tuple[list[tuple[torch.Tensor, torch.Tensor]], torch.Tensor]:
-    """Weights and biases of the shipped actor, its observation normaliser folded into the first layer; and log sigma."""
+    """Weights and biases of the shipped actor, with its observation normaliser folded in, and log sigma."""
     policy = load_policy(robot.pretrained_policy(), robot.spec)
     t = policy.tensors
     count = len(policy.card.sizes().hidden) + 1
@@ -101,10 +101,22 @@ def stable_baselines(robot_name: str, kind: str, worlds: int, threads: int) -> W
     layers, log_std = folded_actor(robot)
     hidden = [len(bias) for _, bias in layers[:-1]]
     model = PPO(
-        "MlpPolicy", env, learning_rate=RATE, n_steps=BATCH // worlds, batch_size=MINIBATCH, n_epochs=EPOCHS, gamma=0.99,
-        gae_lambda=0.95, clip_range=0.2, vf_coef=1.0, ent_coef=0.0, max_grad_norm=1.0, device="cpu", seed=0,
+        "MlpPolicy",
+        env,
+        learning_rate=RATE,
+        n_steps=BATCH // worlds,
+        batch_size=MINIBATCH,
+        n_epochs=EPOCHS,
+        gamma=0.99,
+        gae_lambda=0.95,
+        clip_range=0.2,
+        vf_coef=1.0,
+        ent_coef=0.0,
+        max_grad_norm=1.0,
+        device="cpu",
+        seed=0,
         policy_kwargs={"net_arch": {"pi": hidden, "vf": hidden}, "activation_fn": torch.nn.ELU},
-    )  # fmt: skip
+    )
     model.set_logger(configure(None, []))
     linears = [m for m in model.policy.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
     copy_layers(layers, [*linears, model.policy.action_net])
@@ -156,9 +168,11 @@ def torchrl_parallel(robot_name: str, worlds: int, threads: int) -> Work:
     copy_layers(layers, [m for m in mean if isinstance(m, nn.Linear)])
     body = nn.Sequential(mean, Sigma(log_std), NormalParamExtractor(scale_mapping="exp"))
     actor = ProbabilisticActor(
-        TensorDictModule(body, ["observation"], ["loc", "scale"]), in_keys=["loc", "scale"],
-        distribution_class=_Diagonal, return_log_prob=True,
-    )  # fmt: skip
+        TensorDictModule(body, ["observation"], ["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=_Diagonal,
+        return_log_prob=True,
+    )
     critic = ValueOperator(network(1), ["observation"])
     gae = GAE(gamma=0.99, lmbda=0.95, value_network=critic, average_gae=True)
     loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_bonus=False, critic_coeff=1.0)

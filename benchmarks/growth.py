@@ -1,4 +1,4 @@
-"""How cost grows: with candidates P, worlds per candidate N, network size, and recorded samples. JSON, and plots as SVG.
+"""How cost grows: with candidates P, worlds per candidate N, network size, recorded samples. JSON, and plots as SVG.
 
     python benchmarks/growth.py --engine mujoco --seconds 4 --figures docs/figures        two cores
     python benchmarks/growth.py --engine warp --figures docs/figures                      a GPU
@@ -28,19 +28,23 @@ BASE: dict[str, dict[str, Any]] = {
 }
 VARIED: dict[str, dict[str, tuple[Any, ...]]] = {
     "mujoco": {
-        "candidates": (1, 2, 4, 8), "envs": (16, 32, 64, 128),
+        "candidates": (1, 2, 4, 8),
+        "envs": (16, 32, 64, 128),
         "hidden": ("256-128", "512-256-128"),
     },
     "warp": {
-        "candidates": (1, 2, 4, 8, 18, 32), "envs": (64, 128, 256, 512, 1024, 2048),
+        "candidates": (1, 2, 4, 8, 18, 32),
+        "envs": (64, 128, 256, 512, 1024, 2048),
         "hidden": ("256-128", "512-256-128", "1024-512-256", "2048-1024-512"),
     },
-}  # fmt: skip
+}
 RECORDED = (24_000, 96_000, 384_000)  # samples
 LABELS = {
-    "candidates": "candidates P", "envs": "worlds per candidate N", "hidden": "hidden layers of actor and critic",
+    "candidates": "candidates P",
+    "envs": "worlds per candidate N",
+    "hidden": "hidden layers of actor and critic",
     "recorded": "recorded samples",
-}  # fmt: skip
+}
 
 
 def measure(robot: str, engine: str, device: str, seconds: float, what: list[str]) -> dict[str, Any]:
@@ -94,8 +98,13 @@ def draw(result: dict[str, Any], folder: Path) -> list[Path]:
         else:
             axis.plot([row[name] for row in rows], values, "o-", color="#3b6ea5", label="training")
             if not fits:
-                axis.plot([row[name] for row in rows], [row["bare_steps_per_s"] for row in rows], "s--", color="#999999",
-                          label="bare physics")  # fmt: skip
+                axis.plot(
+                    [row[name] for row in rows],
+                    [row["bare_steps_per_s"] for row in rows],
+                    "s--",
+                    color="#999999",
+                    label="bare physics",
+                )
             axis.set_xscale("log", base=2)
             axis.set_xticks([row[name] for row in rows])
             axis.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.0f}"))
@@ -136,9 +145,13 @@ def main() -> None:
         start = time.perf_counter()
         found = measure(given.robot, given.engine, given.device, given.seconds, given.what or list(LABELS))
         result = {
-            "benchmark": "growth", "engine": given.engine, "base": BASE[given.engine], "found": found,
-            "processor": platform.processor() or platform.machine(), "seconds": round(time.perf_counter() - start, 1),
-        }  # fmt: skip
+            "benchmark": "growth",
+            "engine": given.engine,
+            "base": BASE[given.engine],
+            "found": found,
+            "processor": platform.processor() or platform.machine(),
+            "seconds": round(time.perf_counter() - start, 1),
+        }
     if given.figures:
         for path in draw(result, given.figures):
             print(path, file=sys.stderr)

@@ -2,12 +2,14 @@
 
     python benchmarks/measurement_models.py --run DIR --objective power
     python benchmarks/measurement_models.py --data walks.zarr --objective power --epochs 20 --splits 3
-    python benchmarks/measurement_models.py --run DIR --objective power --model linear --model '{name: ensemble, members: 3}'
+    python benchmarks/measurement_models.py --run DIR --objective power --model linear --model '{name: ensemble,
+    members: 3}'
 
-Without --model: `linear`, the objective's own model, and `ensemble` of it. Prints a table and then JSON, for each model and split:
-held-out R², R² on policies that were not seen, rank correlation across policies, how honest the ensemble's spread is (shares of errors within
-1 and 2 standard deviations, of samples and of policies' means; of a Gaussian 0.68 and 0.95), seconds of fitting, and
-microseconds of a control step of `--worlds` worlds, as collection on a CPU does it (24 steps at once) and one at a time.
+Without --model: `linear`, the objective's own model, and `ensemble` of it. Prints a table and then JSON, for each model
+and split: held-out R², R² on policies that were not seen, rank correlation across policies, how honest the ensemble's
+spread is (shares of errors within 1 and 2 standard deviations, of samples and of policies' means; of a Gaussian 0.68
+and 0.95), seconds of fitting, and microseconds of a control step of `--worlds` worlds, as collection on a CPU does it
+(24 steps at once) and one at a time.
 """
 
 from __future__ import annotations
@@ -69,9 +71,14 @@ def step_cost(
 
 
 def measured(
-    registry: Registry, objective: Objective, settings: dict[str, Any], recordings: list[Recording], config: MeasurementConfig,
-    worlds: int, repeats: int,
-) -> dict[str, Any]:  # fmt: skip
+    registry: Registry,
+    objective: Objective,
+    settings: dict[str, Any],
+    recordings: list[Recording],
+    config: MeasurementConfig,
+    worlds: int,
+    repeats: int,
+) -> dict[str, Any]:
     """One model on one split."""
     keep = {one.policy_hash for one in recordings if one.role in ROLES_KEPT}
     start = time.perf_counter()
@@ -80,14 +87,22 @@ def measured(
     spread = held["spread"]
     torch.set_num_threads(1)
     return {
-        "model": fitted.report["model"], "split_seed": config.seed, "r2": held["r2"], "r2_policies": held["r2_policies"],
-        "rmse": held["rmse"], "unit": held["unit"], "rank_correlation": held["rank_correlation"],
-        "policies": len(held["policies"]), "samples": held["samples"],
+        "model": fitted.report["model"],
+        "split_seed": config.seed,
+        "r2": held["r2"],
+        "r2_policies": held["r2_policies"],
+        "rmse": held["rmse"],
+        "unit": held["unit"],
+        "rank_correlation": held["rank_correlation"],
+        "policies": len(held["policies"]),
+        "samples": held["samples"],
         "spread": spread and {key: value for key, value in spread.items() if key != "policies"},
-        "fit_seconds": fitted.report["fit"]["seconds"], "fit_and_check_seconds": whole,
-        "linear_r2": held["linear"]["r2"], "proxy_r2": (held["proxy"] or {}).get("smoothed", {}).get("r2"),
+        "fit_seconds": fitted.report["fit"]["seconds"],
+        "fit_and_check_seconds": whole,
+        "linear_r2": held["linear"]["r2"],
+        "proxy_r2": (held["proxy"] or {}).get("smoothed", {}).get("r2"),
         **step_cost(MeasurementTransform.of(objective, fitted.model), recordings, worlds, repeats),
-    }  # fmt: skip
+    }
 
 
 def line(row: dict[str, Any]) -> str:
@@ -147,12 +162,19 @@ def main() -> None:
             rows.append(row)
     give(
         {
-            "benchmark": "measurement_models", "objective": given.objective, "recordings": len(recordings),
-            "policies": len({one.policy_hash for one in recordings}), "samples": sum(one.num_samples for one in recordings),
-            "epochs": config.epochs, "worlds": given.worlds, "cores": available(), "torch": str(torch.__version__), "rows": rows,
+            "benchmark": "measurement_models",
+            "objective": given.objective,
+            "recordings": len(recordings),
+            "policies": len({one.policy_hash for one in recordings}),
+            "samples": sum(one.num_samples for one in recordings),
+            "epochs": config.epochs,
+            "worlds": given.worlds,
+            "cores": available(),
+            "torch": str(torch.__version__),
+            "rows": rows,
         },
         given.out,
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
     python mjlab_rival.py --worlds 4096 --rounds 5 --iterations 5 [--device cuda:0]
 
-Prints one line of JSON: control steps per second of whole iterations (24 steps a world, 5 epochs of 4 minibatches, networks
-512-256-128, as its Go1 task is configured), collection and update. Viewers, video writers and loggers that mjlab imports
-and this does not use are replaced by empty modules where they are not installed, so that few wheels have to be carried to a
-machine without network: mjlab, mujoco ~=3.11, mujoco-warp ~=3.11, rsl-rl-lib, tyro, prettytable, warp-lang and what these need.
+Prints one line of JSON: control steps per second of whole iterations (24 steps a world, 5 epochs of 4 minibatches,
+networks 512-256-128, as its Go1 task is configured), collection and update. Viewers, video writers and loggers that
+mjlab imports and this does not use are replaced by empty modules where they are not installed, so that few wheels have
+to be carried to a machine without network: mjlab, mujoco ~=3.11, mujoco-warp ~=3.11, rsl-rl-lib, tyro, prettytable,
+warp-lang and what these need.
 """
 
 from __future__ import annotations
@@ -102,10 +103,16 @@ def main() -> None:
         versions = {name: getattr(sys.modules.get(name), "__version__", None) for name in ("mujoco_warp", "warp")}
         versions |= {"mujoco": mujoco.__version__, "torch": str(torch.__version__)}
     result = {
-        "task": TASK, "worlds": given.worlds, "steps_per_s": statistics.median(rates), "rounds": rates,
-        "hidden": list(agent.actor.hidden_dims), "epochs": agent.algorithm.num_learning_epochs,
-        "minibatches": agent.algorithm.num_mini_batches, "horizon": agent.num_steps_per_env, "versions": versions,
-    }  # fmt: skip
+        "task": TASK,
+        "worlds": given.worlds,
+        "steps_per_s": statistics.median(rates),
+        "rounds": rates,
+        "hidden": list(agent.actor.hidden_dims),
+        "epochs": agent.algorithm.num_learning_epochs,
+        "minibatches": agent.algorithm.num_mini_batches,
+        "horizon": agent.num_steps_per_env,
+        "versions": versions,
+    }
     print(json.dumps(result))
 
 

@@ -1,8 +1,8 @@
 """The velocity task for one world in NumPy: what the CPU rivals of `compare_cpu.py` step, with gymnasium's methods.
 
 The same MJCF, variants, physics steps, delay, observation, commands, pushes, reward terms and weights as
-`hts.envs.velocity`; tests/bench/test_benchmarks.py steps both side by side. Written for speed: plain floats where NumPy's
-overhead on short arrays would be paid, physics steps in one call where the target does not change.
+`hts.envs.velocity`; tests/bench/test_benchmarks.py steps both side by side. Written for speed: plain floats where
+NumPy's overhead on short arrays would be paid, physics steps in one call where the target does not change.
 """
 
 from __future__ import annotations

@@ -3,11 +3,11 @@
     python benchmarks/parity.py --device cuda --worlds 64 --seconds 20
     python benchmarks/parity.py --device cpu --worlds 16 --seconds 10      the GPU engine on Warp's CPU device, slow
 
-Prints JSON. `physics`: both engines start from the same states of a walk and get the same actuator inputs for 50 control
-steps, without a policy to pull them together again; differences of joint angles (rad) and trunk position (m) over time.
-Contact turns rounding into another walk in some worlds before others, hence quantiles over worlds. `policy`: the same policy
-in both engines, the same models, commands and noise: mean reward, speed and mechanical power, share of worlds that fell.
-`passed` compares them with `tolerances`. Status 1 if it did not pass.
+Prints JSON. `physics`: both engines start from the same states of a walk and get the same actuator inputs for 50
+control steps, without a policy to pull them together again; differences of joint angles (rad) and trunk position (m)
+over time. Contact turns rounding into another walk in some worlds before others, hence quantiles over worlds. `policy`:
+the same policy in both engines, the same models, commands and noise: mean reward, speed and mechanical power, share of
+worlds that fell. `passed` compares them with `tolerances`. Status 1 if it did not pass.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ CHANNELS = ("base_velocity", "joint_torque", "joint_velocity")
 SETTLE_SECONDS = 2.0
 HORIZON = 50  # control steps
 WATCHED = (1, 5, 10, 25, 50)
-# Of the policy: relative, and percentage points of falls. Of the physics: the median world's error after 50 control steps;
-# a hundred times what single precision makes of it where no contact goes another way.
+# Of the policy: relative, and percentage points of falls. Of the physics: the median world's error after 50 control
+# steps; a hundred times what single precision makes of it where no contact goes another way.
 TOLERANCES = {"relative": 0.03, "falls_points": 1.0, "joint_rad": 1e-4, "position_m": 1e-4}
 
 
@@ -50,8 +50,15 @@ def make_env(robot: Robot, engine: str, device: str, worlds: int, seconds: float
 
 @torch.no_grad()
 def walk(
-    robot: Robot, policy: Policy, engine: str, device: str, worlds: int, seconds: float, training: bool = False, seed: int = 7
-) -> dict[str, float]:  # fmt: skip
+    robot: Robot,
+    policy: Policy,
+    engine: str,
+    device: str,
+    worlds: int,
+    seconds: float,
+    training: bool = False,
+    seed: int = 7,
+) -> dict[str, float]:
     """The policy's mean action for so long in each world; means over worlds that did not fall, after the first 2 s.
 
     reward per second; speed forward, m/s; power: mechanical, sum over joints of max(0, torque x velocity), W.
@@ -83,7 +90,8 @@ def same_inputs(
 ) -> dict[str, dict[str, list[float]]]:
     """Errors of `warp` against `mujoco` from the same walking states under the same actuator inputs.
 
-    Median, 0.9 quantile and largest over worlds of the largest joint error (rad) and trunk error (m) after WATCHED steps.
+    Median, 0.9 quantile and largest over worlds of the largest joint error (rad) and trunk error (m) after WATCHED
+    steps.
     """
     env = make_env(robot, "mujoco", "cpu", worlds, (settle + HORIZON + 1) / robot.spec.control_rate_hz, False, seed)
     act = PopulationActor(Population.from_candidates(policy.card.sizes(), [policy.tensors], env.device), None)

@@ -6,17 +6,17 @@
     python benchmarks/racing.py --tables --trials 1500            error rate among equals, in tables of random numbers
     python benchmarks/racing.py --monte-carlo --trials 100        worlds with known answers, as recordings
 
-Prints JSON. Runs go to DIR/SELECTOR-SEED; a finished one is not repeated, a stopped one goes on, so seeds may run side by
-side and on several machines. Arguments after `--` go to `hts run` of both selectors.
+Prints JSON. Runs go to DIR/SELECTOR-SEED; a finished one is not repeated, a stopped one goes on, so seeds may run side
+by side and on several machines. Arguments after `--` go to `hts run` of both selectors.
 
-`improvement` is the objective's primary score in the final head-to-head at the speed of the selection, `selection_score` what
-selectors choose by, from the same head-to-head (for some objectives not the same: a selector may then rightly take the
-one with the smaller improvement).
+`improvement` is the objective's primary score in the final head-to-head at the speed of the selection,
+`selection_score` what selectors choose by, from the same head-to-head (for some objectives not the same: a selector may
+then rightly take the one with the smaller improvement).
 
 Real seconds are seconds that are recorded in the world, of policy and reference. `selection` is what the tests of the
 elites take, which is what a selector decides about; `collection` (before the first fit) and `final` (every speed of the
-evaluation) are the same for both. `warm_up` is walking before a session that is not recorded: one session for each whole
-head-to-head, one for each round; `selection_with_warm_up` adds it.
+evaluation) are the same for both. `warm_up` is walking before a session that is not recorded: one session for each
+whole head-to-head, one for each round; `selection_with_warm_up` adds it.
 """
 
 from __future__ import annotations
@@ -77,22 +77,32 @@ def read(folder: Path) -> Json:
         means = [{name: mean(values) for name, values in segments[role].items()} for role in ("policy", "reference")]
         score = load().make_objective(objective, config.objectives[objective]).compare(*means).selection_score
     return {
-        "selector": config.selection.selector.name, "seed": config.seed, "folder": str(folder),
-        "best": summary["final"]["policy"], "speed": float(speed),
+        "selector": config.selection.selector.name,
+        "seed": config.seed,
+        "folder": str(folder),
+        "best": summary["final"]["policy"],
+        "speed": float(speed),
         "improvement": found["improvement"] if found else 0.0,  # the pretrained policy stayed the best
         "selection_score": score,
         "improvement_ci95": found["improvement_ci95"] if found else None,
-        "metrics": found["metrics"] if found else {}, "falls": found["falls"] if found else 0,
+        "metrics": found["metrics"] if found else {},
+        "falls": found["falls"] if found else 0,
         "chosen": [test["best"] for test in tests],
-        "measured": [{name: row.get("tested", {}).get("selection_score") for name, row in test["results"].items()} for test in tests],
+        "measured": [
+            {name: row.get("tested", {}).get("selection_score") for name, row in test["results"].items()}
+            for test in tests
+        ],
         "rounds": [len(test.get("rounds", ())) for test in tests],
         "seconds": {
-            "collection": _json(folder / "collect.json")["samples"] / rate, "selection": selection,
-            "warm_up": warm_up * sum(sessions), "selection_with_warm_up": selection + warm_up * sum(sessions),
-            "final": _json(folder / "final.json")["samples"] / rate, "all": summary["real_samples"] / rate,
+            "collection": _json(folder / "collect.json")["samples"] / rate,
+            "selection": selection,
+            "warm_up": warm_up * sum(sessions),
+            "selection_with_warm_up": selection + warm_up * sum(sessions),
+            "final": _json(folder / "final.json")["samples"] / rate,
+            "all": summary["real_samples"] / rate,
         },
         "wall_seconds": summary["wall_seconds"],
-    }  # fmt: skip
+    }
 
 
 def collect(out: Path) -> Json:
@@ -128,16 +138,20 @@ def collect(out: Path) -> Json:
 
 
 def _pair(seed: int, hierarchical: Json, racing: Json) -> Json:
-    """One seed. regret: selection score lost in the first iteration, whose candidates are the same, by its whole tests."""
+    """One seed. regret: selection score lost in the first iteration, with the same candidates, by its whole tests."""
     difference = racing["improvement"] - hierarchical["improvement"]
     seconds = (racing["seconds"]["selection"], hierarchical["seconds"]["selection"])
     return {
-        "seed": seed, "difference": difference,
-        "score_difference": racing["selection_score"] - hierarchical["selection_score"], "within_a_point": abs(difference) <= POINT,
-        "not_worse_than_a_point": difference >= -POINT, "selection_ratio": seconds[0] / seconds[1],
+        "seed": seed,
+        "difference": difference,
+        "score_difference": racing["selection_score"] - hierarchical["selection_score"],
+        "within_a_point": abs(difference) <= POINT,
+        "not_worse_than_a_point": difference >= -POINT,
+        "selection_ratio": seconds[0] / seconds[1],
         "first_choice_regret": _regret(hierarchical["measured"][0], racing["chosen"][0]),
-        "hierarchical": hierarchical, "racing": racing,
-    }  # fmt: skip
+        "hierarchical": hierarchical,
+        "racing": racing,
+    }
 
 
 def _regret(measured: Json, chosen: str | None) -> float | None:
@@ -177,9 +191,18 @@ def replay(folder: Path, settings: Json) -> list[Json]:
             seconds = sum(recording.seconds for recording in raced.recorded)
             whole = test["samples"] / job.robot.spec.control_rate_hz
             rows.append(
-                {"run": str(folder), "iteration": index, "measured": measured, "best": test["best"], "raced_best": best,
-                 "regret": _regret(measured, best), "seconds": seconds, "ratio": seconds / whole, "rounds": raced.races}
-            )  # fmt: skip
+                {
+                    "run": str(folder),
+                    "iteration": index,
+                    "measured": measured,
+                    "best": test["best"],
+                    "raced_best": best,
+                    "regret": _regret(measured, best),
+                    "seconds": seconds,
+                    "ratio": seconds / whole,
+                    "rounds": raced.races,
+                }
+            )
         job.close()
         stages.close()
     return rows
@@ -205,8 +228,8 @@ WORLDS: dict[str, Json] = {
 def tables(trials: int) -> Json:
     """Races of equal candidates in tables of random numbers, which is quick: how often candidate 0 is dropped.
 
-    Halves scatter by 1 and share something that scatters by 3. `corrected` is what `racing` does; `uncorrected` tests at its
-    whole error after each round.
+    Halves scatter by 1 and share something that scatters by 3. `corrected` is what `racing` does; `uncorrected` tests
+    at its whole error after each round.
     """
     import numpy as np
 
@@ -232,17 +255,18 @@ def tables(trials: int) -> Json:
     for candidates in (2, 3, 6):
         level = settings.error / (settings.rounds * candidates)
         result[f"{candidates} equal"] = {
-            "corrected": rate(candidates, level, None), "corrected, heavy tails (t, 3)": rate(candidates, level, 3),
+            "corrected": rate(candidates, level, None),
+            "corrected, heavy tails (t, 3)": rate(candidates, level, 3),
             "uncorrected": rate(candidates, settings.error, None),
-        }  # fmt: skip
+        }
     return result
 
 
 def monte_carlo(trials: int, whole_seconds: float = 320.0) -> Json:
     """How often the best one is dropped, what the choice loses, and what share of whole tests' seconds the race takes.
 
-    Without indifference every early end is a claim that the others are worse: `best_dropped` counts wrong ones. With the
-    default one, `lost_more_than_indifferent` counts choices that are worse than the best by more than that.
+    Without indifference every early end is a claim that the others are worse: `best_dropped` counts wrong ones. With
+    the default one, `lost_more_than_indifferent` counts choices that are worse than the best by more than that.
     """
     from hts.selection.racing import RacingSettings
     from hts.testing.known_race import KnownRounds
@@ -265,7 +289,7 @@ def monte_carlo(trials: int, whole_seconds: float = 320.0) -> Json:
 
 
 def _race(world: Any, settings: Any, seed: int) -> Json:
-    """One race; candidate 0 is the best. It is dropped if others went on without it, or were chosen before the last round."""
+    """One race; candidate 0 is the best. It is dropped if others went on or were chosen without it."""
     from hts.selection.racing import Racing
     from hts.testing.known_race import run_race
 
@@ -285,8 +309,11 @@ def _averages(races: Sequence[Json], world: Any, whole_seconds: float) -> Json:
     seconds, losses = sum(row["seconds"] for row in races) / len(races), [row["loss"] for row in races]
     share = seconds / (whole_seconds * len(world.savings))
     return {
-        "mean_loss": sum(losses) / len(races), "largest_loss": max(losses), "seconds": seconds, "share_of_whole": share,
-    }  # fmt: skip
+        "mean_loss": sum(losses) / len(races),
+        "largest_loss": max(losses),
+        "seconds": seconds,
+        "share_of_whole": share,
+    }
 
 
 def _json(path: Path) -> Json:

@@ -2,10 +2,10 @@
 
     python examples/algorithm_1.py
 
-The robot is a sled on a rail with two motors and a commanded speed. In simulation both motors are alike. On the real one
-the front motor has four times the copper loss, there is more drag, a delay, and a gauge that shows battery current: what the
-simulator does not know, and what is to be saved. "Real" is another simulation here, and only `Real.record` looks into it.
-The steps are those of arXiv 2502.10956, Algorithm 1; what a step does for a legged robot is `hts run`.
+The robot is a sled on a rail with two motors and a commanded speed. In simulation both motors are alike. On the real
+one the front motor has four times the copper loss, there is more drag, a delay, and a gauge that shows battery current:
+what the simulator does not know, and what is to be saved. "Real" is another simulation here, and only `Real.record`
+looks into it. The steps are those of arXiv 2502.10956, Algorithm 1; what a step does for a legged robot is `hts run`.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from hts.rl import (
     project_to_kl_bound,
 )
 
-DT, WORLDS, HORIZON, CPU = 0.05, 32, 32, torch.device("cpu")  # s, env instances a candidate, steps a batch
+DT, INSTANCES, HORIZON, CPU = 0.05, 32, 32, torch.device("cpu")  # s, env instances a candidate, steps a batch
 TORQUE, CURRENT = Channel("motor_torque", "N*m", (2,)), Channel("battery_current", "A", ())
 SIZES = Sizes(observation=2, critic_observation=2, action=2, hidden=(32, 32))
 WEIGHTS, BOUNDS, ELITES, ITERATIONS = (0.5, 1.0, 5.0), (0.2, 0.5, 1.0), 3, 3
 
 
 class Sled(SplitStepEnv):
-    """1 kg that two motors push along a rail, for P candidates in N instances: hold the commanded speed, 0.5 to 1.5 m/s."""
+    """1 kg that two motors push along a rail, P candidates in N instances: hold the commanded speed, 0.5 to 1.5 m/s."""
 
     dt, drag, delay = DT, 1.0, 0
 
@@ -109,13 +109,16 @@ class Real(Sled):
         torque = data["next", "channels", "motor_torque"]
         loss = torch.tensor([2.0, 0.5])  # A/(N·m)²: the front motor is the bad one
         current = self.idle + (loss * torque.square()).sum(-1) + 0.05 * torch.randn(len(torque))
-        time = np.arange(len(torque)) * DT
+        robot = {"robot": "sled", "joint_names": ("front", "rear"), "kp": (1.0, 1.0), "kd": (0.0, 0.0), "mass_kg": 1.0}
+        session = {"world": "real", "policy_hash": "", "iteration": 0, "clock": "simulated", "rate_hz": 1 / DT}
         return Recording(
-            robot="sled", world="real", policy_hash="", iteration=0, joint_names=("front", "rear"), kp=(1.0, 1.0), kd=(0.0, 0.0),
-            rate_hz=1 / DT, schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=1.0),)), clock="simulated",
-            idle={"battery_current": self.idle}, time=time, mass_kg=1.0,
-            channels={"motor_torque": Series(TORQUE, torque.numpy()), "battery_current": Series(CURRENT, current.numpy())},
-        )  # fmt: skip
+            **robot,
+            **session,
+            schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=1.0),)),
+            idle={"battery_current": self.idle},
+            time=np.arange(len(torque)) * DT,
+            channels={name.name: Series(name, one.numpy()) for name, one in ((TORQUE, torque), (CURRENT, current))},
+        )
 
 
 def net_current(policy: dict[str, torch.Tensor]) -> float:
@@ -127,17 +130,17 @@ def net_current(policy: dict[str, torch.Tensor]) -> float:
 def train(starts, weights, bounds, batches: int, model: Linear | None = None):
     """PPO of all candidates together: r_sim + λ (r_real − centre), E[KL(π ‖ anchor)] ≤ c. Returns policies and scores.
 
-    starts: each candidate's anchor; weights, bounds [P]: λ and c; score: mean r_real of the finished policy in simulation.
+    starts: each candidate's anchor; weights, bounds [P]: λ, c; score: mean r_real of the finished policy in simulation.
     """
     count, random = len(starts), PopulationRandom([3] * len(starts), CPU)
     population = Population.from_candidates(SIZES, starts)
     anchor, actor, critic = population.frozen(), PopulationActor(population, random), PopulationCritic(population)
-    env = Sled(count, WORLDS)
+    env = Sled(count, INSTANCES)
     measured = None
     if model is not None:
         env = TransformedEnv(env, MeasurementTransform(model, torch.neg, "current"), auto_unwrap=False)
         measured = MeasuredReward(weights, DT, in_key=("real_reward", "current"))
-    collector = PopulationCollector(env, actor, frames_per_batch=count * WORLDS * HORIZON)
+    collector = PopulationCollector(env, actor, frames_per_batch=count * INSTANCES * HORIZON)
     advantage = GAE(gamma=0.97, lmbda=0.95, value_network=critic, vectorized=False)
     loss = KLConstrainedPPOLoss(actor, critic, kl_bound=bounds, multiplier_rate=0.1, normalize_advantage=True)
     optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)

@@ -3,9 +3,9 @@
     python examples/torchrl_ppo.py
 
 First plain PPO learns to balance. Then that policy is fine-tuned to push the cart less, which the task does not reward,
-without moving further than c nats from what it was: the measured effort comes into the reward by `MeasuredReward` (centred
-by `RewardCentring`), and `ClipPPOLoss` becomes `KLConstrainedPPOLoss`. Nothing else changes: env, collector, GAE, actor,
-critic and optimiser are TorchRL's and torch's own. Lines that differ are marked with <--.
+without moving further than c nats from what it was: the measured effort comes into the reward by `MeasuredReward`
+(centred by `RewardCentring`), and `ClipPPOLoss` becomes `KLConstrainedPPOLoss`. Nothing else changes: env, collector,
+GAE, actor, critic and optimiser are TorchRL's and torch's own. Lines that differ are marked with <--.
 """
 
 from __future__ import annotations

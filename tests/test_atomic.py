@@ -32,9 +32,9 @@ def test_a_full_disk_leaves_the_old_file_and_names_it(tmp_path, monkeypatch, whe
 
     with monkeypatch.context() as patched:
         patched.setattr(os, where, full)
-        with pytest.raises(OSError, match=r"No space left on device: '.*a\.json'") as told:
+        with pytest.raises(OSError, match=r"No space left on device: '.*a\.json'") as caught:
             atomic_write(path, "new")
-    assert told.value.errno == errno.ENOSPC and told.value.filename == str(path)
+    assert caught.value.errno == errno.ENOSPC and caught.value.filename == str(path)
     assert path.read_text() == "old"
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
 

@@ -1,4 +1,4 @@
-"""Config files written by hand, with one mistake each, and the one line that hts answers: the table of docs/configuration.md.
+"""Config files written by hand, one mistake each, and hts's answer in one line: the table of docs/configuration.md.
 
 `python tests/test_config_mistakes.py` writes the table again.
 """

@@ -123,7 +123,10 @@ def test_a_recording_opens_where_the_plugin_of_its_unit_is_missing(no_definition
 
 
 def test_usual_channels_need_no_pint():
-    code = "import sys; from hts.channels import standard_channels; standard_channels(12, 4); sys.exit('pint' in sys.modules)"
+    code = (
+        "import sys; from hts.channels import standard_channels; "
+        "standard_channels(12, 4); sys.exit('pint' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -37,7 +37,7 @@ def fails(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 
 
 def forget(folder: Path, *stages: str) -> None:
-    """As if the run had been stopped before these stages. The report stays: drawing takes longest and shows nothing here."""
+    """As if the run had been stopped before these stages. The report stays: it takes longest and shows nothing here."""
     for stage in (*stages, "summary"):
         (folder / f"{stage}.json").unlink()
 
@@ -227,14 +227,15 @@ def can_mount() -> bool:
 
 @pytest.fixture
 def on_a_disk(tmp_path: Path) -> Callable[[str, str], subprocess.CompletedProcess[str]]:
-    """on_a_disk(size, script): run a script that has $DISK, a small disk of its own, and `hts`. Skips where not allowed."""
+    """on_a_disk(size, script): run a script that has $DISK, a small disk, and `hts`. Skips where not allowed."""
     if shutil.which("unshare") is None or not can_mount():
         pytest.skip("this system does not let a test mount a small disk")
     disk = tmp_path / "disk"
     disk.mkdir()
 
     def run(size: str, script: str) -> subprocess.CompletedProcess[str]:
-        begin = f'set -u\nmount -t tmpfs -o size={size} tmpfs "$DISK"\nhts() {{ "{sys.executable}" -m hts.cli.main "$@"; }}\n'
+        begin = f'set -u\nmount -t tmpfs -o size={size} tmpfs "$DISK"\n'
+        begin += f'hts() {{ "{sys.executable}" -m hts.cli.main "$@"; }}\n'
         return subprocess.run(
             ["unshare", "--mount", "--map-root-user", "bash", "-c", begin + script],
             capture_output=True,
@@ -254,7 +255,8 @@ def test_a_full_disk_stops_a_run_with_one_line_and_loses_nothing(small_run, on_a
     script = f"""
 cp -r "{small_run.folder}" "$DISK/run"
 for id in {tested}; do rm -r "$DISK/run/data.zarr/$id"; done
-cd "$DISK/run" && rm -r iterations/00/finetune.json iterations/00/candidates iterations/00/test.json final.json summary.json
+cd "$DISK/run" && \
+rm -r iterations/00/finetune.json iterations/00/candidates iterations/00/test.json final.json summary.json
 used=$(du -sk "$DISK" | cut -f1)
 mount -o remount,size=$((used + 100))k "$DISK"
 hts resume "$DISK/run" > "$OUT/first.out" 2> "$OUT/first.err"; echo $? > "$OUT/first.code"

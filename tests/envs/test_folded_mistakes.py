@@ -1,4 +1,4 @@
-"""Mistakes of somebody who folds an env of their own: each is one line that says what is there and what was expected."""
+"""Mistakes of somebody who folds an env of their own: each is one line: what is there, and what was expected."""
 
 from __future__ import annotations
 

@@ -186,10 +186,15 @@ class Counting(EnvBase):
 
 def folded(**changes):
     return FoldedEnv(
-        Counting(6), 2, dt=0.5, observation=["actor"], critic_observation=["critic"],
+        Counting(6),
+        2,
+        dt=0.5,
+        observation=["actor"],
+        critic_observation=["critic"],
         channels={"twice": Channel("twice", "1", ()), "sent": Channel("sent", "1", (1,))},
-        values=lambda after, action: {"twice": 2 * after["actor"][:, 0], "sent": action}, **changes,
-    )  # fmt: skip
+        values=lambda after, action: {"twice": 2 * after["actor"][:, 0], "sent": action},
+        **changes,
+    )
 
 
 def test_world_n_of_candidate_p_is_world_p_times_n_of_the_inner_env():
@@ -320,9 +325,16 @@ def test_an_env_that_cannot_save_its_state_is_trained_in_without_checkpoints(rob
     config = FinetuneConfig(num_envs=1, steps=64, ppo=PPOConfig(horizon=16, minibatches=1, epochs=1))
     anchors = {"pretrained": load_policy(robot.pretrained_policy(), robot.spec)}
     tuned, steps = finetune.finetune(
-        robot, "mujoco", config, [Candidate("one", "pretrained", {}, 1.0)], anchors, list, ("joint_torque",),
-        seed=0, checkpoint=tmp_path / "checkpoint",
-    )  # fmt: skip
+        robot,
+        "mujoco",
+        config,
+        [Candidate("one", "pretrained", {}, 1.0)],
+        anchors,
+        list,
+        ("joint_torque",),
+        seed=0,
+        checkpoint=tmp_path / "checkpoint",
+    )
     assert len(tuned) == 1 and steps >= 64
     assert list(tmp_path.iterdir()) == []
 

@@ -16,12 +16,24 @@ def still(**changes) -> rewards.RewardInputs:
     """One world that stands still on four feet, commanded to; with changes."""
     zeros = torch.zeros
     inputs = rewards.RewardInputs(
-        velocity=zeros(1, 1, 3), angular_velocity=zeros(1, 1, 3), gravity=torch.tensor([[[0.0, 0.0, -1.0]]]),
-        command=zeros(1, 1, 3), torque=zeros(1, 1, 2), joint_velocity=zeros(1, 1, 2), last_joint_velocity=zeros(1, 1, 2),
-        pose_error=zeros(1, 1, 2), action=zeros(1, 1, 2), last_action=zeros(1, 1, 2), air_time=zeros(1, 1, 4),
-        landed=zeros(1, 1, 4, dtype=torch.bool), contact=torch.ones(1, 1, 4, dtype=torch.bool),
-        foot_speed_squared=zeros(1, 1, 4), fell=zeros(1, 1, dtype=torch.bool), dt=0.02, tracking_sigma=0.05,
-    )  # fmt: skip
+        velocity=zeros(1, 1, 3),
+        angular_velocity=zeros(1, 1, 3),
+        gravity=torch.tensor([[[0.0, 0.0, -1.0]]]),
+        command=zeros(1, 1, 3),
+        torque=zeros(1, 1, 2),
+        joint_velocity=zeros(1, 1, 2),
+        last_joint_velocity=zeros(1, 1, 2),
+        pose_error=zeros(1, 1, 2),
+        action=zeros(1, 1, 2),
+        last_action=zeros(1, 1, 2),
+        air_time=zeros(1, 1, 4),
+        landed=zeros(1, 1, 4, dtype=torch.bool),
+        contact=torch.ones(1, 1, 4, dtype=torch.bool),
+        foot_speed_squared=zeros(1, 1, 4),
+        fell=zeros(1, 1, dtype=torch.bool),
+        dt=0.02,
+        tracking_sigma=0.05,
+    )
     made = {name: torch.tensor([[value]]) for name, value in changes.items()}
     return dataclasses.replace(inputs, **made)
 

@@ -1,4 +1,4 @@
-"""A policy that keeps the commanded speed at one speed and not at another: what it did is reported, the rest is named."""
+"""A policy that keeps the commanded speed at one speed and not at another: what it did is reported, the rest named."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hts.testing.made_up_recordings import CostObjective
 CONFIG = EvaluationConfig(bootstrap=100)
 
 
-def block(role: str, number: int, told: float, walked: float, level: float) -> Recording:
+def block(role: str, number: int, commanded: float, walked: float, level: float) -> Recording:
     """22 s of one policy: 20 segments at a speed, m/s, and a cost with a ripple that differs from second to second."""
     count = 22 * 50
     velocity = np.zeros((count, 3))
@@ -30,14 +30,27 @@ def block(role: str, number: int, told: float, walked: float, level: float) -> R
         CostObjective.target.name: Series(CostObjective.target, cost),
     }
     return Recording(
-        robot="r", world="w", policy_hash=role, iteration=0, joint_names=(), kp=(), kd=(), rate_hz=50.0,
-        schedule=ScheduleConfig(commands=(Command(seconds=22, vx=told),)), idle={CostObjective.target.name: 0.0},
-        clock="simulated", time=np.arange(count) / 50, channels=series, mass_kg=10.0, session=f"s{told}", block=number,
+        robot="r",
+        world="w",
+        policy_hash=role,
+        iteration=0,
+        joint_names=(),
+        kp=(),
+        kd=(),
+        rate_hz=50.0,
+        schedule=ScheduleConfig(commands=(Command(seconds=22, vx=commanded),)),
+        idle={CostObjective.target.name: 0.0},
+        clock="simulated",
+        time=np.arange(count) / 50,
+        channels=series,
+        mass_kg=10.0,
+        session=f"s{commanded}",
+        block=number,
         role=role,
-    )  # fmt: skip
+    )
 
 
-def session(told: float, policy: float, reference: float) -> list[Recording]:
+def session(commanded: float, policy: float, reference: float) -> list[Recording]:
     """Reference, policy, policy, reference at their mean speeds."""
     rows = [
         ("reference", reference, 10.0),
@@ -45,7 +58,7 @@ def session(told: float, policy: float, reference: float) -> list[Recording]:
         ("policy", policy, 8.0),
         ("reference", reference, 10.0),
     ]
-    return [block(role, number, told, speed, level) for number, (role, speed, level) in enumerate(rows)]
+    return [block(role, number, commanded, speed, level) for number, (role, speed, level) in enumerate(rows)]
 
 
 def test_a_speed_that_is_not_kept_is_refused_alone():

@@ -27,9 +27,11 @@ class Treadmill(EnvBase):
         self.dt, self.falls, self.clock = 0.02, falls or {}, 0
         shape = self.batch_size
         self.observation_spec = Composite(
-            observation=Unbounded((*shape, 3)), channels=Composite(base_velocity=Unbounded((*shape, 3)), shape=shape),
-            real_reward=Composite(fast=Unbounded((*shape, 1)), shape=shape), shape=shape,
-        )  # fmt: skip
+            observation=Unbounded((*shape, 3)),
+            channels=Composite(base_velocity=Unbounded((*shape, 3)), shape=shape),
+            real_reward=Composite(fast=Unbounded((*shape, 1)), shape=shape),
+            shape=shape,
+        )
         self.action_spec, self.reward_spec = Unbounded((*shape, 1)), Unbounded((*shape, 1))
         flag = Binary(1, (*shape, 1), dtype=torch.bool)
         self.done_spec = Composite({name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape)
@@ -42,11 +44,18 @@ class Treadmill(EnvBase):
         velocity = torch.zeros(*shape, 3)
         # The first two seconds are for settling: whatever happens in them is not judged.
         velocity[..., 0] = 99.0 if self.clock <= 100 else self.speeds
-        return TensorDict({
-            "observation": torch.zeros(*shape, 3), "channels": {"base_velocity": velocity},
-            "real_reward": {"fast": 10 * velocity[..., :1]}, "done": fell, "terminated": fell.clone(),
-            "truncated": torch.zeros_like(fell), **entries,
-        }, batch_size=shape)  # fmt: skip
+        return TensorDict(
+            {
+                "observation": torch.zeros(*shape, 3),
+                "channels": {"base_velocity": velocity},
+                "real_reward": {"fast": 10 * velocity[..., :1]},
+                "done": fell,
+                "terminated": fell.clone(),
+                "truncated": torch.zeros_like(fell),
+                **entries,
+            },
+            batch_size=shape,
+        )
 
     def _reset(self, tensordict=None, **kwargs):
         return self._write(torch.zeros(*self.batch_size, 1, dtype=torch.bool))
@@ -59,9 +68,9 @@ class Treadmill(EnvBase):
         return self._write(fell, reward=torch.zeros(*self.batch_size, 1))
 
 
-def judge(speeds, falls=None, told=(0.5, 1.0), seconds=4.0):
+def judge(speeds, falls=None, commanded=(0.5, 1.0), seconds=4.0):
     population = Population(Sizes(3, 3, 1, (4,)), len(speeds))
-    return simulate(Treadmill(speeds, falls), population, told, seconds, tolerance=0.1)
+    return simulate(Treadmill(speeds, falls), population, commanded, seconds, tolerance=0.1)
 
 
 def test_worlds_are_told_the_speeds_in_turn_and_judged_by_their_own():

@@ -24,18 +24,18 @@ def example(name: str) -> ModuleType:
 
 def test_algorithm_1_saves_on_the_toy_robot_what_its_simulation_does_not_know(capsys):
     saving = example("algorithm_1").main(iterations=1, batches=25, pretraining=60)
-    told = capsys.readouterr().out
-    assert saving > 0.05, told  # the optimum without a bound is 36 %: all effort where the winding is good
-    assert "iteration 1: fit R²" in told and f"best: {saving:.1%} less" in told
+    printed = capsys.readouterr().out
+    assert saving > 0.05, printed  # the optimum without a bound is 36 %: all effort where the winding is good
+    assert "iteration 1: fit R²" in printed and f"best: {saving:.1%} less" in printed
 
 
 @pytest.mark.filterwarnings("ignore")  # TorchRL's and dm_control's own
 def test_a_stock_script_pushes_less_and_still_balances(capsys):
     found = example("torchrl_ppo").main(pretraining=15, finetuning=12)
-    told = capsys.readouterr().out
-    assert found["effort_after"] < 0.8 * found["effort_before"], told
-    assert found["return_after"] > 0.9 * found["return_before"], told
-    assert 0.0 < found["kl"] < 1.5 * 0.5, told
+    printed = capsys.readouterr().out
+    assert found["effort_after"] < 0.8 * found["effort_before"], printed
+    assert found["return_after"] > 0.9 * found["return_before"], printed
+    assert 0.0 < found["kl"] < 1.5 * 0.5, printed
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.name)

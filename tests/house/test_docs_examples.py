@@ -4,8 +4,9 @@ A page is followed from top to bottom in an empty folder of its own, in an envir
 installed here and that may install more without leaving anything behind:
 
     ```python                   is run as a program
-    ```python title="FILE"      is written to FILE, as are toml and yaml blocks with a title, and imported if it is a module
-    ```console                  lines that begin with "$ " are typed; the others are what must be seen: a line "..." stands for
+    ```python title="FILE"      is written to FILE, as are toml and yaml blocks with a title, and imported if it is a
+    module ```console                  lines that begin with "$ " are typed; the others are what must be seen: a line
+    "..." stands for
                                 any lines, an "…" in a line for any text
     <!-- exit 1 -->             before a console block: its last command must end with that status
     <!-- not run: REASON -->    before a block that cannot be run here; the page must say "Not run" to its reader
@@ -130,10 +131,16 @@ class Reader:
         dropped = ("PYTHONPATH", "PYTEST_CURRENT_TEST", "PYTEST_XDIST_WORKER", "PYTEST_ADDOPTS")
         self.environment = {name: value for name, value in os.environ.items() if name not in dropped}
         self.environment |= {
-            "PATH": f"{place}/bin{os.pathsep}{os.environ['PATH']}", "VIRTUAL_ENV": str(place), "OMP_NUM_THREADS": "1",
-            "PIP_NO_BUILD_ISOLATION": "0", "PIP_NO_INDEX": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1",
-            "COLUMNS": "160", "NO_COLOR": "1", "PYTHONDONTWRITEBYTECODE": "1",
-        }  # fmt: skip
+            "PATH": f"{place}/bin{os.pathsep}{os.environ['PATH']}",
+            "VIRTUAL_ENV": str(place),
+            "OMP_NUM_THREADS": "1",
+            "PIP_NO_BUILD_ISOLATION": "0",
+            "PIP_NO_INDEX": "1",
+            "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+            "COLUMNS": "160",
+            "NO_COLOR": "1",
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
 
     def follow(self, block: Block) -> None:
         """Do what a block says. Fails with what went wrong."""
@@ -156,20 +163,31 @@ class Reader:
             f"cd {shlex.quote(str(self.here))}\n{command}\nstatus=$?\npwd > {shlex.quote(str(remember))}\nexit $status"
         )
         done = subprocess.run(
-            ["bash", "-c", script], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=self.environment,
-            timeout=280, check=False,
-        )  # fmt: skip
+            ["bash", "-c", script],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env=self.environment,
+            timeout=280,
+            check=False,
+        )
         said = f"$ {command}\n{done.stdout}"
         assert done.returncode == status, f"status {done.returncode}, expected {status}:\n{said}"
         assert matches(shown, done.stdout), f"the page shows\n{shown}\nbut there is\n{said}"
         self.here = Path(remember.read_text().strip())
 
     def _python(self, code: str) -> None:
+        python = str(self.folder.parent / "environment/bin/python")
         done = subprocess.run(
-            [str(self.folder.parent / "environment/bin/python"), "-W", "error", "-W", "ignore::DeprecationWarning", "-c", code],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=self.folder, env=self.environment,
-            timeout=120, check=False,
-        )  # fmt: skip
+            [python, "-W", "error", "-W", "ignore::DeprecationWarning", "-c", code],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            cwd=self.folder,
+            env=self.environment,
+            timeout=120,
+            check=False,
+        )
         assert done.returncode == 0, f"{code}\n{done.stdout}"
 
 

@@ -1,4 +1,4 @@
-"""Every hook has a heading with its exact signature, one example and one test; this file is the tests and the enforcement."""
+"""Every hook has a heading with its exact signature, one example and one test: the tests, and what enforces this."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rules of the house that a tool of its own would be too much for, and proof that rules and contracts see what they forbid.
+"""Rules of the house that no tool has, and proof that rules and contracts see what they forbid.
 
 Each rule is a function from a module's tree to what breaks it, so that it can be tried on an offending snippet.
 """
@@ -25,8 +25,17 @@ SOURCES = sorted(
 )
 IDS = [str(path.relative_to(REPOSITORY)) for path in SOURCES]
 LEARNING = (
-    "sim", "recordings", "envs", "policies", "rl", "training", "measurement", "evaluation", "selection", "run",
-)  # fmt: skip
+    "sim",
+    "recordings",
+    "envs",
+    "policies",
+    "rl",
+    "training",
+    "measurement",
+    "evaluation",
+    "selection",
+    "run",
+)
 
 Rule = Callable[[ast.Module], Iterator[str]]
 
@@ -169,7 +178,7 @@ BEING_REPLACED = {"hts/sim/warp_setup.py"}
 
 
 WHOLE_FOLDERS = {"hts/atomic.py", "hts/recordings/partial.py", "hts/worlds/field_bundle.py", "hts/cli/group.py"}
-"""The one place where files are moved; folders that are written under another name and moved as a whole; and help texts."""
+"""The one place where files are moved; folders written under another name and moved as a whole; help texts."""
 
 
 @pytest.mark.parametrize(
@@ -329,9 +338,13 @@ def test_a_forbidden_import_is_named(tmp_path):
         "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports('pyproject.toml', no_cache=True))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, capture_output=True,
-        text=True, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode != 0
     named = done.stdout.replace("\n", " ")
     missed = [link for link, _ in OFFENCES.values() if link not in named]

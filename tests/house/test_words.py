@@ -5,8 +5,8 @@ are not Python. Words are cut at underscores, capitals and digits' edges, so `ba
 contain "battery".
 
 What counts as naming one:
-  a quantity that somebody improves, or its sensor: battery, power, wattage, microphone, loudness, footfall, stepping noise
-  a robot that a plugin brings, or its maker: go1, go2, unitree
+  a quantity that somebody improves, or its sensor: battery, power, wattage, microphone, loudness, footfall, stepping
+  noise a robot that a plugin brings, or its maker: go1, go2, unitree
 What does not: `np.power` and its like (mathematics), observation and exploration noise, "to the power of",
 other machines in the source of a number.
 
@@ -30,9 +30,20 @@ CORE = Path(__file__).resolve().parents[2] / "hts"
 TEXT = {".py", ".html", ".j2", ".css", ".js", ".svg", ".json", ".yaml", ".yml", ".toml", ".txt", ".md", ".tmpl"}
 
 WORDS = {
-    "battery", "batteries", "power", "powers", "wattage", "microphone", "microphones", "loudness", "footfall",
-    "footfalls", "go1", "go2", "unitree",
-}  # fmt: skip
+    "battery",
+    "batteries",
+    "power",
+    "powers",
+    "wattage",
+    "microphone",
+    "microphones",
+    "loudness",
+    "footfall",
+    "footfalls",
+    "go1",
+    "go2",
+    "unitree",
+}
 PHRASES = (
     re.compile(r"(stepping|footstep|walking)[ _-]noise|noise[ _-](objective|plugin|reward)", re.IGNORECASE),
     re.compile(r"hts_(noise|power|go1)"),

@@ -50,9 +50,7 @@ def test_an_objective_that_says_nothing_uses_the_lstm():
 def config(tmp_path, *overrides: str, text: str = ""):
     file = tmp_path / "config.yaml"
     file.write_text(text)
-    return load_config(
-        preset="smoke", file=file, objectives=["fake"], robot="tiny", world="known", overrides=overrides
-    )  # fmt: skip
+    return load_config(preset="smoke", file=file, objectives=["fake"], robot="tiny", world="known", overrides=overrides)
 
 
 ENSEMBLE = {"name": "ensemble", "members": 3}

@@ -1,4 +1,4 @@
-"""Measurement models on disk: what is written comes back, of every kind and of earlier formats, and nothing else is taken."""
+"""Measurement models on disk: what is written comes back, of every kind and earlier format; nothing else is taken."""
 
 from __future__ import annotations
 

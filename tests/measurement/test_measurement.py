@@ -147,12 +147,18 @@ def test_policies_are_ranked_at_the_speed_most_of_them_share():
         r = recording(1, policy, seconds=2.0, speed=speed)
         return Trace(r, np.full(50, measured), np.full(50, predicted))
 
-    costs = policy_costs([
-        trace("a", 0.8, 3.0, 2.0), trace("b", 0.8, 1.0, 1.0), trace("a", 1.1, 9.0, 9.0), trace("b", 0.8, 2.0, 3.0),
-    ])  # fmt: skip
+    costs = policy_costs(
+        [
+            trace("a", 0.8, 3.0, 2.0),
+            trace("b", 0.8, 1.0, 1.0),
+            trace("a", 1.1, 9.0, 9.0),
+            trace("b", 0.8, 2.0, 3.0),
+        ]
+    )
     assert [(c.policy, c.speed, c.measured, c.predicted, c.samples) for c in costs] == [
-        ("b", 0.8, 1.5, 2.0, 100), ("a", 0.8, 3.0, 2.0, 50),
-    ]  # fmt: skip
+        ("b", 0.8, 1.5, 2.0, 100),
+        ("a", 0.8, 3.0, 2.0, 50),
+    ]
 
 
 def test_commanded_speed_follows_the_schedule():

@@ -21,10 +21,20 @@ from hts.policies.importing import import_policy
 from hts.rl.population import Population, Sizes
 
 SPEC = RobotSpec(
-    name="dog", joint_names=("left", "right"), default_pose=(0.1, -0.1), kp=(20.0, 20.0), kd=(0.5, 0.5),
-    action_scale=(0.25, 0.5), torque_limit=(10.0, 10.0), velocity_limit=(20.0, 20.0),
-    position_limit=((-1.0, 1.0), (-1.0, 1.0)), control_rate_hz=50.0, physics_dt=0.005, substeps=4, base_height=0.3,
-)  # fmt: skip
+    name="dog",
+    joint_names=("left", "right"),
+    default_pose=(0.1, -0.1),
+    kp=(20.0, 20.0),
+    kd=(0.5, 0.5),
+    action_scale=(0.25, 0.5),
+    torque_limit=(10.0, 10.0),
+    velocity_limit=(20.0, 20.0),
+    position_limit=((-1.0, 1.0), (-1.0, 1.0)),
+    control_rate_hz=50.0,
+    physics_dt=0.005,
+    substeps=4,
+    base_height=0.3,
+)
 SIZES = Sizes(4, 6, 2, (8,))
 
 
@@ -67,9 +77,11 @@ def test_a_card_that_cannot_be_is_refused_by_its_key(policy, tmp_path, key, valu
     path = save_policy(tmp_path / "walk", policy)
     card = json.loads(path.with_suffix(".json").read_text())
     path.with_suffix(".json").write_text(json.dumps({**card, key: value}))
-    with pytest.raises(PolicyError, match=f"walk.json: its card says .*{key.split('_size')[0]}|an observation") as told:
+    with pytest.raises(
+        PolicyError, match=f"walk.json: its card says .*{key.split('_size')[0]}|an observation"
+    ) as caught:
         load_policy(path)
-    assert "\n" not in str(told.value) and len(str(told.value)) < 400
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
 
 
 def test_our_own_cards_pass(policy):
@@ -125,9 +137,9 @@ def test_a_graph_with_other_ends_is_not_run(exported, change, words):
     model = onnx.load(exported)
     change(model)
     exported.write_bytes(model.SerializeToString())
-    with pytest.raises(PolicyError, match=f"walk.onnx: .*({words})") as told:
+    with pytest.raises(PolicyError, match=f"walk.onnx: .*({words})") as caught:
         DeployedPolicy(exported)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
 
 
 def transposed(model):

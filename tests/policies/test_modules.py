@@ -15,10 +15,20 @@ from hts.policies.modules import actor_of, critic_of, with_parameters
 from hts.rl import Population, Sizes
 
 SPEC = RobotSpec(
-    name="cart", joint_names=("left", "right"), default_pose=(0.0, 0.0), kp=(1.0, 1.0), kd=(0.1, 0.1),
-    action_scale=(0.5, 0.5), torque_limit=(1.0, 1.0), velocity_limit=(9.0, 9.0),
-    position_limit=((-1.0, 1.0), (-1.0, 1.0)), control_rate_hz=50.0, physics_dt=0.01, substeps=2, base_height=0.3,
-)  # fmt: skip
+    name="cart",
+    joint_names=("left", "right"),
+    default_pose=(0.0, 0.0),
+    kp=(1.0, 1.0),
+    kd=(0.1, 0.1),
+    action_scale=(0.5, 0.5),
+    torque_limit=(1.0, 1.0),
+    velocity_limit=(9.0, 9.0),
+    position_limit=((-1.0, 1.0), (-1.0, 1.0)),
+    control_rate_hz=50.0,
+    physics_dt=0.01,
+    substeps=2,
+    base_height=0.3,
+)
 SIZES = Sizes(15, 7, 2, (16, 8))
 
 

@@ -18,10 +18,21 @@ from hts.policies.importing import Layout, import_policy
 from hts.rl.population import Population, Sizes
 
 SPEC = RobotSpec(
-    name="dog", joint_names=("left", "right"), default_pose=(0.1, -0.1), kp=(20.0, 20.0), kd=(0.5, 0.5),
-    action_scale=(0.25, 0.25), torque_limit=(10.0, 10.0), velocity_limit=(20.0, 20.0), position_limit=((-1.0, 1.0), (-1.0, 1.0)),
-    control_rate_hz=50.0, physics_dt=0.005, substeps=4, base_height=0.3, foot_sites=("left_foot", "right_foot"),
-)  # fmt: skip
+    name="dog",
+    joint_names=("left", "right"),
+    default_pose=(0.1, -0.1),
+    kp=(20.0, 20.0),
+    kd=(0.5, 0.5),
+    action_scale=(0.25, 0.25),
+    torque_limit=(10.0, 10.0),
+    velocity_limit=(20.0, 20.0),
+    position_limit=((-1.0, 1.0), (-1.0, 1.0)),
+    control_rate_hz=50.0,
+    physics_dt=0.005,
+    substeps=4,
+    base_height=0.3,
+    foot_sites=("left_foot", "right_foot"),
+)
 SIZES = Sizes(15, critic_observation_size(2, 2), 2, (8, 4))  # 9 + 3 x 2
 
 
@@ -261,10 +272,13 @@ def test_raw_observations_of_a_policy_without_normaliser_are_not_clipped_at_ten(
 
 def test_a_checkpoint_with_scaled_observations_and_another_joint_order_is_translated(tmp_path):
     parts = [  # legged_gym's scales
-        {"name": "command", "size": 3, "scale": 2.0}, {"name": "angular_velocity", "size": 3, "scale": 0.25},
-        {"name": "projected_gravity", "size": 3}, {"name": "joint_position_offset", "size": 2},
-        {"name": "joint_velocity", "size": 2, "scale": 0.05}, {"name": "last_action", "size": 2},
-    ]  # fmt: skip
+        {"name": "command", "size": 3, "scale": 2.0},
+        {"name": "angular_velocity", "size": 3, "scale": 0.25},
+        {"name": "projected_gravity", "size": 3},
+        {"name": "joint_position_offset", "size": 2},
+        {"name": "joint_velocity", "size": 2, "scale": 0.05},
+        {"name": "last_action", "size": 2},
+    ]
     net, normalise, x = actor(), Normalise(15), torch.randn(20, 15)
     torch.save(checkpoint("inside", net, normalise), tmp_path / "model.pt")
     made = import_policy(tmp_path / "model.pt", SPEC, Layout(tuple(parts), joint_names=("right", "left")))
@@ -278,14 +292,25 @@ def test_a_checkpoint_with_scaled_observations_and_another_joint_order_is_transl
     ("change", "match"),
     [
         (lambda c: {}, r"has the parts \[\], expected 'model_state_dict'"),
-        (lambda c: {"model_state_dict": {**c["model_state_dict"], "memory_a.rnn.weight": torch.ones(2)}}, "memory_a.rnn.weight"),
-        (lambda c: {"model_state_dict": prefixed("actor", actor(16))}, "maps 16 observations to 2 actions, expected 15 to 2"),
+        (
+            lambda c: {"model_state_dict": {**c["model_state_dict"], "memory_a.rnn.weight": torch.ones(2)}},
+            "memory_a.rnn.weight",
+        ),
+        (
+            lambda c: {"model_state_dict": prefixed("actor", actor(16))},
+            "maps 16 observations to 2 actions, expected 15 to 2",
+        ),
         (lambda c: {**c, "obs_norm_state_dict": {"mean": torch.ones(15)}}, "expected '_mean' and '_std'"),
         (lambda c: {**c, "obs_norm_state_dict": Normalise(14).state_dict()}, "its normaliser has 14 entries"),
         (lambda c: {"model_state_dict": {"actor.0.weight": torch.ones(2, 15)}}, "expected linear layers 0, 2, 4"),
-        (lambda c: {"model_state_dict": prefixed("actor", actor()) | {"actor.4.bias": torch.tensor([1.0, float("inf")])}}, "not finite"),
+        (
+            lambda c: {
+                "model_state_dict": prefixed("actor", actor()) | {"actor.4.bias": torch.tensor([1.0, float("inf")])}
+            },
+            "not finite",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_checkpoint_that_is_not_understood_is_refused_with_what_was_found(tmp_path, change, match):
     path = tmp_path / "model.pt"
     torch.save(change(checkpoint("plain", actor(), Normalise(15))), path)

@@ -1,4 +1,4 @@
-"""Stores that somebody else wrote, hashes and all: a name is no path, a shape takes no memory, and each fault is one line."""
+"""Stores that somebody else wrote, hashes and all: a name is no path, a shape takes no memory, a fault is one line."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ def with_unit(unit):
 )
 def test_attributes_that_fit_their_id_and_nothing_else_are_refused(store, change, words):
     name = rewritten(store, change)
-    with pytest.raises(RecordingError, match=words) as told:
+    with pytest.raises(RecordingError, match=words) as caught:
         store.read(name)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
     if "not the attributes" not in words and "unit named" not in words:  # those are only looked at when it is read
         assert store.validate()
 

@@ -22,9 +22,19 @@ def candidate(name: str, weights: dict, fell: bool = False, **improvements) -> d
         for objective, value in improvements.items()
     }
     return {
-        "id": name, "anchor": "pretrained", "weights": weights, "kl_bound": None, "kl": 0.4, "elite": True, "falls": 0,
-        "tracked": True, "fell": fell, "sim_score": 0.1, "sim_scores": dict.fromkeys(improvements, 0.05), "real": real,
-    }  # fmt: skip
+        "id": name,
+        "anchor": "pretrained",
+        "weights": weights,
+        "kl_bound": None,
+        "kl": 0.4,
+        "elite": True,
+        "falls": 0,
+        "tracked": True,
+        "fell": fell,
+        "sim_score": 0.1,
+        "sim_scores": dict.fromkeys(improvements, 0.05),
+        "real": real,
+    }
 
 
 def run_of(tmp_path, front: dict[str, dict], candidates: list[dict], final: str | None = None) -> RunData:

@@ -45,11 +45,11 @@ def test_a_run_from_before_speeds_were_written_down_still_ends_in_words():
 
 
 def test_three_iterations_in_a_row_that_choose_nobody_are_said():
-    told = closing(
+    lines = closing(
         run([WORSE], [refused(0.5)], [refused(0.6)], [WORSE], best=["00-00", None, None, None], final="00-00")
     )
-    assert len(told) == 1
-    assert told[0].startswith(
+    assert len(lines) == 1
+    assert lines[0].startswith(
         "Iterations 01 to 03 chose nobody: 2 of 3 refused (they went 0.50 and 0.60 m/s on average"
     )
 

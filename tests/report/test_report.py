@@ -282,9 +282,11 @@ def test_a_policy_stands_on_the_front_where_it_counts_with_the_interval_of_what_
     from hts.report.front_figure import counts
 
     result = {
-        "improvement": 0.18, "improvement_ci95": [0.17, 0.19], "metrics": {"net": 0.18, "per_metre": 0.14},
+        "improvement": 0.18,
+        "improvement_ci95": [0.17, 0.19],
+        "metrics": {"net": 0.18, "per_metre": 0.14},
         "metrics_ci95": {"net": [0.17, 0.19], "per_metre": [0.13, 0.15]},
-    }  # fmt: skip
+    }
     assert counts({"selection_scores": {"a": 0.14}}, "a", result) == (0.14, [0.13, 0.15])
     assert counts({"selection_scores": {"a": 0.18}}, "a", result) == (0.18, [0.17, 0.19])
     assert counts({"selection_scores": {"a": 0.11}}, "a", result) == (0.11, None)  # neither: nothing is made up

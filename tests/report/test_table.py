@@ -10,16 +10,23 @@ from rich.console import Console
 from hts.report.table import print_table
 
 METRICS = {
-    "net_reduction": 0.2, "gross_reduction": 0.1, "cost_of_transport_reduction": 0.18, "peak_temperature": 61.0,
+    "net_reduction": 0.2,
+    "gross_reduction": 0.1,
+    "cost_of_transport_reduction": 0.18,
+    "peak_temperature": 61.0,
     "mean_temperature": 55.5,
-}  # fmt: skip
+}
 
 
 def shown(width: int, metrics: dict[str, float] = METRICS) -> str:
     row = {
-        "improvement": 0.231, "improvement_ci95": [0.2101, 0.2517], "mean_speed": 0.81, "falls": 0, "segments": 1234,
+        "improvement": 0.231,
+        "improvement_ci95": [0.2101, 0.2517],
+        "mean_speed": 0.81,
+        "falls": 0,
+        "segments": 1234,
         "metrics": metrics,
-    }  # fmt: skip
+    }
     summary = {"final": {"policy": "01-02", "objectives": {"power": {"unit": "1", "speeds": {"0.8": row, "1.1": row}}}}}
     console = Console(record=True, width=width, file=io.StringIO())
     print_table(summary, console)

@@ -13,7 +13,7 @@ from hts.rl.population import Population, Sizes
 
 
 def by_hand(reward, value, following, terminated, done, gamma, lam):
-    """Generalised advantage estimation of one env instance, backwards; following: value of the state a step ended in."""
+    """Generalised advantage estimation of one env instance, backwards; following: value of where a step ended."""
     steps = len(reward)
     advantage, running = [0.0] * steps, 0.0
     for t in reversed(range(steps)):

@@ -57,10 +57,15 @@ def make_trainer(robot, seeds=(3, 4), worlds=6, proxy=False) -> PopulationTraine
     population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * len(seeds))
     population.refresh()
     return PopulationTrainer(
-        measured_env(env, [measured]), population, CONFIG, seeds=seeds,
-        names=[str(seed) for seed in seeds], anchor=population.frozen(), bounds=torch.full((len(seeds),), 0.5),
+        measured_env(env, [measured]),
+        population,
+        CONFIG,
+        seeds=seeds,
+        names=[str(seed) for seed in seeds],
+        anchor=population.frozen(),
+        bounds=torch.full((len(seeds),), 0.5),
         weights={"cost": torch.ones(len(seeds))},
-    )  # fmt: skip
+    )
 
 
 FRAMES = 2 * 6 * CONFIG.horizon
@@ -237,19 +242,24 @@ def test_taken_together_a_gradient_that_is_not_finite_stops_its_candidate_alone(
 
     population = Population(Sizes(3, 3, 2, (4,)), 2)
     before = torch.stack(list(population.vectors)).detach().clone()
-    told = []
+    reported = []
     steps = BatchedSteps(
-        population, UpdateSettings(minibatches=2), lambda index, reason: told.append((index, reason)), capture=False
+        population, UpdateSettings(minibatches=2), lambda index, reason: reported.append((index, reason)), capture=False
     )
     samples = {
-        "observation": torch.randn(2, 8, 3), "critic_observation": torch.randn(2, 8, 3), "action": torch.randn(2, 8, 2),
-        "old_mean": torch.zeros(2, 8, 2), "log_prob": torch.zeros(2, 8), "advantage": torch.randn(2, 8),
-        "target": torch.randn(2, 8), "old_value": torch.zeros(2, 8),
-    }  # fmt: skip
+        "observation": torch.randn(2, 8, 3),
+        "critic_observation": torch.randn(2, 8, 3),
+        "action": torch.randn(2, 8, 2),
+        "old_mean": torch.zeros(2, 8, 2),
+        "log_prob": torch.zeros(2, 8),
+        "advantage": torch.randn(2, 8),
+        "target": torch.randn(2, 8),
+        "old_value": torch.zeros(2, 8),
+    }
     samples["advantage"][0, 3] = torch.inf
     order = torch.arange(8).expand(2, 8)
     steps.run(samples, {"old_log_std": torch.zeros(2, 1, 2)}, torch.zeros(2), [order], 1.0)
-    assert told == [(0, "the gradient is not finite")]
+    assert reported == [(0, "the gradient is not finite")]
     after = torch.stack(list(population.vectors)).detach()
     assert torch.isfinite(after).all() and not torch.equal(after[1], before[1])
     steps.halt(0)

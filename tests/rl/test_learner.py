@@ -43,10 +43,14 @@ def batch(of: Population, with_reference: bool = True) -> dict[str, torch.Tensor
     old_mean = mean + 0.1 * normal(3)
     action = old_mean + old_log_std.exp() * normal(3)
     made |= {
-        "action": action, "old_mean": old_mean, "log_prob": log_prob(action, old_mean, old_log_std),
+        "action": action,
+        "old_mean": old_mean,
+        "log_prob": log_prob(action, old_mean, old_log_std),
         "advantage": normal(),
-        "old_value": value + 0.3 * normal(), "target": value + 0.3 * normal(), "old_log_std": old_log_std,
-    }  # fmt: skip
+        "old_value": value + 0.3 * normal(),
+        "target": value + 0.3 * normal(),
+        "old_log_std": old_log_std,
+    }
     if with_reference:
         made |= {"reference_mean": mean + 0.2 * normal(3), "reference_log_std": old_log_std + 0.2}
     return made
@@ -70,9 +74,15 @@ def learnt(
 
 def by_autograd(of: Population, samples: dict[str, torch.Tensor], multiplier: float = 0.7, policy_on: float = 1.0):
     loss = population_loss(
-        of, samples, torch.tensor([multiplier], dtype=torch.float64), clip=0.2, value_coef=0.8, entropy_coef=0.03,
-        policy_on=policy_on, normalised=True,
-    )  # fmt: skip
+        of,
+        samples,
+        torch.tensor([multiplier], dtype=torch.float64),
+        clip=0.2,
+        value_coef=0.8,
+        entropy_coef=0.03,
+        policy_on=policy_on,
+        normalised=True,
+    )
     return torch.autograd.grad(loss.total.sum(), of.vectors[0])[0], loss
 
 

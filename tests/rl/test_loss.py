@@ -69,15 +69,27 @@ def test_without_a_bound_it_is_clip_ppo_loss(clip_value, normalise):
     actor, critic = networks()
     data = batch_of(actor, critic)
     ours = KLConstrainedPPOLoss(
-        actor, critic, kl_bound=math.inf, clip_epsilon=0.2, critic_coeff=0.7, entropy_coeff=0.01, clip_value=clip_value,
+        actor,
+        critic,
+        kl_bound=math.inf,
+        clip_epsilon=0.2,
+        critic_coeff=0.7,
+        entropy_coeff=0.01,
+        clip_value=clip_value,
         normalize_advantage=normalise,
-    )  # fmt: skip
+    )
     found = ours(data)
     slopes = gradients(found, actor, critic)
     stock = ClipPPOLoss(
-        actor, critic, clip_epsilon=0.2, critic_coeff=0.7, entropy_coeff=0.01, clip_value=clip_value, loss_critic_type="l2",
+        actor,
+        critic,
+        clip_epsilon=0.2,
+        critic_coeff=0.7,
+        entropy_coeff=0.01,
+        clip_value=clip_value,
+        loss_critic_type="l2",
         normalize_advantage=normalise,
-    )  # fmt: skip
+    )
     expected = stock(data)
     for name in ("loss_objective", "loss_critic", "loss_entropy", "kl_approx", "clip_fraction"):
         torch.testing.assert_close(found[name], expected[name], msg=name)
@@ -107,10 +119,13 @@ def population_batch(population: Population, count=40, seed=2) -> TensorDict:
     """Samples [P, B] as a collector and GAE would leave them."""
     generator = torch.Generator().manual_seed(seed)
     size, shape = population.sizes, (population.count, count)
-    data = TensorDict({
-        "observation": torch.randn(*shape, size.observation, generator=generator),
-        "critic_observation": torch.randn(*shape, size.critic_observation, generator=generator),
-    }, shape)  # fmt: skip
+    data = TensorDict(
+        {
+            "observation": torch.randn(*shape, size.observation, generator=generator),
+            "critic_observation": torch.randn(*shape, size.critic_observation, generator=generator),
+        },
+        shape,
+    )
     PopulationCritic(population)(PopulationActor(population)(data))
     data["action"] = data["loc"] + torch.randn(data["loc"].shape, generator=generator)
     data["action_log_prob"] = -2.0 + 0.3 * torch.randn(*shape, generator=generator)
@@ -155,20 +170,30 @@ def test_the_fast_path_is_the_same_mathematics():
     reference = Population.from_candidates(population.sizes, [Population(population.sizes, 1, 0.7, 8).candidate(0)] * 3)
     data = population_batch(population)
     loss = KLConstrainedPPOLoss(
-        PopulationActor(population), PopulationCritic(population), reference=PopulationActor(reference),
-        kl_bound=torch.tensor([0.1, 0.5, math.inf]), critic_coeff=0.8, entropy_coeff=0.01,
-    )  # fmt: skip
+        PopulationActor(population),
+        PopulationCritic(population),
+        reference=PopulationActor(reference),
+        kl_bound=torch.tensor([0.1, 0.5, math.inf]),
+        critic_coeff=0.8,
+        entropy_coeff=0.01,
+    )
     loss.update_multiplier(torch.tensor([0.4, 0.6, 5.0]))
     assert loss.multiplier.value.tolist() == pytest.approx([0.1, 0.01, 0.0])
     found = loss(data)
     slopes = gradients(found, population)
     batch = {
-        "observation": data["observation"], "critic_observation": data["critic_observation"], "action": data["action"],
-        "log_prob": data["action_log_prob"], "advantage": data["advantage"].squeeze(-1),
-        "target": data["value_target"].squeeze(-1), "old_value": data["state_value"].squeeze(-1),
-        "old_mean": data["loc"], "old_log_std": population.log_std(),
-        "reference_mean": reference.mean(data["observation"]), "reference_log_std": reference.log_std(),
-    }  # fmt: skip
+        "observation": data["observation"],
+        "critic_observation": data["critic_observation"],
+        "action": data["action"],
+        "log_prob": data["action_log_prob"],
+        "advantage": data["advantage"].squeeze(-1),
+        "target": data["value_target"].squeeze(-1),
+        "old_value": data["state_value"].squeeze(-1),
+        "old_mean": data["loc"],
+        "old_log_std": population.log_std(),
+        "reference_mean": reference.mean(data["observation"]),
+        "reference_log_std": reference.log_std(),
+    }
     parts = population_loss(population, batch, loss.multiplier.value, clip=0.2, value_coef=0.8, entropy_coef=0.01)
     torch.testing.assert_close(parts.kl_reference, found["kl"])
     total = found["loss_objective"] + found["loss_critic"] + found["loss_entropy"]

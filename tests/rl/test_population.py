@@ -16,11 +16,20 @@ SIZES = Sizes(5, 7, 2, (8, 4))
 
 def test_parameters_have_the_shapes_of_their_layers():
     assert SIZES.shapes() == {
-        "actor.0.weight": (8, 5), "actor.0.bias": (8,), "actor.1.weight": (4, 8), "actor.1.bias": (4,),
-        "actor.2.weight": (2, 4), "actor.2.bias": (2,),
-        "critic.0.weight": (8, 7), "critic.0.bias": (8,), "critic.1.weight": (4, 8), "critic.1.bias": (4,),
-        "critic.2.weight": (1, 4), "critic.2.bias": (1,), "log_std": (2,),
-    }  # fmt: skip
+        "actor.0.weight": (8, 5),
+        "actor.0.bias": (8,),
+        "actor.1.weight": (4, 8),
+        "actor.1.bias": (4,),
+        "actor.2.weight": (2, 4),
+        "actor.2.bias": (2,),
+        "critic.0.weight": (8, 7),
+        "critic.0.bias": (8,),
+        "critic.1.weight": (4, 8),
+        "critic.1.bias": (4,),
+        "critic.2.weight": (1, 4),
+        "critic.2.bias": (1,),
+        "log_std": (2,),
+    }
 
 
 def test_the_mean_action_is_the_network_written_out():

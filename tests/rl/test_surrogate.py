@@ -29,10 +29,16 @@ def batch(anchor: bool = True) -> dict[str, torch.Tensor]:
     action = torch.tensor([[[1.0], [2.5]]])
     now = log_prob(action, observation, torch.zeros(1))
     made = {
-        "observation": observation, "critic_observation": observation, "action": action, "old_mean": observation,
-        "old_log_std": torch.zeros(1, 1, 1), "log_prob": now - torch.tensor([[1.5, 0.5]]).log(),
-        "advantage": torch.tensor([[1.0, -1.0]]), "target": torch.tensor([[2.0, 1.5]]), "old_value": torch.tensor([[0.5, 2.0]]),
-    }  # fmt: skip
+        "observation": observation,
+        "critic_observation": observation,
+        "action": action,
+        "old_mean": observation,
+        "old_log_std": torch.zeros(1, 1, 1),
+        "log_prob": now - torch.tensor([[1.5, 0.5]]).log(),
+        "advantage": torch.tensor([[1.0, -1.0]]),
+        "target": torch.tensor([[2.0, 1.5]]),
+        "old_value": torch.tensor([[0.5, 2.0]]),
+    }
     if anchor:
         made |= {"reference_mean": observation - 1.0, "reference_log_std": torch.zeros(1, 1, 1)}
     return made

@@ -96,9 +96,13 @@ def make_rollout() -> CapturedCollector:
     env = measured_env(env, [MeasurementTransform(model, lambda x: -x, "cost")])
     noise = PopulationRandom([5, 6], torch.device("cpu"))
     return CapturedCollector(
-        env, PopulationActor(population, noise), frames_per_batch=2 * 6 * HORIZON, capture=False, side_stream=True,
+        env,
+        PopulationActor(population, noise),
+        frames_per_batch=2 * 6 * HORIZON,
+        capture=False,
+        side_stream=True,
         reference=population.frozen(),
-    )  # fmt: skip
+    )
 
 
 def test_a_reward_that_reads_a_value_is_named_with_what_to_do():

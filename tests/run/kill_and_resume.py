@@ -27,7 +27,10 @@ from pathlib import Path
 from typing import Any
 
 SMOKE = ("--objective", "power", "--robot", "go1", "--preset", "smoke")
-EAGER = "import hts.training.finetune as f; f.CHECKPOINT_SECONDS = 0.0; from hts.cli.main import main; raise SystemExit(main())"
+EAGER = (
+    "import hts.training.finetune as f; f.CHECKPOINT_SECONDS = 0.0; "
+    "from hts.cli.main import main; raise SystemExit(main())"
+)
 
 
 @dataclass

@@ -111,7 +111,8 @@ def test_a_policy_file_that_is_not_there_is_told(install, tmp_path):
     text = (
         "from pathlib import Path\n"
         f"from hts import hookimpl\nfrom hts.testing.examples.robot.robot import Tiny\nHTS_API = {API_VERSION}\n"
-        f"class Lost(Tiny):\n    def pretrained_policy(self):\n        return Path({str(tmp_path / 'none.safetensors')!r})\n"
+        "class Lost(Tiny):\n    def pretrained_policy(self):\n"
+        f"        return Path({str(tmp_path / 'none.safetensors')!r})\n"
         "@hookimpl\ndef hts_robots(register):\n    register('lost', lambda settings: Lost())\n"
     )
     install("stranger", {"stranger": text}, {"stranger": "stranger"})

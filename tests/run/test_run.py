@@ -41,7 +41,7 @@ STAGES = [
 
 
 def forget(folder: Path, *stages: str) -> None:
-    """As if the run had been stopped before these stages. The report stays: drawing takes longest and shows nothing here."""
+    """As if the run had been stopped before these stages. The report stays: it takes longest and shows nothing here."""
     for stage in (*stages, "summary"):
         (folder / f"{stage}.json").unlink()
 

@@ -50,7 +50,8 @@ def make(called):
             return Named(name="lstm", hidden=8)
 
         def score(self, segments):
-            return {"net": segments.values(self.target.name).mean(axis=1) - segments.idle(self.target.name), "gross": 1.0 + 0 * segments.speed}
+            measured = segments.values(self.target.name).mean(axis=1)
+            return {"net": measured - segments.idle(self.target.name), "gross": 1.0 + 0 * segments.speed}
 
     return Toy()
 

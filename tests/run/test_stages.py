@@ -114,7 +114,8 @@ def test_a_number_that_json_cannot_hold_is_null(tmp_path):
 
 def test_only_one_process_works_in_a_folder(stages, tmp_path):
     code = (
-        "import sys; from pathlib import Path; from hts.run.stages import Stages; from hts.run.progress import Progress\n"
+        "import sys; from pathlib import Path; "
+        "from hts.run.stages import Stages; from hts.run.progress import Progress\n"
         "Stages(Path(sys.argv[1]), Progress(1))"
     )
     done = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=False)

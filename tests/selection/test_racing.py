@@ -240,8 +240,12 @@ def start_race(folder: Path, **settings) -> None:
     config = yaml.safe_load(path.read_text())
     config["selection"]["elites"] = 2
     config["selection"]["selector"] = {
-        "name": "racing", "block_seconds": 3.0, "rounds": 2, "indifference": 0.0, **settings,
-    }  # fmt: skip
+        "name": "racing",
+        "block_seconds": 3.0,
+        "rounds": 2,
+        "indifference": 0.0,
+        **settings,
+    }
     path.write_text(yaml.safe_dump(config))
     for stage in ("iterations/00/simulate", "iterations/00/test", "final", "summary"):
         (folder / f"{stage}.json").unlink()

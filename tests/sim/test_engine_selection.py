@@ -1,6 +1,7 @@
 """Which engine runs, and what a user reads where the one that was asked for cannot: one line, status 2, no folder made.
 
-A missing package, a missing or old driver and a full memory are made at the boundary: where Python, torch or Warp say so.
+A missing package, a missing or old driver and a full memory are made at the boundary: where Python, torch or Warp say
+so.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ OOM = (
     "CUDA out of memory. Tried to allocate 2.00 GiB. GPU 0 has a total capacity of 79.11 GiB of which 1.2 GiB is free."
 )
 WARP_OOM = "Failed to allocate 9437184 bytes on device 'cuda:0'"
-OLD = "The NVIDIA driver on your system is too old (found version 11040). Please update your GPU driver by downloading it."
+OLD = (
+    "The NVIDIA driver on your system is too old (found version 11040). "
+    "Please update your GPU driver by downloading it."
+)
 
 
 @pytest.fixture
@@ -53,9 +57,14 @@ def fails(capsys):
 def in_a_process(tmp_path: Path, *arguments: str, **environment: str) -> str:
     """The same of the command in a process of its own."""
     done = subprocess.run(
-        [sys.executable, "-m", "hts.cli.main", *arguments], check=False, capture_output=True, text=True, timeout=120,
-        cwd=tmp_path, env={**os.environ, **environment},
-    )  # fmt: skip
+        [sys.executable, "-m", "hts.cli.main", *arguments],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=tmp_path,
+        env={**os.environ, **environment},
+    )
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1, done.stderr
     return done.stderr
@@ -66,8 +75,15 @@ def in_a_process(tmp_path: Path, *arguments: str, **environment: str) -> str:
 
 def test_without_a_cuda_device_the_warp_engine_is_refused_before_anything_is_spent(tmp_path):
     line = in_a_process(
-        tmp_path, *RUN, "--engine", "warp", "--out", str(tmp_path / "run"), CUDA_VISIBLE_DEVICES="", NVIDIA_VISIBLE_DEVICES="void"
-    )  # fmt: skip
+        tmp_path,
+        *RUN,
+        "--engine",
+        "warp",
+        "--out",
+        str(tmp_path / "run"),
+        CUDA_VISIBLE_DEVICES="",
+        NVIDIA_VISIBLE_DEVICES="void",
+    )
     assert "CUDA" in line and "--engine mujoco" in line
     assert not (tmp_path / "run").exists()
 
@@ -87,8 +103,16 @@ def test_without_its_package_the_warp_engine_says_what_to_install(tmp_path):
     (blocked / "mujoco_warp.py").write_text("raise ModuleNotFoundError(\"No module named 'mujoco_warp'\")\n")
     path = os.pathsep.join([str(blocked), *filter(None, [os.environ.get("PYTHONPATH")])])
     line = in_a_process(
-        tmp_path, *RUN, "--engine", "warp", "--set", "finetune.env.device=cpu", "--out", str(tmp_path / "run"), PYTHONPATH=path
-    )  # fmt: skip
+        tmp_path,
+        *RUN,
+        "--engine",
+        "warp",
+        "--set",
+        "finetune.env.device=cpu",
+        "--out",
+        str(tmp_path / "run"),
+        PYTHONPATH=path,
+    )
     assert "No module named 'mujoco_warp'" in line
     assert "pip install 'hard-to-sim[gpu]'" in line and "--engine mujoco" in line
     assert not (tmp_path / "run").exists()
@@ -144,8 +168,8 @@ def test_a_run_out_of_memory_says_how_it_goes_on(tmp_path):
     (tmp_path / "config.yaml").write_text("preset: smoke\n")
     with pytest.raises(RunError, match=f"num_envs.*hts resume {tmp_path}") as caught, resumable(tmp_path):
         raise torch.OutOfMemoryError(OOM)
-    told = one_line(caught.value)
-    assert told is not None and "\n" not in told[0] and told[1] == 2
+    line = one_line(caught.value)
+    assert line is not None and "\n" not in line[0] and line[1] == 2
 
 
 @pytest.mark.parametrize(
@@ -154,18 +178,21 @@ def test_a_run_out_of_memory_says_how_it_goes_on(tmp_path):
         (torch.OutOfMemoryError(OOM), "Out of memory"),
         (RuntimeError(WARP_OOM), "Out of memory"),
         (MemoryError(), "Out of memory"),
-        (RuntimeError("[enforce fail at alloc_cpu.cpp] DefaultCPUAllocator: can't allocate memory: you tried"), "Out of"),
+        (
+            RuntimeError("[enforce fail at alloc_cpu.cpp] DefaultCPUAllocator: can't allocate memory: you tried"),
+            "Out of",
+        ),
         (RuntimeError(OLD), "driver is too old"),
         (RuntimeError("CUDA driver version is insufficient for CUDA runtime version"), "driver is too old"),
         (RuntimeError("No CUDA GPUs are available"), "No CUDA device"),
         (AssertionError("Torch not compiled with CUDA enabled"), "No CUDA device"),
         (RuntimeError("CUDA error: an illegal memory access was encountered\nCompile with ..."), "nvidia-smi"),
     ],
-)  # fmt: skip
+)
 def test_what_the_libraries_say_becomes_what_to_do(error, expected):
-    told = device_fault(error)
-    assert told is not None and expected in told and "\n" not in told
-    assert one_line(error) == (f"error: {told}", 2)
+    fault = device_fault(error)
+    assert fault is not None and expected in fault and "\n" not in fault
+    assert one_line(error) == (f"error: {fault}", 2)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("shape mismatch"), ValueError("out of memory"), KeyError("cuda error")])
@@ -212,14 +239,14 @@ def test_auto_takes_no_slow_double_of_the_gpu_engine(usable):
 
 
 def test_a_gpu_that_auto_cannot_use_is_told_with_the_reason(usable, monkeypatch):
-    told: list[str] = []
+    messages: list[str] = []
     usable("the package is missing")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    assert selection.select_engine("auto", tell=told.append) == "mujoco"
-    assert len(told) == 1 and "the package is missing" in told[0]
+    assert selection.select_engine("auto", tell=messages.append) == "mujoco"
+    assert len(messages) == 1 and "the package is missing" in messages[0]
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert selection.select_engine("auto", tell=told.append) == "mujoco"
-    assert len(told) == 1  # no GPU, nothing to tell
+    assert selection.select_engine("auto", tell=messages.append) == "mujoco"
+    assert len(messages) == 1  # no GPU, nothing to tell
 
 
 def test_quick_is_automatic_and_an_engine_that_is_named_is_taken():

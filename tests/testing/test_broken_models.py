@@ -103,8 +103,14 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
         (fit(after="self.register_buffer('more', torch.ones(3))"), "it holds 'more', which the model does not have"),
         (step(after="prediction = Prediction(prediction.mean[:, None])"), "step: mean has shape (5, 1), not (5,)"),
         (step(after="prediction = Prediction(prediction.mean, -torch.ones(len(inputs)))"), "step: std is below 0"),
-        (step(after="prediction = Prediction(prediction.mean + 0.1)"), "sequence is off from step after step by up to 0.1"),
-        (step(before="state = state.mean(0).expand_as(state)"), "the prediction of world 0 depends on the worlds beside it"),
+        (
+            step(after="prediction = Prediction(prediction.mean + 0.1)"),
+            "sequence is off from step after step by up to 0.1",
+        ),
+        (
+            step(before="state = state.mean(0).expand_as(state)"),
+            "the prediction of world 0 depends on the worlds beside it",
+        ),
         (step(before="inputs = inputs.nan_to_num()"), "of an input that is nan"),
         (step(before="state += 0.01"), "changes its state in place"),
         (step(before="inputs = inputs / max(1.0, float(inputs.abs().max()) / 1e6)"), "looks at a value"),
@@ -117,11 +123,14 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
             "reset leaves NaN in the memory of a world that ended in it",
         ),
         (
-            {"body": "        def tensors(self):\n            return {k: v for k, v in super().tensors().items() if k != 'bias'}"},
-            "Missing key(s) in state_dict: \"bias\"",
+            {
+                "body": "        def tensors(self):\n"
+                "            return {k: v for k, v in super().tensors().items() if k != 'bias'}"
+            },
+            'Missing key(s) in state_dict: "bias"',
         ),
     ],
-)  # fmt: skip
+)
 def test_a_faulty_model_is_named_with_its_fault(install, broken, fault):
     found = faults(install, **broken)
     print(*found, sep="\n")

@@ -1,4 +1,4 @@
-"""The conformance kit on our own plugins and on what `test_broken_plugins` has no place for: worlds, log readers, commands."""
+"""The conformance kit on our plugins, and on what `test_broken_plugins` leaves out: worlds, log readers, commands."""
 
 from __future__ import annotations
 

@@ -36,10 +36,16 @@ def make_trainer(config: PPOConfig = CONFIG, reward=None, resume=None, seeds=SEE
     population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * len(seeds), env.device)
     population.refresh()
     return PopulationTrainer(
-        measured_env(env, [MeasurementTransform(model, reward or (lambda x: -x), "cost")]), population, config,
-        seeds=seeds, names=[str(seed) for seed in seeds], anchor=population.frozen(),
-        bounds=torch.full((len(seeds),), 0.5), weights={"cost": torch.ones(len(seeds))}, resume=resume,
-    )  # fmt: skip
+        measured_env(env, [MeasurementTransform(model, reward or (lambda x: -x), "cost")]),
+        population,
+        config,
+        seeds=seeds,
+        names=[str(seed) for seed in seeds],
+        anchor=population.frozen(),
+        bounds=torch.full((len(seeds),), 0.5),
+        weights={"cost": torch.ones(len(seeds))},
+        resume=resume,
+    )
 
 
 @pytest.mark.parametrize("fuse", [False, True])

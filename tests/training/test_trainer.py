@@ -27,7 +27,7 @@ QUICK = PPOConfig(horizon=6, epochs=2, minibatches=2)
 
 
 class Target(TaskEnv):
-    """Worlds with a fixed number each, to be hit by the sum of the action. Small, deterministic, with falls and time-outs.
+    """Worlds with a fixed number each, to be hit by the sum of the action. Deterministic, with falls and time-outs.
 
     r_sim = -(sum of action - number)^2 x dt; ("real_reward", "calm") = 7 - |action|. `poison`: (candidate, step) whose
     measured reward is not a number; `poison_sim` the same for r_sim.
@@ -42,9 +42,11 @@ class Target(TaskEnv):
         self.age = torch.zeros(self.batch_size)
         shape = self.batch_size
         self.observation_spec = Composite(
-            observation=Unbounded((*shape, 3)), critic_observation=Unbounded((*shape, 3)),
-            real_reward=Composite(calm=Unbounded((*shape, 1)), shape=shape), shape=shape,
-        )  # fmt: skip
+            observation=Unbounded((*shape, 3)),
+            critic_observation=Unbounded((*shape, 3)),
+            real_reward=Composite(calm=Unbounded((*shape, 1)), shape=shape),
+            shape=shape,
+        )
         self.action_spec, self.reward_spec = Unbounded((*shape, 2)), Unbounded((*shape, 1))
         flag = Binary(1, (*shape, 1), dtype=torch.bool)
         self.done_spec = Composite({name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape)
@@ -98,9 +100,15 @@ def trainer(seeds=(1, 2), config=QUICK, anchored=True, resume=None, std=0.3, **s
     settings.setdefault("bounds", torch.full((len(seeds),), 0.5) if anchored else None)
     settings.setdefault("weights", {"calm": torch.ones(len(seeds))})
     return PopulationTrainer(
-        Target(seeds), population, config, seeds=seeds, names=[f"c{seed}" for seed in seeds],
-        anchor=population.frozen() if anchored else None, resume=resume, **settings,
-    )  # fmt: skip
+        Target(seeds),
+        population,
+        config,
+        seeds=seeds,
+        names=[f"c{seed}" for seed in seeds],
+        anchor=population.frozen() if anchored else None,
+        resume=resume,
+        **settings,
+    )
 
 
 def vectors(made: PopulationTrainer) -> torch.Tensor:
@@ -326,9 +334,16 @@ def walking(seeds, resume=None) -> PopulationTrainer:
     population = Population.from_candidates(shipped.card.sizes(), [shipped.tensors] * len(seeds))
     count = len(seeds)
     return PopulationTrainer(
-        env, population, PPOConfig(horizon=8, epochs=2, minibatches=2), seeds=seeds, names=[str(seed) for seed in seeds],
-        anchor=population.frozen(), bounds=torch.full((count,), 0.5), weights={"cheap": torch.full((count,), 5.0)}, resume=resume,
-    )  # fmt: skip
+        env,
+        population,
+        PPOConfig(horizon=8, epochs=2, minibatches=2),
+        seeds=seeds,
+        names=[str(seed) for seed in seeds],
+        anchor=population.frozen(),
+        bounds=torch.full((count,), 0.5),
+        weights={"cheap": torch.full((count,), 5.0)},
+        resume=resume,
+    )
 
 
 def test_on_the_robot_a_candidate_trains_the_same_alone_and_in_a_population_of_six():

@@ -61,20 +61,32 @@ def exported_constant(path: Path, robot, action: float | np.ndarray = 0.0) -> Pa
         numpy_helper.from_array(np.ascontiguousarray(bias), "b"),
     ]
     graph = helper.make_graph(
-        [helper.make_node("Gemm", ["observation", "w", "b"], ["action"])], "policy",
+        [helper.make_node("Gemm", ["observation", "w", "b"], ["action"])],
+        "policy",
         [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", size])],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", spec.num_joints])], weights,
-    )  # fmt: skip
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", spec.num_joints])],
+        weights,
+    )
     parts = {
-        "angular_velocity": 3, "projected_gravity": 3, "command": 3, "joint_position_offset": spec.num_joints,
-        "joint_velocity": spec.num_joints, "last_action": spec.num_joints,
-    }  # fmt: skip
+        "angular_velocity": 3,
+        "projected_gravity": 3,
+        "command": 3,
+        "joint_position_offset": spec.num_joints,
+        "joint_velocity": spec.num_joints,
+        "last_action": spec.num_joints,
+    }
     card = {
-        "robot": spec.name, "joint_names": spec.joint_names, "default_pose": spec.default_pose, "kp": spec.kp,
-        "action_scale": spec.action_scale, "kd": spec.kd, "control_rate_hz": spec.control_rate_hz, "history": 1,
+        "robot": spec.name,
+        "joint_names": spec.joint_names,
+        "default_pose": spec.default_pose,
+        "kp": spec.kp,
+        "action_scale": spec.action_scale,
+        "kd": spec.kd,
+        "control_rate_hz": spec.control_rate_hz,
+        "history": 1,
         "observation": [{"name": name, "size": number} for name, number in parts.items()],
         "policy_hash": f"constant {np.sum(bias):g}",
-    }  # fmt: skip
+    }
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, {"hts": json.dumps(card)})
     onnx.save(model, path)
@@ -206,17 +218,17 @@ def test_words_have_whole_steps_and_step_nothing_leaves_values_alone():
 
 def test_the_operator_turns_against_the_heading_error_and_no_faster_than_one():
     operator = Operator(3)
-    told = np.array([[0.5, 0.0, 0.0]] * 3)
-    operator.command(told, np.zeros(3))  # heading 0 is to be kept
-    sent = operator.command(told, np.array([0.4, -3.0, 2 * np.pi + 0.2]))
+    commanded = np.array([[0.5, 0.0, 0.0]] * 3)
+    operator.command(commanded, np.zeros(3))  # heading 0 is to be kept
+    sent = operator.command(commanded, np.array([0.4, -3.0, 2 * np.pi + 0.2]))
     assert sent[:, 2] == pytest.approx([-0.2, 1.0, -0.1])
 
 
 def test_the_operator_leaves_turns_and_standing_alone():
     operator = Operator(2)
-    told = np.array([[0.5, 0.0, 0.3], [0.0, 0.0, 0.0]])
-    operator.command(told, np.zeros(2))
-    assert operator.command(told, np.full(2, 0.4)).tolist() == told.tolist()
+    commanded = np.array([[0.5, 0.0, 0.3], [0.0, 0.0, 0.0]])
+    operator.command(commanded, np.zeros(2))
+    assert operator.command(commanded, np.full(2, 0.4)).tolist() == commanded.tolist()
 
 
 def test_a_schedule_becomes_one_command_per_control_step():
@@ -238,9 +250,12 @@ def test_worlds_are_cut_into_nearly_equal_groups():
 
 def batch(robot, num_worlds: int, seed: int = 0, instruments=None, **settings) -> Batch:
     return Batch(
-        robot, TwinSettings(**settings), instruments if instruments is not None else {}, num_worlds,
+        robot,
+        TwinSettings(**settings),
+        instruments if instruments is not None else {},
+        num_worlds,
         seed_sequence(seed, request_id("test")),
-    )  # fmt: skip
+    )
 
 
 def stand(seconds: float) -> Session:
@@ -280,8 +295,11 @@ def test_a_head_to_head_warms_up_settles_and_goes_reference_policy_policy_refere
     assert [recording.block for recording in recordings] == [0, 1, 2, 3]
     assert {recording.session for recording in recordings} == {"duel"}
     assert [recording.policy_hash for recording in recordings] == [
-        "constant 0", "constant 0.24", "constant 0.24", "constant 0",
-    ]  # fmt: skip
+        "constant 0",
+        "constant 0.24",
+        "constant 0.24",
+        "constant 0",
+    ]
     assert witness.settled == 2
     clock = np.concatenate([recording.time for recording in recordings])
     assert np.diff(clock) == pytest.approx(0.02)  # one robot, swaps without delay
@@ -351,16 +369,19 @@ def test_the_twin_is_the_one_that_was_calibrated(robot):
     committed = ROOT / "docs" / "twin-calibration.json"
     if not committed.exists():
         pytest.skip(
-            "docs/twin-calibration.json is not written yet: `hts calibrate-twin --gap --write docs/twin-calibration.json`"
+            "docs/twin-calibration.json is not written yet: "
+            "`hts calibrate-twin --gap --write docs/twin-calibration.json`"
         )
     gauge = plugins.load().make_instrument("battery_gauge", {}, robot)
     now = parameters_hash(TwinSettings(), {"battery_gauge": gauge.describe()})
     assert json.loads(committed.read_text())["parameters_sha256"] == now, (
-        "A default of the twin or its gauge changed after calibration. Calibrate again by the rule of docs/twin.md, and start over."
+        "A default of the twin or its gauge changed after calibration. "
+        "Calibrate again by the rule of docs/twin.md, and start over."
     )
     shipped = load_policy(robot.pretrained_policy()).card.policy_hash
     assert json.loads(committed.read_text())["policy_hash"] == shipped, (
-        "The shipped policy is not the one that the twin was calibrated with. Calibrate again by the rule of docs/twin.md, and start over."
+        "The shipped policy is not the one that the twin was calibrated with. "
+        "Calibrate again by the rule of docs/twin.md, and start over."
     )
 
 
@@ -403,7 +424,8 @@ def test_a_twin_that_dies_is_one_line(twin):
 
 def test_a_killed_run_leaves_no_twin_behind(tmp_path):
     code = (
-        "import time; from pathlib import Path; from hts.contracts import WorldContext; from hts.worlds.twin.world import make_twin\n"
+        "import time; from pathlib import Path; "
+        "from hts.contracts import WorldContext; from hts.worlds.twin.world import make_twin\n"
         f"world = make_twin({{}}, WorldContext('go1', {{}}, {{'power': {{}}}}, 0, Path({str(tmp_path)!r})))\n"
         "world.idle(); print(world._children[0].pid, flush=True); time.sleep(60)"
     )
@@ -428,7 +450,10 @@ def _alive(pid: int) -> bool:
 
 
 def test_the_twins_process_has_no_learning_code(tmp_path):
-    code = "import hts.worlds.twin.process, hts.worlds.twin.session, hts.policies.deploy, sys; print('torch' in sys.modules)"
+    code = (
+        "import hts.worlds.twin.process, hts.worlds.twin.session, hts.policies.deploy, sys; "
+        "print('torch' in sys.modules)"
+    )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
     assert done.stdout.strip() == "False"

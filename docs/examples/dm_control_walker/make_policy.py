@@ -1,8 +1,8 @@
 """How policies/pretrained.* was made: `python make_policy.py OUT`, with the run's own PPO.
 
-The suite steps one world at a time, some hundred control steps a second through all wrappers; this takes the same model
-and the same arithmetic to the engine that hts steps many worlds with. `tests/envs/test_foreign_env.py` compares the two.
-Fine-tuning, simulation tests and everything else in `hts run` use the suite's own task.
+The suite steps one env at a time, some hundred control steps a second through all wrappers; this takes the same model
+and the same arithmetic to the engine that hts steps many worlds with. `tests/envs/test_foreign_env.py` compares the
+two. Fine-tuning, simulation tests and everything else in `hts run` use the suite's own task.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def task_reward(qpos: torch.Tensor, speed: torch.Tensor) -> torch.Tensor:
 
 
 class FastWalkerEnv(EnvBase):
-    """The task on the batched engine, [P, N] worlds."""
+    """The task on the batched engine, [P, N] env instances."""
 
     batch_locked = True
 
@@ -79,9 +79,11 @@ class FastWalkerEnv(EnvBase):
         self.steps = torch.zeros(shape)
         size = sum(size for _, size in OBSERVATION)
         self.observation_spec = Composite(
-            observation=Unbounded((*shape, size)), critic_observation=Unbounded((*shape, size)),
-            channels=Composite({"joint_torque": Unbounded((*shape, 6))}, shape=shape), shape=shape,
-        )  # fmt: skip
+            observation=Unbounded((*shape, size)),
+            critic_observation=Unbounded((*shape, size)),
+            channels=Composite({"joint_torque": Unbounded((*shape, 6))}, shape=shape),
+            shape=shape,
+        )
         self.action_spec = Unbounded((*shape, 6))
         self.reward_spec = Unbounded((*shape, 1))
         flag = Binary(1, (*shape, 1), dtype=torch.bool)
@@ -103,7 +105,7 @@ class FastWalkerEnv(EnvBase):
             pitch = pi * (2 * draws[..., 6:7] - 1)
             qpos = torch.cat((torch.zeros(*self.batch_size, 2), pitch, joints), -1).flatten(0, 1)
             self.engine.reset(mask.flatten(), qpos, torch.zeros_like(qpos))
-            # Time-outs at different moments, or every world would begin again in the same batch.
+            # Time-outs at different moments, or every instance would begin again in the same batch.
             begun = (draws[..., 7] * self.max_steps).floor() if first else torch.zeros(self.batch_size)
             self.steps = torch.where(mask, begun, self.steps)
         done = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
@@ -139,16 +141,21 @@ class FastWalker(Walker):
         return FastWalkerEnv(self.model, shape, config.episode_seconds, seeds or [0] * num_candidates, config.threads)
 
 
-def settings(steps: int, worlds: int) -> PretrainConfig:
+def settings(steps: int, num_envs: int) -> PretrainConfig:
     """Rate 1e-3, adapted to the KL between batches; 64-64 networks, so that the file stays small."""
     ppo = PPOConfig(learning_rate=1e-3, adaptive_rate=True, entropy_coef=0.002, horizon=32, epochs=5, minibatches=4)
     return PretrainConfig(
-        engine="mujoco", num_envs=worlds, steps=steps, hidden=(64, 64), init_std=0.6, ppo=ppo,
+        engine="mujoco",
+        num_envs=num_envs,
+        steps=steps,
+        hidden=(64, 64),
+        init_std=0.6,
+        ppo=ppo,
         env={"episode_seconds": 25.0},
-    )  # fmt: skip
+    )
 
 
-def main(out: Path, steps: int = 7_000_000, worlds: int = 256) -> None:
+def main(out: Path, steps: int = 7_000_000, num_envs: int = 256) -> None:
     robot = FastWalker(Settings())
     robot.model = suite_model()
 
@@ -156,7 +163,7 @@ def main(out: Path, steps: int = 7_000_000, worlds: int = 256) -> None:
         # Reward per second of 1.0 is a perfect episode: 1000 of the suite's 1000 points.
         print({name: row[name] for name in ("steps", "seconds", "r_sim", "std") if name in row}, flush=True)
 
-    path = pretrain_policy(robot, settings(steps, worlds), out, tell)
+    path = pretrain_policy(robot, settings(steps, num_envs), out, tell)
     card = json.loads(path.with_suffix(".json").read_text())
     card["made"]["command"] = "python make_policy.py OUT"  # not `hts pretrain`, which would take the robot's own env
     path.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n")

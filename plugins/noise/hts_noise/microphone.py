@@ -1,11 +1,11 @@
-"""The instrument `microphone`: what a sound-level meter beside a simulated robot shows, from the physics of its footfalls.
+"""The instrument `microphone`: what a sound-level meter beside a simulated robot shows, from its footfalls.
 
-Every touchdown is a Hertz contact whose force pulse sets modes of floor, shank and shells ringing; drives whine, the room
-is never silent. The meter A-weights, squares, averages exponentially over 125 ms (`fast`) and shows decibels. What rings
-on is kept as squared amplitudes, so a frame is worked through in closed form, however long the modes ring.
+Every touchdown is a Hertz contact whose force pulse sets modes of floor, shank and shells ringing; drives whine, the
+room is never silent. The meter A-weights, squares, averages exponentially over 125 ms (`fast`) and shows decibels. What
+rings on is kept as squared amplitudes, so a frame is worked through in closed form, however long the modes ring.
 docs/noise.md gives every formula with its number.
 
-Steps are collected and worked through in one go when somebody looks, as in other instruments.
+Steps are collected and worked through in one go when a reading is asked for, as in other instruments.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Microphone(Instrument):
         self._gain = acoustics.a_weighting(self._frequency) * 10 ** (parameters.gain_slope * octaves / 20)
         speed, mass = REFERENCE_STEP
         lone = acoustics.peak_fast_level(self.strike(np.array([speed]), np.array([mass]))[0], self._decay)
-        # One scale for all G_k, so that the reference step is as loud as told at 1 m; amplitudes fall with 1 / r.
+        # One scale for all G_k, so that the reference step has step_level at 1 m; amplitudes fall with 1 / r.
         self._gain = self._gain * 10 ** ((parameters.step_level - lone) / 20) / parameters.distance
         self._room = acoustics.squared_pressure(parameters.room_level)
         self.reset(1, np.random.default_rng(0))
@@ -117,13 +117,13 @@ class Microphone(Instrument):
         shown += (self._ringing * acoustics.fast_ringing(self._decay, seconds)).sum(axis=1)
         exposure = acoustics.ringing_energy(self._ringing, self._decay, 0.0, seconds).sum(axis=1)
         ringing = self._ringing * np.exp(-2 * self._decay * seconds)
-        worlds, left, added = self._landings(count)
-        if len(worlds):
-            decay = self._decay * np.ones((len(worlds), 1))
-            np.add.at(shown, worlds, (added * acoustics.fast_ringing(decay, left)).sum(axis=1))
-            np.add.at(exposure, worlds, acoustics.ringing_energy(added, decay, 0.0, left).sum(axis=1))
-            np.add.at(ringing, worlds, added * np.exp(-2 * decay * left))
-            np.add.at(self.steps, worlds, 1)
+        robots, left, added = self._landings(count)
+        if len(robots):
+            decay = self._decay * np.ones((len(robots), 1))
+            np.add.at(shown, robots, (added * acoustics.fast_ringing(decay, left)).sum(axis=1))
+            np.add.at(exposure, robots, acoustics.ringing_energy(added, decay, 0.0, left).sum(axis=1))
+            np.add.at(ringing, robots, added * np.exp(-2 * decay * left))
+            np.add.at(self.steps, robots, 1)
         self._ringing, self._shown = ringing, shown
         self.energy["steps"] += exposure
         self.energy["drives"] += whine.sum(axis=0) * dt
@@ -139,7 +139,7 @@ class Microphone(Instrument):
         return at_1_m / p.distance**2
 
     def _landings(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Strikes of this frame, S of them: world (S,), seconds left of the frame (S, 1), squared amplitudes (S, K).
+        """Strikes of this frame, S of them: robot (S,), seconds left of the frame (S, 1), squared amplitudes (S, K).
 
         Random numbers are drawn for every foot, whether it lands or not: a robot's do not depend on its neighbours'.
         """
@@ -149,9 +149,9 @@ class Microphone(Instrument):
         self._touching = touching[-1]
         landed = touching & ~np.concatenate((before[None], touching[:-1])) & (speed > p.least_speed)
         drawn = self._rng.standard_normal((*before.shape, 2))
-        when, worlds, feet = np.nonzero(landed)
-        level, stretch = drawn[worlds, feet].T
-        at = (when, worlds, feet)
+        when, robots, feet = np.nonzero(landed)
+        level, stretch = drawn[robots, feet].T
+        at = (when, robots, feet)
         added = self.strike(speed[at], self._mass[at], np.exp(p.contact_scatter * stretch))
         added *= 10 ** (p.step_scatter * level / 10)[:, None]
-        return worlds, ((count - when) * self._dt)[:, None], added
+        return robots, ((count - when) * self._dt)[:, None], added

@@ -2,8 +2,9 @@
 
 `--set world.instruments.microphone.foot_modulus=12e6` makes another one.
 
-Tags in the sources: A read in the named source, B arithmetic on A, C recalled from the literature, E estimate. No absolute
-level of a walking robot of this kind was found, so levels are placeholders; differences between policies are what counts.
+Tags in the sources: A read in the named source, B arithmetic on A, C recalled from the literature, E estimate. No
+absolute level of a walking robot of this kind was found, so levels are placeholders; differences between policies are
+what counts.
 """
 
 from __future__ import annotations
@@ -44,17 +45,29 @@ class MicrophoneParameters(BaseModel):
         1.0, 0.1, 10.0, "N", "by choice: a thirtieth of the weight on a foot", "force above which a foot touches"
     )
     least_speed: float = number(
-        0.01, 0.0, 0.05, "m/s", "by choice: a step at 0.01 m/s would peak at 21 dB(A), under any room (B)",
+        0.01,
+        0.0,
+        0.05,
+        "m/s",
+        "by choice: a step at 0.01 m/s would peak at 21 dB(A), under any room (B)",
         "no strike below this",
-    )  # fmt: skip
+    )
     step_scatter: float = number(
-        2.5, 0.0, 4.0, "dB", "E, from r = 0.42 of contact pressure and peak sound (Biomechanics 5(1) 7, 2025, A)",
+        2.5,
+        0.0,
+        4.0,
+        "dB",
+        "E, from r = 0.42 of contact pressure and peak sound (Biomechanics 5(1) 7, 2025, A)",
         "sigma of a step's level, log-normal",
-    )  # fmt: skip
+    )
     contact_scatter: float = number(
-        0.15, 0.0, 0.3, "1", "E: a pad is struck at another spot and angle each time",
+        0.15,
+        0.0,
+        0.3,
+        "1",
+        "E: a pad is struck at another spot and angle each time",
         "sigma of log contact time, from step to step",
-    )  # fmt: skip
+    )
 
     # ---- what rings: two modes of the floor, three of the shank, three of the shells
     frequencies: tuple[float, ...] = numbers(
@@ -64,13 +77,21 @@ class MicrophoneParameters(BaseModel):
         (0.10, 0.08, 0.06, 0.05, 0.05, 0.04, 0.03, 0.03), *DAMPING, "1", "E: 0.02 to 0.10", "zeta_k: damping ratio"
     )
     gain_slope: float = number(
-        6.0, 0.0, 12.0, "dB/octave", "B: sound of a source smaller than a wavelength goes with its acceleration, f times its speed",
+        6.0,
+        0.0,
+        12.0,
+        "dB/octave",
+        "B: sound of a source smaller than a wavelength goes with its acceleration, f times its speed",
         "how G_k rises with f_k, before A-weighting",
-    )  # fmt: skip
+    )
     step_level: float = number(
-        67.5, 60.0, 75.0, "dB(A)", "E: 65 to 70 for such a step on tile; sets the scale of all G_k",
+        67.5,
+        60.0,
+        75.0,
+        "dB(A)",
+        "E: 65 to 70 for such a step on tile; sets the scale of all G_k",
         "peak fast level at 1 m of a lone step of 0.4 m/s and 0.55 kg",
-    )  # fmt: skip
+    )
 
     # ---- drives and room
     drive_level: float = number(45.0, 30.0, 55.0, "dB(A)", "E: 40 to 50", "level at 1 m of one drive at drive_speed")

@@ -1,4 +1,4 @@
-"""Measurement model `footfall_level`: joint speeds, foot forces and their squares, to the level that the meter shows."""
+"""Measurement model `footfall_level`: joint speeds, foot forces and their squares, to the level that a meter shows."""
 
 from __future__ import annotations
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from hts import hookimpl
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from hts.contracts import Instrument, MeasurementModel, ModelContext, Objective, Robot, Settings
 
 HTS_API = 2
@@ -34,15 +36,15 @@ def make_microphone(settings: Settings, robot: Robot) -> Instrument:
 
 
 @hookimpl
-def hts_objectives(register):
+def hts_objectives(register: Callable[[str, Callable[..., Objective]], None]) -> None:
     register("noise", make_noise)
 
 
 @hookimpl
-def hts_measurement_models(register):
+def hts_measurement_models(register: Callable[[str, Callable[..., MeasurementModel]], None]) -> None:
     register("footfall_level", make_footfall_level)
 
 
 @hookimpl
-def hts_instruments(register):
+def hts_instruments(register: Callable[[str, Callable[..., Instrument]], None]) -> None:
     register("microphone", make_microphone)

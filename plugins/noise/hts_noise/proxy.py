@@ -9,11 +9,11 @@ if TYPE_CHECKING:
 
 
 def contact_motion(force: torch.Tensor, velocity: torch.Tensor) -> torch.Tensor:
-    """Σ_i max(F_i, 0) Σ_{j in leg i} q̇_j², N·(rad/s)²: what moves fast while it bears load, a blow rather than a stance.
+    """Σ_i max(F_i, 0) Σ_{j in leg i} q̇_j², N·(rad/s)²: what moves fast under load, a blow rather than a stance.
 
     It stands for the two usual stand-ins, contact force and contact velocity, in channels that a robot has. force:
-    normal forces of the feet, N (..., F); velocity: of the joints, rad/s (..., J); -> (...,). Joints are taken as legs in
-    the order of the feet, J/F each; where J is no multiple of F, every joint counts for every foot.
+    normal forces of the feet, N (..., F); velocity: of the joints, rad/s (..., J); -> (...,). Joints are taken as legs
+    in the order of the feet, J/F each; where J is no multiple of F, every joint counts for every foot.
     """
     feet, joints = force.shape[-1], velocity.shape[-1]
     squares = velocity.square()

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+Values = float | np.ndarray
+"""A number or an array; functions of numbers alone return a NumPy number, which has the methods of an array."""
 
-def open_circuit_voltage(state_of_charge, cells):
+
+def open_circuit_voltage(state_of_charge: Values, cells: int) -> np.ndarray:
     """(9) Of a pack of so many cells in series, V. state_of_charge s: 0 to 1.
 
     -1.031 e^(-35 s) + 3.685 + 0.2156 s - 0.1178 s^2 + 0.3201 s^3 per cell (Chen and Rincon-Mora 2006).
@@ -14,7 +17,7 @@ def open_circuit_voltage(state_of_charge, cells):
     return cells * (-1.031 * np.exp(-35 * s) + 3.685 + 0.2156 * s - 0.1178 * s**2 + 0.3201 * s**3)
 
 
-def steady_current(voltage, resistance, power):
+def steady_current(voltage: Values, resistance: float, power: Values) -> np.ndarray:
     """(8) Current at which a source behind a resistance delivers a power, A.
 
     I = [V - sqrt(V^2 - 4 R P)] / (2 R), voltage V before the resistance. Beyond V^2 / (4 R), the most that a

@@ -46,7 +46,7 @@ def calibrate_twin(
     write: Annotated[Path | None, typer.Option(help="Write parameters, their hash and the table as JSON.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """The twin's standing power, idle share and copper share against the anchors; with --gap, twin against training simulation."""
+    """The twin's standing power, idle and copper share against the anchors; with --gap, against training simulation."""
     from hts import plugins
     from hts.config_loading import load_config
     from hts.policies.deploy import DeployedPolicy
@@ -99,9 +99,15 @@ def exported(policy: Path | None, folder: Path) -> Path:
 
 
 def measure(
-    robot: Robot, settings: TwinSettings, gauge: BatteryGauge, policy: Path,
-    speeds: Sequence[float], seconds: float, robots: int, seed: int,
-) -> dict[str, Any]:  # fmt: skip
+    robot: Robot,
+    settings: TwinSettings,
+    gauge: BatteryGauge,
+    policy: Path,
+    speeds: Sequence[float],
+    seconds: float,
+    robots: int,
+    seed: int,
+) -> dict[str, Any]:
     """Standing and walking on twins side by side, warmed up to steady state first."""
     from hts.testing.twin import Batch, Block, Session, request_id, seed_sequence, walking, warm_up
 
@@ -198,9 +204,9 @@ def text(result: Mapping[str, Any]) -> str:
     for speed, row in result["walking"].items():
         anchor = f"{row['idle_share_anchor']:.3f} ({mark[row['idle_share_ok']]})" if row["idle_share_anchor"] else "-"
         lines.append(
-            f"| {speed} | {row['mean_speed']:.3f} | {row['valid_segments']:.0%} | {row['falls']} | {row['gross_watts']:.1f} "
-            f"| {row['net_watts']:.1f} | {row['cost_of_transport']:.2f} | {row['idle_share']:.3f} | {anchor} "
-            f"| {row['copper_share_of_net']:.0%} ({mark[row['copper_ok']]}) |"
+            f"| {speed} | {row['mean_speed']:.3f} | {row['valid_segments']:.0%} | {row['falls']} "
+            f"| {row['gross_watts']:.1f} | {row['net_watts']:.1f} | {row['cost_of_transport']:.2f} "
+            f"| {row['idle_share']:.3f} | {anchor} | {row['copper_share_of_net']:.0%} ({mark[row['copper_ok']]}) |"
         )
     if "gap" in result:
         from hts_power.gap import table

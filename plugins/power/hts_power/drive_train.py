@@ -10,8 +10,11 @@ import numpy as np
 
 COPPER_TEMPERATURE = 0.00393  # 1/K at 25 degC: annealed copper, IEC 60028 (0.00393 at 20 degC, the difference is 2 %)
 
+Values = float | np.ndarray
+"""A number or an array; functions of numbers alone return a NumPy number, which has the methods of an array."""
 
-def copper_coefficient(phase_resistance, torque_constant):
+
+def copper_coefficient(phase_resistance: float, torque_constant: Values) -> np.ndarray:
     """c25 = 1.5 R / K^2, W per (N m)^2 at the joint and 25 degC.
 
     phase_resistance: ohm, per phase; torque_constant K: N m at the joint per peak ampere of the q axis.
@@ -20,12 +23,12 @@ def copper_coefficient(phase_resistance, torque_constant):
     return 1.5 * phase_resistance / np.square(torque_constant)
 
 
-def copper_power(torque, coefficient, winding_temperature):
+def copper_power(torque: Values, coefficient: Values, winding_temperature: Values) -> np.ndarray:
     """(2) Heat in the windings, W: c25 [1 + 0.00393 (T - 25)] tau^2. torque: N m; winding_temperature: degC."""
     return coefficient * (1 + COPPER_TEMPERATURE * (winding_temperature - 25.0)) * np.square(torque)
 
 
-def iron_power(rotor_speed, hysteresis, eddy):
+def iron_power(rotor_speed: Values, hysteresis: float, eddy: float) -> np.ndarray:
     """(3) Iron loss, W: k_h |w| + k_e w^2. rotor_speed w: rad/s; hysteresis: W s; eddy: W s^2.
 
     The constant-flux limit of Mellor, Wrobel and Holliday 2009.
@@ -33,11 +36,19 @@ def iron_power(rotor_speed, hysteresis, eddy):
     return hysteresis * np.abs(rotor_speed) + eddy * np.square(rotor_speed)
 
 
-def inverter_power(current, bus_voltage, switch_resistance, switching_seconds, dead_seconds, frequency, diode_voltage):
+def inverter_power(
+    current: Values,
+    bus_voltage: Values,
+    switch_resistance: float,
+    switching_seconds: float,
+    dead_seconds: float,
+    frequency: float,
+    diode_voltage: float,
+) -> np.ndarray:
     """(4) Loss of a three-phase bridge, W, for sinusoidal phase currents of amplitude `current`, A.
 
     conduction 1.5 R_ds i^2 (in each phase one switch always conducts);
-    switching (3/pi) V i (t_r + t_f) f; dead time (12/pi) i V_d t_d f: the mean of |sin| is 2/pi in each of three phases.
+    switching (3/pi) V i (t_r + t_f) f; dead time (12/pi) i V_d t_d f: |sin| has a mean of 2/pi in each of three phases.
     """
     conduction = 1.5 * switch_resistance * np.square(current)
     switching = 3 / np.pi * bus_voltage * current * switching_seconds * frequency
@@ -45,7 +56,7 @@ def inverter_power(current, bus_voltage, switch_resistance, switching_seconds, d
     return conduction + switching + dead
 
 
-def bus_power(idle_power, joint_powers, regeneration):
+def bus_power(idle_power: float, joint_powers: np.ndarray, regeneration: float) -> np.ndarray:
     """(6) What the shared bus asks of the battery, W. joint_powers: (..., J), may be negative.
 
     One joint's generated power feeds another with no further loss; only what is left over, a negative sum,
@@ -55,7 +66,14 @@ def bus_power(idle_power, joint_powers, regeneration):
     return np.where(power < 0, regeneration * power, power)
 
 
-def steady_temperatures(torque_squared, iron, coefficient, ambient, winding_to_housing, housing_to_ambient):
+def steady_temperatures(
+    torque_squared: Values,
+    iron: Values,
+    coefficient: Values,
+    ambient: float,
+    winding_to_housing: float,
+    housing_to_ambient: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """Winding and housing temperature, degC, at which the heat of item (10) flows off as it comes in.
 
     torque_squared: mean tau^2, (N m)^2; iron: mean iron loss, W, half of which heats the winding;

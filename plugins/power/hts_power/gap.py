@@ -27,9 +27,13 @@ ROWS = (
 
 
 def compare(
-    robot: Robot, settings: TwinSettings, make_gauge: Callable[[], BatteryGauge], policy: Path,
-    seconds: float, twin: Mapping[str, Any],
-) -> dict[str, Any]:  # fmt: skip
+    robot: Robot,
+    settings: TwinSettings,
+    make_gauge: Callable[[], BatteryGauge],
+    policy: Path,
+    seconds: float,
+    twin: Mapping[str, Any],
+) -> dict[str, Any]:
     """[training simulation, twin] of each quantity, per speed; and how the two machines differ.
 
     twin: result of `calibration.measure`.
@@ -74,11 +78,15 @@ def train(robot: Robot, gauge: BatteryGauge, policy: Path, speed: float, seconds
         mujoco.mju_quat2Mat(rotation, data.qpos[3:7])
         turn = rotation.reshape(3, 3).T  # world to trunk
         heading = np.array([np.arctan2(turn[0, 1], turn[0, 0])])
-        data.ctrl[actuators] = controller.targets({
-            "angular_velocity": data.qvel[None, 3:6], "projected_gravity": -turn[None, :, 2],
-            "command": operator.command(np.array([speed, 0.0, 0.0]), heading),
-            "joint_position": data.qpos[None, qpos], "joint_velocity": data.qvel[None, dof],
-        })[0]  # fmt: skip
+        data.ctrl[actuators] = controller.targets(
+            {
+                "angular_velocity": data.qvel[None, 3:6],
+                "projected_gravity": -turn[None, :, 2],
+                "command": operator.command(np.array([speed, 0.0, 0.0]), heading),
+                "joint_position": data.qpos[None, qpos],
+                "joint_velocity": data.qvel[None, dof],
+            }
+        )[0]
         for _ in range(spec.substeps):
             velocity = data.qvel[None, dof].copy()
             mujoco.mj_step(model, data)

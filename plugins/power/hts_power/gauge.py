@@ -1,11 +1,11 @@
-"""The instrument `battery_gauge`: what the battery management of a simulated robot shows, from the physics of its drives.
+"""The instrument `battery_gauge`: what the battery management of a simulated robot shows, from its drives' physics.
 
 Per step and joint: copper, iron and inverter losses on top of tau * q'; all joints share a bus, whose sum the
 battery delivers; windings and housings warm up and stay warm when policies are swapped; the gauge averages, delays,
 rounds and holds. docs/twin.md gives every formula with its number.
 
-Steps are collected and worked through in one go when somebody looks, because numpy on (K, W, J) arrays costs
-hardly more than on (W, J).
+Steps are collected and worked through in one go when a reading is asked for, because numpy on (K, W, J) arrays
+costs hardly more than on (W, J).
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class BatteryGauge(Instrument):
     def __init__(self, parameters: GaugeParameters, spec: RobotSpec) -> None:
         if spec.motors is None:
             raise WorldError(
-                f"Robot '{spec.name}' gives no motor constants (RobotSpec.motors), which the instrument 'battery_gauge' needs "
-                "to turn torque into current. Add them, or use another instrument."
+                f"Robot '{spec.name}' gives no motor constants (RobotSpec.motors), which the instrument "
+                "'battery_gauge' needs to turn torque into current. Add them, or use another instrument."
             )
         self.p, self.spec = parameters, spec
         self.channels = (
@@ -106,9 +106,13 @@ class BatteryGauge(Instrument):
             return
         p = self.p
         winding, housing = drive_train.steady_temperatures(
-            self._torque_squared / self._settle_seconds, self._iron / self._settle_seconds,
-            self._coefficient, p.ambient, p.winding_resistance, p.housing_resistance,
-        )  # fmt: skip
+            self._torque_squared / self._settle_seconds,
+            self._iron / self._settle_seconds,
+            self._coefficient,
+            p.ambient,
+            p.winding_resistance,
+            p.housing_resistance,
+        )
         if not np.isfinite(winding).all():
             joint = self.spec.joint_names[int(np.argwhere(~np.isfinite(winding))[0][1])]
             raise WorldError(
@@ -127,9 +131,16 @@ class BatteryGauge(Instrument):
     def _new_battery(self, num: int) -> Battery:
         p = self.p
         return Battery(
-            num, p.state_of_charge, p.cells, 3600 * p.capacity, p.pack_resistance, p.polarisation_resistance,
-            p.polarisation_seconds, p.bus_capacitance, p.idle_power,
-        )  # fmt: skip
+            num,
+            p.state_of_charge,
+            p.cells,
+            3600 * p.capacity,
+            p.pack_resistance,
+            p.polarisation_resistance,
+            p.polarisation_seconds,
+            p.bus_capacitance,
+            p.idle_power,
+        )
 
     def _since_settle(self) -> None:
         self._torque_squared = np.zeros_like(self.winding)
@@ -148,9 +159,14 @@ class BatteryGauge(Instrument):
         copper = drive_train.copper_power(torque, self._coefficient, self.winding)
         iron = drive_train.iron_power(self._ratio * speed, p.hysteresis, p.eddy)
         inverter = drive_train.inverter_power(
-            np.abs(torque) / self._constant, self._battery.voltage[:, None], p.switch_resistance,
-            p.switching_seconds, p.dead_seconds, p.switching_frequency, p.diode_voltage,
-        )  # fmt: skip
+            np.abs(torque) / self._constant,
+            self._battery.voltage[:, None],
+            p.switch_resistance,
+            p.switching_seconds,
+            p.dead_seconds,
+            p.switching_frequency,
+            p.diode_voltage,
+        )
         bus = drive_train.bus_power(p.idle_power, mechanical + copper + iron + inverter, p.regeneration)
         current = self._battery.deliver(bus, dt)
 

@@ -26,15 +26,21 @@ class GaugeParameters(BaseModel):
 
     # ---- drives
     idle_power: float = number(
-        30.0, 22.0, 45.0, "W", "calibrated on standing and the pretrained policy; E: sum of parts (computers 10-21, drives 6-12, rest 5-10) and standing minus copper loss",
+        30.0,
+        22.0,
+        45.0,
+        "W",
+        "calibrated on standing and the pretrained policy; E: sum of parts (computers 10-21, drives 6-12, rest 5-10) "
+        "and standing minus copper loss",
         "P_idle: electronics on, motors idle",
-    )  # fmt: skip
+    )
     phase_resistance: float = number(
         0.102,
         0.10,
         0.19,
         "ohm",
-        "calibrated on standing and the pretrained policy; E: a Go2's standing log, and Mini Cheetah scaled by rotor mass",
+        "calibrated on standing and the pretrained policy; "
+        "E: a Go2's standing log, and Mini Cheetah scaled by rotor mass",
         "R: per phase at 25 degC",
     )
     hysteresis: float = number(

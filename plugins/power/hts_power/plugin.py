@@ -43,20 +43,20 @@ def make_calibrate_twin() -> Callable[..., Any]:
 
 
 @hookimpl
-def hts_objectives(register):
+def hts_objectives(register: Callable[[str, Callable[..., Objective]], None]) -> None:
     register("power", make_power)
 
 
 @hookimpl
-def hts_measurement_models(register):
+def hts_measurement_models(register: Callable[[str, Callable[..., MeasurementModel]], None]) -> None:
     register("battery_current", make_battery_current)
 
 
 @hookimpl
-def hts_instruments(register):
+def hts_instruments(register: Callable[[str, Callable[..., Instrument]], None]) -> None:
     register("battery_gauge", make_battery_gauge)
 
 
 @hookimpl
-def hts_commands(register):
+def hts_commands(register: Callable[[str, Callable[..., Callable[..., Any]]], None]) -> None:
     register("calibrate-twin", make_calibrate_twin)

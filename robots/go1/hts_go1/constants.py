@@ -2,8 +2,8 @@
 
 Sources, by the letter used below:
 
-U  unitreerobotics/unitree_ros, robots/go1_description/xacro/const.xacro and urdf/go1.urdf, commit d6f13aad (BSD-3-Clause)
-D  Go1 datasheet 1.5
+U  unitreerobotics/unitree_ros, robots/go1_description/xacro/const.xacro and urdf/go1.urdf, commit d6f13aad
+(BSD-3-Clause) D  Go1 datasheet 1.5
 M  values attributed to the GO-M8010-6 motor manual V1.0, quoted by two unrelated public repositories (second-hand)
 W  Improbable-AI/walk-these-ways, commit 0e7236bd
 E  estimate, with how it was made

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from dm_control import mjcf
 
@@ -9,7 +11,7 @@ from hts_go1 import constants as c
 from hts_go1.inertia import Rigid, joined
 
 
-def rotor(axis: str, position) -> Rigid:
+def rotor(axis: str, position: Sequence[float]) -> Rigid:
     """A motor's rotor lying in its parent link; axis x or y is its spin axis."""
     across = c.ROTOR_INERTIA_ACROSS
     inertia = np.diag([across] * 3)
@@ -39,7 +41,7 @@ def trunk() -> Rigid:
     return joined([Rigid.from_values(*c.TRUNK), *rotors])
 
 
-def _add_inertial(body, rigid: Rigid) -> None:
+def _add_inertial(body: mjcf.Element, rigid: Rigid) -> None:
     m = rigid.inertia
     full = [m[0, 0], m[1, 1], m[2, 2], m[0, 1], m[0, 2], m[1, 2]]
     body.add("inertial", mass=rigid.mass, pos=rigid.com, fullinertia=full)
@@ -49,7 +51,8 @@ def build() -> mjcf.RootElement:
     """Robot, floor, position actuators and sensors. Sensors:
 
     imu_gyro rad/s, imu_velocity m/s (trunk frame), torque_<joint> N m (motor current's torque at the joint),
-    touch_<leg> N (normal force), foot_velocity_<leg> m/s (world frame), foot_position_<leg> m (world frame), trunk_touch N.
+    touch_<leg> N (normal force), foot_velocity_<leg> m/s (world frame), foot_position_<leg> m (world frame),
+    trunk_touch N.
     """
     root = mjcf.RootElement(model="go1")
     root.compiler.angle = "radian"
@@ -74,11 +77,19 @@ def build() -> mjcf.RootElement:
     )
     root.asset.add("material", name="grid", texture="grid", texrepeat=[2, 2], texuniform=True)
     root.worldbody.add("light", pos=[0, 0, 4], dir=[0, 0, -1], directional=True)
-    # The floor's friction wins over the feet's (priority 1), so one number per world randomises grip.
+    # The floor's friction wins over the feet's (priority 1), so one number per env instance randomises grip.
     root.worldbody.add(
-        "geom", name="floor", type="plane", size=[0, 0, 0.05], material="grid",
-        friction=[0.7, 0.02, 0.01], priority=1, contype=1, conaffinity=0, condim=3,
-    )  # fmt: skip
+        "geom",
+        name="floor",
+        type="plane",
+        size=[0, 0, 0.05],
+        material="grid",
+        friction=[0.7, 0.02, 0.01],
+        priority=1,
+        contype=1,
+        conaffinity=0,
+        condim=3,
+    )
     body = root.worldbody.add("body", name="trunk", pos=[0, 0, c.BASE_HEIGHT])
     body.add("freejoint", name="root")
     body.add("camera", name="track", mode="trackcom", pos=[0.2, -1.6, 0.5], xyaxes=[1, 0.12, 0, 0, 0.25, 1])
@@ -93,7 +104,7 @@ def build() -> mjcf.RootElement:
     return root
 
 
-def _add_leg(root, trunk_body, leg: str) -> None:
+def _add_leg(root: mjcf.RootElement, trunk_body: mjcf.Element, leg: str) -> None:
     side, end = c.SIDE[leg], c.END[leg]
     x, y, z = c.HIP_FROM_TRUNK
     visual = {"contype": 0, "conaffinity": 0, "rgba": [0.55, 0.57, 0.6, 1]}
@@ -104,9 +115,14 @@ def _add_leg(root, trunk_body, leg: str) -> None:
     for part, body, axis in (("hip", hip, [1, 0, 0]), ("thigh", thigh, [0, 1, 0]), ("calf", calf, [0, 1, 0])):
         _add_inertial(body, rigid[part])
         joint = body.add(
-            "joint", name=f"{leg}_{part}_joint", axis=axis, range=c.POSITION_LIMIT[part], armature=c.ARMATURE[part],
-            damping=c.JOINT_DAMPING, frictionloss=c.JOINT_FRICTION[part],
-        )  # fmt: skip
+            "joint",
+            name=f"{leg}_{part}_joint",
+            axis=axis,
+            range=c.POSITION_LIMIT[part],
+            armature=c.ARMATURE[part],
+            damping=c.JOINT_DAMPING,
+            frictionloss=c.JOINT_FRICTION[part],
+        )
         limit = c.TORQUE_LIMIT[part]
         root.actuator.add(
             "position", name=joint.name, joint=joint, kp=c.KP, kv=c.KD, forcerange=[-limit, limit], ctrllimited=False
@@ -126,13 +142,20 @@ def _add_leg(root, trunk_body, leg: str) -> None:
     )
     calf.add("geom", type="capsule", fromto=[0, 0, 0, 0, 0, -c.LINK_LENGTH], size=[0.012], **visual)
     calf.add(
-        "geom", name=f"{leg}_foot", type="sphere", size=[c.FOOT_RADIUS], pos=[0, 0, -c.LINK_LENGTH],
-        contype=0, conaffinity=1, condim=3, rgba=[0.1, 0.1, 0.1, 1],
-    )  # fmt: skip
+        "geom",
+        name=f"{leg}_foot",
+        type="sphere",
+        size=[c.FOOT_RADIUS],
+        pos=[0, 0, -c.LINK_LENGTH],
+        contype=0,
+        conaffinity=1,
+        condim=3,
+        rgba=[0.1, 0.1, 0.1, 1],
+    )
     calf.add("site", name=f"{leg}_foot", pos=[0, 0, -c.LINK_LENGTH], size=[c.FOOT_RADIUS + 0.01], rgba=[0, 0, 0, 0])
 
 
-def _add_sensors(root) -> None:
+def _add_sensors(root: mjcf.RootElement) -> None:
     sensor = root.sensor
     sensor.add("gyro", name="imu_gyro", site="imu")
     sensor.add("velocimeter", name="imu_velocity", site="imu")

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from hts import hookimpl
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hts.contracts import Robot, Settings
 
 HTS_API = 2
 
 
-def make_go1(settings):
+def make_go1(settings: Settings) -> Robot:
     """The Go1 with `settings` of `hts_go1.robot.Go1Settings`."""
     from hts_go1.robot import Go1, Go1Settings
 
@@ -15,6 +22,6 @@ def make_go1(settings):
 
 
 @hookimpl
-def hts_robots(register):
+def hts_robots(register: Callable[[str, Callable[..., Robot]], None]) -> None:
     """Offer the Go1."""
     register("go1", make_go1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -11,6 +12,9 @@ from hts.channels import Channel, standard_channels
 from hts.contracts import JointMotors, RobotSpec
 from hts.envs.velocity_robot import VelocityRobot
 from hts_go1 import constants as c
+
+if TYPE_CHECKING:
+    from dm_control.mjcf import RootElement
 
 POLICIES = Path(__file__).parent / "policies"
 
@@ -60,7 +64,7 @@ class Go1(VelocityRobot):
     def __init__(self, settings: Go1Settings) -> None:
         self.settings = settings
 
-    def mjcf(self):
+    def mjcf(self) -> RootElement:
         """A fresh MJCF tree of robot and floor."""
         from hts_go1.model import build
 

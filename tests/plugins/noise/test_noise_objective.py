@@ -25,10 +25,21 @@ def recording(level, speed: float = 0.8, seconds: int = 4) -> Recording:
         "sound_level": Series(Channel("sound_level", "dB(A)"), np.resize(level, count)),
     }
     return Recording(
-        robot="r", world="w", policy_hash="p", iteration=0, joint_names=(), kp=(), kd=(), rate_hz=50.0,
-        schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=0.8),)), idle={"sound_level": 38.0},
-        clock="simulated", time=np.arange(count) / 50, channels=series, mass_kg=10.0,
-    )  # fmt: skip
+        robot="r",
+        world="w",
+        policy_hash="p",
+        iteration=0,
+        joint_names=(),
+        kp=(),
+        kd=(),
+        rate_hz=50.0,
+        schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=0.8),)),
+        idle={"sound_level": 38.0},
+        clock="simulated",
+        time=np.arange(count) / 50,
+        channels=series,
+        mass_kg=10.0,
+    )
 
 
 def score(level, speed: float = 0.8):

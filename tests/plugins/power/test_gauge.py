@@ -23,10 +23,21 @@ MOTORS = JointMotors(torque_constant=(0.5, 1.0), gear_ratio=(6.0, 12.0), phase_r
 def spec(motors: JointMotors | None = MOTORS) -> RobotSpec:
     two = (1.0, 1.0)
     return RobotSpec(
-        name="two_joints", joint_names=("a", "b"), default_pose=two, kp=two, kd=two, action_scale=two, torque_limit=two,
-        velocity_limit=two, position_limit=((-1, 1), (-1, 1)), control_rate_hz=50.0, physics_dt=0.005, substeps=4,
-        base_height=1.0, motors=motors,
-    )  # fmt: skip
+        name="two_joints",
+        joint_names=("a", "b"),
+        default_pose=two,
+        kp=two,
+        kd=two,
+        action_scale=two,
+        torque_limit=two,
+        velocity_limit=two,
+        position_limit=((-1, 1), (-1, 1)),
+        control_rate_hz=50.0,
+        physics_dt=0.005,
+        substeps=4,
+        base_height=1.0,
+        motors=motors,
+    )
 
 
 def gauge(num_worlds: int = 1, seed: int = 0, **settings) -> BatteryGauge:
@@ -116,9 +127,16 @@ def test_a_source_gives_no_more_than_a_quarter_v_squared_over_r():
 
 def battery(**changes) -> Battery:
     values = {
-        "num": 1, "state_of_charge": 0.8, "cells": 6, "capacity_coulomb": 3600.0, "resistance": 0.1, "polarisation_resistance": 0.04,
-        "polarisation_seconds": 30.0, "bus_capacitance": 5e-3, "idle_power": 30.0,
-    }  # fmt: skip
+        "num": 1,
+        "state_of_charge": 0.8,
+        "cells": 6,
+        "capacity_coulomb": 3600.0,
+        "resistance": 0.1,
+        "polarisation_resistance": 0.04,
+        "polarisation_seconds": 30.0,
+        "bus_capacitance": 5e-3,
+        "idle_power": 30.0,
+    }
     return Battery(**{**values, **changes})
 
 

@@ -30,11 +30,21 @@ def recording(current, voltage, speed: float, seconds: int = 4) -> Recording:
         "battery_voltage": Series(Channel("battery_voltage", "V"), np.resize(voltage, count)),
     }
     return Recording(
-        robot="r", world="w", policy_hash="p", iteration=0, joint_names=(), kp=(), kd=(), rate_hz=50.0,
+        robot="r",
+        world="w",
+        policy_hash="p",
+        iteration=0,
+        joint_names=(),
+        kp=(),
+        kd=(),
+        rate_hz=50.0,
         schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=0.8),)),
-        idle={"battery_current": 2.0, "battery_voltage": 15.0}, clock="simulated",
-        time=np.arange(count) / 50, channels=series, mass_kg=10.0,
-    )  # fmt: skip
+        idle={"battery_current": 2.0, "battery_voltage": 15.0},
+        clock="simulated",
+        time=np.arange(count) / 50,
+        channels=series,
+        mass_kg=10.0,
+    )
 
 
 def test_net_power_is_mean_electrical_power_minus_idle():

@@ -8,7 +8,7 @@ from hts_walker.robot import GEAR
 
 
 def channel_values(observation: dict[str, Any], control: Any, stack: Any) -> dict[str, Any]:
-    """Channels of one moment, each (..., size). observation: of `walker-walk`, (..., size) each; control (..., 6) as sent.
+    """Channels of one moment, each (..., size). observation: of `walker-walk`; control (..., 6) as sent.
 
     stack: `torch.stack` or `numpy.stack`, whichever fits the arrays.
     """

@@ -19,17 +19,21 @@ def make_walker_env(
     num_candidates: int, num_envs: int, seconds: float, channels: Mapping[str, Channel], seeds: Sequence[int]
 ) -> FoldedEnv:
     """[P, N] walkers. Each ends with a time-out after `seconds` and never by a fall: the suite lets a walker lie."""
-    # World n of every candidate has the same seed: candidates differ by what is tried on them, not by luck.
+    # Instance n of every candidate has the same seed: candidates differ by what is tried on them, not by luck.
     makers = [
-        partial(DMControlEnv, "walker", "walk", time_limit=seconds, random=(1_000_003 * seed + world) % 2**32)
+        partial(DMControlEnv, "walker", "walk", time_limit=seconds, random=(1_000_003 * seed + instance) % 2**32)
         for seed in seeds
-        for world in range(num_envs)
+        for instance in range(num_envs)
     ]
     return FoldedEnv(
-        SerialEnv(len(makers), makers), num_candidates, dt=SPEC.physics_dt * SPEC.substeps,
-        observation=[name for name, _ in OBSERVATION], channels=channels, values=_channels,
+        SerialEnv(len(makers), makers),
+        num_candidates,
+        dt=SPEC.physics_dt * SPEC.substeps,
+        observation=[name for name, _ in OBSERVATION],
+        channels=channels,
+        values=_channels,
         action_limit=1.0,  # what the suite's own action spec allows
-    )  # fmt: skip
+    )
 
 
 def _channels(after: TensorDictBase, action: torch.Tensor) -> Mapping[str, torch.Tensor]:

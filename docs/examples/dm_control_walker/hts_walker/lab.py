@@ -81,17 +81,30 @@ class WalkerLab(World):
     def _recording(self, machine, policy, schedule, session, role="collection", block=0) -> Recording:
         if any(command.vx != SPEED for command in schedule.commands):
             raise WorldError(
-                f"World 'walker_lab' was told {[command.vx for command in schedule.commands]} m/s, its task has no "
-                f"command but {SPEED}. Use the settings in walker.yaml: --config walker.yaml"
+                f"World 'walker_lab' was commanded {[command.vx for command in schedule.commands]} m/s, its task "
+                f"has no command but {SPEED}. Use the settings in walker.yaml: --config walker.yaml"
             )
         time, values = machine.walk(policy, schedule.seconds)
         channels = {channel.name: channel for channel in (*CHANNELS, POWER)}
         return Recording(
-            robot=SPEC.name, world=self.name, policy_hash=policy.card.policy_hash, iteration=0,
-            joint_names=SPEC.joint_names, kp=SPEC.kp, kd=SPEC.kd, rate_hz=RATE, schedule=schedule, idle=self.idle(),
-            clock="simulated", time=time, channels={n: Series(channels[n], values[n]) for n in channels},
-            mass_kg=machine.mass, session=session, role=role, block=block,
-        )  # fmt: skip
+            robot=SPEC.name,
+            world=self.name,
+            policy_hash=policy.card.policy_hash,
+            iteration=0,
+            joint_names=SPEC.joint_names,
+            kp=SPEC.kp,
+            kd=SPEC.kd,
+            rate_hz=RATE,
+            schedule=schedule,
+            idle=self.idle(),
+            clock="simulated",
+            time=time,
+            channels={n: Series(channels[n], values[n]) for n in channels},
+            mass_kg=machine.mass,
+            session=session,
+            role=role,
+            block=block,
+        )
 
 
 class Machine:

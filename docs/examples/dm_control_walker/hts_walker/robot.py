@@ -1,4 +1,4 @@
-"""The robot `dm_walker`: the suite's planar walker. Numbers are those of dm_control/suite/walker.xml and walker.py, 1.0.50."""
+"""The robot `dm_walker`: the suite's planar walker. Numbers from dm_control/suite/walker.xml and walker.py, 1.0.50."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hts.contracts import Robot, RobotSpec
 from hts.errors import ConfigError
 
 SPEED = 1.8
-"""m/s. The task has no command: it rewards 1 m/s and everything above alike. This is how fast the pretrained policy walks,
-and stands where hts expects a commanded speed; within half of it counts, so down to 0.9 m/s."""
+"""m/s. The task has no command: it rewards 1 m/s and everything above alike. This is how fast the pretrained policy
+walks, and stands where hts expects a commanded speed; within half of it counts, so down to 0.9 m/s."""
 
 OBSERVATION = (("orientations", 14), ("height", 1), ("velocity", 9))
 """Parts of the suite's observation, in its order: cos and sin of 7 bodies, torso height m, qvel m/s and rad/s."""
@@ -68,9 +68,14 @@ class Walker(Robot):
         return Path(__file__).parent / "policies" / "pretrained.safetensors"
 
     def make_env(
-        self, engine: str, num_candidates: int, num_envs: int, config: EnvConfig,
-        channels: Sequence[str] = (), seeds: Sequence[int] | None = None,
-    ):  # fmt: skip
+        self,
+        engine: str,
+        num_candidates: int,
+        num_envs: int,
+        config: EnvConfig,
+        channels: Sequence[str] = (),
+        seeds: Sequence[int] | None = None,
+    ):
         """The suite's task, [num_candidates, num_envs] of it. Of `config` it reads the time-out and the seed."""
         if engine != "mujoco":
             raise ConfigError(
@@ -78,8 +83,8 @@ class Walker(Robot):
             )
         if any(speed != SPEED for speed in config.commands.fixed):
             raise ConfigError(
-                f"Robot 'dm_walker' was asked to walk at {config.commands.fixed} m/s, its task has no command but {SPEED}. "
-                "Use the settings in walker.yaml: --config walker.yaml"
+                f"Robot 'dm_walker' was asked to walk at {config.commands.fixed} m/s, its task has no command "
+                f"but {SPEED}. Use the settings in walker.yaml: --config walker.yaml"
             )
         from hts_walker.env import make_walker_env
 
