@@ -61,8 +61,7 @@ def instrument_measures_the_target(entry: Entry, registry: Registry) -> None:
 
 
 def model_is_registered(entry: Entry, registry: Registry) -> None:
-    """measurement_model() names a model that is installed, with settings that it takes, for its inputs and its
-    target."""
+    """measurement_model() names an installed model, with settings that it takes, for its inputs and its target."""
     from hts.measurement.fit_command import new_model
 
     objective = entry.factory({})
