@@ -37,12 +37,12 @@ def test_what_the_core_offers_keeps_the_contracts():
     assert faults("hard-to-sim") == []  # the world `twin` among it, which starts processes
 
 
-def test_every_kind_has_checks_and_every_check_a_demand_on_one_line():
+def test_every_kind_has_checks_and_every_check_a_demand_of_one_paragraph():
     assert set(CHECKS) == set(KINDS)
     for checks in CHECKS.values():
         assert checks
         for check in checks:
-            assert check.__doc__ and check.__doc__.strip().endswith(".") and "\n" not in check.__doc__.strip()
+            assert check.__doc__ and check.__doc__.strip().endswith(".") and "\n\n" not in check.__doc__.strip()
 
 
 # -------------------------------------------------------------------------------------------------- worlds
