@@ -17,8 +17,7 @@ STEPS = 60  # of 1 ms: three control steps
 
 
 def reads_its_channels(entry: Entry, registry: Registry) -> None:
-    """It is made without settings and reads its channels, and no sim channel, of all robots at once,
-    as finite numbers."""
+    """Made without settings, it reads its channels, no sim channel, of all robots at once, as finite numbers."""
     instrument = _made(entry)
     named = {channel.name: channel for channel in instrument.channels}
     readings = _used(instrument)

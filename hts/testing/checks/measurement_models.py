@@ -31,8 +31,7 @@ MEMBER = Named(name="linear", lags=2)  # stands for the objective's own model, f
 
 
 def context_for(entry: Entry, registry: Registry) -> tuple[ModelContext, list[Recording]]:
-    """What to try a model on: channels and walks of an objective whose own model it is, else of the kit's known
-    signals."""
+    """What to try a model on: channels and walks of the objective whose own model it is, else the kit's signals."""
     from hts.measurement.data import recorded_signals
 
     for one in registry.objectives.values():
@@ -45,8 +44,7 @@ def context_for(entry: Entry, registry: Registry) -> tuple[ModelContext, list[Re
 
 
 def is_made_unfitted(entry: Entry, registry: Registry) -> None:
-    """It is made without settings for the channels and units that it is given;
-    its settings are JSON and make it again."""
+    """Made without settings for the given channels and units; its settings are JSON and make it again."""
     context, _ = context_for(entry, registry)
     model = entry.factory({}, context)
     ensure(isinstance(model, MeasurementModel), f"is a {type(model).__name__}, not a hts.contracts.MeasurementModel")
@@ -79,8 +77,7 @@ def after(*first: Check) -> Callable[[Check], Check]:
 
 @after(is_made_unfitted)
 def is_fitted_the_same_again(entry: Entry, registry: Registry) -> None:
-    """fit gives a report that JSON can hold and the same numbers from the same seed, and draws from no global
-    generator."""
+    """fit gives a JSON report and the same numbers from the same seed, and draws from no global generator."""
     import torch
 
     before = torch.random.get_rng_state(), str(np.random.get_state())  # noqa: NPY002 - global on purpose
@@ -108,8 +105,7 @@ def counts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None
 
 @after(is_made_unfitted)
 def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
-    """step and sequence give a finite float32 per world and sample, a deviation of at least 0 or none;
-    the state leads with worlds."""
+    """step and sequence give a finite float32 each, a deviation of at least 0 or none; state leads with worlds."""
     import torch
 
     model = _fitted(entry, registry)
@@ -163,8 +159,7 @@ def keeps_worlds_apart(entry: Entry, registry: Registry) -> None:
 
 @after(is_made_unfitted, predicts_for_each_world)
 def forgets_only_who_begins(entry: Entry, registry: Registry) -> None:
-    """reset empties the memory of the worlds that begin, to what initial_state gives, and leaves the others to the
-    bit."""
+    """reset makes the memory of the worlds that begin that of initial_state; the others stay to the bit."""
     import torch
 
     model = _fitted(entry, registry)
@@ -259,8 +254,7 @@ def refuses_foreign_files(entry: Entry, registry: Registry) -> None:
 
 @after(is_made_unfitted)
 def refuses_recordings(entry: Entry, registry: Registry) -> None:
-    """Recordings that it cannot learn from (none, other units, NaN, a constant target) are an error of hts.errors,
-    one line."""
+    """Recordings without use (none, other units, NaN, a constant target) are an error of hts.errors, one line."""
     context, recordings = context_for(entry, registry)
     first, target = recordings[0], context.signals.target
     still = Series(target, np.full_like(first.values(target.name), 3.0))
@@ -288,8 +282,7 @@ def refuses_recordings(entry: Entry, registry: Registry) -> None:
 
 @after(is_made_unfitted, predicts_for_each_world)
 def stays_on_its_device(entry: Entry, registry: Registry) -> None:
-    """step and reset stay on the device, look at no value and move with `to`:
-    training may be a captured graph on a GPU."""
+    """step and reset stay on the device, look at no value (a GPU may capture them) and move with `to`."""
     import torch
 
     device = torch.device("cuda" if torch.cuda.is_available() else "meta")  # "meta" has shapes and no values to look at

@@ -14,8 +14,7 @@ from hts.testing.examples.robot.robot import Tiny
 
 
 def refuses_bad_logs(entry: Entry, registry: Registry) -> None:
-    """It is made without settings; a log that is missing or garbage is an error of hts.errors, one line,
-    naming the file."""
+    """Made without settings; a missing or garbage log is an error of hts.errors, one line, naming the file."""
     reader = entry.factory({})
     ensure(isinstance(reader, LogReader), f"is a {type(reader).__name__}, not a hts.contracts.LogReader")
     with tempfile.TemporaryDirectory() as folder:

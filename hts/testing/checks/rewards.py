@@ -58,8 +58,7 @@ def gives_one_number_per_world(entry: Entry, registry: Registry) -> None:
 
 
 def does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
-    """A candidate's reward (and proxy) is the same alone and in a crowd: nothing is averaged or scaled over
-    candidates."""
+    """A candidate's reward (and proxy) is the same alone and in a crowd: nothing is averaged over candidates."""
     import torch
 
     for what, function, given in _both(entry, registry):
@@ -76,8 +75,7 @@ def does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
 
 
 def lets_nan_through(entry: Entry, registry: Registry) -> None:
-    """A NaN stays NaN in reward (and proxy), in its own world alone: as a number it could be the best reward there
-    is."""
+    """A NaN stays NaN in reward (and proxy), in its own world alone: a number could be the best reward there is."""
     import torch
 
     for what, function, given in _both(entry, registry):

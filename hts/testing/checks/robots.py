@@ -20,8 +20,7 @@ GAINS = ("kp", "kd")  # 0 where actions are torques
 
 
 def spec_is_consistent(entry: Entry, registry: Registry) -> None:
-    """It is made without settings; name as registered, every tuple of its spec follows the joints,
-    poses within limits."""
+    """Made without settings; name as registered, every tuple of its spec follows the joints, poses within limits."""
     robot = entry.factory({})
     ensure(isinstance(robot, Robot), f"is a {type(robot).__name__}, not a hts.contracts.Robot")
     spec = robot.spec
@@ -66,8 +65,7 @@ def channels_are_standard(entry: Entry, registry: Registry) -> None:
 
 
 def model_matches(entry: Entry, registry: Registry) -> None:
-    """Its model, if it has one, compiles, is fresh each time, has the names of the spec,
-    and a twin can be made of it."""
+    """Its model, if any, compiles, is fresh each time, has the spec's names, and a twin can be made of it."""
     robot = entry.factory({})
     root = robot.mjcf()
     if root is None:

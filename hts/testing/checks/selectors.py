@@ -12,8 +12,7 @@ NAMES = tuple(f"00-{index:02d}" for index in range(6))
 
 
 def picks_elites(entry: Entry, registry: Registry) -> None:
-    """It is made without settings; elites are as many as asked for, each once, the same again,
-    and its list is only read."""
+    """Made without settings; elites are as many as asked for, each once, the same again; its list is only read."""
     selector = entry.factory({})
     ensure(isinstance(selector, Selector), f"is a {type(selector).__name__}, not a hts.contracts.Selector")
     for candidates in (_simulated(1), _simulated(2)):
@@ -46,8 +45,7 @@ def puts_unfit_last(entry: Entry, registry: Registry) -> None:
 
 
 def chooses_the_best(entry: Entry, registry: Registry) -> None:
-    """The best is one of those tested, the same again; None with nobody, with nobody better,
-    and with numbers that are NaN."""
+    """The best is one of those tested, the same again; None with nobody, nobody better, or numbers that are NaN."""
     selector = entry.factory({})
     for objectives in (1, 2):
         tested = [_tested(name, 0.1 * (index + 1), objectives) for index, name in enumerate(NAMES)]

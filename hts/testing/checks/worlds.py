@@ -74,8 +74,7 @@ def gives_recordings(entry: Entry, registry: Registry) -> None:
 
 
 def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
-    """head_to_head gives blocks in the order A-B-B-A, of one session per speed, with their roles;
-    or waits for a person."""
+    """head_to_head gives blocks A-B-B-A, of one session per speed, with their roles; or waits for a person."""
     with _world(entry, registry) as (world, case, policy, folder):
         try:
             recordings = world.head_to_head(policy, policy, (0.5, 0.8))
