@@ -229,7 +229,11 @@ class PopulationCollector(SplitStepCollector):
             self._pool.submit(_sequence, transform, row, ended)
             for row, transform in zip(recorded, self.transforms, strict=True)
         ]
-        rows = {key: torch.stack(values, 2) for key, values in steps.items()}
+        # What stands under "next" is seldom read as a whole: it keeps the order of time in memory, one plain copy.
+        rows = {
+            key: torch.stack(values).movedim(0, 2) if key[0] == "next" else torch.stack(values, 2)
+            for key, values in steps.items()
+        }
         entries: dict[Key, torch.Tensor] = {("reward",): env.rewards(rewarded)}
         for one in late:
             entries |= one.result()
