@@ -13,6 +13,7 @@ from hts.rl.capture import captured, warm_up
 from hts.rl.population import ALIGNED, Population
 from hts.rl.precision import tf32
 from hts.rl.settings import UpdateSettings
+from hts.rl.surrogate import population_loss
 from hts.rl.tracing import TracedGraph, can_compile, compiled
 from hts.rl.updates import REPORTED, GradientSteps, Samples, Stop, adapted
 
@@ -138,7 +139,17 @@ class BatchedSteps(GradientSteps):
         self, stacked: torch.Tensor, batch: Samples, multipliers: torch.Tensor, policy_on: torch.Tensor
     ) -> tuple[torch.Tensor, ...]:
         """The loss summed over candidates, which share no parameter, and what is reported of it, each [P]."""
-        loss = self._loss(batch, multipliers, policy_on, slice(None), self.population.split(stacked))
+        loss = population_loss(
+            self.population,
+            batch,
+            multipliers,
+            clip=self.config.clip,
+            value_coef=self.config.value_coef,
+            entropy_coef=self.config.entropy_coef,
+            policy_on=policy_on,
+            normalised=True,
+            named=self.population.split(stacked),
+        )
         return (loss.total.sum(), *(getattr(loss, name) for name in REPORTED))
 
     def _apply(self, gradient: torch.Tensor) -> None:

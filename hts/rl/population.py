@@ -125,9 +125,9 @@ class Population(nn.Module):
         lead = vector.shape[:-1]
         return {name: part.view(*lead, *shape) for (name, shape), part in zip(self._shapes.items(), parts, strict=True)}
 
-    def named(self, members: slice = slice(None)) -> Parameters:
+    def named(self) -> Parameters:
         """Parameters as the forward pass wants them: a list of P dicts on the CPU, one stacked dict on a GPU."""
-        vectors = list(self.vectors)[members]
+        vectors = list(self.vectors)
         if self.device.type == "cpu":
             return [self.split(vector) for vector in vectors]
         return self.split(torch.stack(vectors))

@@ -56,7 +56,6 @@ def population_loss(
     value_coef: float,
     entropy_coef: float,
     policy_on: float | torch.Tensor = 1.0,
-    members: slice = slice(None),
     normalised: bool = False,
     named: Mapping[str, torch.Tensor] | None = None,
 ) -> LossParts:
@@ -64,11 +63,11 @@ def population_loss(
     candidate), target (value target), old_value, old_log_std [P, 1, J]; reference_mean, reference_log_std if there is a
     reference.
 
-    policy_on: 0 fits the critic only. members: whose rows batch and multipliers hold, all without it; normalised: the
+    policy_on: 0 fits the critic only; normalised: the
     observations are as the networks see them, which needs doing once for many minibatches; named: parameters to use
     instead of the population's own, stacked, [P, ...] by name.
     """
-    parameters = population.named(members) if named is None else named
+    parameters = population.named() if named is None else named
     mean, log_std = population.mean(batch["observation"], parameters, normalised), population.log_std(parameters)
     value = population.value(batch["critic_observation"], parameters, normalised)
     return gaussian_loss(

@@ -11,7 +11,6 @@ import torch
 from hts.rl.learner import Columns, Layout, Learner
 from hts.rl.population import Population
 from hts.rl.settings import UpdateSettings
-from hts.rl.surrogate import LossParts, population_loss
 from hts.rl.threads import pool
 
 LEAST_RATE, MOST_RATE = 1e-5, 1e-2  # of the adaptive rate (rsl_rl)
@@ -74,28 +73,6 @@ class GradientSteps(ABC):
 
     def close(self) -> None:  # noqa: B027
         """Let go of threads."""
-
-    def _loss(
-        self,
-        batch: Samples,
-        multipliers: torch.Tensor,
-        policy_on: float | torch.Tensor,
-        members: slice,
-        named: Mapping[str, torch.Tensor] | None = None,
-    ) -> LossParts:
-        config = self.config
-        return population_loss(
-            self.population,
-            batch,
-            multipliers,
-            clip=config.clip,
-            value_coef=config.value_coef,
-            entropy_coef=config.entropy_coef,
-            policy_on=policy_on,
-            members=members,
-            normalised=True,
-            named=named,
-        )
 
 
 class SeparateSteps(GradientSteps):
