@@ -27,6 +27,12 @@ class Channel:
             raise RecordingError(f"Channel '{self.name}': {units.unknown(self.unit)}")
 
 
+SPEED_ERROR = Channel(
+    "speed_error", "1", (), "speed along the command over the commanded one, less 1; 0 where it does not count"
+)
+"""What training holds at zero on average; made in simulation only."""
+
+
 def standard_channels(num_joints: int, num_feet: int) -> dict[str, Channel]:
     """The sim channels of a legged robot: what simulation and robot both give.
 

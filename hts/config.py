@@ -119,6 +119,8 @@ class PPOConfig(Config):
     max_grad_norm: float = Field(1.0, gt=0, description="per candidate")
     multiplier_rate: float = Field(0.05, gt=0, description="eta: step of the Lagrange multiplier per batch")
     centring_rate: float = Field(0.05, gt=0, le=1, description="beta of reward centring, per batch")
+    hold_rate: float = Field(0.1, ge=0, description="step of the multipliers of held means per batch and error")
+    hold_gain: float = Field(0.5, ge=0, description="their proportional part, per error that matters")
     warmup_batches: int = Field(0, ge=0, description="first batches that only fit the critic")
     tf32: bool = Field(True, description="on a GPU: matrix products of policy and critic in TF32 (10 bits of mantissa)")
     fuse: bool | None = Field(
@@ -136,6 +138,11 @@ class FinetuneConfig(Config):
     num_envs: int = Field(64, ge=1, description="worlds per candidate, N")
     steps: int = Field(400_000, gt=0, description="control steps per candidate")
     max_candidates: int = Field(32, ge=1, description="trained together at most; more go in several groups")
+    hold: bool = Field(
+        False,
+        description="hold the task's own measure at zero on average (a velocity robot: the relative error of its speed) "
+        "by a multiplier per candidate, so that doing less of the task is no saving",
+    )
     ppo: PPOConfig = Field(default_factory=PPOConfig)
     env: EnvConfig = Field(default_factory=EnvConfig)
 
@@ -156,6 +163,20 @@ class PretrainConfig(Config):
     env: EnvConfig = Field(default_factory=EnvConfig)
 
 
+class TrustRegionConfig(Config):
+    """How the KL bounds move from one iteration to the next, by rho, the measured improvement over the predicted."""
+
+    enabled: bool = Field(False, description="whether they move at all; false: the same bounds in each iteration")
+    agreement: float = Field(
+        0.5, gt=0, lt=1, description="grow if all of rho's interval lies above, shrink if all of it lies below"
+    )
+    close: float = Field(0.75, gt=0, description="grow twice if all of rho's interval lies above this")
+    grow: float = Field(2.0, ge=1, description="factor on every bound")
+    shrink: float = Field(0.5, gt=0, le=1, description="factor on every bound, also after any fall")
+    least: float = Field(0.05, gt=0, description="smallest bound, nats")
+    most: float = Field(40.0, gt=0, description="largest finite bound, nats")
+
+
 class SweepConfig(Config):
     """Anchors × weights λ × KL bounds c."""
 
@@ -170,6 +191,10 @@ class SweepConfig(Config):
         min_length=1,
         description="which policies to start from; front: for each combination of λ the measured one that goes "
         "furthest in its direction",
+    )
+
+    trust_region: TrustRegionConfig = Field(
+        default_factory=TrustRegionConfig, description="how the bounds move between iterations"
     )
 
     @model_validator(mode="after")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from hts.channels import Channel
     from hts.evaluation.segments import Segments
+    from hts.recordings.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,14 @@ class Objective(ABC):
     @abstractmethod
     def compare(self, policy: Mapping[str, float], reference: Mapping[str, float]) -> Comparison:
         """From the means of `score` over a policy's and its reference's segments to one comparison."""
+
+    def real_channels(self, target: np.ndarray, known: Sequence[Recording]) -> Mapping[str, np.ndarray]:
+        """Real channels that `score` reads, from the predicted target: for the improvement that a model promises.
+
+        target: in its unit, (S, n); known: the recordings that the model was fitted to, from which a rule for further
+        channels may be made. By default the target alone; an objective that scores more says how the rest follows.
+        """
+        return {self.target.name: target}
 
     def proxy(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
         """The analytic stand-in of the target from sim channels (..., J) -> (...,); None if there is none."""

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from hts.errors import ConfigError
@@ -74,6 +75,9 @@ class Robot(ABC):
     """
 
     spec: RobotSpec
+    held_at_zero: Mapping[str, float] = MappingProxyType({})
+    """Sim channels, each of a single number, that fine-tuning holds at zero on average (`finetune.hold`), and an error
+    of each that matters: how well the task is done, so that less of it is no saving. By default there is none."""
 
     @abstractmethod
     def mjcf(self) -> Any | None:

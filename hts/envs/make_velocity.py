@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hts.channels import SPEED_ERROR
 from hts.config import EnvConfig
 from hts.contracts import Robot
 from hts.envs.velocity import VelocityEnv
@@ -35,5 +36,6 @@ def make_velocity_env(
         constraints_per_world=config.constraints_per_world,
     )
     seeds = list(seeds) if seeds is not None else [config.seed + index for index in range(num_candidates)]
-    wanted = {name: known[name] for name in (channels or known)}
+    extra = {SPEED_ERROR.name: SPEED_ERROR}
+    wanted = {name: extra.get(name) or known[name] for name in (channels or known)}
     return VelocityEnv(made, robot.spec, num_candidates, num_envs, config, wanted, seeds)

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
 
-from hts.channels import Channel
+from hts.channels import SPEED_ERROR, Channel
 from hts.config import EnvConfig
 from hts.contracts import RobotSpec
 from hts.envs.commands import DRAWS, Commands
@@ -35,6 +35,10 @@ CHANNEL_FIELDS = {
     "projected_gravity": "_gravity",
     "base_velocity": "_velocity",
 }
+
+
+SETTLING_SECONDS = 1.0  # after standing up
+LEAST_SPEED = 0.3  # m/s; of slower commands no share can be told
 
 
 class VelocityEnv(SplitStepEnv):
@@ -339,9 +343,18 @@ class VelocityEnv(SplitStepEnv):
             return self.engine.sensordata.view(*self.shape2, -1)[..., columns].clone()
         if name == "command":
             return self.commands.value.clone()
+        if name == SPEED_ERROR.name:
+            return self._speed_error()
         if name == "angular_velocity":
             return self._angular_velocity.clone()
         return getattr(self, CHANNEL_FIELDS[name])
+
+    def _speed_error(self) -> torch.Tensor:
+        """Channel `speed_error`, [P, N]: robots that have just been stood up are still getting going."""
+        asked = self.commands.value[..., 0]
+        counts = (asked.abs() >= LEAST_SPEED) & (self.steps * self.dt > SETTLING_SECONDS)
+        error = self._velocity[..., 0] / torch.where(counts, asked, 1.0) - 1.0
+        return torch.where(counts, error, 0.0)
 
     # ------------------------------------------------------------------------------------- saving the whole state
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from hts.channels import SPEED_ERROR
 from hts.contracts import Robot
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ class VelocityRobot(Robot):
     It needs a model: `mjcf` names floor, trunk, joints, feet and sensors as the documentation of robots lists them.
     A robot that wants the task slightly different overrides `make_env` and hands a changed `config` to `super()`.
     """
+
+    held_at_zero = {SPEED_ERROR.name: 0.02}
 
     def make_env(
         self,

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
@@ -23,7 +24,9 @@ class SimulatedTrial:
     """One policy at one speed over its env instances.
 
     falls: instances that fell at least once; mean_speed m/s over those that did not; valid: share of their 1 s segments
-    within the tolerance of the commanded speed; rewards: mean r_real per objective (per second), after settling.
+    within the tolerance of the commanded speed; rewards: mean r_real per objective (per second), after settling;
+    pieces: what was predicted of each target in the 1 s pieces of the instances that did not fall, (S, n) as the model
+    gives it, not yet in the target's unit; piece_speed: mean forward speed of each, m/s (S,).
     """
 
     speed: float
@@ -32,6 +35,8 @@ class SimulatedTrial:
     mean_speed: float
     valid: float
     rewards: dict[str, float] = field(default_factory=dict)
+    pieces: dict[str, np.ndarray] = field(default_factory=dict)
+    piece_speed: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
@@ -66,6 +71,7 @@ def simulate(
     fallen = torch.zeros(shape, dtype=torch.bool, device=env.device)
     segments: list[torch.Tensor] = []
     sums: dict[str, torch.Tensor] = {}
+    predicted: dict[str, list[torch.Tensor]] = {}  # of each step
     steps, counted = round(seconds / env.dt), 0
     speed_sum = torch.zeros(shape, device=env.device)
     for step in range(steps):
@@ -82,10 +88,17 @@ def simulate(
         if "real_reward" in after.keys():  # noqa: SIM118 - a TensorDict
             for name, value in after["real_reward"].items():
                 sums[name] = sums.get(name, 0.0) + value.squeeze(-1)
+        if "measured" in after.keys():  # noqa: SIM118
+            for name, value in after["measured"].items():
+                predicted.setdefault(name, []).append(value.squeeze(-1))
     commanded = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
     pieces = torch.stack(segments)  # (S, P, N)
     good = ((pieces - commanded).abs() <= tolerance * commanded).float().mean(0)
     mean_speed = pieces.mean(0)
+    whole = {
+        name: torch.stack(steps[: len(pieces) * per_segment]).unflatten(0, (len(pieces), per_segment)).cpu()
+        for name, steps in predicted.items()
+    }  # (S, n, P, N)
     results = []
     for candidate in range(shape[0]):
         row = []
@@ -104,6 +117,11 @@ def simulate(
                         name: float((total[candidate][stood] / counted).mean()) if some else float("-inf")
                         for name, total in sums.items()
                     },
+                    pieces={
+                        name: values[:, :, candidate, stood.cpu()].permute(0, 2, 1).flatten(0, 1).numpy()
+                        for name, values in whole.items()
+                    },
+                    piece_speed=pieces[:, candidate, stood].flatten().cpu().numpy(),
                 )
             )
         results.append(row)

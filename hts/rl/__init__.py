@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from hts.rl.kl_bound import project_to_kl_bound
     from hts.rl.loss import KLConstrainedPPOLoss
     from hts.rl.measured_reward import MeasuredReward
-    from hts.rl.multiplier import LagrangeMultiplier
+    from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier
     from hts.rl.population import Population, Sizes
     from hts.rl.population_collector import PopulationCollector
     from hts.rl.random import PopulationRandom
@@ -38,6 +38,7 @@ _HOMES = {
     "Backend": "backend",
     "CapturedCollector": "captured_collector",
     "DeferrableTransform": "deferred",
+    "EqualityMultiplier": "multiplier",
     "KLConstrainedPPOLoss": "loss",
     "LagrangeMultiplier": "multiplier",
     "LaunchedSimulator": "task_env",
@@ -65,6 +66,7 @@ __all__ = [
     "Backend",
     "CapturedCollector",
     "DeferrableTransform",
+    "EqualityMultiplier",
     "KLConstrainedPPOLoss",
     "LagrangeMultiplier",
     "LaunchedSimulator",

@@ -1,4 +1,4 @@
-"""The Lagrange multiplier of a bound on the KL divergence to a reference policy."""
+"""Lagrange multipliers: of a bound on the KL divergence to a reference policy, and of a mean that is to be zero."""
 
 from __future__ import annotations
 
@@ -39,4 +39,49 @@ class LagrangeMultiplier(nn.Module):
         Returns the new value."""
         excess = torch.where(torch.isinf(self.bounds), 0.0, kl / self.bounds - 1.0).clamp(max=LARGEST_EXCESS)
         self.value = (self.value + self.rate * excess).clamp(min=0.0)
+        return self.value
+
+
+class EqualityMultiplier(nn.Module):
+    """Holds the mean of an error e at zero: nu e is added to the reward, and nu moves against the mean.
+
+    nu = I - gain m / scale with I <- I - rate m / scale once per batch, m the batch's mean error: the integral finds the
+    price at which nothing is gained by erring, the proportional part damps its swinging (Stooke, Achiam and Abbeel 2020,
+    "Responsive Safety in Reinforcement Learning by PID Lagrangian Methods", arXiv 2007.03964). nu has either sign.
+
+    scale: an error that matters, in e's unit, so that rate and gain are per such an error; count: P for one multiplier
+    per candidate. Buffers value (nu) and integral, both [P], reward per second and unit of e.
+    """
+
+    value: torch.Tensor
+    integral: torch.Tensor
+
+    def __init__(
+        self,
+        scale: float,
+        count: int | None = None,
+        *,
+        rate: float = 0.1,
+        gain: float = 0.5,
+        device: torch.device | str | None = None,
+    ) -> None:
+        super().__init__()
+        if not scale > 0:
+            raise ValueError(f"scale is {scale}; expected a positive number, an error that matters.")
+        self.scale, self.rate, self.gain = scale, rate, gain
+        shape = () if count is None else (count,)
+        self.register_buffer("value", torch.zeros(shape, device=device))
+        self.register_buffer("integral", torch.zeros(shape, device=device))
+
+    def forward(self, error: torch.Tensor) -> torch.Tensor:
+        """nu e, of error's shape; its first dimension is P where there are several. Changes nothing."""
+        return self.value.view(*self.value.shape, *(1,) * (error.ndim - self.value.ndim)) * error
+
+    @torch.no_grad()
+    def update(self, mean: torch.Tensor, strength: float | torch.Tensor = 1.0) -> torch.Tensor:
+        """mean: of e over the batch, of the shape of `value`; strength: how strong the rewards are that pull the mean
+        away, in reward per second, since a price is found the sooner the larger it has to be. Returns the new value."""
+        excess = (mean / self.scale).clamp(-LARGEST_EXCESS, LARGEST_EXCESS) * strength
+        self.integral = self.integral - self.rate * excess
+        self.value = self.integral - self.gain * excess
         return self.value

@@ -7,10 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
-from hts.contracts import SimulatedCandidate
+from hts.contracts import MeasurementModel, Objective, SimulatedCandidate
+from hts.evaluation.final import speed_key
+from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, test_config
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
@@ -18,8 +21,9 @@ from hts.measurement.fit_command import fit_and_check
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.rl.population import Population
-from hts.run.front import real_front
+from hts.run.front import PRETRAINED, real_front
 from hts.run.job import Job
+from hts.run.trust_region import scaled
 from hts.selection.fronts import towards
 from hts.training.finetune import finetune as finetune_candidates
 from hts.training.finetune import measured_env
@@ -92,7 +96,15 @@ def sweep(job: Job, iteration: int, best: str) -> list[Candidate]:
         name = front[towards([one.gains for one in front], [weights[key] for key in job.objectives])].id
         return name, policy_hash(name)
 
-    return candidates(iteration, hashes, job.combinations, job.config.sweep.kl_bounds, furthest)
+    bounds = scaled(job.config.sweep.kl_bounds, bound_scale(job, iteration), job.config.sweep.trust_region)
+    return candidates(iteration, hashes, job.combinations, bounds, furthest)
+
+
+def bound_scale(job: Job, iteration: int) -> float:
+    """Factor on the finite KL bounds of an iteration, as the tests of the one before it left it."""
+    if iteration == 0:
+        return 1.0
+    return float((job.read(f"iterations/{iteration - 1:02d}/test").get("trust_region") or {}).get("scale", 1.0))
 
 
 def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
@@ -190,6 +202,7 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     )
     results = dict(zip(names, trials(env, population, test.speeds, test.seconds, test.speed_tolerance), strict=True))
     env.close()
+    promised = _promised(job, iteration, results)
     judged = [_judge(row, results[row["id"]], test.speed_tolerance) for row in rows]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     able = [
@@ -210,8 +223,43 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         "tracked": {c.id: c.tracked for c in judged},
         "elites": elites,
         "trials": details,
+        "predicted": promised,
         "steps": round(test.seconds * job.robot.spec.control_rate_hz) * worlds * len(names),
     }
+
+
+def _promised(
+    job: Job, iteration: int, results: Mapping[str, Sequence[SimulatedTrial]]
+) -> dict[str, dict[str, dict[str, Any]]]:
+    """Candidate -> objective -> speed -> the improvement over the pretrained policy that its model predicts, with the
+    metrics that a head-to-head will have. A speed at which nothing can be predicted is left out."""
+    if job.config.reward_source != "model":
+        return {}
+    known = job.recordings(job.known(iteration))
+    found: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in results if name != PRETRAINED}
+    for key, objective in job.objectives.items():
+        model = files.load(model_path(job, iteration, key), registry=job.registry)
+
+        def seen(trial: SimulatedTrial, objective: Objective = objective, model: MeasurementModel = model) -> Any:
+            target = model.denormalise(torch.from_numpy(trial.pieces[objective.target.name])).numpy()
+            return pieces(objective, target, trial.piece_speed, trial.speed, known)
+
+        references = [seen(trial) for trial in results[PRETRAINED]]
+        for name, row in found.items():
+            compared = {
+                speed_key(trial.speed): predicted_comparison(objective, seen(trial), reference)
+                for trial, reference in zip(results[name], references, strict=True)
+            }
+            row[key] = {
+                speed: {
+                    "improvement": one.improvement,
+                    "selection_score": one.selection_score,
+                    "metrics": dict(one.metrics),
+                }
+                for speed, one in compared.items()
+                if one is not None
+            }
+    return found
 
 
 def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:

@@ -31,6 +31,7 @@ def summarise(job: Job) -> dict[str, Any]:
                 "measurement_models": {
                     key: _model(report, tested["model_checks"].get(key)) for key, report in fit.items()
                 },
+                **({"trust_region": tested["trust_region"]} if "trust_region" in tested else {}),
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
                 "candidates": [_candidate(row, simulated, tested) for row in tuned["candidates"]],
             }
@@ -112,6 +113,7 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
         "tracked": simulated["tracked"][name],
         "elite": name in tested["elites"],
         "falls": simulated["falls"][name],
+        "predicted": (simulated.get("predicted") or {}).get(name, {}),
         "real": result.get("real"),
     }
     if result.get("tested"):

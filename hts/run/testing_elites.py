@@ -13,7 +13,8 @@ from hts.measurement import files
 from hts.measurement.checks import check
 from hts.recordings.recording import Recording
 from hts.run.job import Job
-from hts.run.learning import model_path
+from hts.run.learning import bound_scale, model_path
+from hts.run.trust_region import agreement, next_scale, tried_elites
 
 Report = Callable[[float], None]
 
@@ -58,6 +59,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
         "samples": sum(recording.num_samples for recording in tests.recorded),
         **races,
         "model_checks": _check_models(job, iteration, ids),
+        **_trust(job, iteration, {elite: _row(found) for elite, found in tests.results.items()}),
     }
 
 
@@ -161,6 +163,19 @@ def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
         (entry,) = row["real"][name].values()
         comparisons[name] = Comparison(entry["improvement"], score, entry["metrics"])
     return [TestedCandidate(best, comparisons, row["tested"]["fell"])]
+
+
+def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """How far the next iteration's candidates may go: {"trust_region": …}; nothing where the bounds do not move."""
+    config = job.config.sweep.trust_region
+    if not config.enabled:
+        return {}
+    stage = f"iterations/{iteration:02d}"
+    predicted = job.read(f"{stage}/simulate")["predicted"]
+    rows = {row["id"]: row | {"predicted": predicted.get(row["id"], {})} for row in job.read(f"{stage}/finetune")["candidates"]}
+    tried = tried_elites(next(iter(job.objectives)), rows, results)
+    scale, why = next_scale(bound_scale(job, iteration), tried, config)
+    return {"trust_region": {"scale": scale, "why": why, **agreement(tried).entry()}}
 
 
 def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from hts.rl.captured_collector import CapturedCollector
 from hts.rl.centring import RewardCentring
 from hts.rl.deferred import base_and_transforms
 from hts.rl.measured_reward import MeasuredReward
-from hts.rl.multiplier import LagrangeMultiplier
+from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier
 from hts.rl.population import Population
 from hts.rl.precision import tf32
 from hts.rl.random import PopulationRandom
@@ -56,7 +56,8 @@ class PopulationTrainer:
     """PPO for a population, with an optional anchor.
 
     population: P candidates, changed in place; anchor: frozen Population of P, or None (pretraining);
-    bounds [P]: c per candidate, nats; weights: objective -> lambda [P]; seeds: one per candidate;
+    bounds [P]: c per candidate, nats; weights: objective -> lambda [P]; held: name of an error under ("next", "held")
+    whose mean is held at zero -> an error that matters; seeds: one per candidate;
     names: what candidates are called in errors.
 
     Collection and gradient steps are those of the device's `hts.rl.backend`. A candidate whose numbers stop being
@@ -75,6 +76,7 @@ class PopulationTrainer:
         anchor: Population | None = None,
         bounds: torch.Tensor | None = None,
         weights: Mapping[str, torch.Tensor] | None = None,
+        held: Mapping[str, float] | None = None,
         update_normaliser: bool = False,
         resume: TensorDictBase | None = None,
     ) -> None:
@@ -97,6 +99,10 @@ class PopulationTrainer:
                 centring=RewardCentring(config.centring_rate, count, device),
             )
             for name, weight in (weights or {}).items()
+        }
+        self.held = {
+            name: EqualityMultiplier(scale, count, rate=config.hold_rate, gain=config.hold_gain, device=device)
+            for name, scale in (held or {}).items()
         }
         self.stopped: dict[int, str] = {}
         self.batches = 0
@@ -171,12 +177,22 @@ class PopulationTrainer:
         self._stop_if_bad({"r_sim": simulated})
         stats = {"r_sim": row_mean(simulated) / self.dt}
         total = simulated
+        strength = torch.ones_like(self.kl)
         for name, measured in self.measured.items():
             real = data["next", "real_reward", name].squeeze(-1)
             self._stop_if_bad({f"r_real of {name}": real})
             measured.centring.update(real)
             total = total + measured.added(real)
             stats[f"r_real/{name}"] = row_mean(real)
+            spread = row_mean((real - row_mean(real).view(-1, 1, 1)).square()).sqrt()
+            strength = strength + measured.weight * spread
+        for name, multiplier in self.held.items():
+            error = data["next", "held", name].squeeze(-1)
+            self._stop_if_bad({name: error})
+            counted = (error != 0).flatten(1).sum(1).clamp(min=1)
+            mean = row_mean(error) * error[0].numel() / counted
+            stats |= {f"held/{name}": mean, f"held/{name}_multiplier": multiplier.update(mean, strength)}
+            total = total + self.dt * multiplier(error)
         return total, stats
 
     def _stop_if_bad(self, parts: Mapping[str, torch.Tensor]) -> None:
@@ -264,6 +280,7 @@ class PopulationTrainer:
             "order": self.order.state_dict(),
             "normaliser": {name: value.clone() for name, value in self.population.named_buffers()},
             "multipliers": _plain(self.multipliers),
+            "held": {name: _plain(multiplier) for name, multiplier in self.held.items()},
             "centres": {name: _plain(measured.centring) for name, measured in self.measured.items()},
             "kl": self.kl.clone(),
             "batches": torch.tensor(self.batches),
@@ -305,6 +322,8 @@ class PopulationTrainer:
         self.multipliers.load_state_dict(dict(state["multipliers"].items()))
         for name, measured in self.measured.items():
             measured.centring.load_state_dict(dict(state["centres", name].items()))
+        for name, multiplier in self.held.items():
+            multiplier.load_state_dict(dict(state["held", name].items()))
         self.kl = state["kl"].to(self.kl.device)
         self.batches = int(state["batches"])
         self.stopped = {

@@ -7,9 +7,10 @@ robot: mean of current times voltage, less what the robot draws with its motors 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
 from pydantic import Field
 
 from hts.channels import Channel
@@ -18,10 +19,10 @@ from hts.contracts import Comparison, Objective
 from hts_power.proxy import JOULE_COEFFICIENT, analytic_power
 
 if TYPE_CHECKING:
-    import numpy as np
     import torch
 
     from hts.evaluation.segments import Segments
+    from hts.recordings.recording import Recording
 
 GRAVITY = 9.81  # m/s²
 
@@ -98,6 +99,11 @@ class Power(Objective):
         smaller = min(net, metrics["cost_of_transport_reduction"])
         return Comparison(net, smaller if self.settings.criterion == "smaller" else net, metrics)
 
+    def real_channels(self, target: np.ndarray, known: Sequence[Recording]) -> Mapping[str, np.ndarray]:
+        """Voltage follows from current: the line through the known recordings' 1 s means, which is the pack's sag at
+        the charge it had (V = V_0 - R I). Charge and heat are the same for a policy and its reference."""
+        return {"battery_current": target, "battery_voltage": voltage_line(known)(target)}
+
     def proxy(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Yang et al.'s analytic power, W; see `hts_power.proxy`."""
         return analytic_power(channels["joint_torque"], channels["joint_velocity"], self.settings.joule_coefficient)
@@ -106,6 +112,20 @@ class Power(Objective):
 def mean_power(current: np.ndarray, voltage: np.ndarray) -> np.ndarray:
     """Mean electrical power over the last axis, W; current A and voltage V on one clock, (..., n) -> (...,)."""
     return (current.astype(float) * voltage.astype(float)).mean(-1)
+
+
+def voltage_line(recordings: Sequence[Recording]) -> Callable[[np.ndarray], np.ndarray]:
+    """Battery voltage, V, as a line in its current, A, by least squares over 1 s means of recordings."""
+    pairs = []
+    for recording in recordings:
+        size = round(recording.rate_hz)
+        both = [recording.values(name).reshape(-1) for name in ("battery_current", "battery_voltage")]
+        count = len(both[0]) // size
+        pairs.append([each[: count * size].reshape(count, size).mean(-1) for each in both])
+    current, voltage = (np.concatenate(column).astype(float) for column in zip(*pairs, strict=True))
+    spread = current.var()
+    slope = float(((current - current.mean()) * (voltage - voltage.mean())).mean() / spread) if spread > 0 else 0.0
+    return lambda target: voltage.mean() + slope * (target - current.mean())
 
 
 def reduction(policy: float, reference: float) -> float:

@@ -1,0 +1,89 @@
+"""What a candidate should save in reality, as its measurement model sees it in simulation.
+
+The same arithmetic as for a head-to-head: the objective scores 1 s pieces and compares means (`Objective.score`,
+`Objective.compare`), only that the real channels of the pieces are predicted. So promise and measurement have one unit
+and one meaning, and their ratio says how far the model can be trusted (`hts.run.trust_region`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hts.errors import EvaluationError, unknown_name
+
+if TYPE_CHECKING:
+    from hts.contracts import Comparison, Objective
+    from hts.recordings.recording import Recording
+
+
+@dataclass(frozen=True)
+class PredictedSegments:
+    """Predicted 1 s pieces, S of them, with what an objective asks of measured ones (`segments.Segments`).
+
+    channels: name -> (S, n), n samples a piece; speed, commanded: (S,), m/s; levels: idle level of each real channel;
+    mass: kg, None if no recording says it.
+    """
+
+    channels: Mapping[str, np.ndarray]
+    speed: np.ndarray
+    commanded: np.ndarray
+    levels: Mapping[str, float]
+    mass: float | None
+
+    def __len__(self) -> int:
+        return len(self.speed)
+
+    def values(self, channel: str) -> np.ndarray:
+        """The channel in each piece, (S, n). Raises EvaluationError for one that nobody predicts."""
+        if channel not in self.channels:
+            raise EvaluationError("Nothing predicts it: " + unknown_name("channel", channel, self.channels))
+        return self.channels[channel]
+
+    def idle(self, channel: str) -> np.ndarray:
+        """Idle level in each piece, (S,), the mean over the known recordings."""
+        if channel not in self.levels:
+            raise EvaluationError(unknown_name("idle level", channel, self.levels))
+        return np.full(len(self), self.levels[channel])
+
+    @property
+    def mass_kg(self) -> np.ndarray:
+        """Mass of the robot, kg (S,), as the known recordings say."""
+        if self.mass is None:
+            raise EvaluationError("No recording says the robot's mass.")
+        return np.full(len(self), self.mass)
+
+
+def pieces(
+    objective: Objective, target: np.ndarray, speed: np.ndarray, commanded: float, known: Sequence[Recording]
+) -> PredictedSegments:
+    """target: of one policy at one speed, in the target's unit, (S, n); speed: of each piece, m/s (S,); known: the
+    recordings that the model was fitted to."""
+    names = {name for recording in known for name in recording.idle}
+    levels = {name: float(np.mean([r.idle[name] for r in known if name in r.idle])) for name in names}
+    weights = [recording.mass_kg for recording in known if recording.mass_kg is not None]
+    channels = objective.real_channels(target, known)
+    mass = float(np.mean(weights)) if weights else None
+    return PredictedSegments(channels, speed, np.full(len(speed), commanded), levels, mass)
+
+
+def predicted_comparison(
+    objective: Objective, policy: PredictedSegments, reference: PredictedSegments
+) -> Comparison | None:
+    """A policy against its reference, both predicted at one speed. None where nothing is left to compare, where the
+    objective asks for a channel that nobody predicts, or where the comparison is no finite number."""
+    if not len(policy) or not len(reference):
+        return None
+    try:
+        means = [
+            {name: float(np.mean(values)) for name, values in objective.score(each).items()}  # type: ignore[arg-type]
+            for each in (policy, reference)
+        ]
+        found = objective.compare(*means)
+    except (EvaluationError, ArithmeticError, AttributeError):  # it looks at more than can be predicted
+        return None
+    return found if math.isfinite(found.improvement) and math.isfinite(found.selection_score) else None

@@ -1,0 +1,125 @@
+"""How far candidates may go in the next iteration: the KL bounds follow how well promises were kept.
+
+rho = sum of measured improvements / sum of predicted ones, over the elites that were tried, as in trust-region methods
+of optimisation (Conn, Gould and Toint 2000, "Trust-Region Methods", chapter 6), where the model is that of the
+objective and the region is a KL ball. Measurements are noisy and few, so the interval of rho decides and not rho.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from scipy import stats
+
+from hts.config import TrustRegionConfig
+
+ACTIVE = 0.8  # of c: a candidate whose KL is larger was held back by its bound
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Tried:
+    """An elite as it was tried: improvements in one unit, means over the same speeds; ci95: half width of the measured
+    one's interval; kl and kl_bound, nats; fell: in reality."""
+
+    id: str
+    predicted: float
+    measured: float
+    half_width: float
+    kl: float
+    kl_bound: float
+    fell: bool
+
+    @property
+    def active(self) -> bool:
+        """Whether its bound held it back."""
+        return math.isfinite(self.kl_bound) and self.kl > ACTIVE * self.kl_bound
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """rho and its interval; None where nothing was promised or nobody could be measured."""
+
+    rho: float | None
+    interval: tuple[float, float] | None
+
+    def entry(self) -> dict[str, Any]:
+        """As JSON."""
+        return asdict(self)
+
+
+def agreement(tried: Sequence[Tried]) -> Agreement:
+    """Ratio of sums over elites, with an interval from two sources that add: the scatter of elites around the common
+    ratio (Cochran 1977, "Sampling Techniques", section 6.3, with Student's t), and the measurement error of each."""
+    total = sum(one.predicted for one in tried)
+    if not tried or total <= 0:
+        return Agreement(None, None)
+    rho = sum(one.measured for one in tried) / total
+    measured = sum((one.half_width / stats.norm.ppf((1 + LEVEL) / 2)) ** 2 for one in tried)
+    degrees = len(tried) - 1
+    scatter = sum((one.measured - rho * one.predicted) ** 2 for one in tried) * len(tried) / max(1, degrees)
+    # What the elites scatter holds their measurement errors too: the larger of the two is the safe one.
+    quantile = stats.t.ppf((1 + LEVEL) / 2, degrees) if degrees and scatter > measured else stats.norm.ppf((1 + LEVEL) / 2)
+    half = float(quantile * math.sqrt(max(scatter if degrees else 0.0, measured)) / total)
+    return Agreement(rho, (rho - half, rho + half))
+
+
+def next_scale(scale: float, tried: Sequence[Tried], config: TrustRegionConfig) -> tuple[float, str]:
+    """The factor on all finite KL bounds in the next iteration, and why."""
+    if any(one.fell for one in tried):
+        return scale * config.shrink, "an elite fell"
+    found = agreement(tried)
+    if found.interval is None:
+        return scale, "nothing to judge by"
+    low, high = found.interval
+    if high < config.agreement:
+        return scale * config.shrink, f"measured improvements are under {config.agreement:g} of the predicted ones"
+    if low > config.agreement:
+        if not any(one.active for one in tried):
+            return scale, "no bound held anybody back"
+        good = low > config.close
+        return scale * config.grow ** (2 if good else 1), "the prediction held, and the bound held candidates back"
+    return scale, "it cannot be told yet"
+
+
+def scaled(bounds: Sequence[float], scale: float, config: TrustRegionConfig) -> tuple[float, ...]:
+    """The KL bounds of an iteration, within the limits; infinity stays. Where they do not move, they stay as given."""
+    if not config.enabled:
+        return tuple(bounds)
+    return tuple(c if math.isinf(c) else min(max(c * scale, config.least), config.most) for c in bounds)
+
+
+def tried_elites(
+    objective: str, candidates: Mapping[str, Mapping[str, Any]], results: Mapping[str, Mapping[str, Any]]
+) -> list[Tried]:
+    """From a run's stages. candidates: id -> kl, kl_bound and predicted, objective -> speed -> entry; results: of the
+    stage `test`. Means are over the speeds that were both promised and measured; an elite without any is left out,
+    but for one that fell, which counts as a promise that was not kept at all."""
+    found = []
+    for name, result in results.items():
+        row, real = candidates[name], (result.get("real") or {}).get(objective) or {}
+        promised = row["predicted"].get(objective, {})
+        speeds = [speed for speed in real if speed in promised]
+        fell = bool((result.get("tested") or {}).get("fell")) or bool((result.get("refusal") or {}).get("falls"))
+        if not speeds and not (fell and promised):
+            continue
+        over = speeds or list(promised)
+        count = len(over)
+        measured = sum(real[speed]["improvement"] for speed in speeds) / count
+        widths = [real[speed]["improvement_ci95"] for speed in speeds]
+        half = math.sqrt(sum(((ci[1] - ci[0]) / 2) ** 2 for ci in widths if ci)) / count
+        found.append(
+            Tried(
+                name,
+                sum(promised[speed]["improvement"] for speed in over) / count,
+                measured,
+                half,
+                row["kl"],
+                row["kl_bound"],
+                fell,
+            )
+        )
+    return found

@@ -1,0 +1,44 @@
+"""Sim channels that fine-tuning holds at zero on average, from the env to the learner."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from tensordict.utils import NestedKey
+from torchrl.data import Composite, Unbounded
+
+from hts.errors import SimulationError, unknown_name
+from hts.rl.deferred import DeferrableTransform
+
+
+class Held(DeferrableTransform):
+    """Writes ("held", name) [P, N, 1] for each of the named channels, whose samples are single numbers [P, N]."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        keys = [("held", name) for name in names]
+        super().__init__(in_keys=[("channels", name) for name in names], out_keys=keys)
+        self.names = names
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        batch, device = observation_spec.shape, observation_spec.device
+        known = set(observation_spec["channels"].keys())
+        for name in self.names:
+            if name not in known:
+                raise SimulationError("finetune.hold: " + unknown_name("channel of the env", name, known))
+        entries = {name: Unbounded((*batch, 1), device=device) for name in self.names}
+        observation_spec["held"] = Composite(entries, shape=batch, device=device)
+        return observation_spec
+
+    def record(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        return torch.stack([channels[name] for name in self.names], -1).flatten(0, 1)
+
+    def evaluate(self, recorded: torch.Tensor) -> dict[NestedKey, torch.Tensor]:
+        parts = zip(self.out_keys, recorded.unbind(-1), strict=True)
+        return {key: value.unsqueeze(-1) for key, value in parts}
+
+    def forward_sequence(self, recorded: torch.Tensor, ended: torch.Tensor) -> dict[NestedKey, torch.Tensor]:
+        return self.evaluate(recorded)
+
+    def forget(self, ended: torch.Tensor) -> None:
+        """Nothing is remembered."""

@@ -1,0 +1,81 @@
+"""What a candidate should save, by the arithmetic of a head-to-head."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hts.contracts import Comparison
+from hts.evaluation.predicted import pieces, predicted_comparison
+
+RATE = 50
+
+
+class Effort:
+    """Scores a level above idle, and per metre."""
+
+    target = SimpleNamespace(name="effort")
+
+    def real_channels(self, target, known):
+        return {"effort": target}
+
+    def score(self, segments):
+        net = segments.values("effort").mean(-1) - segments.idle("effort")
+        return {"net": net, "per_metre": net / segments.speed / segments.mass_kg}
+
+    def compare(self, policy, reference):
+        saved = {name: 1 - policy[name] / reference[name] for name in policy}
+        return Comparison(saved["net"], min(saved.values()), saved)
+
+
+def known(idle=2.0, mass=10.0):
+    return [SimpleNamespace(idle={"effort": idle}, mass_kg=mass)]
+
+
+def walk(level, speed, objective=None, count=4, recordings=None):
+    target = np.full((count, RATE), level)
+    return pieces(objective or Effort(), target, np.full(count, speed), 0.8, recordings or known())
+
+
+def test_net_and_per_metre_are_those_of_a_head_to_head():
+    found = predicted_comparison(Effort(), walk(8.0, 0.72), walk(10.0, 0.8))
+    assert found.improvement == pytest.approx(0.25)  # 6 for 8 above idle
+    assert found.metrics["per_metre"] == pytest.approx(1 - (6 / 0.72) / (8 / 0.8))
+
+
+def test_nothing_is_promised_where_nothing_can_be_said():
+    nobody = walk(8.0, 0.8, count=0)
+    assert predicted_comparison(Effort(), nobody, walk(10.0, 0.8)) is None
+    still = walk(2.0, 0.8)  # the reference draws nothing above idle: no share of it can be saved
+    with np.errstate(divide="ignore", invalid="ignore"):
+        assert predicted_comparison(Effort(), walk(2.0, 0.8), still) is None
+    weightless = walk(8.0, 0.8, recordings=known(mass=None))
+    assert predicted_comparison(Effort(), weightless, weightless) is None
+
+
+def test_an_objective_that_scores_an_unpredicted_channel_promises_nothing():
+    class Two(Effort):
+        def score(self, segments):
+            return {"net": segments.values("effort").mean(-1) * segments.values("other").mean(-1)}
+
+    assert predicted_comparison(Two(), walk(8.0, 0.8), walk(10.0, 0.8)) is None
+
+
+def test_power_predicts_its_voltage_by_the_sag_in_the_recordings():
+    power = pytest.importorskip("hts_power.objective", reason="the objective of this test is not installed").Power()
+    rng = np.random.default_rng(0)
+    current = np.repeat(rng.uniform(2, 12, 40), RATE)  # 1 s at each level
+    values = {"battery_current": current, "battery_voltage": 25.0 - 0.15 * current}
+    recording = SimpleNamespace(
+        rate_hz=float(RATE), values=values.__getitem__, idle={"battery_current": 1.2, "battery_voltage": 24.8}, mass_kg=12.0
+    )
+
+    def seen(amperes):
+        return pieces(power, np.full((3, RATE), amperes), np.full(3, 0.8), 0.8, [recording])
+
+    assert seen(6.0).values("battery_voltage")[0, 0] == pytest.approx(25 - 0.9, abs=1e-6)
+    found = predicted_comparison(power, seen(5.0), seen(6.0))
+    idle = 1.2 * 24.8
+    assert found.improvement == pytest.approx(1 - (5 * (25 - 0.75) - idle) / (6 * (25 - 0.9) - idle))

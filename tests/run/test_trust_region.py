@@ -1,0 +1,85 @@
+"""How far candidates may go next, by how well promises were kept."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hts.config import TrustRegionConfig
+from hts.run.trust_region import Tried, agreement, next_scale, scaled, tried_elites
+
+CONFIG = TrustRegionConfig(enabled=True)
+
+
+def elite(predicted, measured, half=0.01, kl=1.0, bound=1.0, fell=False, name="00-00"):
+    return Tried(name, predicted, measured, half, kl, bound, fell)
+
+
+def test_kept_promises_widen_the_bound_and_broken_ones_narrow_it():
+    kept = [elite(0.20, 0.19), elite(0.10, 0.095), elite(0.15, 0.14)]
+    assert next_scale(1.0, kept, CONFIG)[0] == 4.0
+    half_kept = [elite(0.20, 0.13), elite(0.10, 0.065), elite(0.15, 0.0975)]
+    assert next_scale(1.0, half_kept, CONFIG)[0] == 2.0
+    broken = [elite(0.20, 0.02), elite(0.10, 0.01), elite(0.15, 0.01)]
+    assert next_scale(2.0, broken, CONFIG)[0] == 1.0
+
+
+def test_what_cannot_be_told_changes_nothing():
+    scattered = [elite(0.20, 0.30), elite(0.10, -0.05), elite(0.15, 0.05)]
+    assert next_scale(1.0, scattered, CONFIG)[0] == 1.0
+    noisy = [elite(0.05, 0.05, half=0.2), elite(0.05, 0.05, half=0.2)]
+    assert next_scale(1.0, noisy, CONFIG)[0] == 1.0
+    assert next_scale(1.0, [], CONFIG) == (1.0, "nothing to judge by")
+
+
+def test_a_fall_narrows_the_bound_whatever_was_saved():
+    assert next_scale(1.0, [elite(0.2, 0.2), elite(0.2, 0.2, fell=True)], CONFIG)[0] == 0.5
+
+
+def test_a_bound_that_held_nobody_back_is_not_widened():
+    slack = [elite(0.20, 0.20, kl=0.2), elite(0.10, 0.10, kl=0.3), elite(0.1, 0.1, kl=3.0, bound=math.inf)]
+    assert next_scale(1.0, slack, CONFIG)[0] == 1.0
+
+
+def test_bounds_stay_within_limits_and_infinity_stays():
+    config = TrustRegionConfig(enabled=True, least=0.1, most=8.0)
+    assert scaled((0.2, 1.0, 5.0, math.inf), 2.0, config) == (0.4, 2.0, 8.0, math.inf)
+    assert scaled((0.2, 1.0), 0.1, config) == (0.1, 0.1)
+    assert scaled((50.0,), 2.0, TrustRegionConfig()) == (50.0,)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.03])
+def test_the_interval_of_rho_holds_the_truth_as_often_as_it_says(scatter):
+    """Elites keep 0.8 of their promise but for a scatter of their own; each is measured with an error of 0.01."""
+    rng, hits, trials = np.random.default_rng(0), 0, 400
+    for _ in range(trials):
+        promised = rng.uniform(0.1, 0.3, 5)
+        measured = 0.8 * promised + scatter * rng.standard_normal(5) + 0.01 * rng.standard_normal(5)
+        low, high = agreement([elite(p, m, half=1.96 * 0.01) for p, m in zip(promised, measured, strict=True)]).interval
+        hits += low <= 0.8 <= high
+    assert 0.92 <= hits / trials <= 0.995
+
+
+def entry(improvement, width=0.02):
+    return {"improvement": improvement, "improvement_ci95": [improvement - width, improvement + width]}
+
+
+def test_elites_are_read_from_a_run():
+    candidates = {
+        name: {"kl": 0.9, "kl_bound": 1.0, "predicted": {"power": {"0.5": {"improvement": 0.2}, "0.8": {"improvement": 0.1}}}}
+        for name in ("a", "b", "c", "d")
+    }
+    candidates["d"]["predicted"] = {}
+    results = {
+        "a": {"real": {"power": {"0.8": entry(0.08)}}, "tested": {"fell": False}},
+        "b": {"real": None, "refused": "it fell", "refusal": {"falls": 2, "speed": 0.8}},
+        "c": {"real": None, "refused": "it walked too slowly", "refusal": {"falls": 0, "speed": 0.8}},
+        "d": {"real": {"power": {"0.8": entry(0.08)}}, "tested": {"fell": False}},
+    }
+    first, second = tried_elites("power", candidates, results)
+    assert (first.id, first.predicted, first.measured) == ("a", 0.1, 0.08)
+    assert first.half_width == pytest.approx(0.02)
+    assert (second.id, second.measured, second.fell) == ("b", 0.0, True)
+    assert first.active

@@ -1,0 +1,113 @@
+"""A task's own measure held at zero on average while something else is paid for."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import Composite, Unbounded
+
+from hts.config import EnvConfig, FinetuneConfig, PPOConfig, RandomisationConfig
+from hts.errors import SimulationError
+from hts.policies.files import load_policy
+from hts.rl.population import Population
+from hts.training import finetune as module
+from hts.training.held import Held
+from hts.training.sweep import Candidate
+from hts.training.trainer import PopulationTrainer
+from tests.training.test_trainer import SIZES, Target
+
+CONFIG = PPOConfig(horizon=24, learning_rate=3e-3, epochs=4)
+
+
+class Walk(Target):
+    """("held", "sum") = sum of the action - 1, while being calm pays."""
+
+    def _write(self, entries, real):
+        made = super()._write(entries, real)
+        made["held"] = TensorDict({"sum": self.error.unsqueeze(-1)}, batch_size=self.batch_size)
+        return made
+
+    def __init__(self, seeds):
+        self.error = torch.zeros(len(seeds), 4)
+        super().__init__(seeds)
+        entry = Composite(sum=Unbounded((*self.batch_size, 1)), shape=self.batch_size)
+        self.observation_spec["held"] = entry
+
+    def _step(self, tensordict):
+        self.error = tensordict["action"].sum(-1) - 1.0
+        return super()._step(tensordict)
+
+
+def learned(held) -> list[float]:
+    ancestor = Population(SIZES, 1, init_std=0.3, seed=11).candidate(0)
+    population = Population.from_candidates(SIZES, [ancestor])
+    made = PopulationTrainer(
+        Walk((1,)),
+        population,
+        CONFIG,
+        seeds=(1,),
+        names=["c1"],
+        anchor=population.frozen(),
+        bounds=torch.tensor([torch.inf]),
+        weights={"calm": torch.tensor([5.0])},
+        held=held,
+    )
+    sums = []
+    for _ in range(90):
+        data = made.collect()
+        sums.append(float(data["next", "held", "sum"].mean()))
+        made.learn(data)
+    return sums
+
+
+def test_doing_less_of_the_task_is_no_saving_where_it_is_held():
+    free, held = learned(None), learned({"sum": 0.05})
+    assert sum(free[-15:]) / 15 < -0.4  # it would rather keep still
+    assert abs(sum(held[-15:]) / 15) < 0.1
+
+
+@pytest.fixture
+def robot():
+    pytest.importorskip("hts_go1", reason="the robot of this test is not installed")
+    from hts_go1.robot import Go1, Go1Settings
+
+    return Go1(Go1Settings())
+
+
+def test_finetuning_holds_a_velocity_robots_speed_and_goes_on_from_a_checkpoint(robot, monkeypatch, tmp_path):
+    config = FinetuneConfig(
+        num_envs=4,
+        steps=4 * 30 * 3,
+        hold=True,
+        ppo=PPOConfig(horizon=30, epochs=1, minibatches=1),
+        env=EnvConfig(randomisation=RandomisationConfig(models=1), threads=1),
+    )
+    anchors = {"pretrained": load_policy(robot.pretrained_policy(), robot.spec)}
+    group = [Candidate("00-00", "pretrained", {}, 1.0)]
+
+    def tune(checkpoint=None):
+        return module.finetune(robot, "mujoco", config, group, anchors, list, (), seed=3, checkpoint=checkpoint)[0][0]
+
+    whole = tune()
+    errors = [row["held/speed_error"] for row in whole.history]
+    assert errors[0] == 0.0 and all(error != 0.0 for error in errors[1:])  # the first second does not count
+    assert whole.history[-1]["held/speed_error_multiplier"] * errors[-1] < 0
+
+    def save_and_stop(*arguments, really=module.save_checkpoint):
+        really(*arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(module, "save_checkpoint", save_and_stop)
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            tune(tmp_path / "checkpoint")
+    monkeypatch.undo()
+    assert tune(tmp_path / "checkpoint").history == whole.history
+
+
+def test_a_channel_that_the_env_does_not_write_is_refused():
+    spec = Composite(channels=Composite(effort=Unbounded((1, 2)), shape=(1, 2)), shape=(1, 2))
+    with pytest.raises(SimulationError, match=r"finetune.hold: .*'speed_error'"):
+        Held(("speed_error",)).transform_observation_spec(spec)
