@@ -223,8 +223,11 @@ class VelocityEnv(SplitStepEnv):
         """The channels asked for, now; zeros where the physics broke and left numbers that are none."""
         values = {name: self._channel_value(name) for name in self.channel_specs}
         if values and not self.engine.finite_when_diverged:
-            broken = self.engine.diverged.view(*self.shape2, 1)
-            values = {name: value.masked_fill(broken, 0.0) for name, value in values.items()}
+            broken = self.engine.diverged.view(self.shape2)
+            values = {
+                name: value.masked_fill(broken.unsqueeze(-1) if value.ndim > 2 else broken, 0.0)
+                for name, value in values.items()
+            }
         return values
 
     def observations(self) -> dict[str, torch.Tensor]:
