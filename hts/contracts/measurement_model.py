@@ -171,6 +171,19 @@ class MeasurementModel(ABC):
         known = [spread for spread in spreads if spread is not None]
         return Prediction(torch.stack(means), torch.stack(known) if known else None), state
 
+    @property
+    def settles(self) -> bool:
+        """Whether the reward in the env looks at `settled` instead of `step`. By default it does not."""
+        return False
+
+    def settled(self, inputs: torch.Tensor) -> Prediction:
+        """What the target would settle at if these inputs stayed: inputs (W, F) in channel units -> (W,).
+
+        For models that know which part of them is the sensor's own delay: the mean over time is that of `step`, but an
+        action is paid for when it is taken. Under the same rules as `step`. Only asked where `settles` says so.
+        """
+        raise NotImplementedError(f"{type(self).__name__} does not tell its sensor's delay from what is measured.")
+
     def outside(self, inputs: torch.Tensor) -> torch.Tensor:
         """Share of the inputs (..., F) outside the range of the data it was fitted to, (...,); NaN is outside.
 

@@ -29,9 +29,9 @@ class TooFewSegments(EvaluationError):
     numbers: commanded `speed` and mean speed `walked` (None if unknown), m/s; `valid` share of the segments; `falls`.
     """
 
-    def __init__(self, message: str, role: str, numbers: Mapping[str, float | None]) -> None:
+    def __init__(self, message: str, role: str = "policy", numbers: Mapping[str, float | None] | None = None) -> None:
         super().__init__(message)
-        self.role, self.numbers = role, numbers
+        self.role, self.numbers = role, numbers or {}
 
 
 @dataclass(frozen=True)

@@ -106,6 +106,8 @@ class MeasurementTransform(Measured):
         return gather(channels, self.inputs, channels[self.inputs[0]].shape[:2].numel())
 
     def evaluate(self, recorded: Tensor) -> dict[NestedKey, Tensor]:
+        if self._model[0].settles:
+            return self._entries(self._model[0].settled(recorded), recorded)
         prediction, self.memory = self._model[0].step(recorded, self.memory)
         return self._entries(prediction, recorded)
 
@@ -115,6 +117,8 @@ class MeasurementTransform(Measured):
             self.memory = self._model[0].reset(self.memory, ended)
 
     def forward_sequence(self, recorded: Tensor, ended: Tensor) -> dict[NestedKey, Tensor]:
+        if self._model[0].settles:
+            return super().forward_sequence(recorded, ended)
         prediction, self.memory = self._model[0].steps(recorded, self.memory, ended)
         return self._entries(prediction, recorded)
 

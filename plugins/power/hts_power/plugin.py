@@ -28,6 +28,13 @@ def make_battery_current(settings: Settings, context: ModelContext) -> Measureme
     return model.make(settings, context)
 
 
+def make_drive_train(settings: Settings, context: ModelContext) -> MeasurementModel:
+    """Measurement model `drive_train`: the terms of the drives' power, shared between joints built alike."""
+    from hts_power import drive_train_model
+
+    return drive_train_model.make(settings, context)
+
+
 def make_battery_gauge(settings: Settings, robot: Robot) -> Instrument:
     """Instrument `battery_gauge`: drive train, shared bus, battery and gauge of a simulated robot."""
     from hts_power.gauge import make_gauge
@@ -50,6 +57,7 @@ def hts_objectives(register: Callable[[str, Callable[..., Objective]], None]) ->
 @hookimpl
 def hts_measurement_models(register: Callable[[str, Callable[..., MeasurementModel]], None]) -> None:
     register("battery_current", make_battery_current)
+    register("drive_train", make_drive_train)
 
 
 @hookimpl
