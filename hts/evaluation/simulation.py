@@ -3,6 +3,7 @@ one whole trial per env instance."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -23,7 +24,8 @@ class SimulatedTrial:
     """One policy at one speed over its env instances.
 
     falls: instances that fell at least once; mean_speed m/s over those that did not; valid: share of their 1 s segments
-    within the tolerance of the commanded speed; rewards: mean r_real per objective (per second), after settling.
+    within the tolerance of the commanded speed; rewards: mean r_real per objective, task_reward: mean of the task's
+    own, both per second, after settling, over instances that did not fall.
     """
 
     speed: float
@@ -32,6 +34,7 @@ class SimulatedTrial:
     mean_speed: float
     valid: float
     rewards: dict[str, float] = field(default_factory=dict)
+    task_reward: float = math.nan
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
@@ -68,6 +71,7 @@ def simulate(
     sums: dict[str, torch.Tensor] = {}
     steps, counted = round(seconds / env.dt), 0
     speed_sum = torch.zeros(shape, device=env.device)
+    task_sum = torch.zeros(shape, device=env.device)
     for step in range(steps):
         data, state = env.step_and_maybe_reset(act(state))
         after = data["next"]
@@ -76,6 +80,7 @@ def simulate(
             continue
         counted += 1
         speed_sum += _forward_speed(env, after)
+        task_sum += after["reward"].squeeze(-1)
         if counted % per_segment == 0:
             segments.append(speed_sum / per_segment)
             speed_sum = torch.zeros_like(speed_sum)
@@ -104,6 +109,7 @@ def simulate(
                         name: float((total[candidate][stood] / counted).mean()) if some else float("-inf")
                         for name, total in sums.items()
                     },
+                    task_reward=float(task_sum[candidate][stood].mean()) / (counted * env.dt) if some else math.nan,
                 )
             )
         results.append(row)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
-from hts.contracts import SimulatedCandidate
+from hts.contracts import FineTuning, SimulatedCandidate
 from hts.evaluation.simulation import SimulatedTrial, test_config
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
@@ -190,22 +192,24 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     )
     results = dict(zip(names, trials(env, population, test.speeds, test.seconds, test.speed_tolerance), strict=True))
     env.close()
-    judged = [_judge(row, results[row["id"]], test.speed_tolerance) for row in rows]
+    task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
+    judged = [
+        replace(_judge(row, results[row["id"]], test.speed_tolerance), made=fine_tuning(row, task_rewards))
+        for row in rows
+    ]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     able = [
         one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], job.world.simulated)
     ]
     elites = selector.elites(able, config.selection.elites)
     details = {
-        name: [
-            {"speed": t.speed, "falls": t.falls, "mean_speed": t.mean_speed, "valid": t.valid, "rewards": t.rewards}
-            for t in row
-        ]
+        name: [{key: value for key, value in vars(trial).items() if key != "worlds"} for trial in row]
         for name, row in results.items()
     }
     return {
         "scores": {c.id: c.score for c in judged},
         "objective_scores": {name: _scores(row) for name, row in results.items()},  # of the pretrained policy too
+        "task_rewards": task_rewards,  # likewise, per second
         "falls": {c.id: c.falls for c in judged},
         "tracked": {c.id: c.tracked for c in judged},
         "elites": elites,
@@ -220,6 +224,22 @@ def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated:
     simulated: as `World.simulated`; a world that does not say counts as a machine.
     """
     return simulated is True or (candidate.falls == 0 and stopped is None)
+
+
+def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]) -> FineTuning:
+    """How a candidate was made. row: its part of finetune.json; task_rewards: of simulate.json."""
+
+    def number(value: float | None, otherwise: float) -> float:
+        return otherwise if value is None else float(value)  # JSON has neither NaN nor infinity
+
+    return FineTuning(
+        anchor=row["anchor"],
+        weights=row["weights"],
+        kl_bound=number(row["kl_bound"], math.inf),
+        kl=number(row["kl"], math.nan),
+        task_reward=number(task_rewards.get(row["id"]), math.nan),
+        pretrained_task_reward=number(task_rewards.get("pretrained"), math.nan),
+    )
 
 
 def _judge(row: dict[str, Any], results: Sequence[SimulatedTrial], tolerance: float) -> SimulatedCandidate:

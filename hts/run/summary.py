@@ -32,6 +32,7 @@ def summarise(job: Job) -> dict[str, Any]:
                     key: _model(report, tested["model_checks"].get(key)) for key, report in fit.items()
                 },
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
+                "pretrained_task_reward": (simulated.get("task_rewards") or {}).get(PRETRAINED),
                 "candidates": [_candidate(row, simulated, tested) for row in tuned["candidates"]],
             }
         )
@@ -110,6 +111,7 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
         "sim_score": simulated["scores"][name],
         "sim_scores": (simulated.get("objective_scores") or {}).get(name, {}),
         "tracked": simulated["tracked"][name],
+        "task_reward": (simulated.get("task_rewards") or {}).get(name),
         "elite": name in tested["elites"],
         "falls": simulated["falls"][name],
         "real": result.get("real"),

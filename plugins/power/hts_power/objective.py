@@ -60,6 +60,7 @@ class Power(Objective):
     unit = "1"
     inputs = ("joint_torque", "joint_velocity")
     target = Channel("battery_current", "A", (), "drawn from the pack, positive when discharging")
+    also_measured = (Channel("battery_voltage", "V", (), "of the pack, sum of its cells"),)
     instrument = "battery_gauge"
 
     def __init__(self, settings: PowerSettings | None = None) -> None:
