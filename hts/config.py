@@ -140,7 +140,7 @@ class FinetuneConfig(Config):
     max_candidates: int = Field(32, ge=1, description="trained together at most; more go in several groups")
     hold: bool = Field(
         False,
-        description="hold the task's own measure at zero on average (a velocity robot: the relative error of its speed) "
+        description="hold the task's own measure at zero on average (of a velocity robot: its relative speed error) "
         "by a multiplier per candidate, so that doing less of the task is no saving",
     )
     ppo: PPOConfig = Field(default_factory=PPOConfig)

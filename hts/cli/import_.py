@@ -18,6 +18,10 @@ def command(
         Path, typer.Option(metavar="M.yaml", help="Which column is which channel (docs/recordings.md).")
     ],
     to: Annotated[Path, typer.Option(metavar="STORE", help="The store, such as data.zarr. Made if it is not there.")],
+    objective: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Refuse logs that lack what this objective needs. May be repeated."),
+    ] = None,
     drop: Annotated[
         list[str] | None, typer.Option(metavar="CHANNEL", help="Import without this channel. May be repeated.")
     ] = None,
@@ -29,6 +33,7 @@ def command(
     from hts.errors import ConfigError, RecordingError, unknown_name
     from hts.plugins import load
     from hts.recordings.mapping import load_mapping
+    from hts.recordings.needs import check_mapping
     from hts.recordings.reading import read_log
     from hts.recordings.store import RecordingStore
 
@@ -41,6 +46,8 @@ def command(
             known = channels if isinstance(channels, dict) else ()
             raise ConfigError(f"{mapping}: --drop: " + unknown_name("channel", name, known))
         del channels[name]
+    for name in objective or []:
+        check_mapping(registry.make_objective(name), given, mapping)
     groups = [files] if given.get("files") else [[file] for file in files]
     try:
         recordings = [read_log(registry, group, given, machine) for group in groups]

@@ -79,12 +79,13 @@ def _more(registry: Registry, kind: str, name: str) -> Data:
             "facts": {
                 "inputs": list(objective.inputs),
                 "target": objective.target.name,
+                "also measured": [channel.name for channel in objective.also_measured],
                 "instrument": objective.instrument,
                 "improvement in": "a fraction" if objective.unit == "1" else objective.unit,
                 "λ": list(objective.weights),
                 "λ of the baseline": list(objective.baseline_weights),
             },
-            "channels": [_channel(objective.target)],
+            "channels": [_channel(channel) for channel in objective.real_channels],
         }
     if kind == "instruments" and registry.robots:
         instrument = registry.make_instrument(name, {}, registry.make_robot(min(registry.robots)))
@@ -100,8 +101,9 @@ def _real_channels(registry: Registry) -> list[Data]:
             objective = registry.make_objective(name)
         except HtsError:  # one that needs settings: its own page says so
             continue
-        row = rows.setdefault(objective.target.name, {**_channel(objective.target), "for": []})
-        row["for"].append(f"target of {name}")
+        for channel in objective.real_channels:
+            row = rows.setdefault(channel.name, {**_channel(channel), "for": []})
+            row["for"].append(f"{'target of' if channel is objective.target else 'also scored by'} {name}")
     for name in sorted(registry.instruments):
         try:
             instrument = registry.make_instrument(name, {}, registry.make_robot(min(registry.robots)))

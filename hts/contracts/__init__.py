@@ -19,13 +19,14 @@ from hts.contracts.measurement_model import (
 )
 from hts.contracts.objective import Comparison, Objective
 from hts.contracts.robot import JointMotors, Robot, RobotSpec
-from hts.contracts.selector import RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
+from hts.contracts.selector import FineTuning, RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
 from hts.contracts.world import World, WorldContext
 
 __all__ = [
     "MODEL",
     "Comparison",
+    "FineTuning",
     "Installed",
     "Instrument",
     "JointMotors",

@@ -35,16 +35,24 @@ class Objective(ABC):
     """A real channel to improve.
 
     name: as registered; unit: of the improvement ("1" for a fraction); inputs: sim channels the model reads;
-    target: the real channel; weights: default sweep over λ; baseline_weights: the same for the analytic proxy.
+    target: the real channel that the model predicts; also_measured: further real channels that `score` reads, such as
+    a voltage beside a current: no model predicts them, but every log and recording must have them; weights: default
+    sweep over λ; baseline_weights: the same for the analytic proxy.
     """
 
     name: str
     unit: str
     inputs: tuple[str, ...]
     target: Channel
+    also_measured: tuple[Channel, ...] = ()
     weights: tuple[float, ...] = (0.5, 1.0, 5.0)
     baseline_weights: tuple[float, ...] = ()
-    instrument: str | None = None  # name of the instrument that measures `target` on a twin
+    instrument: str | None = None  # name of the instrument that measures the real channels on a twin
+
+    @property
+    def real_channels(self) -> tuple[Channel, ...]:
+        """What only the robot gives and this objective needs: the target, then `also_measured`."""
+        return (self.target, *self.also_measured)
 
     def measurement_model(self) -> Named:
         """The measurement model it uses where nobody chose another, by registered name, with settings.
@@ -67,7 +75,7 @@ class Objective(ABC):
     def compare(self, policy: Mapping[str, float], reference: Mapping[str, float]) -> Comparison:
         """From the means of `score` over a policy's and its reference's segments to one comparison."""
 
-    def real_channels(self, target: np.ndarray, known: Sequence[Recording]) -> Mapping[str, np.ndarray]:
+    def predicted_channels(self, target: np.ndarray, known: Sequence[Recording]) -> Mapping[str, np.ndarray]:
         """Real channels that `score` reads, from the predicted target: for the improvement that a model promises.
 
         target: in its unit, (S, n); known: the recordings that the model was fitted to, from which a rule for further

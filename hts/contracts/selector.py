@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,11 +11,32 @@ from hts.contracts.objective import Comparison
 
 
 @dataclass(frozen=True)
+class FineTuning:
+    """How a candidate was made, and what became of its task.
+
+    anchor: "best", "pretrained" or a candidate's id; weights: λ, one per objective; kl_bound: c in nats, inf without
+    one; kl: mean KL(π ‖ anchor) of the finished policy, nats; task_reward: the task's own reward per second in
+    simulation, by its mean action; pretrained_task_reward: the same of the pretrained policy. NaN: not known, as in
+    runs of earlier versions.
+    """
+
+    anchor: str
+    weights: Mapping[str, float]
+    kl_bound: float
+    kl: float
+    task_reward: float = math.nan
+    pretrained_task_reward: float = math.nan
+
+
+@dataclass(frozen=True)
 class SimulatedCandidate:
     """A candidate after fine-tuning, judged in simulation by its mean action.
 
     score: unweighted mean r_real, larger is better, summed over objectives; falls: worlds that fell; tracked: whether
-    it keeps the speed; scores: the parts of `score`, objective -> mean r_real, in the order of the run's objectives.
+    it keeps the speed; scores: the parts of `score`, objective -> mean r_real, in the order of the run's objectives;
+    made: how; a run always says, made-up candidates may leave it out; predicted: objective -> the selection score that
+    a head-to-head should find, mean over the speeds of the trial, in the objective's unit; without those that no model
+    predicts.
     """
 
     id: str
@@ -22,15 +44,18 @@ class SimulatedCandidate:
     falls: int
     tracked: bool
     scores: Mapping[str, float] = field(default_factory=dict)
+    made: FineTuning | None = None
+    predicted: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class TestedCandidate:
-    """An elite after its head-to-head: one Comparison per objective, and whether it fell."""
+    """An elite after its head-to-head: one Comparison per objective, whether it fell, and how it was made."""
 
     id: str
     comparisons: Mapping[str, Comparison]
     fell: bool
+    made: FineTuning | None = None
 
     __test__ = False  # its name begins like a pytest class
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from hts.channels import SPEED_ERROR
@@ -21,7 +22,7 @@ class VelocityRobot(Robot):
     A robot that wants the task slightly different overrides `make_env` and hands a changed `config` to `super()`.
     """
 
-    held_at_zero = {SPEED_ERROR.name: 0.02}
+    held_at_zero = MappingProxyType({SPEED_ERROR.name: 0.02})
 
     def make_env(
         self,

@@ -66,7 +66,7 @@ def pieces(
     names = {name for recording in known for name in recording.idle}
     levels = {name: float(np.mean([r.idle[name] for r in known if name in r.idle])) for name in names}
     weights = [recording.mass_kg for recording in known if recording.mass_kg is not None]
-    channels = objective.real_channels(target, known)
+    channels = objective.predicted_channels(target, known)
     mass = float(np.mean(weights)) if weights else None
     return PredictedSegments(channels, speed, np.full(len(speed), commanded), levels, mass)
 

@@ -3,6 +3,7 @@ one whole trial per env instance."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -24,9 +25,10 @@ class SimulatedTrial:
     """One policy at one speed over its env instances.
 
     falls: instances that fell at least once; mean_speed m/s over those that did not; valid: share of their 1 s segments
-    within the tolerance of the commanded speed; rewards: mean r_real per objective (per second), after settling;
-    pieces: what was predicted of each target in the 1 s pieces of the instances that did not fall, (S, n) as the model
-    gives it, not yet in the target's unit; piece_speed: mean forward speed of each, m/s (S,).
+    within the tolerance of the commanded speed; rewards: mean r_real per objective, task_reward: mean of the task's
+    own, both per second, after settling, over instances that did not fall;
+    pieces: what was predicted of each target in the 1 s pieces of those instances, (S, n) as the model gives it, not
+    yet in the target's unit; piece_speed: mean forward speed of each, m/s (S,).
     """
 
     speed: float
@@ -35,6 +37,7 @@ class SimulatedTrial:
     mean_speed: float
     valid: float
     rewards: dict[str, float] = field(default_factory=dict)
+    task_reward: float = math.nan
     pieces: dict[str, np.ndarray] = field(default_factory=dict)
     piece_speed: np.ndarray = field(default_factory=lambda: np.empty(0))
 
@@ -74,6 +77,7 @@ def simulate(
     predicted: dict[str, list[torch.Tensor]] = {}  # of each step
     steps, counted = round(seconds / env.dt), 0
     speed_sum = torch.zeros(shape, device=env.device)
+    task_sum = torch.zeros(shape, device=env.device)
     for step in range(steps):
         data, state = env.step_and_maybe_reset(act(state))
         after = data["next"]
@@ -82,6 +86,7 @@ def simulate(
             continue
         counted += 1
         speed_sum += _forward_speed(env, after)
+        task_sum += after["reward"].squeeze(-1)
         if counted % per_segment == 0:
             segments.append(speed_sum / per_segment)
             speed_sum = torch.zeros_like(speed_sum)
@@ -117,6 +122,7 @@ def simulate(
                         name: float((total[candidate][stood] / counted).mean()) if some else float("-inf")
                         for name, total in sums.items()
                     },
+                    task_reward=float(task_sum[candidate][stood].mean()) / (counted * env.dt) if some else math.nan,
                     pieces={
                         name: values[:, :, candidate, stood.cpu()].permute(0, 2, 1).flatten(0, 1).numpy()
                         for name, values in whole.items()

@@ -45,9 +45,9 @@ class LagrangeMultiplier(nn.Module):
 class EqualityMultiplier(nn.Module):
     """Holds the mean of an error e at zero: nu e is added to the reward, and nu moves against the mean.
 
-    nu = I - gain m / scale with I <- I - rate m / scale once per batch, m the batch's mean error: the integral finds the
-    price at which nothing is gained by erring, the proportional part damps its swinging (Stooke, Achiam and Abbeel 2020,
-    "Responsive Safety in Reinforcement Learning by PID Lagrangian Methods", arXiv 2007.03964). nu has either sign.
+    nu = I - gain m / scale with I <- I - rate m / scale once per batch, m the batch's mean error: the integral finds
+    the price at which nothing is gained by erring, the proportional part damps its swinging (Stooke, Achiam and Abbeel
+    2020, "Responsive Safety in Reinforcement Learning by PID Lagrangian Methods", 2007.03964). nu has either sign.
 
     scale: an error that matters, in e's unit, so that rate and gain are per such an error; count: P for one multiplier
     per candidate. Buffers value (nu) and integral, both [P], reward per second and unit of e.

@@ -15,6 +15,7 @@ from hts.errors import ConfigError, PolicyError, RecordingError
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
+from hts.recordings.needs import check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
 from hts.run.provenance import collect as collect_provenance
@@ -124,7 +125,11 @@ class Job:
         return RecordingStore(self.folder / "data.zarr", create=True)
 
     def keep(self, recordings: Sequence[Recording], iteration: int) -> list[str]:
-        """Store recordings; writing one twice is harmless. Returns their ids."""
+        """Store recordings; writing one twice is harmless. Returns their ids.
+
+        Raises RecordingError, with nothing stored, if one lacks what an objective of this run measures.
+        """
+        check_recorded(self.objectives.values(), recordings)
         return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
 
     def recordings(self, ids: Sequence[str]) -> list[Recording]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
-from hts.contracts import MeasurementModel, Objective, SimulatedCandidate
+from hts.contracts import FineTuning, MeasurementModel, Objective, SimulatedCandidate
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, test_config
@@ -203,22 +205,28 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     results = dict(zip(names, trials(env, population, test.speeds, test.seconds, test.speed_tolerance), strict=True))
     env.close()
     promised = _promised(job, iteration, results)
-    judged = [_judge(row, results[row["id"]], test.speed_tolerance) for row in rows]
+    task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
+    judged = [
+        replace(
+            _judge(row, results[row["id"]], test.speed_tolerance),
+            made=fine_tuning(row, task_rewards),
+            predicted=_gain(promised.get(row["id"], {})),
+        )
+        for row in rows
+    ]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     able = [
         one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], job.world.simulated)
     ]
     elites = selector.elites(able, config.selection.elites)
     details = {
-        name: [
-            {"speed": t.speed, "falls": t.falls, "mean_speed": t.mean_speed, "valid": t.valid, "rewards": t.rewards}
-            for t in row
-        ]
+        name: [{key: value for key, value in vars(trial).items() if key != "worlds"} for trial in row]
         for name, row in results.items()
     }
     return {
         "scores": {c.id: c.score for c in judged},
         "objective_scores": {name: _scores(row) for name, row in results.items()},  # of the pretrained policy too
+        "task_rewards": task_rewards,  # likewise, per second
         "falls": {c.id: c.falls for c in judged},
         "tracked": {c.id: c.tracked for c in judged},
         "elites": elites,
@@ -262,12 +270,37 @@ def _promised(
     return found
 
 
+def _gain(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, float]:
+    """Objective -> the mean over speeds of the selection score that is predicted; only what is predicted at all."""
+    return {
+        key: sum(one["selection_score"] for one in speeds.values()) / len(speeds)
+        for key, speeds in promised.items()
+        if speeds
+    }
+
+
 def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:
     """A machine never gets a candidate that fell in simulation, or whose training was stopped; a simulated world may.
 
     simulated: as `World.simulated`; a world that does not say counts as a machine.
     """
     return simulated is True or (candidate.falls == 0 and stopped is None)
+
+
+def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]) -> FineTuning:
+    """How a candidate was made. row: its part of finetune.json; task_rewards: of simulate.json."""
+
+    def number(value: float | None, otherwise: float) -> float:
+        return otherwise if value is None else float(value)  # JSON has neither NaN nor infinity
+
+    return FineTuning(
+        anchor=row["anchor"],
+        weights=row["weights"],
+        kl_bound=number(row["kl_bound"], math.inf),
+        kl=number(row["kl"], math.nan),
+        task_reward=number(task_rewards.get(row["id"]), math.nan),
+        pretrained_task_reward=number(task_rewards.get("pretrained"), math.nan),
+    )
 
 
 def _judge(row: dict[str, Any], results: Sequence[SimulatedTrial], tolerance: float) -> SimulatedCandidate:

@@ -33,6 +33,7 @@ def summarise(job: Job) -> dict[str, Any]:
                 },
                 **({"trust_region": tested["trust_region"]} if "trust_region" in tested else {}),
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
+                "pretrained_task_reward": (simulated.get("task_rewards") or {}).get(PRETRAINED),
                 "candidates": [_candidate(row, simulated, tested) for row in tuned["candidates"]],
             }
         )
@@ -111,6 +112,7 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
         "sim_score": simulated["scores"][name],
         "sim_scores": (simulated.get("objective_scores") or {}).get(name, {}),
         "tracked": simulated["tracked"][name],
+        "task_reward": (simulated.get("task_rewards") or {}).get(name),
         "elite": name in tested["elites"],
         "falls": simulated["falls"][name],
         "predicted": (simulated.get("predicted") or {}).get(name, {}),

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from hts.contracts import Comparison, RacedCandidate, Rounds, Selector, TestedCandidate
+from hts.contracts import Comparison, FineTuning, RacedCandidate, Rounds, Selector, TestedCandidate
 from hts.evaluation.final import CandidateResult, candidate_result
 from hts.evaluation.halves import Half, halves
 from hts.measurement import files
 from hts.measurement.checks import check
 from hts.recordings.recording import Recording
 from hts.run.job import Job
-from hts.run.learning import bound_scale, model_path
+from hts.run.learning import bound_scale, fine_tuning, model_path
 from hts.run.trust_region import agreement, next_scale, tried_elites
 
 Report = Callable[[float], None]
@@ -42,9 +42,9 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     settings = job.config.selection.selector
     selector = job.registry.make_selector(settings.name, settings.settings)
     rounds = selector.rounds()
-    tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None and elites else None
+    tests = in_rounds(job, iteration, elites, selector, rounds, report) if rounds is not None and elites else None
     if tests is None:  # this selector, or this world, knows no rounds
-        tests = whole(job, elites, report)
+        tests = whole(job, iteration, elites, report)
     ids = job.keep(tests.recorded, iteration + 1)
     tested = [found.tested for found in tests.results.values() if found.tested is not None]
     incumbent = _incumbent(job, iteration, best)
@@ -66,17 +66,19 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
 test.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 
-def whole(job: Job, elites: Sequence[str], report: Report) -> Tests:
+def whole(job: Job, iteration: int, elites: Sequence[str], report: Report) -> Tests:
     """A whole head-to-head of each elite."""
     job.watch(report)
     speeds = (job.config.selection.speed,)
     sessions = job.world.head_to_heads([job.exported(elite) for elite in elites], job.exported("pretrained"), speeds)
     of = {elite: list(session) for elite, session in zip(elites, sessions, strict=True)}
-    results = {elite: _result(job, elite, recordings) for elite, recordings in of.items()}
+    results = {elite: _result(job, iteration, elite, recordings) for elite, recordings in of.items()}
     return Tests(of, [recording for session in of.values() for recording in session], results)
 
 
-def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Rounds, report: Report) -> Tests | None:
+def in_rounds(
+    job: Job, iteration: int, elites: Sequence[str], selector: Selector, rounds: Rounds, report: Report
+) -> Tests | None:
     """Short head-to-heads of those that are still racing; None if the world knows no rounds."""
     reference, speed = job.exported("pretrained"), job.config.selection.speed
 
@@ -86,7 +88,7 @@ def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Round
         return job.world.head_to_head_round(policies, reference, speed, number, rounds.block_seconds)
 
     def judge(elite: str, recordings: Sequence[Recording]) -> CandidateResult:
-        return _result(job, elite, recordings)
+        return _result(job, iteration, elite, recordings)
 
     tests = race(elites, selector, rounds, ask, judge, lambda row: halves(job.objectives, row, job.config.evaluation))
     if tests is None:
@@ -132,8 +134,18 @@ def race(
     return tests
 
 
-def _result(job: Job, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
-    return candidate_result(elite, job.objectives, recordings, job.config.evaluation, job.seed("interval", elite))
+def _result(job: Job, iteration: int, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
+    found = candidate_result(elite, job.objectives, recordings, job.config.evaluation, job.seed("interval", elite))
+    if found.tested is None:
+        return found
+    return replace(found, tested=replace(found.tested, made=_made(job, iteration, elite)))
+
+
+def _made(job: Job, iteration: int, name: str) -> FineTuning:
+    """How a candidate of this iteration was made."""
+    folder = f"iterations/{iteration:02d}"
+    row = next(one for one in job.read(f"{folder}/finetune")["candidates"] if one["id"] == name)
+    return fine_tuning(row, job.read(f"{folder}/simulate").get("task_rewards") or {})
 
 
 def _scores(tested: TestedCandidate | None) -> dict[str, float] | None:
@@ -157,12 +169,13 @@ def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
     """The best so far as it was measured in its own iteration; nobody before the first success."""
     if best == "pretrained":
         return []
-    row: Mapping[str, Any] = job.read(f"iterations/{best.split('-')[0]}/test")["results"][best]
+    iteration = int(best.split("-")[0])
+    row: Mapping[str, Any] = job.read(f"iterations/{iteration:02d}/test")["results"][best]
     comparisons = {}
     for name, score in row["tested"]["selection_score"].items():
         (entry,) = row["real"][name].values()
         comparisons[name] = Comparison(entry["improvement"], score, entry["metrics"])
-    return [TestedCandidate(best, comparisons, row["tested"]["fell"])]
+    return [TestedCandidate(best, comparisons, row["tested"]["fell"], _made(job, iteration, best))]
 
 
 def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -172,7 +185,10 @@ def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -
         return {}
     stage = f"iterations/{iteration:02d}"
     predicted = job.read(f"{stage}/simulate")["predicted"]
-    rows = {row["id"]: row | {"predicted": predicted.get(row["id"], {})} for row in job.read(f"{stage}/finetune")["candidates"]}
+    rows = {
+        row["id"]: row | {"predicted": predicted.get(row["id"], {})}
+        for row in job.read(f"{stage}/finetune")["candidates"]
+    }
     tried = tried_elites(next(iter(job.objectives)), rows, results)
     scale, why = next_scale(bound_scale(job, iteration), tried, config)
     return {"trust_region": {"scale": scale, "why": why, **agreement(tried).entry()}}

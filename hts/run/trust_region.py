@@ -62,7 +62,9 @@ def agreement(tried: Sequence[Tried]) -> Agreement:
     degrees = len(tried) - 1
     scatter = sum((one.measured - rho * one.predicted) ** 2 for one in tried) * len(tried) / max(1, degrees)
     # What the elites scatter holds their measurement errors too: the larger of the two is the safe one.
-    quantile = stats.t.ppf((1 + LEVEL) / 2, degrees) if degrees and scatter > measured else stats.norm.ppf((1 + LEVEL) / 2)
+    quantile = (
+        stats.t.ppf((1 + LEVEL) / 2, degrees) if degrees and scatter > measured else stats.norm.ppf((1 + LEVEL) / 2)
+    )
     half = float(quantile * math.sqrt(max(scatter if degrees else 0.0, measured)) / total)
     return Agreement(rho, (rho - half, rho + half))
 

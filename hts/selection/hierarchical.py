@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -20,6 +21,15 @@ class HierarchicalSettings(Config):
         None, description="whose selection score decides when several run together; none: the first one of the run"
     )
     allow_falls: bool = Field(False, description="may a candidate that fell in reality be the best one")
+    each_bound: bool = Field(
+        False, description="the best of each KL bound is an elite, before any second one: what a trust region judges by"
+    )
+    at_random: int = Field(
+        0,
+        ge=0,
+        description="so many of the elites are drawn among those that keep speed and feet: the best by a model are the "
+        "ones it overrates most (winner's curse)",
+    )
 
 
 class Hierarchical(Selector):
@@ -35,15 +45,27 @@ class Hierarchical(Selector):
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
         """Ids of the `count` best, best first. A score that is not a number ranks last of all.
 
-        With several objectives the one that decides on the best decides here too, by its own score.
+        With several objectives the one that decides on the best decides here too, by its own score: the improvement
+        that is predicted, where it is for all candidates, else mean r_real.
         """
+        promised = all(self._deciding(one.scores) in one.predicted for one in candidates if one.scores)
 
         def key(candidate: SimulatedCandidate) -> tuple[bool, bool, bool, float]:
-            score = candidate.scores[self._deciding(candidate.scores)] if candidate.scores else candidate.score
+            score = candidate.score
+            if candidate.scores:
+                name = self._deciding(candidate.scores)
+                score = candidate.predicted[name] if promised else candidate.scores[name]
             unknown = math.isnan(score)
             return (unknown, candidate.falls > 0, not candidate.tracked, 0.0 if unknown else -score)
 
-        return [candidate.id for candidate in sorted(candidates, key=key)[:count]]
+        ordered = sorted(candidates, key=key)
+        if self.settings.each_bound:
+            firsts = list({_bound(candidate): candidate for candidate in reversed(ordered)}.values())
+            ordered = sorted(ordered, key=lambda candidate: (candidate not in firsts, *key(candidate)))
+        drawn = min(self.settings.at_random, max(0, count - 1))
+        chosen, rest = ordered[: count - drawn], ordered[count - drawn :]
+        sound = [candidate for candidate in rest if candidate.falls == 0 and candidate.tracked]
+        return [candidate.id for candidate in (*chosen, *sorted(sound, key=_lot)[:drawn])]
 
     def best(self, tested: Sequence[TestedCandidate]) -> str | None:
         """Id with the highest selection score above zero; None if no candidate improves on the reference.
@@ -68,6 +90,16 @@ class Hierarchical(Selector):
         if name not in objectives:
             raise ConfigError("Selector 'hierarchical': " + unknown_name("objective", name, objectives))
         return name
+
+
+def _bound(candidate: SimulatedCandidate) -> float:
+    """c, nats; one value for all that do not say."""
+    return candidate.made.kl_bound if candidate.made is not None else math.inf
+
+
+def _lot(candidate: SimulatedCandidate) -> bytes:
+    """A draw that only hangs on who it is, so that asking again gives the same: not on any score."""
+    return hashlib.sha256(candidate.id.encode()).digest()
 
 
 def make(settings: Settings) -> Selector:

@@ -45,10 +45,12 @@ class KnownWorld(World):
         settings: Settings | None = None,
         seed: int = 0,
     ) -> None:
-        """idle: level per real channel, in its unit; extra: real channels beside the objectives' targets."""
+        """idle: level per real channel, in its unit; extra: real channels beside those of the objectives. A saving
+        lowers those that have an idle level."""
         self.robot, self.settings, self.seed = robot, settings or Settings(), seed
         self._idle = dict(idle)
-        self.real = {channel.name: channel for channel in (*extra, *(objective.target for objective in objectives))}
+        measured = (channel for objective in objectives for channel in objective.real_channels)
+        self.real = {channel.name: channel for channel in (*extra, *measured)}
 
     def idle(self) -> Mapping[str, float]:
         return dict(self._idle)

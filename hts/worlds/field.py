@@ -17,8 +17,9 @@ from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
 from hts.contracts import Installed, Settings, World, WorldContext
-from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError, unknown_name
+from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
+from hts.recordings.needs import check_mapping
 from hts.recordings.recording import Recording
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out, walking
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
@@ -69,13 +70,8 @@ class FieldWorld(World):
             return
         registry, mapping = self._registry, self._mapping()
         registry.make_log_reader(reader_name(mapping), {})
-        channels = mapping.get("channels")
         for name, settings in self._context.objectives.items():
-            objective = registry.make_objective(name, settings)
-            for wanted in (*objective.inputs, objective.target.name):
-                if isinstance(channels, Mapping) and wanted not in channels:
-                    text = unknown_name("channel of this mapping", wanted, channels)
-                    raise ConfigError(f"{self._mapping_path()}: objective '{name}' needs '{wanted}'. {text}")
+            check_mapping(registry.make_objective(name, settings), mapping, self._mapping_path())
 
     def collect(self, policies: Sequence[Path], schedule: ScheduleConfig) -> list[Recording]:
         request = self._request("collect", policies, schedule.model_dump(mode="json"))
@@ -196,8 +192,8 @@ class FieldWorld(World):
         real: dict[str, Channel] = {}
         for name, settings in self._context.objectives.items():
             objective = registry.make_objective(name, settings)
-            real[objective.target.name] = objective.target
-            if objective.instrument is not None:  # it tells what else the score needs beside the target
+            real |= {channel.name: channel for channel in objective.real_channels}
+            if objective.instrument is not None:  # some tell there what else the score needs
                 instrument = registry.make_instrument(objective.instrument, {}, robot)
                 levels = instrument.idle()
                 real |= {channel.name: channel for channel in instrument.channels if channel.name in levels}

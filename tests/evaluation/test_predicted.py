@@ -18,7 +18,7 @@ class Effort:
 
     target = SimpleNamespace(name="effort")
 
-    def real_channels(self, target, known):
+    def predicted_channels(self, target, known):
         return {"effort": target}
 
     def score(self, segments):
@@ -69,7 +69,10 @@ def test_power_predicts_its_voltage_by_the_sag_in_the_recordings():
     current = np.repeat(rng.uniform(2, 12, 40), RATE)  # 1 s at each level
     values = {"battery_current": current, "battery_voltage": 25.0 - 0.15 * current}
     recording = SimpleNamespace(
-        rate_hz=float(RATE), values=values.__getitem__, idle={"battery_current": 1.2, "battery_voltage": 24.8}, mass_kg=12.0
+        rate_hz=float(RATE),
+        values=values.__getitem__,
+        idle={"battery_current": 1.2, "battery_voltage": 24.8},
+        mass_kg=12.0,
     )
 
     def seen(amperes):

@@ -68,7 +68,11 @@ def entry(improvement, width=0.02):
 
 def test_elites_are_read_from_a_run():
     candidates = {
-        name: {"kl": 0.9, "kl_bound": 1.0, "predicted": {"power": {"0.5": {"improvement": 0.2}, "0.8": {"improvement": 0.1}}}}
+        name: {
+            "kl": 0.9,
+            "kl_bound": 1.0,
+            "predicted": {"power": {"0.5": {"improvement": 0.2}, "0.8": {"improvement": 0.1}}},
+        }
         for name in ("a", "b", "c", "d")
     }
     candidates["d"]["predicted"] = {}

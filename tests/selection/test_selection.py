@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hts.contracts import Comparison, SimulatedCandidate
+from hts.contracts import Comparison, FineTuning, SimulatedCandidate
 from hts.contracts import TestedCandidate as Elite  # under its own name pytest takes it for a test class
 from hts.errors import ConfigError
 from hts.selection.hierarchical import make
@@ -79,3 +79,35 @@ def test_with_several_objectives_the_same_one_decides_in_simulation():
 def test_naming_an_objective_that_does_not_run_is_refused():
     with pytest.raises(ConfigError, match="No objective named 'yy'. Did you mean 'y'"):
         make({"objective": "yy"}).best([elite("a", x=0.3, y=0.1)])
+
+
+def bounded(name, score, bound, promised=None, **flags):
+    made = FineTuning("best", {"x": 1.0}, bound, 0.9 * bound)
+    predicted = {} if promised is None else {"x": promised}
+    return SimulatedCandidate(
+        name, score, flags.get("falls", 0), flags.get("tracked", True), {"x": score}, made, predicted
+    )
+
+
+def test_what_a_model_promises_ranks_before_the_reward_where_it_promises_all():
+    promised = [bounded("a", 2.0, 1.0, 0.1), bounded("b", 1.0, 1.0, 0.2)]
+    assert make({}).elites(promised, 1) == ["b"]
+    assert make({}).elites([*promised, bounded("c", 3.0, 1.0)], 1) == ["c"]
+
+
+def test_the_best_of_each_bound_is_tried_before_any_second_one():
+    group = [bounded("a", 5, 4.0), bounded("b", 4, 4.0), bounded("c", 1, 1.0), bounded("d", 2, 1.0)]
+    assert make({}).elites(group, 2) == ["a", "b"]
+    assert make({"each_bound": True}).elites(group, 3) == ["a", "d", "b"]
+
+
+def test_a_drawn_elite_does_not_hang_on_scores_and_is_sound():
+    def drawn(scores):
+        group = [bounded(f"{i:02d}", score, 1.0, falls=int(i == 3)) for i, score in enumerate(scores)]
+        elites = make({"at_random": 1}).elites(group, 2)
+        assert elites[0] == f"{scores.index(max(scores)):02d}" and len(set(elites)) == 2
+        return elites[1]
+
+    first = drawn([9.0, 1, 2, 8, 4, 5])
+    assert first != "03"
+    assert drawn([9.0, 5, 4, 8, 2, 1]) == first

@@ -85,8 +85,8 @@ def rest_of(kind: str, entry: Entry, registry: Registry) -> tuple[Any, ...]:
 
 
 def real_channels(objective: Objective, registry: Registry) -> dict[str, Channel]:
-    """What the robot alone gives for an objective: its target and whatever else its instrument measures."""
-    real = {objective.target.name: objective.target}
+    """What the robot alone gives for an objective: what it measures and whatever else its instrument does."""
+    real = {channel.name: channel for channel in objective.real_channels}
     if objective.instrument is not None:
         instrument = registry.make_instrument(objective.instrument, {}, Tiny())
         real |= {channel.name: channel for channel in instrument.channels}

@@ -26,7 +26,8 @@ def has_its_parts(entry: Entry, registry: Registry) -> None:
     ensure(isinstance(objective, Objective), f"is a {type(objective).__name__}, not a hts.contracts.Objective")
     ensure(objective.name == entry.name, f"calls itself '{objective.name}'")
     ensure(units.known(str(objective.unit)), units.unknown(str(objective.unit)))
-    ensure(isinstance(objective.target, Channel), f"its target is a {type(objective.target).__name__}")
+    for what, channel in [("target", objective.target), *(("also_measured", c) for c in objective.also_measured)]:
+        ensure(isinstance(channel, Channel), f"its {what} is a {type(channel).__name__}")
     ensure(bool(objective.inputs) and not isinstance(objective.inputs, str), f"its inputs are {objective.inputs!r}")
     for what in ("weights", "baseline_weights"):
         values = getattr(objective, what)
@@ -35,29 +36,30 @@ def has_its_parts(entry: Entry, registry: Registry) -> None:
 
 
 def channels_are_known(entry: Entry, registry: Registry) -> None:
-    """Its inputs are sim channels of some installed robot, and its target is not one of them."""
+    """Its inputs are sim channels of some installed robot, and what it measures is none of them."""
     objective, known = entry.factory({}), sim_channels(registry)
     for name in objective.inputs:
         ensure(name in known, unknown_name("channel", name, known))
-    target = objective.target.name
-    ensure(target not in known, f"its target '{target}' is a sim channel already: nothing is left to be measured")
+    for name in (channel.name for channel in objective.real_channels):
+        what = "target" if name == objective.target.name else "also_measured"
+        ensure(name not in known, f"its {what} '{name}' is a sim channel already: nothing is left to be measured")
 
 
 def instrument_measures_the_target(entry: Entry, registry: Registry) -> None:
-    """The instrument that it names for twins is installed and gives its target, with that unit and shape."""
+    """The instrument that it names for twins is installed and gives what it measures, with that unit and shape."""
     objective = entry.factory({})
     if objective.instrument is None:
         return
     instrument = registry.make_instrument(objective.instrument, {}, Tiny())
     given = {channel.name: channel for channel in instrument.channels}
-    target = objective.target
-    ensure(target.name in given, f"instrument '{objective.instrument}' gives {listed(given)}, not '{target.name}'")
-    found = given[target.name]
-    ensure(
-        (found.unit, found.shape) == (target.unit, target.shape),
-        f"'{target.name}' is {target.unit} {target.shape} here and {found.unit} {found.shape} in "
-        f"'{objective.instrument}'",
-    )
+    for wanted in objective.real_channels:
+        ensure(wanted.name in given, f"instrument '{objective.instrument}' gives {listed(given)}, not '{wanted.name}'")
+        found = given[wanted.name]
+        ensure(
+            (found.unit, found.shape) == (wanted.unit, wanted.shape),
+            f"'{wanted.name}' is {wanted.unit} {wanted.shape} here and {found.unit} {found.shape} in "
+            f"'{objective.instrument}'",
+        )
 
 
 def model_is_registered(entry: Entry, registry: Registry) -> None:

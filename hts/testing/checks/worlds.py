@@ -106,8 +106,8 @@ def _whole(recording: Recording, case: Case, world: str, seconds: float, folder:
         abs(recording.seconds - seconds) < 0.1 * seconds,
         f"{seconds:g} s were asked for, {recording.seconds:g} s are recorded",
     )
-    target = case.objective.target
-    wanted = {**case.robot.channels(), target.name: target}
+    measured = {channel.name: channel for channel in case.objective.real_channels}
+    wanted = {**case.robot.channels(), **measured}
     lacking = set(wanted) - set(recording.channels)
     ensure(not lacking, f"its recordings lack {listed(lacking)}")
     for name, channel in wanted.items():

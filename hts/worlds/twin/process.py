@@ -49,8 +49,9 @@ class Twin:
         self.settings = TwinSettings.model_validate(start["settings"])
         self.robot = registry.make_robot(start["robot"], start["robot_settings"])
         self.seed, self.name = int(start["seed"]), start["name"]
-        self.targets = {
-            name: registry.make_objective(name, settings).target.name for name, settings in start["objectives"].items()
+        self.wanted = {
+            name: [channel.name for channel in registry.make_objective(name, settings).real_channels]
+            for name, settings in start["objectives"].items()
         }
         self._make = lambda: make_instruments(registry, self.robot, start["objectives"], self.settings.instruments)
         self._make()  # wrong settings are refused at once
@@ -64,15 +65,15 @@ class Twin:
         return levels
 
     def check(self) -> str:
-        """A twin of this robot can be made, and its instruments measure every objective's target."""
+        """A twin of this robot can be made, and its instruments measure what every objective wants."""
         from hts.worlds.twin.model import build
 
-        levels = self.idle()
-        for name, target in self.targets.items():
-            if target not in levels:
+        shown = {channel.name for instrument in self._make().values() for channel in instrument.channels}
+        for name, target in ((name, one) for name, wanted in self.wanted.items() for one in wanted):
+            if target not in shown:
                 raise UnfitWorldError(
                     f"Objective '{name}' wants '{target}', which no instrument of this twin measures "
-                    f"({', '.join(sorted(levels))}). Name the right one in the objective's class."
+                    f"({', '.join(sorted(shown))}). Name the right one in the objective's class."
                 )
         build(self.robot, self.settings.dynamics)
         return "ready"

@@ -8,10 +8,10 @@ q'^2, and tau^4 for motors that saturate. h is the sensor: it averages and is la
 its idle level, which every recording says.
 
 Joints of one kind (the hips, the thighs, ...) are built alike: their weights are a common one plus a deviation each,
-and both are penalised, the deviations more (a hierarchical linear model; penalties by cross-validation over policies, or
-over recordings while there are few policies). So ten parameters carry most of a fit, and a few minutes of walking
-determine them; what they leave open is the posterior covariance, from which every prediction has its own standard
-deviation.
+and both are penalised, the deviations more (a hierarchical linear model; penalties by cross-validation over policies,
+or over recordings while there are few policies). So some twenty numbers carry most of a fit, and a few minutes of
+walking determine them; what they leave open is the posterior covariance, from which every prediction has its own
+standard deviation.
 
 Inside the env the reward looks at s itself (`settled`): it has the same mean as z without the sensor's delay, so an
 action is paid for when it is taken and not half a second later.
@@ -58,7 +58,8 @@ class DriveTrainSettings(Config):
         1.0, ge=0, description="β: the reward is that of the worse end of mean ± β standard deviations; 0: of the mean"
     )
     instant: bool = Field(
-        True, description="reward each action when it is taken, without the sensor's delay; false: as the sensor shows it"
+        True,
+        description="reward each action when it is taken, without the sensor's delay; false: as the sensor shows it",
     )
 
 
@@ -123,8 +124,8 @@ class DriveTrain(TorchModel):
         progress: Progress | None = None,
         warm_start: MeasurementModel | None = None,
     ) -> dict[str, Any]:
-        """Drives and sensor in turn, each by least squares in double precision; seed, epochs and warm start have nothing
-        to change in it."""
+        """Drives and sensor in turn, each by least squares in double precision; seed, epochs and warm start have
+        nothing to change in it."""
         began = time.monotonic()
         pieces = training_data(self.signals, recordings)
         with one_thread():
@@ -285,9 +286,7 @@ class _Drives:
         self.weight, self.bias, self.error = np.zeros(size), 0.0, math.inf
         self.penalties = (COMMON[0], OWN[0])
 
-    def fit(
-        self, shown: Sequence[np.ndarray], targets: Sequence[np.ndarray], folds: np.ndarray, longest: int
-    ) -> None:
+    def fit(self, shown: Sequence[np.ndarray], targets: Sequence[np.ndarray], folds: np.ndarray, longest: int) -> None:
         """shown: terms as the sensor shows them, (T, TERMS · J) of each recording; folds: a number of each."""
         sums = [_Sums.of(terms, target, longest) for terms, target in zip(shown, targets, strict=True)]
         whole = _Sums.total(sums)
@@ -364,7 +363,9 @@ class _Sums:
 
     @classmethod
     def total(cls, sums: Sequence[_Sums]) -> _Sums:
-        return cls(sum(s.count for s in sums), sum(s.xx for s in sums), sum(s.xy for s in sums), sum(s.yy for s in sums))
+        return cls(
+            sum(s.count for s in sums), sum(s.xx for s in sums), sum(s.xy for s in sums), sum(s.yy for s in sums)
+        )
 
     def minus(self, other: _Sums) -> _Sums:
         return _Sums(self.count - other.count, self.xx - other.xx, self.xy - other.xy, self.yy - other.yy)

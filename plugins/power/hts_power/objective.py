@@ -61,6 +61,7 @@ class Power(Objective):
     unit = "1"
     inputs = ("joint_torque", "joint_velocity")
     target = Channel("battery_current", "A", (), "drawn from the pack, positive when discharging")
+    also_measured = (Channel("battery_voltage", "V", (), "of the pack, sum of its cells"),)
     instrument = "battery_gauge"
 
     def __init__(self, settings: PowerSettings | None = None) -> None:
@@ -99,7 +100,7 @@ class Power(Objective):
         smaller = min(net, metrics["cost_of_transport_reduction"])
         return Comparison(net, smaller if self.settings.criterion == "smaller" else net, metrics)
 
-    def real_channels(self, target: np.ndarray, known: Sequence[Recording]) -> Mapping[str, np.ndarray]:
+    def predicted_channels(self, target: np.ndarray, known: Sequence[Recording]) -> Mapping[str, np.ndarray]:
         """Voltage follows from current: the line through the known recordings' 1 s means, which is the pack's sag at
         the charge it had (V = V_0 - R I). Charge and heat are the same for a policy and its reference."""
         return {"battery_current": target, "battery_voltage": voltage_line(known)(target)}
