@@ -33,6 +33,7 @@ from hts.training.sweep import FRONT, Candidate, candidates
 from hts.training.trainer import BatchStats
 
 Report = Callable[[float], None]
+NOT_WRITTEN = ("worlds", "pieces", "piece_speed")  # of a trial: what the stage's result is made from
 
 
 def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
@@ -220,7 +221,7 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     ]
     elites = selector.elites(able, config.selection.elites)
     details = {
-        name: [{key: value for key, value in vars(trial).items() if key != "worlds"} for trial in row]
+        name: [{key: value for key, value in vars(trial).items() if key not in NOT_WRITTEN} for trial in row]
         for name, row in results.items()
     }
     return {
