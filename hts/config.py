@@ -289,6 +289,12 @@ class RunConfig(Config):
     evaluation: EvaluationConfig = Field(default_factory=EvaluationConfig)
     provenance: ProvenanceConfig = Field(default_factory=ProvenanceConfig)
 
+    @property
+    def records_first(self) -> bool:
+        """Whether real data are recorded before any candidate is tried: models are fitted to them, and a trust region
+        needs them to say what a proxy promises."""
+        return self.reward_source == "model" or self.sweep.trust_region.enabled
+
     @model_validator(mode="after")
     def _something_to_learn(self) -> RunConfig:
         given = [self.sweep.weights.get(name) for name in self.objectives]

@@ -23,7 +23,7 @@ from hts.guarded import guarded
 from hts.layers import in_full as written_out
 from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
-from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
+from hts.presets import ASKS_OBJECTIVES, BASELINES, DEFAULT, PRESETS, SEVERAL
 from hts.yaml_text import load_mapping_file
 
 if TYPE_CHECKING:
@@ -49,11 +49,15 @@ def load_config(
     executor: str | None = None,
     seed: int | None = None,
     reward_source: str | None = None,
+    baseline: bool = False,
     overrides: Sequence[str | Override] = (),
+    registry: Registry | None = None,
 ) -> RunConfig:
     """The configuration of a run. Raises ConfigError, one line, for anything that is wrong with it.
 
-    objectives: if any are given, exactly these; settings for them still come from the file.
+    objectives: if any are given, exactly these; settings for them still come from the file. baseline: the sweep and the
+    budget of `hts baseline`, with the analytic proxy as reward. registry: all that is installed, for presets that ask
+    objectives for settings of their own; None: loaded then.
     overrides: KEY=VALUE each, the key dotted, the value as YAML; or such a pair already taken apart.
     """
     sets = parsed(overrides)
@@ -72,8 +76,9 @@ def load_config(
     options = {key: value for key, value in given.items() if value is not None}
     names = _objectives(objectives, written, last, sets)
     several = SEVERAL[chosen] if len(names) > 1 else {}
-    baseline = BASELINES[chosen] if reward_source == "proxy" else {}
-    layers = (PRESETS[chosen], several, baseline, written, options)
+    without = {**BASELINES[chosen], "reward_source": "proxy"} if baseline else {}
+    own = {"objectives": _of_objectives(names, chosen, registry)} if chosen in ASKS_OBJECTIVES else {}
+    layers = (PRESETS[chosen], own, several, without, written, options)
     below = laid(*layers)
     for override in sets:
         check_has_keys(below, override)
@@ -81,6 +86,17 @@ def load_config(
     values["preset"] = chosen
     values["objectives"] = {name: (values.get("objectives") or {}).get(name, {}) for name in names}
     return _whole(values, _origin(file, written, sets))
+
+
+def _of_objectives(names: Sequence[str], preset: str, registry: Registry | None) -> dict[str, Mapping[str, Any]]:
+    """What the objectives' plugins say of themselves for a preset: the attribute `presets` of their factories."""
+    if registry is None:
+        from hts import plugins
+
+        registry = plugins.load()
+    offered = registry.offered("objectives")  # a name that is not among them is refused later, with the closest one
+    factories = {name: offered[name].factory for name in names if name in offered}
+    return {name: getattr(factory, "presets", {}).get(preset, {}) for name, factory in factories.items()}
 
 
 def load_section(

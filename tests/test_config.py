@@ -43,7 +43,7 @@ def test_every_preset_is_a_whole_configuration(preset):
     assert config.preset == preset
     assert config.world.name == "twin"
     assert config.selection.selector.name == "hierarchical"
-    fake_config(preset=preset, reward_source="proxy")
+    fake_config(preset=preset, baseline=True)
     assert preset in BASELINES
 
 
@@ -63,7 +63,7 @@ def test_the_paper_preset_has_the_numbers_of_the_paper():
 
 
 def test_the_baseline_of_the_paper_has_as_many_samples_and_tests_as_the_method():
-    method, baseline = fake_config(preset="paper"), fake_config(preset="paper", reward_source="proxy")
+    method, baseline = fake_config(preset="paper"), fake_config(preset="paper", baseline=True)
     assert baseline.iterations * baseline.selection.elites == method.iterations * method.selection.elites == 24
     assert baseline.finetune.steps == method.iterations * method.finetune.steps
     assert baseline.sweep.kl_bounds == (0.1, 0.2, 0.5, 1.0, 5.0, math.inf)
@@ -256,3 +256,23 @@ def test_an_objective_without_settings_in_a_file_is_fine(tmp_path):
 )
 def test_values_of_another_kind_end_in_one_line(tmp_path, text):
     assert refusal(file=write(tmp_path, text + "\n"), objectives=[])
+
+
+def test_the_letter_of_the_paper_holds_for_what_an_objective_says_itself():
+    pytest.importorskip("hts_power", reason="the objective of this test is not installed")
+    exact = load_config(preset="paper-exact", objectives=["power"], robot="go1")
+    assert exact.objectives["power"]["products"] is False and exact.objectives["power"]["criterion"] == "net"
+    assert exact.collection.exploring == 0 and exact.sweep.kl_bounds == (0.2, 0.5, 1.0)
+    assert not exact.finetune.hold and not exact.sweep.trust_region.enabled
+    changed = load_config(
+        preset="paper-exact", objectives=["power"], robot="go1", overrides=["objectives.power.criterion=smaller"]
+    )
+    assert changed.objectives["power"]["criterion"] == "smaller" and changed.objectives["power"]["products"] is False
+
+
+def test_a_proxy_as_reward_keeps_the_methods_own_budget():
+    method = fake_config(preset="quick")
+    inside, baseline = fake_config(preset="quick", reward_source="proxy"), fake_config(preset="quick", baseline=True)
+    assert inside.reward_source == baseline.reward_source == "proxy"
+    assert inside.iterations == method.iterations and inside.finetune == method.finetune
+    assert baseline.iterations == 1

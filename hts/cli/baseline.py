@@ -31,7 +31,7 @@ def command(
         engine=engine,
         executor=executor,
         seed=seed,
-        reward_source="proxy",
+        baseline=True,
         overrides=set_ or (),
     )
     start(resolved, out, dry_run)

@@ -14,7 +14,7 @@ Objectives = Annotated[
 RobotName = Annotated[
     str | None, typer.Option("--robot", metavar="NAME", help="The machine. `hts plugins` lists them.")
 ]
-Preset = Annotated[str | None, typer.Option(help="smoke, quick (default) or paper.")]
+Preset = Annotated[str | None, typer.Option(help="smoke, quick (default), paper or paper-exact.")]
 WorldName = Annotated[
     str | None, typer.Option("--world", metavar="NAME", help='Where policies run "for real": twin or field.')
 ]
@@ -25,6 +25,12 @@ Overrides = Annotated[
 Engine = Annotated[str | None, typer.Option(help="Training physics: mujoco (CPU), warp (GPU), or auto.")]
 Executor = Annotated[str | None, typer.Option(help="Where candidates train: local.")]
 Seed = Annotated[int | None, typer.Option(help="Of everything random in the run.")]
+Reward = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SOURCE", help="model (default), or proxy: the objective's formula inside the same method, to compare."
+    ),
+]
 Out = Annotated[Path | None, typer.Option(help="Run folder; default runs/OBJECTIVE-ROBOT-PRESET-SEED.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the run will cost, and stop.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]

@@ -23,6 +23,7 @@ def command(
     seed: options.Seed = None,
     out: options.Out = None,
     dry_run: options.DryRun = False,
+    reward: options.Reward = None,
 ) -> None:
     """Improve a robot's policy on an objective: measure, model, fine-tune, test, repeat."""
     from hts.config_loading import load_config
@@ -36,6 +37,7 @@ def command(
         engine=engine,
         executor=executor,
         seed=seed,
+        reward_source=reward,
         overrides=set_ or (),
     )
     start(resolved, out, dry_run)
@@ -59,10 +61,11 @@ def start(config: RunConfig, out: Path | None, dry_run: bool) -> None:
 
 
 def default_folder(config: RunConfig) -> Path:
-    """runs/OBJECTIVE-ROBOT-PRESET-SEED, with `proxy` for a baseline: one folder for one command line."""
+    """runs/OBJECTIVE-ROBOT-PRESET-SEED, with `proxy` for a baseline and `proxy-reward` for the method without a model:
+    one folder for one command line."""
     parts = ["+".join(config.objectives), config.robot.name, config.preset, str(config.seed)]
     if config.reward_source != "model":
-        parts.insert(2, config.reward_source)
+        parts.insert(2, f"{config.reward_source}-reward" if config.records_first else config.reward_source)
     return Path("runs") / "-".join(parts)
 
 

@@ -52,7 +52,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
     """The stages in the order of the paper; returns the summary."""
     config = job.config
     job.prepare()
-    if config.reward_source == "model":
+    if config.records_first:
         job.do("collect", "collect real data of the pretrained policy", partial(collect, job))
     else:
         job.stages.progress.skip(1)

@@ -48,7 +48,7 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     per_test = world.head_to_head_seconds()
     elites = sum(min(config.selection.elites, count) for count in counts)
     collected = config.collection.repeats + config.collection.exploring
-    robot_seconds = 0.0 if proxy else config.collection.schedule.seconds * collected
+    robot_seconds = config.collection.schedule.seconds * collected if config.records_first else 0.0
     robot_seconds += per_test * (elites + len(config.evaluation.speeds))
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test

@@ -9,19 +9,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
-from hts.contracts import FineTuning, MeasurementModel, Objective, SimulatedCandidate
+from hts.contracts import FineTuning, Objective, SimulatedCandidate
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, test_config
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
+from hts.measurement.baseline import fit_proxy
 from hts.measurement.fit_command import fit_and_check
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
+from hts.recordings.recording import Recording
 from hts.rl.population import Population
 from hts.run.front import PRETRAINED, real_front
 from hts.run.job import Job
@@ -33,6 +36,7 @@ from hts.training.sweep import FRONT, Candidate, candidates
 from hts.training.trainer import BatchStats
 
 Report = Callable[[float], None]
+InUnit = Callable[[np.ndarray], np.ndarray]
 NOT_WRITTEN = ("worlds", "pieces", "piece_speed")  # of a trial: what the stage's result is made from
 
 
@@ -242,15 +246,15 @@ def _promised(
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Candidate -> objective -> speed -> the improvement over the pretrained policy that its model predicts, with the
     metrics that a head-to-head will have. A speed at which nothing can be predicted is left out."""
-    if job.config.reward_source != "model":
+    if not job.config.records_first:
         return {}
     known = job.recordings(job.known(iteration))
     found: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in results if name != PRETRAINED}
     for key, objective in job.objectives.items():
-        model = files.load(model_path(job, iteration, key), registry=job.registry)
+        in_unit = _in_unit(job, iteration, key, objective, known)
 
-        def seen(trial: SimulatedTrial, objective: Objective = objective, model: MeasurementModel = model) -> Any:
-            target = model.denormalise(torch.from_numpy(trial.pieces[objective.target.name])).numpy()
+        def seen(trial: SimulatedTrial, objective: Objective = objective, in_unit: InUnit = in_unit) -> Any:
+            target = in_unit(trial.pieces[objective.target.name])
             return pieces(objective, target, trial.piece_speed, trial.speed, known)
 
         references = [seen(trial) for trial in results[PRETRAINED]]
@@ -269,6 +273,17 @@ def _promised(
                 if one is not None
             }
     return found
+
+
+def _in_unit(job: Job, iteration: int, key: str, objective: Objective, known: Sequence[Recording]) -> InUnit:
+    """From what the env writes of a target to its unit: a model's z-scores, or a proxy, which a line through the known
+    recordings turns into the target."""
+    if job.config.reward_source == "model":
+        model = files.load(model_path(job, iteration, key), registry=job.registry)
+        return lambda found: model.denormalise(torch.from_numpy(found)).numpy()
+    line = fit_proxy(objective, known)
+    assert line is not None  # without a proxy there is nothing to train with
+    return lambda found: line.scale * found + line.offset
 
 
 def _gain(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, float]:

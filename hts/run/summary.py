@@ -15,7 +15,7 @@ def summarise(job: Job) -> dict[str, Any]:
     config = job.config
     iterations, steps, samples = [], 0, 0
     learned = config.reward_source == "model"
-    if learned:
+    if config.records_first:
         samples += job.read("collect")["samples"]
     for index in range(config.iterations):
         name = f"iterations/{index:02d}"

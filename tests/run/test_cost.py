@@ -46,7 +46,7 @@ def test_fewer_candidates_than_elites_are_all_that_is_tested():
 
 
 def test_the_baseline_collects_nothing():
-    cost = cost_of("smoke", reward_source="proxy")
+    cost = cost_of("smoke", baseline=True)
     assert cost["candidates"] == 3  # one bound
     assert cost["robot_minutes"] == pytest.approx((2 + 1) * 25 / 60)
 

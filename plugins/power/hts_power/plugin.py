@@ -21,6 +21,12 @@ def make_power(settings: Settings) -> Objective:
     return Power(PowerSettings.model_validate(dict(settings)))
 
 
+# The paper's inputs, model and criterion; the rest of its protocol is the preset's own.
+make_power.presets = {  # type: ignore[attr-defined]
+    "paper-exact": {"products": False, "criterion": "net", "model": {"name": "battery_current", "products": False}}
+}
+
+
 def make_battery_current(settings: Settings, context: ModelContext) -> MeasurementModel:
     """Measurement model `battery_current`: an LSTM on torque, speed and their products."""
     from hts_power import model
