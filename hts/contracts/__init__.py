@@ -21,11 +21,12 @@ from hts.contracts.objective import Comparison, Objective
 from hts.contracts.robot import JointMotors, Robot, RobotSpec
 from hts.contracts.selector import RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
-from hts.contracts.world import World, WorldContext
+from hts.contracts.world import HoldSpeed, World, WorldContext
 
 __all__ = [
     "MODEL",
     "Comparison",
+    "HoldSpeed",
     "Installed",
     "Instrument",
     "JointMotors",
