@@ -257,7 +257,7 @@ class EvaluationConfig(Config):
     bootstrap: int = Field(2000, ge=100, description="resamples of the interval")
     hold_speed: bool = Field(
         False,
-        description="trim the command of policy and reference by the measured speed before their blocks, then freeze it",
+        description="trim the command of policy and reference by the measured speed before their blocks and freeze it",
     )
     trim_seconds: float = Field(12.0, ge=4, description="of each policy at each held speed, settling included, s")
     held_tolerance: float = Field(

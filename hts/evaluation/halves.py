@@ -27,7 +27,7 @@ def halves(
 
     recordings: the round's blocks in any order, at each speed as many of the role "policy" as of "reference"; half n is
     the n-th of each, its numbers the means over the speeds. None for a half in which fewer than `config.min_valid` of
-    either one's segments are valid at any speed. Raises EvaluationError as `head_to_head.compare` does for anything else.
+    either one's segments are valid at any speed. Raises EvaluationError as `head_to_head.compare` does otherwise.
     """
     few = config.model_copy(update={"min_segments": 1})
     speeds = [_at_one_speed(objectives, blocks, few) for blocks in by_speed(recordings).values()]

@@ -44,7 +44,7 @@ class SpeedNotHeld(NotComparable):
 
 @dataclass(frozen=True)
 class Commanded:
-    """Mean commands that were sent to policy and reference, m/s; held: whether trimmed and frozen, or the asked ones."""
+    """Mean commands sent to policy and reference, m/s; held: whether trimmed and frozen, or simply the asked speed."""
 
     policy: float
     reference: float

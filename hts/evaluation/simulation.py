@@ -10,8 +10,10 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from hts.config import EnvConfig
+from hts.config import EnvConfig, SimulationTestConfig
+from hts.contracts import HoldSpeed
 from hts.errors import ConfigError
+from hts.evaluation.simulated_trimming import SECONDS, trim
 from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 
@@ -20,10 +22,11 @@ SETTLE_SECONDS = 2.0  # the start of a trial is not judged
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """One policy at one speed over its env instances.
+    """One policy at one asked speed over its env instances.
 
     falls: instances that fell at least once; mean_speed m/s over those that did not; valid: share of their 1 s segments
-    within the tolerance of the commanded speed; rewards: mean r_real per objective (per second), after settling.
+    within the tolerance of the asked speed; rewards: mean r_real per objective (per second), after settling; commanded:
+    what was sent, m/s, the asked speed where none was held (NaN if not known).
     """
 
     speed: float
@@ -32,6 +35,7 @@ class SimulatedTrial:
     mean_speed: float
     valid: float
     rewards: dict[str, float] = field(default_factory=dict)
+    commanded: float = float("nan")
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
@@ -39,8 +43,23 @@ def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: 
     its noise and variants stay."""
     commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
     calm = base.randomisation.model_copy(update={"push_speed": 0.0})
-    changes = {"commands": commands, "randomisation": calm, "episode_seconds": seconds + 1.0, "seed": seed}
+    changes = {
+        "commands": commands,
+        "randomisation": calm,
+        "episode_seconds": seconds + 1.0,
+        "seed": seed,
+    }
     return base.model_copy(update=changes)
+
+
+def trial_seconds(test: SimulationTestConfig) -> float:
+    """Simulated seconds of each env instance in `simulate`, trimming included."""
+    return test.seconds + (SECONDS if test.hold_speed else 0.0)
+
+
+def longest_walk(test: SimulationTestConfig) -> float:
+    """Seconds without a reset in `simulate`, for `test_config`."""
+    return max(test.seconds, SECONDS) if test.hold_speed else test.seconds
 
 
 test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
@@ -48,12 +67,18 @@ test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 @torch.no_grad()
 def simulate(
-    env: EnvBase, population: Population, speeds: Sequence[float], seconds: float, tolerance: float
+    env: EnvBase,
+    population: Population,
+    speeds: Sequence[float],
+    seconds: float,
+    tolerance: float,
+    hold: HoldSpeed | None = None,
 ) -> list[list[SimulatedTrial]]:
     """Trials of every policy (outer) at every speed (inner); env instance n walks at speeds[n mod len(speeds)].
 
     env: of batch size [P, N], made with `test_config`, writing the channel base_velocity;
-    tolerance: relative speed error of a valid segment.
+    tolerance: relative speed error of a valid segment; hold: trim each policy's command at each speed first, in trials
+    of their own.
     """
     if seconds < SETTLE_SECONDS + 1.0:
         raise ConfigError(
@@ -62,6 +87,9 @@ def simulate(
         )
     act = PopulationActor(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
+    sent = torch.tensor(speeds, device=env.device).expand(shape[0], -1)  # [P, S]
+    if hold is not None:
+        sent = trim(env, act, speeds, hold, lambda after: _forward_speed(env, after))
     state = env.reset()
     fallen = torch.zeros(shape, dtype=torch.bool, device=env.device)
     segments: list[torch.Tensor] = []
@@ -104,6 +132,7 @@ def simulate(
                         name: float((total[candidate][stood] / counted).mean()) if some else float("-inf")
                         for name, total in sums.items()
                     },
+                    commanded=float(sent[candidate, index]),
                 )
             )
         results.append(row)

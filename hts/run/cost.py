@@ -10,6 +10,7 @@ from typing import Any
 from hts.config import RunConfig
 from hts.contracts import WorldContext
 from hts.evaluation.held import ask_to_hold, hold_of
+from hts.evaluation.simulation import trial_seconds
 from hts.plugins import Registry
 from hts.training.sweep import candidates, combinations, own_weights
 
@@ -63,7 +64,7 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     robot_seconds += per_elite * elites + per_final * len(config.evaluation.speeds)
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test
-    test_steps = test.num_envs * len(test.speeds) * test.seconds * robot.spec.control_rate_hz
+    test_steps = test.num_envs * len(test.speeds) * trial_seconds(test) * robot.spec.control_rate_hz
     # Every candidate, and the pretrained policy beside them.
     steps += round((sum(counts) + config.iterations) * test_steps)
     together = min(max(counts), config.finetune.max_candidates)

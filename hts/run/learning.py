@@ -10,8 +10,8 @@ from typing import Any
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
-from hts.contracts import SimulatedCandidate
-from hts.evaluation.simulation import SimulatedTrial, test_config
+from hts.contracts import HoldSpeed, SimulatedCandidate
+from hts.evaluation.simulation import SimulatedTrial, longest_walk, test_config, trial_seconds
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
 from hts.measurement.fit_command import fit_and_check
@@ -179,7 +179,7 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     policies = [job.policy(name) for name in names]
     worlds = test.num_envs * len(test.speeds)
     seed = job.seed("simulate")  # the same worlds in every iteration
-    env_config = test_config(config.finetune.env, test.speeds, test.seconds, seed)
+    env_config = test_config(config.finetune.env, test.speeds, longest_walk(test), seed)
     channels = tuple(dict.fromkeys((*inputs(job), "base_velocity")))
     bare = job.robot.make_env(
         config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
@@ -188,7 +188,9 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     population = Population.from_candidates(
         policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device
     )
-    results = dict(zip(names, trials(env, population, test.speeds, test.seconds, test.speed_tolerance), strict=True))
+    hold = HoldSpeed(config.finetune.env.commands.vx) if test.hold_speed else None
+    found = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, hold)
+    results = dict(zip(names, found, strict=True))
     env.close()
     judged = [_judge(row, results[row["id"]], test.speed_tolerance) for row in rows]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
@@ -198,7 +200,14 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     elites = selector.elites(able, config.selection.elites)
     details = {
         name: [
-            {"speed": t.speed, "falls": t.falls, "mean_speed": t.mean_speed, "valid": t.valid, "rewards": t.rewards}
+            {
+                "speed": t.speed,
+                "commanded": t.commanded,
+                "falls": t.falls,
+                "mean_speed": t.mean_speed,
+                "valid": t.valid,
+                "rewards": t.rewards,
+            }
             for t in row
         ]
         for name, row in results.items()
@@ -210,7 +219,7 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         "tracked": {c.id: c.tracked for c in judged},
         "elites": elites,
         "trials": details,
-        "steps": round(test.seconds * job.robot.spec.control_rate_hz) * worlds * len(names),
+        "steps": round(trial_seconds(test) * job.robot.spec.control_rate_hz) * worlds * len(names),
     }
 
 
