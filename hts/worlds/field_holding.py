@@ -23,21 +23,18 @@ SENSOR = (
 def instructions(hold: HoldSpeed) -> list[str]:
     """A section of the bundle's README, in lines."""
     low, high = hold.commands
-    return [
-        "## Hold the speed",
-        "",
-        f"The table's speed is the one to be *measured*. You need {SENSOR}; it is the column of `{SPEED_CHANNEL}`.",
-        "",
-        f"1. Before a row marked *trim first*, walk with its policy for {hold.seconds:g} s. Begin with the table's speed as "
-        "the command; after 2 s add (asked − measured mean speed) to the command, and again, until the mean agrees within "
-        f"{hold.tolerance:.0%}.",
-        "2. Then leave the command alone: all rows of this policy at this speed are recorded with it. A policy that you "
-        "trimmed at this speed for an earlier bundle of the same race gets the command it had there.",
-        f"3. Stay between {low:g} and {high:g} m/s. Where that is not enough, record at the limit: it is refused then, and "
-        "says so.",
-        "4. The log's `command` must hold what was sent: what you froze is read from it.",
-        "",
-    ]
+    steps = (
+        f"1. Before a row marked *trim first*, walk with its policy for {hold.seconds:g} s. Begin with the table's "
+        "speed as the command; after 2 s add (asked − measured mean speed) to the command, and again, until the mean agrees "
+        f"within {hold.tolerance:.0%}.\n"
+        "2. Then leave the command alone: all rows of this policy at this speed are recorded with it. A policy that "
+        "you trimmed at this speed for an earlier bundle of the same race gets the command it had there.\n"
+        f"3. Stay between {low:g} and {high:g} m/s. Where that is not enough, record at the limit: it is refused then, "
+        "and says so.\n"
+        "4. The log's `command` must hold what was sent: what you froze is read from it."
+    )
+    about = f"The table's speed is the one to be *measured*. You need {SENSOR}; it is the column of `{SPEED_CHANNEL}`."
+    return ["## Hold the speed", "", about, "", steps, "", "## Then", ""]
 
 
 def check_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
