@@ -25,8 +25,8 @@ def instructions(hold: HoldSpeed) -> list[str]:
     low, high = hold.commands
     steps = (
         f"1. Before a row marked *trim first*, walk with its policy for {hold.seconds:g} s. Begin with the table's "
-        "speed as the command; after 2 s add (asked − measured mean speed) to the command, and again, until the mean agrees "
-        f"within {hold.tolerance:.0%}.\n"
+        "speed as the command; after 2 s add (asked − measured mean speed) to the command, and again, until the mean "
+        f"agrees within {hold.tolerance:.0%}.\n"
         "2. Then leave the command alone: all rows of this policy at this speed are recorded with it. A policy that "
         "you trimmed at this speed for an earlier bundle of the same race gets the command it had there.\n"
         f"3. Stay between {low:g} and {high:g} m/s. Where that is not enough, record at the limit: it is refused then, "
