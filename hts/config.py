@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 
 class Config(BaseModel):
@@ -216,6 +216,9 @@ class SimulationTestConfig(Config):
     seconds: float = Field(8.0, ge=3.0, description="length of each trial, s; its first 2 s are not judged")
     speeds: tuple[float, ...] = Field((0.8,), min_length=1, description="m/s")
     speed_tolerance: float = Field(0.1, gt=0, description="largest relative error of the mean speed")
+    hold_speed: bool = Field(
+        False, description="trim each candidate's command at each speed first, then judge it at the asked mean speed"
+    )
 
 
 class CollectionConfig(Config):
@@ -246,6 +249,27 @@ class SelectionConfig(Config):
     selector: Named = Field(default_factory=lambda: Named(name="hierarchical"))
     elites: int = Field(6, ge=1, description="K: candidates tried in reality per iteration")
     speed: float = Field(0.8, gt=0, description="speed of the head-to-head during iterations, m/s")
+    speeds: tuple[float, ...] = Field(
+        (), description="several speeds of it, m/s: a candidate counts by its mean over them; empty: `speed` alone"
+    )
+    block_seconds: float | None = Field(
+        None, gt=0, description="length of each of its blocks, s; null: that of the world"
+    )
+
+    @property
+    def tested_speeds(self) -> tuple[float, ...]:
+        """Speeds at which elites are tried, m/s."""
+        return self.speeds or (self.speed,)
+
+    @field_validator("speeds")
+    @classmethod
+    def _each_once(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
+        for speed in speeds:
+            if not (math.isfinite(speed) and speed > 0):
+                raise ValueError(f"{speed} is not a number above 0")
+        if len(set(speeds)) < len(speeds):
+            raise ValueError("a speed is there twice")
+        return speeds
 
 
 class EvaluationConfig(Config):
@@ -256,6 +280,14 @@ class EvaluationConfig(Config):
     min_valid: float = Field(0.5, ge=0, le=1, description="refuse to report below this share of valid segments")
     min_segments: int = Field(10, ge=1, description="refuse to report with fewer valid segments of either policy")
     bootstrap: int = Field(2000, ge=100, description="resamples of the interval")
+    hold_speed: bool = Field(
+        False,
+        description="trim the command of policy and reference by the measured speed before their blocks and freeze it",
+    )
+    trim_seconds: float = Field(12.0, ge=4, description="of each policy at each held speed, settling included, s")
+    held_tolerance: float = Field(
+        0.01, gt=0, lt=1, description="refuse held speeds whose means differ by more than this share"
+    )
 
 
 class ProvenanceConfig(Config):

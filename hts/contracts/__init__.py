@@ -21,12 +21,13 @@ from hts.contracts.objective import Comparison, Objective
 from hts.contracts.robot import JointMotors, Robot, RobotSpec
 from hts.contracts.selector import FineTuning, RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
-from hts.contracts.world import World, WorldContext
+from hts.contracts.world import HoldSpeed, World, WorldContext
 
 __all__ = [
     "MODEL",
     "Comparison",
     "FineTuning",
+    "HoldSpeed",
     "Installed",
     "Instrument",
     "JointMotors",

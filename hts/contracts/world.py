@@ -32,6 +32,19 @@ class WorldContext:
     registry: Installed | None = field(default=None, repr=False, compare=False)
 
 
+@dataclass(frozen=True)
+class HoldSpeed:
+    """How a world holds the speed of head-to-heads: the command is trimmed by the measured speed, and then frozen.
+
+    commands: lowest and highest command that may be sent, m/s; seconds: of trimming of each policy at each speed, its
+    settling included; tolerance: largest difference of the two mean speeds that counts as one speed, as a share of it.
+    """
+
+    commands: tuple[float, float]
+    seconds: float = 12.0
+    tolerance: float = 0.01
+
+
 class World(ABC):
     """Where policies run "for real". It gets exported policies and returns recordings, nothing else.
 
@@ -60,10 +73,40 @@ class World(ABC):
         """`head_to_head` of several policies; a simulated world may run them side by side."""
         return [self.head_to_head(policy, reference, speeds) for policy in policies]
 
+    def hold_speed(self, hold: HoldSpeed | None) -> bool:
+        """From now on head-to-heads hold the speed (None: send the asked speed as the command, as in the beginning).
+        Returns whether it is held from now on; by default a world cannot.
+
+        Held: before its blocks at a speed each policy, the reference too, walks `hold.seconds` in which the command is
+        trimmed until `base_velocity`, as the robot's sensors give it, is the asked speed on average. Then the command
+        is frozen for all of its blocks. A recording's `schedule` keeps the asked speed, its channel `command` holds
+        what was sent, and its notes say `held_command` (the frozen one, m/s), `held_saturated` (`true` where a limit of
+        `hold.commands` was reached, else `false`) and `unrecorded_seconds` (what the robot did before this block and
+        after the last recorded one, s).
+        """
+        return False
+
+    def head_to_heads_in_session(
+        self, policies: Sequence[Path], reference: Path, speeds: Sequence[float], block_seconds: float | None
+    ) -> list[list[Recording]] | None:
+        """As `head_to_heads`, but one machine walks all speeds of a policy one after the other and warms up once.
+
+        block_seconds: length of a block; None: the world's own. Each speed of a policy is a session by its name. None,
+        the default: this world knows whole head-to-heads only.
+        """
+        return None
+
     def head_to_head_round(
-        self, policies: Sequence[Path], reference: Path, speed: float, number: int, block_seconds: float
+        self,
+        policies: Sequence[Path],
+        reference: Path,
+        speed: float | Sequence[float],
+        number: int,
+        block_seconds: float,
     ) -> list[list[Recording]] | None:
         """A short head-to-head of several policies at one speed, for selectors that ask for several rounds.
+
+        speed: m/s; several: one machine walks a round at each, one after the other.
 
         number: 0, 1, ...; each round is recorded afresh, and asking for one again gives the same recordings.
         One list a policy: two blocks of it and two of the reference, of `block_seconds` each, in a balanced order such
@@ -74,8 +117,13 @@ class World(ABC):
 
     def head_to_head_seconds(self) -> float:
         """Robot time of one head-to-head at one speed, s, for `--dry-run`.
-        By default four blocks of 80 s, as in the paper."""
+        By default four blocks of 80 s, as in the paper. While speed is held, trimming counts too."""
         return 4 * 80.0
+
+    def head_to_head_session_seconds(self, speeds: int, block_seconds: float | None) -> float:
+        """Robot time of a policy's share of `head_to_heads_in_session` at so many speeds, s.
+        By default as many head-to-heads."""
+        return speeds * self.head_to_head_seconds()
 
     def on_progress(self, report: Callable[[float], None]) -> None:  # noqa: B027 - most have nothing to say
         """From now on call `report` with the share of the current request that is done, 0 to 1.

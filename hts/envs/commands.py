@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
 import torch
@@ -11,6 +12,14 @@ from hts.config import CommandConfig
 from hts.rl.tracing import any_or_tracing
 
 DRAWS = 7  # uniform numbers an env instance needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
+
+
+class WalksAsTold(ABC):
+    """An env whose instances walk straight at test speeds (`CommandConfig.fixed`) that can be changed on the way."""
+
+    @abstractmethod
+    def walk_at(self, commands: torch.Tensor) -> None:
+        """From now on, also after a reset, the commanded forward velocity of each instance, m/s, [P, N]."""
 
 
 class Commands:
@@ -54,6 +63,11 @@ class Commands:
         self.value = torch.where(mask.unsqueeze(-1), new, self.value)
         self.heading = torch.where(mask, heading, self.heading)
         self.keeps_heading = torch.where(mask, keeps, self.keeps_heading)
+
+    def walk_at(self, commands: torch.Tensor) -> None:
+        """Other test speeds, m/s, [P, N], in place of `CommandConfig.fixed`."""
+        self.fixed = commands
+        self.value = torch.cat((commands.unsqueeze(-1), self.value[..., 1:]), -1)
 
     def advance(self, draws: torch.Tensor, yaw: torch.Tensor) -> None:
         """One control step passes: resample where due, then steer towards the heading."""

@@ -13,7 +13,7 @@ from torchrl.data import Binary, Composite, Unbounded
 from hts.channels import SPEED_ERROR, Channel
 from hts.config import EnvConfig
 from hts.contracts import RobotSpec
-from hts.envs.commands import DRAWS, Commands
+from hts.envs.commands import DRAWS, Commands, WalksAsTold
 from hts.envs.constants import delays_and_offsets
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
 from hts.envs.pose import trunk_frame, yaw_of
@@ -41,7 +41,7 @@ SETTLING_SECONDS = 1.0  # after standing up
 LEAST_SPEED = 0.3  # m/s; of slower commands no share can be told
 
 
-class VelocityEnv(SplitStepEnv):
+class VelocityEnv(SplitStepEnv, WalksAsTold):
     """Follow a commanded velocity; see `hts.envs.rewards` for r_sim.
 
     Writes observation [P, N, 9 + 3 J], critic_observation [P, N, 9 + 3 J + 4 + F] (noise-free, with trunk velocity m/s,
@@ -280,6 +280,9 @@ class VelocityEnv(SplitStepEnv):
         self._observe(self._draws[..., self._fixed_draws :])
         self._observation = torch.where(keep, old, self._observation)
         self._critic_observation = torch.where(keep, old_critic, self._critic_observation)
+
+    def walk_at(self, commands: torch.Tensor) -> None:
+        self.commands.walk_at(commands)
 
     def _read_pose(self) -> None:
         """Trunk pose and velocities in the trunk frame, from the engine's state."""

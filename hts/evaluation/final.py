@@ -12,7 +12,9 @@ from hts.atomic import atomic_write
 from hts.config import EvaluationConfig, Named
 from hts.contracts import Objective, TestedCandidate, WorldContext
 from hts.errors import PolicyError, RunError
+from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
+from hts.evaluation.held import NotComparable, ask_to_hold, hold_of
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
@@ -21,7 +23,10 @@ if TYPE_CHECKING:
 RESULT = "evaluation.json"
 
 Results = dict[float, HeadToHead]
-REAL_KEYS = ("improvement", "improvement_ci95", "segments", "valid", "falls", "mean_speed", "metrics", "metrics_ci95")
+REAL_KEYS = (
+    *("improvement", "improvement_ci95", "segments", "valid", "falls", "mean_speed", "held", "commanded"),
+    *("metrics", "metrics_ci95"),
+)
 
 
 def speed_key(speed: float) -> str:
@@ -44,19 +49,51 @@ def walked_speeds(
     A run ends with what it measured: a policy chosen at one speed may walk too slowly at another. Raises
     EvaluationError if no speed is left, or if the reference itself cannot be judged.
     """
+    results, refusals = judged_speeds(objective, recordings, config, seed)
+    for error in refusals.values():
+        if error.role == "reference":
+            raise error
+    if refusals and not results:
+        raise list(refusals.values())[-1]
+    return results, {key: str(error) for key, error in refusals.items()}
+
+
+def judged_speeds(
+    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+) -> tuple[Results, dict[str, NotComparable]]:
+    """Results of the speeds at which the two can be compared, and speed key -> why not at the others."""
     results: Results = {}
-    refused: dict[str, str] = {}
-    last: TooFewSegments | None = None
+    refusals: dict[str, NotComparable] = {}
     for speed, group in by_speed(recordings).items():
         try:
             results[speed] = compare(objective, group, config, seed)
-        except TooFewSegments as error:
-            if error.role == "reference":
-                raise
-            refused[speed_key(speed)], last = str(error), error
-    if not results and last is not None:
-        raise last
-    return results, refused
+        except NotComparable as error:
+            refusals[speed_key(speed)] = error
+    return results, refusals
+
+
+def entry_both_ways(
+    objective: Objective,
+    held: Sequence[Recording],
+    open_loop: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """An objective's entry and `segment_scores` of a policy that was tried at held speed and at equal commands.
+
+    The entry's `speeds` (and `refused`) are the held ones; `open_loop`: {"speeds", "refused"}, as the paper has them.
+    A speed that cannot be judged in one way may be in the other. Raises EvaluationError if there is none in either.
+    """
+    results, refusals = judged_speeds(objective, held, config, seed)
+    beside, refusals_beside = judged_speeds(objective, open_loop, config, seed)
+    if not results and not beside:
+        raise next(iter(refusals.values()))
+    entry = entry_of(objective, results)
+    entry["open_loop"] = {"speeds": entry_of(objective, beside)["speeds"]}
+    for place, why in ((entry, refusals), (entry["open_loop"], refusals_beside)):
+        if why:
+            place["refused"] = {key: str(error) for key, error in why.items()}
+    return entry, segment_scores(results or beside)
 
 
 def final_entry(
@@ -112,8 +149,8 @@ def candidate_result(
 ) -> CandidateResult:
     """Compare a candidate on every objective. A candidate that cannot walk is a result, not a failure of the run.
 
-    The selector gets the comparison at the first (slowest) speed; iterations have one speed. A reference that has
-    too few valid segments itself does stop the run: then nothing can be compared.
+    The selector gets the mean over the speeds; who is refused at one speed is refused. A reference that has too few
+    valid segments itself does stop the run: then nothing can be compared.
     """
     entry: dict[str, Any] = {}
     comparisons = {}
@@ -121,14 +158,14 @@ def candidate_result(
     for name, objective in objectives.items():
         try:
             results = head_to_heads(objective, recordings, config, seed)
-        except TooFewSegments as error:
-            if error.role == "reference":
+        except NotComparable as error:
+            if error.role == "reference" and isinstance(error, TooFewSegments):
                 raise
             return CandidateResult(None, None, f"{candidate}: {error}", error.numbers)
         entry[name] = {
             speed_key(speed): {key: result.entry()[key] for key in REAL_KEYS} for speed, result in results.items()
         }
-        comparisons[name] = next(iter(results.values())).comparison
+        comparisons[name] = mean_comparison([result.comparison for result in results.values()])
         fell = fell or any(result.falls > 0 for result in results.values())
     return CandidateResult(entry, TestedCandidate(candidate, comparisons, fell), None)
 
@@ -171,23 +208,33 @@ def evaluate_run(
     )
     place.mkdir(exist_ok=True)
     where = registry.make_world(named.name, named.settings, context)
+    hold = hold_of(config)
+    held: list[Recording] = []
     try:
+        if hold is not None:
+            ask_to_hold(where, hold)
+            held = where.head_to_head(tested, reference, speeds)
+            ask_to_hold(where, None)
         recordings = where.head_to_head(tested, reference, speeds)
     finally:
         where.close()
     store = RecordingStore(place / "data.zarr", create=True)
-    ids = [store.write(recording) for recording in recordings]
-    results = {
-        name: head_to_heads(objective, recordings, config.evaluation, seed) for name, objective in objectives.items()
-    }
+    ids = [store.write(recording) for recording in [*held, *recordings]]
+    entries, segments = {}, {}
+    for name, objective in objectives.items():
+        if hold is not None:
+            entries[name], segments[name] = entry_both_ways(objective, held, recordings, config.evaluation, seed)
+        else:
+            found = head_to_heads(objective, recordings, config.evaluation, seed)
+            entries[name], segments[name] = entry_of(objective, found), segment_scores(found)
     result = {
         "world": named.name,
         "world_simulated": where.simulated,
         "policy": str(policy or "best"),
         "seed": seed,
         "recordings": ids,
-        "objectives": {name: entry_of(objectives[name], found) for name, found in results.items()},
-        "segments": {name: segment_scores(found) for name, found in results.items()},
+        "objectives": entries,
+        "segments": segments,
     }
     _write(folder / RESULT, result)
     return result

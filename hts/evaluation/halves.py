@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from hts.config import EvaluationConfig
 from hts.contracts import Comparison, Objective
-from hts.evaluation.head_to_head import TooFewSegments, point
+from hts.evaluation.across_speeds import mean_by_objective
+from hts.evaluation.head_to_head import TooFewSegments, by_speed, point
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -22,16 +23,28 @@ Half = Mapping[str, Comparison]
 def halves(
     objectives: Mapping[str, Objective], recordings: Sequence[Recording], config: EvaluationConfig
 ) -> list[Half | None]:
-    """One comparison per objective for each half of one session, in order of time.
+    """One comparison per objective for each half of one round, in order of time.
 
-    recordings: the session's blocks in any order, as many of the role "policy" as of "reference"; half n is the n-th of
-    each. None for a half in which fewer than `config.min_valid` of either one's segments are valid.
-    Raises EvaluationError as `head_to_head.compare` does for anything but that.
+    recordings: the round's blocks in any order, at each speed as many of the role "policy" as of "reference"; half n is
+    the n-th of each, its numbers the means over the speeds. None for a half in which fewer than `config.min_valid` of
+    either one's segments are valid at any speed. Raises EvaluationError as `head_to_head.compare` does otherwise.
     """
+    few = config.model_copy(update={"min_segments": 1})
+    speeds = [_at_one_speed(objectives, blocks, few) for blocks in by_speed(recordings).values()]
+    return [_over_speeds(found) for found in zip(*speeds, strict=True)]
+
+
+def _at_one_speed(
+    objectives: Mapping[str, Objective], recordings: Sequence[Recording], config: EvaluationConfig
+) -> list[Half | None]:
     ordered = sorted(recordings, key=lambda recording: recording.block)
     policy, reference = ([r for r in ordered if r.role == role] for role in ("policy", "reference"))
-    few = config.model_copy(update={"min_segments": 1})
-    return [_half(objectives, pair, few) for pair in zip(policy, reference, strict=True)]
+    return [_half(objectives, pair, config) for pair in zip(policy, reference, strict=True)]
+
+
+def _over_speeds(found: Sequence[Half | None]) -> Half | None:
+    known = [half for half in found if half is not None]
+    return mean_by_objective(known) if len(known) == len(found) else None
 
 
 def _half(objectives: Mapping[str, Objective], pair: Sequence[Recording], config: EvaluationConfig) -> Half | None:

@@ -16,6 +16,7 @@ import numpy as np
 from hts.config import EvaluationConfig
 from hts.contracts import Comparison, Objective
 from hts.errors import EvaluationError
+from hts.evaluation.held import NAMES, Commanded, NotComparable, check_apart, check_range, commanded, refusal
 from hts.evaluation.intervals import interval
 from hts.evaluation.segments import Segments, cut
 
@@ -23,25 +24,21 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
 
-class TooFewSegments(EvaluationError):
-    """Too few valid segments of the policy or of the reference; `role` says whose.
+ROLES = ("policy", "reference")
 
-    numbers: commanded `speed` and mean speed `walked` (None if unknown), m/s; `valid` share of the segments; `falls`.
-    """
 
-    def __init__(self, message: str, role: str = "policy", numbers: Mapping[str, float | None] | None = None) -> None:
-        super().__init__(message)
-        self.role, self.numbers = role, numbers or {}
+class TooFewSegments(NotComparable):
+    """Too few valid segments of the policy or of the reference."""
 
 
 @dataclass(frozen=True)
 class HeadToHead:
-    """A policy against its reference at one commanded speed.
+    """A policy against its reference at one asked speed.
 
     comparison: improvement, selection score and metrics by the objective; improvement_ci95: 95 % interval, None if
     a single segment leaves nothing to tell it from; metrics_ci95: the same for each metric;
     policy_segments, reference_segments: the valid ones; policy_scores, reference_scores: the objective's quantities
-    per segment, each (S,).
+    per segment, each (S,); commanded: what was sent to both, and whether the speed was held.
     """
 
     speed: float
@@ -53,6 +50,7 @@ class HeadToHead:
     reference_segments: Segments
     policy_scores: Mapping[str, np.ndarray]
     reference_scores: Mapping[str, np.ndarray]
+    commanded: Commanded
 
     @property
     def improvement(self) -> float:
@@ -83,6 +81,8 @@ class HeadToHead:
             "valid": self.valid,
             "falls": self.falls,
             "mean_speed": self.mean_speed,
+            "held": self.commanded.held,
+            "commanded": self.commanded.policy,
             "metrics": {name: float(value) for name, value in self.comparison.metrics.items()},
             "metrics_ci95": {name: list(found) if found else None for name, found in self.metrics_ci95.items()},
             "reference": {
@@ -90,6 +90,7 @@ class HeadToHead:
                 "valid": self.reference_segments.valid,
                 "falls": self.reference_segments.falls,
                 "mean_speed": float(self.reference_segments.speed.mean()),
+                "commanded": self.commanded.reference,
             },
         }
 
@@ -101,10 +102,11 @@ def compare(
 
     recordings: blocks with role "policy" or "reference", in any order. Deterministic for a given seed.
     Raises EvaluationError, one line, when it would be dishonest to report: no blocks of one role, several commanded
-    speeds, fewer than `config.min_valid` of the segments valid, fewer than `config.min_segments` of either policy, or a
-    quantity that is not a finite number.
+    speeds, fewer than `config.min_valid` of the segments valid, fewer than `config.min_segments` of either policy, a
+    quantity that is not a finite number, or a held speed that was not held (`SpeedNotHeld`).
     """
-    measured = _measure(objective, recordings, config)
+    sent = commanded({role: [r for r in recordings if r.role == role] for role in ROLES}, _one_speed(recordings))
+    measured = _measure(objective, recordings, config, sent, seed)
     segments, scores, compared = measured.segments, measured.scores, measured.compared
     comparison = measured.comparison()
     blocks = {role: _by_block(_table(scores[role]), segments[role].block) for role in ("policy", "reference")}
@@ -133,11 +135,13 @@ def compare(
         reference_segments=segments["reference"],
         policy_scores=scores["policy"],
         reference_scores=scores["reference"],
+        commanded=sent,
     )
 
 
 def point(objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig) -> Comparison:
-    """What `compare` finds, without intervals. Raises EvaluationError as it does."""
+    """What `compare` finds, without intervals. Raises EvaluationError as it does; whether held speeds are apart is not
+    looked at, since that takes more than a piece of a test."""
     return _measure(objective, recordings, config).comparison()
 
 
@@ -169,16 +173,27 @@ class _Measured:
         return found
 
 
-def _measure(objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig) -> _Measured:
-    """Cut the blocks of both roles and score their segments. Raises EvaluationError as `compare` does."""
+def _measure(
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    sent: Commanded | None = None,
+    seed: int = 0,
+) -> _Measured:
+    """Cut the blocks of both roles and score their segments. Raises EvaluationError as `compare` does.
+
+    sent: what was commanded; None: nothing is asked about held speeds. seed: of the interval of their difference.
+    """
     speed = _one_speed(recordings)
     ordered = sorted(recordings, key=lambda recording: (recording.session, recording.block))
-    segments: dict[str, Segments] = {}
-    scores: dict[str, dict[str, np.ndarray]] = {}
-    for role in ("policy", "reference"):
-        segments[role] = cut([r for r in ordered if r.role == role], config.speed_tolerance)
+    segments = {role: cut([r for r in ordered if r.role == role], config.speed_tolerance) for role in ROLES}
+    if sent is not None:
+        check_range(segments, speed, sent)  # the reason of all that follows from it
+    for role in ROLES:
         _check_enough(segments[role], role, speed, config)
-        scores[role] = _scores(objective, segments[role], role)
+    if sent is not None:
+        check_apart(segments, speed, sent, config, seed)
+    scores = {role: _scores(objective, segments[role], role) for role in ROLES}
     names = list(scores["policy"])
     if names != list(scores["reference"]):
         raise EvaluationError(
@@ -207,7 +222,7 @@ def _one_speed(recordings: Sequence[Recording]) -> float:
 
 
 def _check_enough(segments: Segments, role: str, speed: float, config: EvaluationConfig) -> None:
-    name = {"policy": "the policy", "reference": "the reference policy"}[role]
+    name = NAMES[role]
     if not segments.recordings:
         raise EvaluationError(f"Head-to-head at {speed:g} m/s: no recording has the role '{role}'. Record {name} too.")
     if segments.valid >= config.min_valid and len(segments) >= config.min_segments:
@@ -220,12 +235,7 @@ def _check_enough(segments: Segments, role: str, speed: float, config: Evaluatio
         f"least {config.min_segments} and "
         f"{config.min_valid:.0%} are needed. Nothing is reported: check that it walks and that base_velocity is right.",
         role,
-        {
-            "speed": speed,
-            "walked": None if math.isnan(segments.walked) else float(segments.walked),
-            "valid": float(segments.valid),
-            "falls": segments.falls,
-        },
+        refusal(segments, speed),
     )
 
 

@@ -12,8 +12,10 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from hts.config import EnvConfig
+from hts.config import EnvConfig, SimulationTestConfig
+from hts.contracts import HoldSpeed
 from hts.errors import ConfigError
+from hts.evaluation.simulated_trimming import SECONDS, trim
 from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 
@@ -22,13 +24,14 @@ SETTLE_SECONDS = 2.0  # the start of a trial is not judged
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """One policy at one speed over its env instances.
+    """One policy at one asked speed over its env instances.
 
     falls: instances that fell at least once; mean_speed m/s over those that did not; valid: share of their 1 s segments
-    within the tolerance of the commanded speed; rewards: mean r_real per objective, task_reward: mean of the task's
+    within the tolerance of the asked speed; rewards: mean r_real per objective, task_reward: mean of the task's
     own, both per second, after settling, over instances that did not fall;
     pieces: what was predicted of each target in the 1 s pieces of those instances, (S, n) as the model gives it, not
-    yet in the target's unit; piece_speed: mean forward speed of each, m/s (S,).
+    yet in the target's unit; piece_speed: mean forward speed of each, m/s (S,); commanded: what was sent, m/s, the asked
+    speed where none was held (NaN if not known).
     """
 
     speed: float
@@ -40,6 +43,7 @@ class SimulatedTrial:
     task_reward: float = math.nan
     pieces: dict[str, np.ndarray] = field(default_factory=dict)
     piece_speed: np.ndarray = field(default_factory=lambda: np.empty(0))
+    commanded: float = float("nan")
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
@@ -47,8 +51,23 @@ def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: 
     its noise and variants stay."""
     commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
     calm = base.randomisation.model_copy(update={"push_speed": 0.0})
-    changes = {"commands": commands, "randomisation": calm, "episode_seconds": seconds + 1.0, "seed": seed}
+    changes = {
+        "commands": commands,
+        "randomisation": calm,
+        "episode_seconds": seconds + 1.0,
+        "seed": seed,
+    }
     return base.model_copy(update=changes)
+
+
+def trial_seconds(test: SimulationTestConfig) -> float:
+    """Simulated seconds of each env instance in `simulate`, trimming included."""
+    return test.seconds + (SECONDS if test.hold_speed else 0.0)
+
+
+def longest_walk(test: SimulationTestConfig) -> float:
+    """Seconds without a reset in `simulate`, for `test_config`."""
+    return max(test.seconds, SECONDS) if test.hold_speed else test.seconds
 
 
 test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
@@ -56,12 +75,18 @@ test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 @torch.no_grad()
 def simulate(
-    env: EnvBase, population: Population, speeds: Sequence[float], seconds: float, tolerance: float
+    env: EnvBase,
+    population: Population,
+    speeds: Sequence[float],
+    seconds: float,
+    tolerance: float,
+    hold: HoldSpeed | None = None,
 ) -> list[list[SimulatedTrial]]:
     """Trials of every policy (outer) at every speed (inner); env instance n walks at speeds[n mod len(speeds)].
 
     env: of batch size [P, N], made with `test_config`, writing the channel base_velocity;
-    tolerance: relative speed error of a valid segment.
+    tolerance: relative speed error of a valid segment; hold: trim each policy's command at each speed first, in trials
+    of their own.
     """
     if seconds < SETTLE_SECONDS + 1.0:
         raise ConfigError(
@@ -70,6 +95,9 @@ def simulate(
         )
     act = PopulationActor(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
+    sent = torch.tensor(speeds, device=env.device).expand(shape[0], -1)  # [P, S]
+    if hold is not None:
+        sent = trim(env, act, speeds, hold, lambda after: _forward_speed(env, after))
     state = env.reset()
     fallen = torch.zeros(shape, dtype=torch.bool, device=env.device)
     segments: list[torch.Tensor] = []
@@ -128,6 +156,7 @@ def simulate(
                         for name, values in whole.items()
                     },
                     piece_speed=pieces[:, candidate, stood].flatten().cpu().numpy(),
+                    commanded=float(sent[candidate, index]),
                 )
             )
         results.append(row)

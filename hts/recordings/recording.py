@@ -85,6 +85,18 @@ class Recording:
         """Length, counting the last sample's own period."""
         return self.num_samples / self.rate_hz
 
+    @property
+    def robot_samples(self) -> int:
+        """Control steps of the robot: the recorded ones, and those before them that its note `unrecorded_seconds`
+        tells of (warming up, trimming). Raises RecordingError if that note is no number."""
+        try:
+            return self.num_samples + round(float(self.notes.get("unrecorded_seconds", 0.0)) * self.rate_hz)
+        except ValueError as error:
+            raise RecordingError(
+                f"{self.id or 'A recording'}: its note unrecorded_seconds is '{self.notes['unrecorded_seconds']}', "
+                "expected a number of seconds."
+            ) from error
+
     def values(self, channel: str) -> np.ndarray:
         """Samples of one channel, float32 (T, *shape). Raises RecordingError for a channel that is not there."""
         if channel not in self.channels:

@@ -34,6 +34,14 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         ),
     ),
     ("Mean speed", "Over the valid segments; in brackets that of the pretrained policy. Walking slower is not saving."),
+    (
+        "Held speed, equal commands",
+        (
+            "Held: before its blocks the command of each policy is trimmed until the measured speed is the one asked "
+            "for, then frozen, so both walk equally fast. Equal commands (open loop, as in the paper): both get the "
+            "same command, and one may walk slower."
+        ),
+    ),
     ("Falls", "How often the policy fell in its own blocks of the final head-to-head."),
     (
         "Other columns of the result",

@@ -18,6 +18,7 @@ from hts.report.front import front_part
 from hts.report.glossary import GLOSSARY
 from hts.report.measurement_figure import proxy_r2
 from hts.report.outcome import closing
+from hts.report.wording import HELD
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,15 +131,22 @@ def _objective(run: RunData, name: str) -> dict[str, Any]:
 
 
 def result_rows(name: str, result: Json) -> dict[str, Any]:
-    """The result table of one objective."""
-    unit, speeds = result["unit"], result["speeds"]
+    """The result tables of one objective: one, or one at held speed and one at equal commands."""
+    tables = [
+        {**_result_table(result["unit"], part["speeds"]), "words": words.removeprefix(", "), "held": words == HELD}
+        for part, words in wording.ways(result)
+    ]
+    return {"name": name, "tables": tables, "rows": tables[0]["rows"]}
+
+
+def _result_table(unit: str, speeds: Json) -> dict[str, Any]:
+    """Columns and rows of one table."""
     metrics = list(dict.fromkeys(metric for speed in speeds.values() for metric in speed.get("metrics") or {}))
     rows = []
     for key in sorted(speeds, key=float):
         speed = speeds[key]
         bounds = speed.get("improvement_ci95")
         reference = speed.get("reference") or {}
-        mean = f"{wording.number(speed.get('mean_speed'))} m/s"
         valid = speed.get("valid")
         rows.append(
             {
@@ -147,22 +155,27 @@ def result_rows(name: str, result: Json) -> dict[str, Any]:
                 "interval": wording.interval(bounds, unit),
                 "above_zero": bool(bounds) and bounds[0] > 0,
                 "metrics": [wording.metric(metric, (speed.get("metrics") or {}).get(metric)) for metric in metrics],
-                "mean_speed": mean
-                + (f" ({wording.number(reference['mean_speed'])})" if reference.get("mean_speed") is not None else ""),
+                "mean_speed": _pair(speed.get("mean_speed"), reference.get("mean_speed")),
+                "commanded": _pair(speed.get("commanded"), reference.get("commanded")),
                 "falls": wording.count(speed.get("falls")),
                 "fell": bool(speed.get("falls")),
                 "segments": wording.count(speed.get("segments"))
                 + (f" ({100 * valid:.0f} %)" if valid is not None else ""),
             }
         )
-    return {"name": name, "metrics": [wording.label(metric) for metric in metrics], "rows": rows}
+    return {"metrics": [wording.label(metric) for metric in metrics], "rows": rows}
+
+
+def _pair(policy: float | None, reference: float | None) -> str:
+    """Speeds of the policy and, in brackets, of the reference."""
+    return f"{wording.number(policy)} m/s" + (f" ({wording.number(reference)})" if reference is not None else "")
 
 
 def _headline(run: RunData, name: str, result: Json) -> str:
     """The result in one sentence or two, without more certainty than the intervals have."""
     speeds = result["speeds"]
     if not speeds:
-        return ""
+        return " ".join((result.get("refused") or {}).values())
     unit = result["unit"]
     better = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[0] > 0]
     worse = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[1] < 0]
@@ -185,7 +198,11 @@ def _headline(run: RunData, name: str, result: Json) -> str:
         found = ", ".join(f"{word} at {_speeds(keys)}" for keys, word in parts if keys)
         text = f"Against the pretrained policy, {policy} is, for {name}, {found}."
     if refused:
-        text += f" At {_speeds(refused)} it is not judged: it does not keep the commanded speed."
+        held = "open_loop" in result
+        why = "the two could not be held at one speed" if held else "it does not keep the commanded speed"
+        text += f" At {_speeds(refused)} it is not judged: {why}."
+    if "open_loop" in result:
+        text += " Both walked at held speed: their commands were trimmed by the measured speed, then frozen."
     fell = "It did not fall." if not falls else f"It fell {falls} time{'' if falls == 1 else 's'}."
     return f"{text} {fell}"
 

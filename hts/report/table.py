@@ -40,10 +40,11 @@ def _print(objectives: Mapping[str, Any], title: str, console: Console | None) -
 
     console = console or Console()
     for name, result in objectives.items():
-        for table in fitting(result, f"{name}: {title}", console):
-            console.print(table)
-        for line in (result.get("refused") or {}).values():
-            console.print(f"{name}: {line}", style="red", markup=False)
+        for part, words in wording.ways(result):
+            for table in fitting({"unit": result["unit"], **part}, f"{name}: {title}{words}", console):
+                console.print(table)
+            for line in (part.get("refused") or {}).values():
+                console.print(f"{name}{words}: {line}", style="red", markup=False)
     if not objectives:
         console.print("No final head-to-head: nothing was compared.")
 

@@ -75,3 +75,13 @@ def duration(seconds: Number) -> str:
 def count(value: Number) -> str:
     """1 234 567, with thin spaces."""
     return "–" if value is None else f"{value:,}".replace(",", "\u2009")
+
+
+HELD, OPEN_LOOP = ", at held speed", ", at equal commands (open loop)"
+
+
+def ways(result: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], str]]:
+    """The parts of an objective's final result and the words for each: at held speed, and at equal commands beside it;
+    of a run that held no speed the only one, without a word."""
+    beside = result.get("open_loop")
+    return [(result, "")] if beside is None else [(result, HELD), (beside, OPEN_LOOP)]

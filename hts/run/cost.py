@@ -9,6 +9,8 @@ from typing import Any
 
 from hts.config import RunConfig
 from hts.contracts import WorldContext
+from hts.evaluation.held import ask_to_hold, hold_of
+from hts.evaluation.simulation import trial_seconds
 from hts.plugins import Registry
 from hts.training.sweep import candidates, combinations, own_weights
 
@@ -45,14 +47,24 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
         config.robot.name, config.robot.settings, config.objectives, config.seed, folder=nowhere, registry=registry
     )
     world = registry.make_world(config.world.name, config.world.settings, context)
-    per_test = world.head_to_head_seconds()
+    hold = hold_of(config)
+    ask_to_hold(world, hold)
+    speeds, block = config.selection.tested_speeds, config.selection.block_seconds
+    if len(speeds) > 1 or block is not None:
+        per_elite = world.head_to_head_session_seconds(len(speeds), block)
+    else:
+        per_elite = world.head_to_head_seconds()
+    per_final = world.head_to_head_seconds()
+    if hold is not None:  # the final is held, and done at equal commands beside
+        ask_to_hold(world, None)
+        per_final += world.head_to_head_seconds()
     elites = sum(min(config.selection.elites, count) for count in counts)
     collected = config.collection.repeats + config.collection.exploring
     robot_seconds = config.collection.schedule.seconds * collected if config.records_first else 0.0
-    robot_seconds += per_test * (elites + len(config.evaluation.speeds))
+    robot_seconds += per_elite * elites + per_final * len(config.evaluation.speeds)
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test
-    test_steps = test.num_envs * len(test.speeds) * test.seconds * robot.spec.control_rate_hz
+    test_steps = test.num_envs * len(test.speeds) * trial_seconds(test) * robot.spec.control_rate_hz
     # Every candidate, and the pretrained policy beside them.
     steps += round((sum(counts) + config.iterations) * test_steps)
     together = min(max(counts), config.finetune.max_candidates)

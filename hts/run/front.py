@@ -71,10 +71,11 @@ def _entry(policy: Measured, objectives: Sequence[str]) -> dict[str, Any]:
     """id, iteration and, per objective, improvement with its interval and what the policy was selected by."""
     improvements = {}
     for name, gain in zip(objectives, policy.gains, strict=True):
-        measured = next(iter(policy.real[name].values())) if policy.real else {"improvement": 0.0}
+        speeds = list(policy.real[name].values()) if policy.real else [{"improvement": 0.0}]
         improvements[name] = {
-            "improvement": measured["improvement"],
-            "improvement_ci95": measured.get("improvement_ci95"),
+            "improvement": sum(one["improvement"] for one in speeds) / len(speeds),  # the selector's own mean
+            # Each speed has an interval of its own; of several there is none to show for their mean.
+            "improvement_ci95": speeds[0].get("improvement_ci95") if len(speeds) == 1 else None,
             "selection_score": gain,
         }
     return {"id": policy.id, "iteration": policy.iteration, "improvements": improvements}

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig
-from hts.contracts import Objective, Robot, World, WorldContext
+from hts.contracts import HoldSpeed, Objective, Robot, World, WorldContext
 from hts.errors import ConfigError, PolicyError, RecordingError
+from hts.evaluation.held import ask_to_hold, hold_of
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
@@ -117,7 +118,15 @@ class Job:
             folder=self.folder / "world",
             registry=self.registry,
         )
-        return self.registry.make_world(self.config.world.name, self.config.world.settings, context)
+        world = self.registry.make_world(self.config.world.name, self.config.world.settings, context)
+        if self.hold is not None:
+            ask_to_hold(world, self.hold)
+        return world
+
+    @cached_property
+    def hold(self) -> HoldSpeed | None:
+        """How the world holds the speed of head-to-heads; None: it does not."""
+        return hold_of(self.config)
 
     @cached_property
     def store(self) -> RecordingStore:

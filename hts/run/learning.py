@@ -14,10 +14,10 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
-from hts.contracts import FineTuning, Objective, SimulatedCandidate
+from hts.contracts import FineTuning, HoldSpeed, Objective, SimulatedCandidate
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
-from hts.evaluation.simulation import SimulatedTrial, test_config
+from hts.evaluation.simulation import SimulatedTrial, longest_walk, test_config, trial_seconds
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
 from hts.measurement.baseline import fit_proxy
@@ -198,7 +198,7 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     policies = [job.policy(name) for name in names]
     worlds = test.num_envs * len(test.speeds)
     seed = job.seed("simulate")  # the same worlds in every iteration
-    env_config = test_config(config.finetune.env, test.speeds, test.seconds, seed)
+    env_config = test_config(config.finetune.env, test.speeds, longest_walk(test), seed)
     channels = tuple(dict.fromkeys((*inputs(job), "base_velocity")))
     bare = job.robot.make_env(
         config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
@@ -207,7 +207,9 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     population = Population.from_candidates(
         policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device
     )
-    results = dict(zip(names, trials(env, population, test.speeds, test.seconds, test.speed_tolerance), strict=True))
+    hold = HoldSpeed(config.finetune.env.commands.vx) if test.hold_speed else None
+    found = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, hold)
+    results = dict(zip(names, found, strict=True))
     env.close()
     promised = _promised(job, iteration, results)
     task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
@@ -237,7 +239,7 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         "elites": elites,
         "trials": details,
         "predicted": promised,
-        "steps": round(test.seconds * job.robot.spec.control_rate_hz) * worlds * len(names),
+        "steps": round(trial_seconds(test) * job.robot.spec.control_rate_hz) * worlds * len(names),
     }
 
 

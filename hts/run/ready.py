@@ -15,6 +15,7 @@ from hts.config import RunConfig
 from hts.config_loading import check_names, make_model
 from hts.contracts import Robot, WorldContext, robot_signals
 from hts.errors import ConfigError
+from hts.evaluation.held import ask_to_hold, check_hold, hold_of
 from hts.guarded import guarded
 from hts.plugins import Registry
 from hts.training.sweep import combinations, own_weights
@@ -79,7 +80,9 @@ def pretrained_policy(robot: Robot) -> Policy:
 
 
 def check_world(config: RunConfig, registry: Registry) -> None:
-    """The world can serve this robot and these objectives. Raises what its `check` raises."""
+    """The world can serve this robot and these objectives, and hold the speed if it is to. Raises what its `check`
+    raises, ConfigError for a speed that cannot be held."""
+    check_hold(config)
     with tempfile.TemporaryDirectory(prefix="hts-ready-") as nowhere:
         context = WorldContext(
             robot=config.robot.name,
@@ -91,6 +94,7 @@ def check_world(config: RunConfig, registry: Registry) -> None:
         )
         world = registry.make_world(config.world.name, config.world.settings, context)
         try:
+            ask_to_hold(world, hold_of(config))
             guarded(f"World '{config.world.name}': check()", world.check)
         finally:
             world.close()

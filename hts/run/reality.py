@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from hts.evaluation.final import entry_of, segment_scores, walked_speeds
+from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, walked_speeds
+from hts.evaluation.held import ask_to_hold
+from hts.recordings.recording import Recording
 from hts.run.job import Job
 from hts.run.stages import write_json
 
@@ -24,20 +26,40 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
 
 
 def final(job: Job, best: str, report: Report) -> dict[str, Any]:
-    """The best policy against the pretrained one at every speed; also writes policies/best.*"""
+    """The best policy against the pretrained one at every speed; also writes policies/best.*
+
+    Where the run holds the speed it is done twice: held, and at equal commands as in the paper.
+    """
     config = job.config
     job.save("best", job.policy(best))
     if best == "pretrained":
         return {"policy": best, "objectives": {}, "recordings": [], "samples": 0}
-    job.watch(report)
-    recordings = job.world.head_to_head(job.exported("best"), job.exported("pretrained"), config.evaluation.speeds)
-    ids = job.keep(recordings, config.iterations + 1)
+    held: list[Recording] = []
+    if job.hold is not None:
+        job.watch(lambda share: report(share / 2))
+        ask_to_hold(job.world, job.hold)
+        held = _head_to_head(job)
+        job.watch(lambda share: report((1 + share) / 2))
+        ask_to_hold(job.world, None)  # the paper's figures beside: equal commands
+    else:
+        job.watch(report)
+    recordings = _head_to_head(job)
+    ids = job.keep([*held, *recordings], config.iterations + 1)
     entries, scores = {}, {}
     for name, objective in job.objectives.items():
-        results, refused = walked_speeds(objective, recordings, config.evaluation, job.seed("interval", "final"))
+        seed = job.seed("interval", "final")
+        if job.hold is not None:
+            entries[name], scores[name] = entry_both_ways(objective, held, recordings, config.evaluation, seed)
+            continue
+        results, refused = walked_speeds(objective, recordings, config.evaluation, seed)
         entries[name], scores[name] = entry_of(objective, results), segment_scores(results)
         if refused:
             entries[name]["refused"] = refused
     write_json(job.folder / "segments.json", scores)
-    samples = sum(recording.num_samples for recording in recordings)
+    samples = sum(recording.robot_samples for recording in [*held, *recordings])
     return {"policy": best, "objectives": entries, "recordings": ids, "samples": samples}
+
+
+def _head_to_head(job: Job) -> list[Recording]:
+    """The best policy against the pretrained one, as the world does it now."""
+    return job.world.head_to_head(job.exported("best"), job.exported("pretrained"), job.config.evaluation.speeds)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hts.contracts import Comparison, FineTuning, RacedCandidate, Rounds, Selector, TestedCandidate
+from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import CandidateResult, candidate_result
 from hts.evaluation.halves import Half, halves
 from hts.measurement import files
@@ -56,7 +57,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
         "best": selector.best(tested),
         # The protocol is the same in every iteration, so an earlier winner that measured better stays.
         "best_so_far": selector.best([*tested, *incumbent]) or best,
-        "samples": sum(recording.num_samples for recording in tests.recorded),
+        "samples": sum(recording.robot_samples for recording in tests.recorded),
         **races,
         "model_checks": _check_models(job, iteration, ids),
         **_trust(job, iteration, {elite: _row(found) for elite, found in tests.results.items()}),
@@ -67,10 +68,20 @@ test.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 
 def whole(job: Job, iteration: int, elites: Sequence[str], report: Report) -> Tests:
-    """A whole head-to-head of each elite."""
+    """A whole head-to-head of each elite at every speed of selection, on one machine where the world can."""
     job.watch(report)
-    speeds = (job.config.selection.speed,)
-    sessions = job.world.head_to_heads([job.exported(elite) for elite in elites], job.exported("pretrained"), speeds)
+    selection = job.config.selection
+    policies, reference = [job.exported(elite) for elite in elites], job.exported("pretrained")
+    sessions = None
+    if len(selection.tested_speeds) > 1 or selection.block_seconds is not None:
+        sessions = job.world.head_to_heads_in_session(
+            policies, reference, selection.tested_speeds, selection.block_seconds
+        )
+        if sessions is None:
+            world = job.config.world.name
+            job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: each speed gets one of its own.")
+    if sessions is None:
+        sessions = job.world.head_to_heads(policies, reference, selection.tested_speeds)
     of = {elite: list(session) for elite, session in zip(elites, sessions, strict=True)}
     results = {elite: _result(job, iteration, elite, recordings) for elite, recordings in of.items()}
     return Tests(of, [recording for session in of.values() for recording in session], results)
@@ -80,7 +91,8 @@ def in_rounds(
     job: Job, iteration: int, elites: Sequence[str], selector: Selector, rounds: Rounds, report: Report
 ) -> Tests | None:
     """Short head-to-heads of those that are still racing; None if the world knows no rounds."""
-    reference, speed = job.exported("pretrained"), job.config.selection.speed
+    reference, speeds = job.exported("pretrained"), job.config.selection.tested_speeds
+    speed: float | tuple[float, ...] = speeds if len(speeds) > 1 else speeds[0]
 
     def ask(racing: Sequence[str], number: int) -> list[list[Recording]] | None:
         job.watch(lambda share: report((number + share) / rounds.most))
@@ -173,8 +185,8 @@ def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
     row: Mapping[str, Any] = job.read(f"iterations/{iteration:02d}/test")["results"][best]
     comparisons = {}
     for name, score in row["tested"]["selection_score"].items():
-        (entry,) = row["real"][name].values()
-        comparisons[name] = Comparison(entry["improvement"], score, entry["metrics"])
+        speeds = [Comparison(one["improvement"], score, one["metrics"]) for one in row["real"][name].values()]
+        comparisons[name] = mean_comparison(speeds)  # `score` is the mean over them already
     return [TestedCandidate(best, comparisons, row["tested"]["fell"], _made(job, iteration, best))]
 
 

@@ -7,6 +7,7 @@ command to type next. When the logs lie in the bundle, the same request reads th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,12 @@ from pydantic import Field
 from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import Installed, Settings, World, WorldContext
-from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
+from hts.contracts import HoldSpeed, Installed, Settings, World, WorldContext
+from hts.errors import RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
 from hts.recordings.needs import check_mapping
 from hts.recordings.recording import Recording
+from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out, walking
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
 
@@ -49,6 +51,7 @@ class FieldWorld(World):
     def __init__(self, settings: FieldSettings, context: WorldContext) -> None:
         self.settings, self._context = settings, context
         self._folder = Path(context.folder) / "field"
+        self._hold: HoldSpeed | None = None
 
     def idle(self) -> Mapping[str, float]:
         """From the mapping, where the person wrote it."""
@@ -70,6 +73,8 @@ class FieldWorld(World):
             return
         registry, mapping = self._registry, self._mapping()
         registry.make_log_reader(reader_name(mapping), {})
+        if self._hold is not None:
+            field_holding.check_mapping(self._mapping_path(), mapping)
         for name, settings in self._context.objectives.items():
             check_mapping(registry.make_objective(name, settings), mapping, self._mapping_path())
 
@@ -81,8 +86,17 @@ class FieldWorld(World):
         ]
         return self._recordings(request, orders)
 
+    def hold_speed(self, hold: HoldSpeed | None) -> bool:
+        """The person trims; needs a speed sensor, see `field_holding.SENSOR`."""
+        self._hold = hold
+        return hold is not None
+
     def head_to_head_seconds(self) -> float:
-        return len(ORDER) * self.settings.block_seconds
+        return self.head_to_head_session_seconds(1, None)
+
+    def head_to_head_session_seconds(self, speeds: int, block_seconds: float | None) -> float:
+        trimming = 2 * self._hold.seconds if self._hold is not None else 0.0
+        return speeds * (len(ORDER) * (block_seconds or self.settings.block_seconds) + trimming)
 
     def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
         return self.head_to_heads([policy], reference, speeds)[0]
@@ -91,47 +105,89 @@ class FieldWorld(World):
         self, policies: Sequence[Path], reference: Path, speeds: Sequence[float]
     ) -> list[list[Recording]]:
         """All of them in one bundle, so that one visit to the robot is enough."""
-        request = self._request(
-            "head to head", [*policies, reference], [*map(float, speeds), self.settings.block_seconds]
-        )
+        return self._heads("head to head", policies, reference, speeds, self.settings.block_seconds)
+
+    def head_to_heads_in_session(
+        self, policies: Sequence[Path], reference: Path, speeds: Sequence[float], block_seconds: float | None
+    ) -> list[list[Recording]]:
+        """The same; the bundle's rows follow each other speed by speed, so the robot stays warm."""
+        seconds = block_seconds or self.settings.block_seconds
+        return self._heads("session", policies, reference, speeds, seconds)
+
+    def head_to_head_round(
+        self,
+        policies: Sequence[Path],
+        reference: Path,
+        speed: float | Sequence[float],
+        number: int,
+        block_seconds: float,
+    ) -> list[list[Recording]]:
+        """One bundle a round, its logs recorded in one go; the policies share the reference's blocks."""
+        asked: float | list[float] = [float(v) for v in speed] if isinstance(speed, Sequence) else float(speed)
+        rest = [asked, number, float(block_seconds), *self._holding()]
+        request = self._request("round", [*policies, reference], rest)
+        order = round_order(len(policies), number)
+        walkers = [Path(reference if who is None else policies[who]) for who in order]
+        orders: list[Order] = []
+        speeds = asked if isinstance(asked, list) else [asked]
+        for one in speeds:
+            session = request_id(request, 0) if len(speeds) == 1 else request_id(request, 0, one)
+            orders += self._orders(walkers, [w is None for w in order], one, block_seconds, session, len(orders))
+        recordings, width = self._recordings(request, orders), len(order)
+        shared = [shared_out(recordings[i : i + width], order, len(policies)) for i in range(0, len(recordings), width)]
+        return [[r for rows in shared for r in rows[policy]] for policy in range(len(policies))]
+
+    # ------------------------------------------------------------------------------------------ inside
+
+    def _heads(
+        self, what: str, policies: Sequence[Path], reference: Path, speeds: Sequence[float], seconds: float
+    ) -> list[list[Recording]]:
+        """A-B-B-A of each policy at each speed, in one bundle."""
+        request = self._request(what, [*policies, reference], [*map(float, speeds), seconds, *self._holding()])
         orders: list[Order] = []
         for number, policy in enumerate(policies):
-            for speed in speeds:
-                session = request_id(request, number, float(speed))
-                schedule = walking(float(speed), self.settings.block_seconds)
-                for block, role in enumerate(ORDER):
-                    path = Path(policy if role == "policy" else reference)
-                    orders.append(Order(f"{len(orders):02d}", path, schedule, session, block, role))
+            walkers = [Path(policy if role == "policy" else reference) for role in ORDER]
+            for speed in map(float, speeds):
+                session = request_id(request, number, speed)
+                own = [role == "reference" for role in ORDER]
+                orders += self._orders(walkers, own, speed, seconds, session, len(orders))
         recordings = self._recordings(request, orders)
         width = len(ORDER) * len(speeds)
         return [recordings[i * width : (i + 1) * width] for i in range(len(policies))]
 
-    def head_to_head_round(
-        self, policies: Sequence[Path], reference: Path, speed: float, number: int, block_seconds: float
-    ) -> list[list[Recording]]:
-        """One bundle a round, its logs recorded in one go; the policies share the reference's blocks."""
-        request = self._request("round", [*policies, reference], [float(speed), number, float(block_seconds)])
-        schedule, session = walking(float(speed), float(block_seconds)), request_id(request, 0)
-        order = round_order(len(policies), number)
-        orders = [
-            Order(f"{i:02d}", Path(reference), schedule, session, i, "reference")
-            if who is None
-            else Order(f"{i:02d}", Path(policies[who]), schedule, session, i, "policy")
-            for i, who in enumerate(order)
-        ]
-        return shared_out(self._recordings(request, orders), order, len(policies))
+    def _orders(
+        self,
+        walkers: Sequence[Path],
+        is_reference: Sequence[bool],
+        speed: float,
+        seconds: float,
+        session: str,
+        first: int,
+    ) -> list[Order]:
+        """Blocks of one session; held: who has not walked in it is trimmed first."""
+        schedule, seen, orders = walking(speed, float(seconds)), set[tuple[Path, bool]](), []
+        for block, walker in enumerate(zip(walkers, is_reference, strict=True)):
+            role = "reference" if walker[1] else "policy"
+            trim = self._hold is not None and walker not in seen
+            seen.add(walker)
+            orders.append(Order(f"{first + block:02d}", walker[0], schedule, session, block, role, trim))
+        return orders
 
-    # ------------------------------------------------------------------------------------------ inside
+    def _holding(self) -> list[Any]:
+        """What a request's name says about holding the speed; nothing where it is not held."""
+        return [asdict(self._hold)] if self._hold is not None else []
 
     def _recordings(self, request: str, orders: Sequence[Order]) -> list[Recording]:
         """What the logs of a bundle hold, in order; writes the bundle and waits if any is missing."""
         if not orders:
             return []
         bundle = self._folder / request
+        held = self._hold is not None and orders[0].role != "collection"
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             self._mapping()
-            write_bundle(bundle, orders, self._mapping_path(), self._command())
+            hold = field_holding.instructions(self._hold) if self._hold is not None and held else ()
+            write_bundle(bundle, orders, self._mapping_path(), self._command(), hold)
         except OSError as error:
             raise WorldError(f"{bundle}: the deploy bundle cannot be written ({error.strerror}).") from error
         files = {order.name: _log_files(bundle / "logs", order.name) for order in orders}
@@ -141,7 +197,10 @@ class FieldWorld(World):
                 f"Waiting for {len(missing)} of {len(orders)} logs from the robot ({bundle}/logs/{missing[0]}.csv and "
                 f"so on). What to record is in {bundle}/README.md; then type: {self._command()}"
             )
-        return [self._read(files[order.name], order) for order in orders]
+        recordings = [self._read(files[order.name], order) for order in orders]
+        if held:
+            field_holding.check_one_command(recordings)
+        return recordings
 
     def _read(self, files: Sequence[Path], order: Order) -> Recording:
         from hts.policies.deploy import DeployedPolicy
@@ -167,6 +226,8 @@ class FieldWorld(World):
                 f"{files[0]}: {recording.seconds:.1f} s long, but {order.schedule.seconds:g} s were to be recorded. "
                 "Cut the log to the block it belongs to, or record it again."
             )
+        if self._hold is not None and order.role != "collection":
+            return field_holding.held(files, recording, self._hold, order.trim)
         return recording
 
     @cached_property

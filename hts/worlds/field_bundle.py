@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,10 @@ UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
 
 @dataclass(frozen=True)
 class Order:
-    """One log to be recorded: `name` of its files, the policy (ONNX file), and what becomes part of the recording."""
+    """One log to be recorded: `name` of its files, the policy (ONNX file), and what becomes part of the recording.
+
+    trim: its policy's command is trimmed before it.
+    """
 
     name: str
     policy: Path
@@ -29,6 +32,7 @@ class Order:
     session: str
     block: int
     role: str
+    trim: bool = False
 
 
 def mapping_template(spec: RobotSpec, sim: Mapping[str, Channel], real: Sequence[Channel]) -> str:
@@ -58,11 +62,12 @@ def mapping_template(spec: RobotSpec, sim: Mapping[str, Channel], real: Sequence
     return head + yaml.safe_dump(content, sort_keys=False, width=110)
 
 
-def instructions(orders: Sequence[Order], mapping: Path, command: str) -> str:
-    """README of the bundle."""
+def instructions(orders: Sequence[Order], mapping: Path, command: str, hold: Sequence[str] = ()) -> str:
+    """README of the bundle. hold: lines about holding the speed, where it is to be held."""
     rows = [
         f"| {order.name} | {order.session} | {order.block} | {order.role} | policies/{order.policy.name} | "
         + ", then ".join(f"{c.vx:g} m/s for {c.seconds:g} s" for c in order.schedule.commands)
+        + (", *trim first*" if order.trim else "")
         + " |"
         for order in orders
     ]
@@ -83,12 +88,13 @@ def instructions(orders: Sequence[Order], mapping: Path, command: str) -> str:
         "",
         session,
         "",
-        "| log | session | block | role | policy | commanded speed |",
+        f"| log | session | block | role | policy | {'speed' if hold else 'commanded speed'} |",
         "|---|---|---|---|---|---|",
         *rows,
         "",
         policies,
         "",
+        *hold,
         f"1. {idle}",
         f"2. Write it, and the names of your log's columns, into `{mapping}`.",
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
@@ -98,7 +104,7 @@ def instructions(orders: Sequence[Order], mapping: Path, command: str) -> str:
     return "\n".join(lines)
 
 
-def write_bundle(folder: Path, orders: Sequence[Order], mapping: Path, command: str) -> None:
+def write_bundle(folder: Path, orders: Sequence[Order], mapping: Path, command: str, hold: Sequence[str] = ()) -> None:
     """Write policies, cards, plan and instructions; complete or not at all. A bundle that is there stays as it is."""
     if folder.exists():
         return
@@ -114,7 +120,7 @@ def write_bundle(folder: Path, orders: Sequence[Order], mapping: Path, command: 
             shutil.copyfile(order.policy, target)
             card = vars(DeployedPolicy(target).card)
             target.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
-    shown = [Order(o.name, named[o.policy], o.schedule, o.session, o.block, o.role) for o in orders]
+    shown = [replace(order, policy=named[order.policy]) for order in orders]
     plan = [
         {
             "log": o.name,
@@ -123,9 +129,10 @@ def write_bundle(folder: Path, orders: Sequence[Order], mapping: Path, command: 
             "session": o.session,
             "block": o.block,
             "role": o.role,
+            **({"trim": o.trim} if hold else {}),
         }
         for o in shown
     ]
     (temporary / "plan.json").write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
-    (temporary / "README.md").write_text(instructions(shown, mapping, command), encoding="utf-8")
+    (temporary / "README.md").write_text(instructions(shown, mapping, command, hold), encoding="utf-8")
     temporary.rename(folder)

@@ -12,6 +12,8 @@ from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig, RandomisationConfig
+from hts.contracts import HoldSpeed
+from hts.envs.commands import WalksAsTold
 from hts.errors import ConfigError
 from hts.evaluation.simulation import simulate, test_config
 from hts.policies.importing import import_policy
@@ -71,6 +73,40 @@ class Treadmill(EnvBase):
 def judge(speeds, falls=None, commanded=(0.5, 1.0), seconds=4.0):
     population = Population(Sizes(3, 3, 1, (4,)), len(speeds))
     return simulate(Treadmill(speeds, falls), population, commanded, seconds, tolerance=0.1)
+
+
+class Obedient(Treadmill, WalksAsTold):
+    """Every world walks 0.9 x its command - 0.02 m/s, and each by as much faster as `speeds` says."""
+
+    def walk_at(self, commands):
+        self.commanded = commands
+
+    def _write(self, fell, **entries):
+        result = super()._write(fell, **entries)
+        result["channels", "base_velocity"][..., 0] = 0.9 * self.commanded - 0.02 + self.speeds
+        return result
+
+
+def test_held_speed_is_found_for_each_policy_and_speed_over_their_worlds():
+    env = Obedient([[0.02, 0.02, -0.02, -0.02], [0.1, 0.1, 0.1, 0.1]], {(0, 0): 10})
+    env.walk_at(torch.zeros(2, 4))
+    population = Population(Sizes(3, 3, 1, (4,)), 2)
+    rows = simulate(env, population, (0.5, 1.0), 4.0, 0.1, hold=HoldSpeed((0.3, 1.1)))
+    # World 0 of the first policy fell while trimming, so that its command follows world 2 alone: 0.9 u - 0.04 = 0.5.
+    assert [trial.commanded for trial in rows[0]] == pytest.approx([0.6, 1.1], abs=0.01)  # 1.133 is out of range
+    assert [trial.commanded for trial in rows[1]] == pytest.approx([0.42 / 0.9, 0.92 / 0.9], abs=0.01)
+    assert [trial.mean_speed for trial in rows[1]] == pytest.approx([0.5, 1.0], abs=0.005)
+    assert rows[0][1].mean_speed == pytest.approx(0.97, abs=0.005)
+
+
+def test_without_holding_the_asked_speed_is_what_is_sent():
+    assert [trial.commanded for trial in judge([[0.5, 1.0]])[0]] == [0.5, 1.0]
+
+
+def test_an_env_that_takes_no_other_speed_cannot_hold_one():
+    population = Population(Sizes(3, 3, 1, (4,)), 1)
+    with pytest.raises(ConfigError, match="Treadmill.*simulation_test.hold_speed=false"):
+        simulate(Treadmill([[0.5]]), population, (0.5,), 4.0, 0.1, hold=HoldSpeed((0.3, 1.1)))
 
 
 def test_worlds_are_told_the_speeds_in_turn_and_judged_by_their_own():

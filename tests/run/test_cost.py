@@ -91,3 +91,17 @@ def test_a_dry_run_with_a_wrong_name_ends_in_one_line(hts):
     done = hts("run", "--objective", "powr", "--robot", "go1", "--dry-run")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("\n") == 1 and "Did you mean 'power'?" in done.stderr
+
+
+def test_holding_the_speed_costs_its_trimming_and_a_second_final():
+    held = "evaluation.hold_speed=true"
+    cost = cost_of("smoke", held)
+    # a warm-up of 1 s becomes 0.5 s and 12 s in which the reference trims; the policy trims 12 s; four blocks of 6 s
+    assert cost["robot_minutes"] == pytest.approx((3 * 12 + 3 * (12.5 + 12 + 24) + 25) / 60)
+    steps = cost_of("smoke", held, "simulation_test.hold_speed=true")["simulation_steps"]
+    assert steps - cost["simulation_steps"] == 7 * 4 * 6 * 50  # 6 s more of each instance
+
+
+def test_selection_at_several_speeds_warms_up_once_for_all_of_them():
+    cost = cost_of("smoke", "selection.speeds=[0.5, 0.8, 1.1]", "selection.block_seconds=5")
+    assert cost["robot_minutes"] == pytest.approx((3 * 12 + 2 * (1 + 3 * 4 * 5) + 25) / 60)

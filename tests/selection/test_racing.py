@@ -21,7 +21,7 @@ from hts.selection.racing import RacingSettings, make, residual_variance, still_
 from hts.testing.known_race import KnownRounds, run_race
 from hts.testing.made_up_recordings import CostObjective
 from hts.worlds.base import round_order
-from hts.worlds.twin.programme import head_to_head_round
+from hts.worlds.twin.programme import head_to_head
 
 NAN = math.nan
 LEVEL = 0.025  # one-sided; t with 3 degrees of freedom is 3.182
@@ -222,7 +222,7 @@ def test_another_one_begins_each_round():
 
 
 def test_a_round_on_the_twin_is_one_session_after_one_warm_up():
-    session = head_to_head_round(["a", "b"], "r", 0.8, warmup=20.0, block=15.0, number=1, session="s")
+    session = head_to_head(["a", "b"], "r", [0.8], warmup=20.0, block=15.0, number=1, session="s")
     recorded = [(block.policy, block.role, block.index) for block in session.blocks if block.recorded]
     assert [policy for policy, _, _ in recorded] == ["a", "b", "r", "r", "b", "a"]
     assert [role for _, role, _ in recorded] == ["policy", "policy", "reference", "reference", "policy", "policy"]

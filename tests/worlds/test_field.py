@@ -11,7 +11,7 @@ import yaml
 
 from hts import plugins
 from hts.config import ScheduleConfig
-from hts.contracts import WorldContext
+from hts.contracts import HoldSpeed, WorldContext
 from hts.errors import ConfigError, RecordingError, WaitingForRobot
 from hts.worlds.base import walking
 from hts.worlds.field import make_field
@@ -43,8 +43,8 @@ def field(run: Path, **settings):
     return make_field({"block_seconds": SECONDS, **settings}, context)
 
 
-def write_log(path: Path, robot, seconds: float = SECONDS) -> None:
-    """A log whose columns are named as the template names them."""
+def write_log(path: Path, robot, seconds: float = SECONDS, command: float | np.ndarray | None = None) -> None:
+    """A log whose columns are named as the template names them. command: forward, m/s; None: noise."""
     rng, steps = np.random.default_rng(0), round(seconds * 50)
     columns: dict[str, np.ndarray] = {"time": np.arange(steps) / 50}
     for name, channel in robot.channels().items():
@@ -61,6 +61,8 @@ def write_log(path: Path, robot, seconds: float = SECONDS) -> None:
     length = np.sqrt(sum(part**2 for part in gravity))
     for i, part in enumerate(gravity):
         columns[f"projected_gravity_{i}"] = part / length
+    if command is not None:
+        columns["command_0"] = np.broadcast_to(command, steps)
     columns["battery_voltage"] = 22.0 + 0.1 * rng.standard_normal(steps)
     columns["battery_current"] = 5.0 + 0.1 * rng.standard_normal(steps)
     rows = np.stack(list(columns.values()), axis=1)
@@ -162,3 +164,92 @@ def test_each_round_of_a_race_is_one_bundle_and_its_policies_share_the_reference
     with pytest.raises(WaitingForRobot, match="6 of 6 logs"):
         field(run).head_to_head_round(*asked, 1, SECONDS)
     assert len([path for path in first.parent.iterdir() if path.is_dir()]) == 2
+
+
+# ------------------------------------------------------------------------------------------------ held speed
+
+HOLD = HoldSpeed((0.4, 1.2))
+
+
+def holding(run: Path, **settings):
+    world = field(run, **settings)
+    assert world.hold_speed(HOLD)
+    return world
+
+
+def head_to_head_at(run: Path, policy: Path, robot, commands) -> list:
+    """Ask, record the four blocks with these commands, ask again."""
+    with pytest.raises(WaitingForRobot):
+        holding(run).head_to_head(policy, policy, [0.8])
+    fill_in(run)
+    for number, command in enumerate(commands):
+        write_log(bundle(run) / "logs" / f"{number:02d}.csv", robot, command=command)
+    return holding(run).head_to_head(policy, policy, [0.8])
+
+
+def test_a_bundle_says_how_to_trim_and_before_which_rows(run, policy):
+    with pytest.raises(WaitingForRobot):
+        holding(run).head_to_head(policy, policy, [0.8])
+    text = (bundle(run) / "README.md").read_text()
+    assert "walk with its policy for 12 s" in text and "between 0.4 and 1.2 m/s" in text
+    assert "motion capture" in text and "`base_velocity`" in text
+    plan = json.loads((bundle(run) / "plan.json").read_text())
+    assert [row["trim"] for row in plan] == [True, True, False, False]
+    assert [line.count("trim first") for line in text.splitlines() if line.startswith("| 0")] == [1, 1, 0, 0]
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+    assert len([path for path in (run / "field").iterdir() if path.is_dir()]) == 2  # another request
+
+
+def test_the_frozen_command_is_read_from_the_logs(run, policy, robot):
+    recordings = head_to_head_at(run, policy, robot, [0.82, 0.85, 0.85, 0.82])
+    assert [float(r.notes["held_command"]) for r in recordings] == pytest.approx([0.82, 0.85, 0.85, 0.82])
+    assert {r.notes["held_saturated"] for r in recordings} == {"false"}
+    assert {r.schedule.commands[0].vx for r in recordings} == {0.8}
+    assert [r.robot_samples for r in recordings] == [750, 750, 150, 150]  # 12 s of trimming before the first of each
+
+
+def test_a_command_at_the_limit_says_so(run, policy, robot):
+    recordings = head_to_head_at(run, policy, robot, [0.82, 1.2, 1.2, 0.82])
+    assert [r.notes["held_saturated"] for r in recordings] == ["false", "true", "true", "false"]
+
+
+@pytest.mark.parametrize(
+    ("commands", "words"),
+    [
+        ([0.82, np.linspace(0.8, 0.85, 150), 0.85, 0.82], "01.csv: the command moves between 0.800 and 0.850"),
+        ([0.82, 1.3, 1.3, 0.82], "01.csv: the command is 1.300 m/s, allowed are 0.4 to 1.2"),
+        ([0.82, 0.85, 0.87, 0.82], "block 2: the policy got 0.870 m/s after 0.850"),
+    ],
+)
+def test_commands_that_were_not_frozen_are_refused_in_one_line(run, policy, robot, commands, words):
+    with pytest.raises(RecordingError, match=words) as error:
+        head_to_head_at(run, policy, robot, commands)
+    assert "\n" not in str(error.value)
+
+
+def test_holding_needs_a_mapping_with_the_speed_sensor(run, policy):
+    with pytest.raises(WaitingForRobot):
+        holding(run).collect([policy], walking(0.5, SECONDS))
+    assert "trim" not in (bundle(run) / "README.md").read_text()  # first data are collected as ever
+    mapping = yaml.safe_load((run / "field" / "mapping.yaml").read_text())
+    del mapping["channels"]["base_velocity"]
+    path = run / "mine.yaml"
+    path.write_text(yaml.safe_dump(mapping))
+    field(run, mapping=path).check()
+    with pytest.raises(ConfigError, match="needs the channel 'base_velocity'.*motion capture"):
+        holding(run, mapping=path).check()
+
+
+def test_a_round_at_two_speeds_is_one_bundle(run, policy, robot):
+    asked = ([policy], policy, [0.5, 0.8])
+    with pytest.raises(WaitingForRobot, match="8 of 8 logs"):
+        holding(run).head_to_head_round(*asked, 0, SECONDS)
+    fill_in(run)
+    for number in range(8):
+        command = 0.55 if number < 4 else 0.85
+        write_log(bundle(run) / "logs" / f"{number:02d}.csv", robot, command=command)
+    (row,) = holding(run).head_to_head_round(*asked, 0, SECONDS)
+    assert [r.schedule.commands[0].vx for r in row] == [0.5] * 4 + [0.8] * 4
+    assert [r.role for r in row] == ["reference", "policy", "policy", "reference"] * 2
+    assert len({r.session for r in row}) == 2

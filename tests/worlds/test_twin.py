@@ -289,7 +289,7 @@ def test_a_head_to_head_warms_up_settles_and_goes_reference_policy_policy_refere
         exported_constant(tmp_path / "r.onnx", robot),
     )
     witness = Witness()
-    session = head_to_head(str(policy), str(reference), 0.5, warmup=1.0, block=0.5, session="duel")
+    session = head_to_head([str(policy)], str(reference), [0.5], warmup=1.0, block=0.5, session="duel")
     recordings = batch(robot, 1, instruments={"witness": witness}).run([session], "twin")[0]
     assert [recording.role for recording in recordings] == ["reference", "policy", "policy", "reference"]
     assert [recording.block for recording in recordings] == [0, 1, 2, 3]

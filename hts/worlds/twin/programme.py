@@ -8,7 +8,8 @@ from typing import Literal
 from pydantic import Field
 
 from hts.config import Config, ScheduleConfig
-from hts.worlds.base import ORDER, request_id, round_order, walking
+from hts.contracts import HoldSpeed
+from hts.worlds.base import request_id, round_order, walking
 
 SETTLING_SECONDS = 3.0  # of the warm-up, before heat is averaged: the start from standing is not like walking
 STANDING_SECONDS = 1.0  # before anything else
@@ -25,6 +26,21 @@ class Block(Config):
     )
     index: int = Field(0, ge=0, description="number of a recorded block in its session")
     role: Literal["collection", "policy", "reference"] = "collection"
+    session: str | None = Field(None, description="name of its recording's session; null: that of the robot's session")
+    speed: Literal["open", "trim", "held"] = Field(
+        "open",
+        description="open: the schedule is the command; trim: the command follows the measured speed, and what it ends "
+        "at is kept; held: what was kept of this policy at this speed is the command",
+    )
+
+
+class Kept(Config):
+    """A command that was found before this session: of a policy at an asked speed, both in m/s."""
+
+    policy: str
+    asked: float
+    command: float
+    saturated: bool
 
 
 class Session(Config):
@@ -32,6 +48,8 @@ class Session(Config):
 
     id: str
     blocks: tuple[Block, ...]
+    hold: HoldSpeed | None = Field(None, description="how blocks trim; null: none does")
+    kept: tuple[Kept, ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -51,34 +69,67 @@ def collection(policies: Sequence[str | None], schedule: ScheduleConfig, request
     ]
 
 
-def warm_up(policy: str | None, speed: float, seconds: float) -> tuple[Block, ...]:
+def warm_up(policy: str | None, speed: float, seconds: float, trimming: float | None = None) -> tuple[Block, ...]:
     """Stand up, walk, and bring heat to the steady state of that.
 
     It settles twice: once after the first seconds, so that windings are warm while heat is averaged, and at the end.
+    trimming: s; the walk after the first seconds is long enough for it and trims.
     """
     first = min(SETTLING_SECONDS, seconds / 2)
-    parts = (first, seconds - first)
-    walks = [Block(policy=policy, schedule=walking(speed, part), recorded=False, settle=True) for part in parts]
-    return (standing_up(), *walks)
+    rest = seconds - first if trimming is None else max(seconds - first, trimming)
+    begin = Block(policy=policy, schedule=walking(speed, first), recorded=False, settle=True)
+    kind: Literal["open", "trim"] = "open" if trimming is None else "trim"
+    walk = Block(policy=policy, schedule=walking(speed, rest), recorded=False, settle=True, speed=kind)
+    return (standing_up(), begin, walk)
 
 
-def head_to_head(policy: str, reference: str, speed: float, warmup: float, block: float, session: str) -> Session:
-    """Warm up with the reference, then reference - policy - policy - reference, without a pause."""
-    paths = {"policy": policy, "reference": reference}
-    walk = walking(speed, block)
-    blocks = [Block(policy=paths[role], schedule=walk, index=i, role=role) for i, role in enumerate(ORDER)]
-    return Session(id=session, blocks=(*warm_up(reference, speed, warmup), *blocks))
-
-
-def head_to_head_round(
-    policies: Sequence[str], reference: str, speed: float, warmup: float, block: float, number: int, session: str
+def head_to_head(
+    policies: Sequence[str],
+    reference: str,
+    speeds: Sequence[float],
+    warmup: float,
+    block: float,
+    session: str,
+    number: int = 0,
+    hold: HoldSpeed | None = None,
+    kept: Sequence[Kept] = (),
 ) -> Session:
-    """Warm up with the reference, then a round of all policies in one session, without a pause."""
-    walk = walking(speed, block)
-    blocks = [
-        Block(policy=reference, schedule=walk, index=i, role="reference")
-        if who is None
-        else Block(policy=policies[who], schedule=walk, index=i, role="policy")
-        for i, who in enumerate(round_order(len(policies), number))
-    ]
-    return Session(id=session, blocks=(*warm_up(reference, speed, warmup), *blocks))
+    """Warm up with the reference, then at each speed all policies there and back, without a pause.
+
+    With one policy a speed is reference - policy - policy - reference; number: of a round, says who begins.
+    hold: each policy trims before its first block at a speed, unless `kept` knows its command; the reference's
+    trimming at the first speed is a part of the warm-up. Blocks of each speed carry a session's name of their own where
+    there are several.
+    """
+    known = {(one.policy, one.asked) for one in kept}
+
+    def trims(path: str, speed: float) -> bool:
+        return hold is not None and (path, speed) not in known
+
+    trimming = hold.seconds if hold is not None and trims(reference, speeds[0]) else None
+    blocks = list(warm_up(reference, speeds[0], warmup, trimming))
+    for speed in speeds:
+        name = session if len(speeds) == 1 else request_id(session, speed)
+        for path in (*(() if speed == speeds[0] else (reference,)), *dict.fromkeys(policies)):
+            if hold is not None and trims(path, speed):
+                walk = walking(speed, hold.seconds)
+                blocks.append(Block(policy=path, schedule=walk, recorded=False, speed="trim"))
+        blocks += [
+            Block(
+                policy=reference if who is None else policies[who],
+                schedule=walking(speed, block),
+                index=index,
+                role="reference" if who is None else "policy",
+                session=name,
+                speed="open" if hold is None else "held",
+            )
+            for index, who in enumerate(round_order(len(policies), number))
+        ]
+    return Session(id=session, blocks=tuple(blocks), hold=hold, kept=tuple(kept))
+
+
+def session_seconds(policies: int, speeds: int, warmup: float, block: float, hold: HoldSpeed | None) -> float:
+    """Length of such a session without its standing up, s; nothing known before."""
+    walks = [str(number) for number in range(policies)]
+    made = head_to_head(walks, "reference", [float(n) for n in range(speeds)], warmup, block, "", hold=hold)
+    return made.seconds - STANDING_SECONDS

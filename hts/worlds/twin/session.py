@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from hts.worlds.twin.model import Machine, build
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.programme import Block, Session
 from hts.worlds.twin.sensors import Sensors
+from hts.worlds.twin.trimming import HeldCommand, Trimming
 
 FALLEN_TILT = -0.5  # projected gravity z: 60 degrees
 FALLEN_HEIGHT, FALLEN_SECONDS = 0.4, 0.5  # trunk below this share of its height in the default pose, for so long
@@ -68,6 +70,8 @@ class Batch:
         self.steps = round(self.period / settings.dynamics.physics_dt)
         self._low_seconds = np.zeros(num_worlds)
         self._ticks = 0  # control steps since switching on
+        self._unrecorded = 0  # of them since the last recorded block
+        self._held: list[dict[tuple[str | None, float], HeldCommand]] = [{} for _ in range(num_worlds)]
         step = settings.sensors.scale_resolution
         self.mass_kg = round(round(self.machine.total_mass / step) * step, 4)
 
@@ -75,20 +79,58 @@ class Batch:
         """Recordings of each session, in the order of its blocks. Sessions must have blocks of the same lengths."""
         recordings: list[list[Recording]] = [[] for _ in sessions]
         done, total = 0.0, sessions[0].seconds
+        for held, session in zip(self._held, sessions, strict=True):
+            held.update({(one.policy, one.asked): HeldCommand(one.command, one.saturated) for one in session.kept})
         for blocks in zip(*(session.blocks for session in sessions), strict=True):
             share = blocks[0].schedule.seconds / total
-            recorder = self._run_block(blocks, _part_of(progress, done, share))
+            trimming = self._trimming(blocks, sessions)
+            recorder = self._run_block(blocks, _part_of(progress, done, share), trimming)
             done += share
             if blocks[0].settle:
                 for instrument in self.instruments.values():
                     instrument.settle()
             for number, (block, session) in enumerate(zip(blocks, sessions, strict=True)):
                 if block.recorded:
-                    recordings[number].append(recorder.recording(number, block, session.id, self, world))
+                    name = block.session or session.id
+                    recordings[number].append(recorder.recording(number, block, name, self, world))
+            self._unrecorded = 0 if blocks[0].recorded else self._unrecorded + recorder.length
+            if trimming is not None:
+                for block, held, found in zip(blocks, self._held, trimming.found(), strict=True):
+                    held[_held_key(block)] = found
         return recordings
 
-    def _run_block(self, blocks: Sequence[Block], progress: Progress) -> Recorder:
+    def _trimming(self, blocks: Sequence[Block], sessions: Sequence[Session]) -> Trimming | None:
+        """The outer loop of blocks that trim; None for others."""
+        hold = sessions[0].hold
+        if blocks[0].speed != "trim" or hold is None:
+            return None
+        asked = np.array([block.schedule.commands[0].vx for block in blocks])
+        return Trimming(asked, dataclasses.replace(hold, seconds=blocks[0].schedule.seconds), self.period)
+
+    def held_notes(self, number: int, block: Block) -> dict[str, str]:
+        """What the recording of a block says about its held speed; nothing where it was not held."""
+        if block.speed != "held":
+            return {}
+        found = self._held[number][_held_key(block)]
+        return {
+            "held_command": repr(found.command),
+            "held_saturated": "true" if found.saturated else "false",
+            "unrecorded_seconds": f"{self._unrecorded * self.period:g}",
+        }
+
+    def falls_before(self, number: int, block: Block) -> int:
+        """Falls of a block's policy while it trimmed; asked once, so that no second block counts them again."""
+        found = self._held[number].get(_held_key(block)) if block.speed == "held" else None
+        if found is None:
+            return 0
+        self._held[number][_held_key(block)] = dataclasses.replace(found, falls=0)
+        return found.falls
+
+    def _run_block(self, blocks: Sequence[Block], progress: Progress, trimming: Trimming | None) -> Recorder:
         commanded = np.stack([commands(block.schedule, self.spec.control_rate_hz) for block in blocks])  # (W, T, 3)
+        for number, block in enumerate(blocks):
+            if block.speed == "held":
+                commanded[number, :, 0] = self._held[number][_held_key(block)].command
         policy_batch = PolicyBatch(
             self.machine, [block.policy for block in blocks], int(self._policy_random.integers(2**31))
         )
@@ -96,6 +138,9 @@ class Batch:
         recorder = Recorder(self, commanded.shape[1], policy_batch)
         for step in range(commanded.shape[1]):
             readings = self.sensors.read(self.period)
+            if trimming is not None:
+                trimming.see(readings["base_velocity"][:, 0])
+                commanded[:, step, 0] = trimming.command
             readings["command"] = self.operator.command(commanded[:, step], self.body.heading())
             readings["joint_target"] = policy_batch.targets(readings)
             for instrument in self.instruments.values():
@@ -107,6 +152,8 @@ class Batch:
                 self.operator.forget(fell)
                 self._low_seconds[fell] = 0
                 policy_batch.reset(fell)
+                if trimming is not None:
+                    trimming.fell(fell)
                 readings["joint_target"][fell] = self.spec.default_pose
             self.body.advance(readings["joint_target"], self.steps, tuple(self.instruments.values()))
             self._ticks += 1
@@ -123,6 +170,11 @@ class Batch:
 
     def close(self) -> None:
         self.body.close()
+
+
+def _held_key(block: Block) -> tuple[str | None, float]:
+    """A held command belongs to a policy at an asked speed."""
+    return block.policy, block.schedule.commands[0].vx
 
 
 def _part_of(progress: Progress | None, done: float, share: float) -> Progress:
@@ -186,7 +238,7 @@ class Recorder:
     """What is written down of W robots during a block of T control steps."""
 
     def __init__(self, batch: Batch, length: int, policy_batch: PolicyBatch) -> None:
-        self._length, self._policies = length, policy_batch
+        self.length, self._policies = length, policy_batch
         self.channels: dict[str, Channel] = dict(batch.robot.channels())
         for instrument in batch.instruments.values():
             self.channels |= {channel.name: channel for channel in instrument.channels}
@@ -198,7 +250,7 @@ class Recorder:
         """One control step of all robots: channel -> (W, *shape)."""
         if not self._values:
             self._values = {
-                name: np.empty((len(fell), self._length, *channel.shape), dtype=np.float32)
+                name: np.empty((len(fell), self.length, *channel.shape), dtype=np.float32)
                 for name, channel in self.channels.items()
                 if name in readings
             }
@@ -213,7 +265,9 @@ class Recorder:
         for instrument in batch.instruments.values():
             idle |= instrument.idle()
         spec, falls = batch.spec, int(self._falls[number])
-        notes = {"unsteady_seconds": f"{batch.settings.unsteady_seconds:g}", "falls": str(falls)}
+        counted = falls + batch.falls_before(number, block)
+        notes = {"unsteady_seconds": f"{batch.settings.unsteady_seconds:g}", "falls": str(counted)}
+        notes |= batch.held_notes(number, block)
         return Recording(
             robot=spec.name,
             world=world,

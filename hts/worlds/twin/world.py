@@ -6,20 +6,21 @@ import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from hts.config import ScheduleConfig
-from hts.contracts import Settings, World, WorldContext
+from hts.contracts import HoldSpeed, Settings, World, WorldContext
 from hts.cores import available
 from hts.errors import WorldError
 from hts.layers import plain
 from hts.recordings.recording import Recording
 from hts.recordings.store import RecordingStore
-from hts.worlds.base import ORDER, file_hash, in_groups, request_id, round_order, shared_out
+from hts.worlds.base import file_hash, in_groups, request_id, round_order, shared_out
 from hts.worlds.twin.child import Child
 from hts.worlds.twin.parameters import TwinSettings
-from hts.worlds.twin.programme import Session, collection, head_to_head, head_to_head_round
+from hts.worlds.twin.programme import Kept, Session, collection, head_to_head, session_seconds
 
 STEPS_PER_SECOND = 12_000.0  # physics steps of a twin on one core, for the estimate of `cost`
 
@@ -43,6 +44,8 @@ class TwinWorld(World):
         self._folder = Path(context.folder) / "twin"
         self._children: list[Child] = []
         self._report: Callable[[float], None] = lambda share: None
+        self._hold: HoldSpeed | None = None
+        self._found: dict[tuple[str, float], tuple[tuple[float, bool]]] = {}  # file and speed -> command, saturated
 
     def idle(self) -> Mapping[str, float]:
         return self._guarded(lambda: self._staff(1)[0].ask({"do": "idle"}))
@@ -67,14 +70,15 @@ class TwinWorld(World):
         """All policies at all speeds side by side, each pair on a twin of its own."""
         paths, against, settings = [_path(policy) for policy in policies], _path(reference), self.settings
         lengths = (settings.warmup_seconds, settings.block_seconds)
-        request = self._request("head to head", [*paths, against], [list(speeds), *lengths])
+        request = self._request("head to head", [*paths, against], [list(speeds), *lengths, *self._holding()])
         sessions = [
             head_to_head(
-                path,
+                [path],
                 against,
-                float(speed),
+                [float(speed)],
                 *lengths,
                 request_id(request, number, float(speed)),
+                hold=self._hold,
             )
             for number, path in enumerate(paths)
             for speed in speeds
@@ -83,22 +87,64 @@ class TwinWorld(World):
         width = len(speeds)
         return [[r for row in rows[i * width : (i + 1) * width] for r in row] for i in range(len(paths))]
 
-    def head_to_head_round(
-        self, policies: Sequence[Path], reference: Path, speed: float, number: int, block_seconds: float
+    def head_to_heads_in_session(
+        self, policies: Sequence[Path], reference: Path, speeds: Sequence[float], block_seconds: float | None
     ) -> list[list[Recording]]:
-        """One session on a fresh twin at the stated charge, warmed up; the policies share the reference's blocks."""
+        """Each policy on a twin of its own, all of them side by side."""
+        paths, against, asked = [_path(policy) for policy in policies], _path(reference), [float(v) for v in speeds]
+        lengths = (self.settings.warmup_seconds, self._block(block_seconds))
+        request = self._request("session", [*paths, against], [asked, *lengths, *self._holding()])
+        sessions = [
+            head_to_head([path], against, asked, *lengths, request_id(request, number), hold=self._hold)
+            for number, path in enumerate(paths)
+        ]
+        return self._run(sessions, request)
+
+    def head_to_head_round(
+        self,
+        policies: Sequence[Path],
+        reference: Path,
+        speed: float | Sequence[float],
+        number: int,
+        block_seconds: float,
+    ) -> list[list[Recording]]:
+        """One session on a fresh twin at the stated charge, warmed up; the policies share the reference's blocks.
+
+        Held commands are found in round 0 and kept for the rounds after it; a later round trims whom it does not know.
+        They are part of a round's request, and only round 0 leaves any, so that asking again gives the same recordings.
+        """
         paths, against = [_path(policy) for policy in policies], _path(reference)
+        several = isinstance(speed, Sequence)
+        speeds = [float(one) for one in speed] if isinstance(speed, Sequence) else [float(speed)]
+        kept = self._kept_for([*paths, against], speeds) if number > 0 else []
         lengths = (self.settings.warmup_seconds, float(block_seconds))
-        request = self._request("round", [*paths, against], [float(speed), number, *lengths])
-        session = head_to_head_round(paths, against, float(speed), *lengths, number, request_id(request, 0))
+        rest = [speeds if several else speeds[0], number, *lengths, *self._holding(kept)]
+        request = self._request("round", [*paths, against], rest)
+        name = request_id(request, 0)
+        session = head_to_head(
+            paths, against, speeds, *lengths, name, number, hold=self._hold, kept=[one for _, one in kept]
+        )
         (recordings,) = self._run([session], request)
-        return shared_out(recordings, round_order(len(paths), number), len(paths))
+        order = round_order(len(paths), number)
+        if number == 0:
+            walkers = [against if who is None else paths[who] for who in order]
+            self._keep_commands(recordings, walkers * len(speeds))
+        per_speed = [recordings[i : i + len(order)] for i in range(0, len(recordings), len(order))]
+        shared = [shared_out(blocks, order, len(paths)) for blocks in per_speed]
+        return [[r for rows in shared for r in rows[policy]] for policy in range(len(paths))]
+
+    def hold_speed(self, hold: HoldSpeed | None) -> bool:
+        self._hold, self._found = hold, {}
+        return hold is not None
 
     def on_progress(self, report: Callable[[float], None]) -> None:
         self._report = report
 
     def head_to_head_seconds(self) -> float:
-        return self.settings.warmup_seconds + len(ORDER) * self.settings.block_seconds
+        return self.head_to_head_session_seconds(1, None)
+
+    def head_to_head_session_seconds(self, speeds: int, block_seconds: float | None) -> float:
+        return session_seconds(1, speeds, self.settings.warmup_seconds, self._block(block_seconds), self._hold)
 
     def cost(self, robot_seconds: float) -> Mapping[str, float]:
         steps = robot_seconds / self.settings.dynamics.physics_dt
@@ -115,6 +161,34 @@ class TwinWorld(World):
                 self._folder.rmdir()  # what remains otherwise is what a process said before it ended
 
     # ------------------------------------------------------------------------------------------ inside
+
+    def _block(self, seconds: float | None) -> float:
+        return self.settings.block_seconds if seconds is None else float(seconds)
+
+    def _holding(self, kept: Sequence[tuple[str, Kept]] = ()) -> list[Any]:
+        """What a request's name says about holding the speed; nothing where it is not held."""
+        if self._hold is None:
+            return []
+        return [asdict(self._hold), *([policy, one.asked, one.command] for policy, one in kept)]
+
+    def _kept_for(self, paths: Sequence[str], speeds: Sequence[float]) -> list[tuple[str, Kept]]:
+        """Commands found in round 0, each with the hash of its policy's file."""
+        asked = [(path, file_hash(path), speed) for path in dict.fromkeys(paths) for speed in speeds]
+        return [
+            (name, Kept(policy=path, asked=speed, command=command, saturated=saturated))
+            for path, name, speed in asked
+            for command, saturated in self._found.get((name, speed), ())
+        ]
+
+    def _keep_commands(self, recordings: Sequence[Recording], paths: Sequence[str]) -> None:
+        """Forget what was kept, and keep what these recordings say, each of the policy in `paths`."""
+        self._found = {
+            (file_hash(path), recording.schedule.commands[0].vx): (
+                (float(recording.notes["held_command"]), recording.notes["held_saturated"] == "true"),
+            )
+            for recording, path in zip(recordings, paths, strict=True)
+            if "held_command" in recording.notes
+        }
 
     def _request(self, what: str, policies: Sequence[str | None], rest: Any) -> str:
         """A request's name, from its content."""

@@ -1,0 +1,217 @@
+"""Head-to-heads at held speed: what is refused, what is reported, and several speeds as one number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hts.channels import Channel
+from hts.config import Command, CommandConfig, EvaluationConfig, ScheduleConfig
+from hts.config_loading import load_config
+from hts.contracts import Comparison, HoldSpeed
+from hts.errors import ConfigError, EvaluationError
+from hts.evaluation.across_speeds import mean_comparison
+from hts.evaluation.final import candidate_result, entry_both_ways, walked_speeds
+from hts.evaluation.halves import halves
+from hts.evaluation.head_to_head import compare
+from hts.evaluation.held import SpeedNotHeld, ask_to_hold, check_hold, hold_of
+from hts.recordings.recording import Recording, Series
+from hts.testing.made_up_recordings import CostObjective
+
+CONFIG = EvaluationConfig(bootstrap=200)
+ORDER = ("reference", "policy", "policy", "reference")
+
+
+def block(
+    role: str,
+    number: int,
+    asked: float,
+    walked: float,
+    cost: float,
+    notes: dict[str, str],
+    seconds: int = 22,
+    noise: float = 0.004,
+) -> Recording:
+    """A block whose 1 s mean speeds scatter by `noise`, m/s, about `walked`; segments begin after 2 s."""
+    rng, count = np.random.default_rng([number, round(1000 * walked)]), seconds * 50
+    shocks = rng.standard_normal(seconds)
+    shocks[2:] = (shocks[2:] - shocks[2:].mean()) / shocks[2:].std()  # exactly `walked` on average
+    velocity = np.zeros((count, 3))
+    velocity[:, 0] = np.repeat(walked + noise * shocks, 50)
+    series = {
+        "base_velocity": Series(Channel("base_velocity", "m/s", (3,)), velocity),
+        CostObjective.target.name: Series(CostObjective.target, cost + 0.01 * np.sin(np.arange(count) / 37.0)),
+    }
+    return Recording(
+        robot="r",
+        world="w",
+        policy_hash=role,
+        iteration=0,
+        joint_names=(),
+        kp=(),
+        kd=(),
+        rate_hz=50.0,
+        schedule=ScheduleConfig(commands=(Command(seconds=seconds, vx=asked),)),
+        idle={CostObjective.target.name: 0.0},
+        clock="simulated",
+        time=np.arange(count) / 50,
+        channels=series,
+        mass_kg=10.0,
+        session=f"s{asked}",
+        block=number,
+        role=role,
+        notes=notes,
+    )
+
+
+def held(command: float, saturated: bool = False) -> dict[str, str]:
+    return {"held_command": repr(command), "held_saturated": str(saturated).lower()}
+
+
+def session(asked: float, policy: float, reference: float, cost: float = 8.0, **given) -> list[Recording]:
+    """Reference, policy, policy, reference at mean speeds, both held by other commands."""
+    notes = {"policy": held(asked + 0.03), "reference": held(asked + 0.01)} | given.pop("notes", {})
+    speeds, costs = {"policy": policy, "reference": reference}, {"policy": cost, "reference": 10.0}
+    return [block(role, n, asked, speeds[role], costs[role], notes[role], **given) for n, role in enumerate(ORDER)]
+
+
+def test_the_entry_says_that_the_speed_was_held_and_by_which_commands():
+    entry = compare(CostObjective(), session(0.8, 0.803, 0.798), CONFIG).entry()
+    sent = (entry["commanded"], entry["reference"]["commanded"])
+    assert entry["held"] is True and sent == pytest.approx((0.83, 0.81))
+    assert entry["improvement"] == pytest.approx(0.2, abs=0.01)
+
+
+def test_at_equal_commands_the_asked_speed_is_what_was_sent():
+    entry = compare(CostObjective(), session(0.8, 0.75, 0.8, notes={"policy": {}, "reference": {}}), CONFIG).entry()
+    assert (entry["held"], entry["commanded"], entry["reference"]["commanded"]) == (False, 0.8, 0.8)
+
+
+@pytest.mark.parametrize("role", ["policy", "reference"])
+def test_a_command_that_reached_the_end_of_its_range_is_refused(role):
+    recordings = session(0.8, 0.8, 0.8, notes={role: held(1.2, saturated=True)})
+    with pytest.raises(
+        SpeedNotHeld, match=r"reached the end of the range \(1.20 m/s, at which it went 0.80\)"
+    ) as error:
+        compare(CostObjective(), recordings, CONFIG)
+    assert error.value.role == role and "\n" not in str(error.value)
+
+
+def test_mean_speeds_that_are_more_than_one_per_cent_apart_are_refused():
+    compare(CostObjective(), session(0.8, 0.800, 0.793), CONFIG)  # 0.9 %
+    with pytest.raises(
+        SpeedNotHeld, match=r"1\.1% apart \(policy 0.791 m/s at command 0.830, reference 0.800 at 0.810\)"
+    ):
+        compare(CostObjective(), session(0.8, 0.791, 0.800), CONFIG)
+
+
+def test_a_difference_that_chance_explains_is_not_refused():
+    # 2 x 4 segments whose speeds scatter by 1.5 %: their means are known to 0.5 %, the difference to 0.75 %
+    short = {"seconds": 6, "noise": 0.012}
+    few = CONFIG.model_copy(update={"min_segments": 4})
+    compare(CostObjective(), session(0.8, 0.790, 0.800, **short), few)  # 1.25 %
+    with pytest.raises(SpeedNotHeld):
+        compare(CostObjective(), session(0.8, 0.760, 0.800, **short), few)  # 5 %
+
+
+def test_blocks_that_held_the_speed_do_not_mix_with_others():
+    with pytest.raises(EvaluationError, match="2 of 4 blocks held the speed"):
+        compare(CostObjective(), session(0.8, 0.8, 0.8, notes={"reference": {}}), CONFIG)
+
+
+# ---------------------------------------------------------------------------------------- both ways, several speeds
+
+
+def test_the_final_entry_has_held_figures_and_those_at_equal_commands_beside():
+    plain = {"notes": {"policy": {}, "reference": {}}}
+    held_ones = session(0.5, 0.5, 0.5) + session(0.8, 0.8, 0.8)
+    open_loop = session(0.5, 0.42, 0.5, cost=6.0, **plain) + session(0.8, 0.78, 0.8, cost=7.0, **plain)
+    entry, segments = entry_both_ways(CostObjective(), held_ones, open_loop, CONFIG)
+    assert {key: round(one["improvement"], 2) for key, one in entry["speeds"].items()} == {"0.5": 0.2, "0.8": 0.2}
+    assert list(entry["open_loop"]["speeds"]) == ["0.8"] and "refused" not in entry
+    assert entry["open_loop"]["speeds"]["0.8"]["improvement"] == pytest.approx(0.3, abs=0.01)
+    assert "0 of 40 segments of the policy are valid" in entry["open_loop"]["refused"]["0.5"]
+    assert list(segments) == ["0.5", "0.8"]
+
+
+def test_a_reference_that_cannot_be_held_at_one_speed_ends_nothing():
+    limit = {"notes": {"reference": held(1.2, saturated=True)}}
+    recordings = session(0.8, 0.8, 0.8) + session(1.1, 1.1, 1.0, **limit)
+    plain = {"notes": {"policy": {}, "reference": {}}}
+    entry, _ = entry_both_ways(CostObjective(), recordings, session(0.8, 0.8, 0.8, **plain), CONFIG)
+    assert list(entry["speeds"]) == ["0.8"] and "the reference policy cannot be held" in entry["refused"]["1.1"]
+
+
+def test_with_nothing_to_report_in_either_way_there_is_no_result():
+    plain = {"notes": {"policy": {}, "reference": {}}}
+    with pytest.raises(SpeedNotHeld):
+        entry_both_ways(CostObjective(), session(0.8, 0.85, 0.8), session(0.8, 0.5, 0.8, **plain), CONFIG)
+    with pytest.raises(EvaluationError):
+        walked_speeds(CostObjective(), session(0.8, 0.5, 0.8, **plain), CONFIG)
+
+
+def test_a_candidate_counts_by_its_mean_over_the_speeds():
+    recordings = session(0.5, 0.5, 0.5, cost=9.0) + session(0.8, 0.8, 0.8, cost=6.0)
+    found = candidate_result("c", {"cost": CostObjective()}, recordings, CONFIG)
+    assert list(found.entry["cost"]) == ["0.5", "0.8"]
+    assert found.tested.comparisons["cost"].selection_score == pytest.approx((0.1 + 0.4) / 2, abs=0.01)
+
+
+def test_a_candidate_that_is_refused_at_one_speed_is_refused():
+    recordings = session(0.5, 0.5, 0.5) + session(0.8, 0.85, 0.8)
+    found = candidate_result("c", {"cost": CostObjective()}, recordings, CONFIG)
+    assert found.tested is None and found.refused.startswith("c: Head-to-head at 0.8 m/s: the speeds are 6")
+    assert found.refusal["speed"] == 0.8
+
+
+def test_halves_of_a_round_at_two_speeds_are_means_over_the_speeds():
+    first, second = session(0.5, 0.5, 0.5, cost=9.0), session(0.8, 0.8, 0.8, cost=6.0)
+    found = halves({"cost": CostObjective()}, first + second, CONFIG)
+    assert [half["cost"].improvement for half in found] == pytest.approx([0.25, 0.25], abs=0.01)
+    gone = [block("policy", 1, 0.8, 0.5, 6.0, held(0.8)) if r is second[1] else r for r in second]
+    assert halves({"cost": CostObjective()}, first + gone, CONFIG)[0] is None
+
+
+def test_the_mean_leaves_out_what_not_every_speed_has():
+    rows = [Comparison(0.1, 0.05, {"a": 1.0, "b": 2.0}), Comparison(0.3, 0.15, {"a": 3.0})]
+    mean = mean_comparison(rows)
+    assert (mean.improvement, mean.selection_score) == (pytest.approx(0.2), pytest.approx(0.1))
+    assert mean.metrics == {"a": 2.0}
+
+
+# -------------------------------------------------------------------------------------------------------- asking
+
+
+def run_config(*overrides: str):
+    return load_config(preset="smoke", objectives=["fake"], robot="fake", overrides=list(overrides))
+
+
+def test_a_run_holds_within_the_commands_that_it_trains():
+    assert hold_of(run_config()) is None
+    low, high = CommandConfig().vx
+    assert hold_of(run_config("evaluation.hold_speed=true")) == HoldSpeed((low, high), 12.0, 0.01)
+
+
+@pytest.mark.parametrize("where", ["evaluation.speeds=[1.3]", "selection.speeds=[0.8, 1.3]"])
+def test_a_speed_outside_the_trained_commands_is_refused_before_anything_is_spent(where):
+    config = run_config("evaluation.hold_speed=true", "finetune.env.commands.vx=[0.4, 1.2]", where)
+    with pytest.raises(ConfigError, match=r"1.3 m/s cannot be held with commands from 0.4 to 1.2 m/s"):
+        check_hold(config)
+
+
+def test_a_world_that_cannot_hold_a_speed_is_named():
+    from hts.contracts import World
+
+    class Plain(World):
+        name = "plain"
+        idle = collect = head_to_head = lambda *given: None
+
+    ask_to_hold(Plain(), None)
+    with pytest.raises(ConfigError, match="World 'plain' cannot hold a speed"):
+        ask_to_hold(Plain(), HoldSpeed((0.4, 1.2)))
+
+
+@pytest.mark.parametrize("speeds", ["[0.5, 0.5]", "[0.0]", "[.nan]"])
+def test_speeds_of_selection_are_positive_and_differ(speeds):
+    with pytest.raises(ConfigError, match="speeds"):
+        run_config(f"selection.speeds={speeds}")
