@@ -18,6 +18,7 @@ from hts.contracts.measurement_model import (
     robot_signals,
 )
 from hts.contracts.objective import Comparison, Objective
+from hts.contracts.parameter import parameter, parameters, structural
 from hts.contracts.robot import JointMotors, Robot, RobotSpec
 from hts.contracts.selector import RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
@@ -48,5 +49,8 @@ __all__ = [
     "WorldContext",
     "chosen_model",
     "own_settings",
+    "parameter",
+    "parameters",
     "robot_signals",
+    "structural",
 ]

@@ -21,6 +21,7 @@ from hts.errors import WorldError
 from hts_power import drive_train
 from hts_power.battery import Battery
 from hts_power.gauge_parameters import GaugeParameters
+from hts_power.structure import GaugeStructure
 
 ENERGIES = ("idle", "mechanical", "copper", "iron", "inverter", "bus", "battery")
 CHUNK = 64  # steps worked through together at most
@@ -124,7 +125,8 @@ class BatteryGauge(Instrument):
         self._since_settle()
 
     def describe(self) -> Mapping[str, Any]:
-        return self.p.model_dump(mode="json")
+        off = self.p.structure == GaugeStructure()  # then it is the gauge of before there were structures
+        return self.p.model_dump(mode="json", exclude={"structure"} if off else None)
 
     # ------------------------------------------------------------------------------------------ inside
 

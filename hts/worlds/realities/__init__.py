@@ -1,0 +1,7 @@
+"""A population of plausible realities: twins whose every parameter, and structure, is drawn.
+
+ranges.py  what is drawn, and over what: read from the parameter classes of the twin and of installed instruments
+draw.py    one draw from (seed, index)
+check.py   whether a draw agrees with public facts
+batch.py   many draws, side by side, resumable, until enough agree
+"""
