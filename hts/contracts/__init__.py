@@ -5,7 +5,7 @@ plugin's module loads in milliseconds; heavy imports belong inside the methods.
 """
 
 from hts.contracts.installed import Installed
-from hts.contracts.instrument import Instrument, PhysicsSample
+from hts.contracts.instrument import Fact, Instrument, PhysicsSample
 from hts.contracts.log_reader import LogReader
 from hts.contracts.measurement_model import (
     MODEL,
@@ -27,6 +27,7 @@ from hts.contracts.world import World, WorldContext
 __all__ = [
     "MODEL",
     "Comparison",
+    "Fact",
     "Installed",
     "Instrument",
     "JointMotors",
