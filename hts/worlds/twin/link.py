@@ -1,4 +1,4 @@
-"""The way of joint targets from the policy to the drives: a fixed delay, and where a reality has it, jitter and loss."""
+"""The way of joint targets from the policy to the drives: a fixed delay; in some realities jitter and loss."""
 
 from __future__ import annotations
 

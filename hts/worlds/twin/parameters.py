@@ -14,10 +14,13 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer, model_validator
 
 from hts.config import Config
 from hts.contracts import parameter
+from hts.errors import ConfigError
+from hts.explain import dotted, explain
+from hts.worlds.twin import reality
 from hts.worlds.twin.structure import BodyStructure, SessionParameters
 
 SERIALS = 2**31 - 1  # the largest serial number that is drawn
@@ -194,9 +197,19 @@ class SensorParameters(Config):
     # fmt: on
 
 
-class TwinSettings(Config):
-    """A twin: its body, its sensors, its instruments, and how sessions on it go."""
+MACHINE = ("dynamics", "sensors", "sessions", "instruments")  # what a reality says
 
+
+class TwinSettings(Config):
+    """A twin: its body, its sensors, its instruments, and how sessions on it go.
+
+    With `reality`, the first three are what its file says, which only the twin's own process reads.
+    """
+
+    reality: str | None = Field(
+        None, description="a drawn twin: its name (`hts realities list`) or file; null: the twin of the settings below"
+    )
+    reality_sha256: str | None = Field(None, description="of the reality's file, filled in; another file is refused")
     dynamics: DynamicsParameters = Field(default_factory=DynamicsParameters)
     sensors: SensorParameters = Field(default_factory=SensorParameters)
     sessions: SessionParameters = Field(default_factory=SessionParameters)
@@ -210,6 +223,47 @@ class TwinSettings(Config):
     unsteady_seconds: float = Field(2.0, ge=0, description="start of each block that evaluation should leave out, s")
     max_worlds: int = Field(6, ge=1, description="robots that one process simulates together, at most")
     processes: int = Field(0, ge=0, description="processes side by side; 0: one per core")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named(cls, values: Any) -> Any:
+        """The hash of the reality's file, and nothing beside it that would make it another machine."""
+        if not isinstance(values, Mapping) or not isinstance(values.get("reality"), str):
+            return values
+        reference, expected = values["reality"], values.get("reality_sha256")
+        beside = [name for name in MACHINE if values.get(name)]
+        if beside:
+            raise ConfigError(
+                f"world.{beside[0]}: world.reality={reference} says all of the machine; leave one of the two out."
+            )
+        found = reality.sha256(reality.locate(reference))
+        if expected is not None and found != expected:
+            raise ConfigError(reality.changed(reference, found, expected))
+        return {**values, "reality_sha256": found}
+
+    @model_serializer(mode="wrap")
+    def _referred(self, whole: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """With a reality, its name and hash stand for the machine."""
+        content: dict[str, Any] = whole(self)
+        hidden = MACHINE if self.reality is not None else ("reality", "reality_sha256")
+        return {name: value for name, value in content.items() if name not in hidden}
+
+
+def resolved_settings(settings: TwinSettings, robot: str) -> TwinSettings:
+    """The settings with what the file of their reality says; themselves without one. Raises ConfigError.
+
+    For the twin's own process; everybody else has the reality's name and hash.
+    """
+    if settings.reality is None:
+        return settings
+    content = reality.for_robot(reality.read(settings.reality, settings.reality_sha256), robot)
+    try:
+        machine = TwinSettings.model_validate({name: content.get(name, {}) for name in MACHINE})
+    except ValidationError as error:
+        raise ConfigError(
+            explain(error, TwinSettings, lambda at: f"reality {settings.reality}: {dotted(at)}")
+        ) from error
+    return settings.model_copy(update={name: values for name, values in machine if name in MACHINE})
 
 
 def parameters_hash(settings: TwinSettings, instruments: Mapping[str, Mapping[str, Any]]) -> str:

@@ -133,7 +133,10 @@ class Batch:
         noted: dict[str, np.ndarray] = {}
         for instrument in self.instruments.values():
             noted |= instrument.conditions()
-        return [{name: f"{values[number]:g}" for name, values in noted.items()} for number in range(num_worlds)]
+        settings = self.settings
+        which = {"reality": settings.reality, "reality_sha256": settings.reality_sha256} if settings.reality else {}
+        rows = [{name: f"{values[number]:g}" for name, values in noted.items()} for number in range(num_worlds)]
+        return [{**{name: str(value) for name, value in which.items()}, **row} for row in rows]
 
     def _fallen(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
         """Robots (W,) that lie on their side, have collapsed, or whose physics broke down."""

@@ -64,7 +64,7 @@ class BodyStructure(Config):
         drawn=(0.2, 1.0), switch="floor",
     )
     floor_slope: float = parameter(
-        0.0, 0.0, 2.0, "deg", "E: floors of halls and yards drain at 1-2 % (about 1 degree), ramps of access are steeper",
+        0.0, 0.0, 2.0, "deg", "E: floors of halls and yards drain at 1-2 % (about 1 degree), ramps are steeper",
         "steepest slope along any direction; which one differs from session to session",
         drawn=(0.0, 2.0), switch="floor",
     )

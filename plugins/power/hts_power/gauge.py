@@ -244,7 +244,7 @@ class BatteryGauge(Instrument):
         self._sense(current, dt)
 
     def _idle_power(self, seconds: float) -> np.ndarray | float:
-        """P_idle of the next `seconds`, W, (W,) if it wanders: P_idle (1 + sigma x), x an Ornstein-Uhlenbeck process."""
+        """P_idle of the next `seconds`, W; if it wanders P_idle (1 + sigma x), x Ornstein-Uhlenbeck (W,)."""
         s = self.p.structure
         if self._wander is None:
             return self.p.idle_power
