@@ -65,7 +65,7 @@ class Dynamics:
         self._wind = Wind(self.structure, conditions.wind_direction, rng) if self.structure.wind_force > 0 else None
         self._spec = (CONTROL | FORCE) if self._wind else CONTROL  # a state is laid out in the order of mjtState
         self._inputs = np.zeros((num_worlds, 1, model.nu + (model.nv if self._wind else 0)))
-        self._control, self._force = self._inputs[:, 0, : model.nu], self._inputs[:, 0, model.nu :]
+        self._control, self._force = self._inputs[..., : model.nu], self._inputs[:, 0, model.nu :]
         self._acceleration = np.zeros((num_worlds, model.nv))  # of the last step: warm start of the contact solver
         self._before = np.zeros((num_worlds, model.nv))
         sensors = self._sensordata.reshape(num_worlds, -1)
@@ -242,7 +242,7 @@ class Dynamics:
         np.minimum(self._friction, scratch, out=self._friction)
         np.negative(scratch, out=scratch)
         np.maximum(self._friction, scratch, out=self._friction)
-        np.subtract(torque, self._friction, out=self._control)
+        np.subtract(torque, self._friction, out=self._control[:, 0])
 
         flat = self._state[:, 0]
         self._rollout.rollout(
