@@ -2,6 +2,7 @@
 
 ranges.py  what is drawn, and over what: read from the parameter classes of the twin and of installed instruments
 draw.py    one draw from (seed, index)
+quick.py   a glance at it by statics, before anything is simulated
 check.py   whether a draw agrees with public facts
 batch.py   many draws, side by side, resumable, until enough agree
 """
