@@ -21,5 +21,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "new": ("hts.cli.new", "A package to start from: objective, robot or selector"),
     "check": ("hts.cli.check", "Test a plugin package against the conformance kit"),
     "bench": ("hts.cli.bench", "Speed against bare physics: env, train, sweep, fit"),
+    "realities": ("hts.cli.realities", "Plausible twins: drawn, looked at, held against public facts"),
     "config": ("hts.cli.config", "The resolved configuration, or its JSON schema"),
 }

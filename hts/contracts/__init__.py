@@ -5,7 +5,7 @@ plugin's module loads in milliseconds; heavy imports belong inside the methods.
 """
 
 from hts.contracts.installed import Installed
-from hts.contracts.instrument import Instrument, PhysicsSample
+from hts.contracts.instrument import Fact, Instrument, PhysicsSample
 from hts.contracts.log_reader import LogReader
 from hts.contracts.measurement_model import (
     MODEL,
@@ -18,6 +18,7 @@ from hts.contracts.measurement_model import (
     robot_signals,
 )
 from hts.contracts.objective import Comparison, Objective
+from hts.contracts.parameter import parameter, parameters, structural
 from hts.contracts.robot import JointMotors, Robot, RobotSpec
 from hts.contracts.selector import FineTuning, RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
@@ -26,6 +27,7 @@ from hts.contracts.world import HoldSpeed, World, WorldContext
 __all__ = [
     "MODEL",
     "Comparison",
+    "Fact",
     "FineTuning",
     "HoldSpeed",
     "Installed",
@@ -50,5 +52,8 @@ __all__ = [
     "WorldContext",
     "chosen_model",
     "own_settings",
+    "parameter",
+    "parameters",
     "robot_signals",
+    "structural",
 ]

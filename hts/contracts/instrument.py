@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,8 @@ class PhysicsSample:
     motor_torque: made by the motor current, seen at the joint, N·m; joint_velocity rad/s;
     foot_force: normal, N; foot_speed: normal speed of each foot just before this step, m/s (downwards positive);
     foot_mass: effective mass of each foot along the normal, kg; dt: s.
+    current_torque: what the motor's current would make with its nominal torque constant, N·m, where a reality's motors
+    make something else of it; None: as motor_torque.
     """
 
     motor_torque: np.ndarray
@@ -28,6 +30,24 @@ class PhysicsSample:
     foot_speed: np.ndarray
     foot_mass: np.ndarray
     dt: float
+    current_torque: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A public fact about the real machine: something that the instrument shows lies between two bounds.
+
+    speed: that the robot's own policy is commanded, m/s; 0: standing. reading: its value from what was recorded, warm
+    and at that speed (channel -> (T, *shape)), and from the idle level of each channel. source: where it is published.
+    """
+
+    name: str
+    speed: float
+    low: float
+    high: float
+    unit: str
+    source: str
+    reading: Callable[[Mapping[str, np.ndarray], Mapping[str, float]], float]
 
 
 class Instrument(ABC):
@@ -60,3 +80,18 @@ class Instrument(ABC):
     def describe(self) -> Mapping[str, Any]:
         """Its parameters, for the twin's hash and the calibration table."""
         return {}
+
+    def supply(self) -> np.ndarray | None:
+        """Voltage of the motors' supply now, as a share of the rated one, (W,); None: it simulates no supply."""
+        return None
+
+    def conditions(self) -> Mapping[str, np.ndarray]:
+        """What somebody would note of each session at its start, name -> (W,), such as the day's temperature.
+
+        Asked after `reset`; only what differs from session to session. By default nothing.
+        """
+        return {}
+
+    def facts(self) -> Sequence[Fact]:
+        """Public facts about the real machine that a plausible reality agrees with. By default none are known."""
+        return ()

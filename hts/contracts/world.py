@@ -140,5 +140,10 @@ class World(ABC):
         end, and leaves nothing behind. UnfitWorldError if only another world can help. By default nothing is checked.
         """
 
+    def identity(self) -> Mapping[str, str]:
+        """Which machine it is, for provenance and reports, such as a serial number or the hash of a file: no more than
+        somebody beside it could read off. A run is not resumed on another one. By default nobody knows."""
+        return {}
+
     def close(self) -> None:  # noqa: B027 - most hold nothing
         """Let go of processes and files."""

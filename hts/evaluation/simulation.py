@@ -30,8 +30,8 @@ class SimulatedTrial:
     within the tolerance of the asked speed; rewards: mean r_real per objective, task_reward: mean of the task's
     own, both per second, after settling, over instances that did not fall;
     pieces: what was predicted of each target in the 1 s pieces of those instances, (S, n) as the model gives it, not
-    yet in the target's unit; piece_speed: mean forward speed of each, m/s (S,); commanded: what was sent, m/s, the asked
-    speed where none was held (NaN if not known).
+    yet in the target's unit; piece_speed: mean forward speed of each, m/s (S,); commanded: what was sent, m/s,
+    the asked speed where none was held (NaN if not known).
     """
 
     speed: float

@@ -78,15 +78,22 @@ def contents(run: RunData) -> dict[str, Any]:
 def world_words(run: RunData) -> tuple[str, str]:
     """Title and text that say what the measurements are: computed, or of a machine, or that nobody said."""
     if run.world_simulated:
-        source = SOURCES.get(run.world, f"the world '{run.world}', which computes its physics")
+        source = SOURCES.get(run.world, f"the world '{run.world}', which computes its physics") + identity_words(run)
         return "Simulated reality.", (
             f"No robot was involved. The measurements come from {source}. They show that the method works there; what "
             "a real robot gains only a real robot can tell."
         )
     if run.world_simulated is False:
-        source = SOURCES.get(run.world, f"made on a machine, in the world '{run.world}'")
+        source = SOURCES.get(run.world, f"made on a machine, in the world '{run.world}'") + identity_words(run)
         return "A real robot.", f"The measurements were {source}."
     return f"World: {run.world}.", "The measurements come from a world that a plugin offers."
+
+
+def identity_words(run: RunData) -> str:
+    """Which machine it was, in brackets; "" where nobody knows."""
+    identity = run.summary.get("world_identity") or run.provenance.get("world") or {}
+    told = ", ".join(f"{wording.label(name)} {str(value)[:12]}" for name, value in identity.items())
+    return f" ({told})" if told else ""
 
 
 def _facts(run: RunData) -> list[str]:

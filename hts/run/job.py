@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig
 from hts.contracts import HoldSpeed, Objective, Robot, World, WorldContext
-from hts.errors import ConfigError, PolicyError, RecordingError
+from hts.errors import ConfigError, PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
@@ -52,10 +52,18 @@ class Job:
             raise ConfigError(f"Robot '{self.robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
         if not self.policy_path("pretrained").with_suffix(".onnx").exists():
             self.save("pretrained", load_policy(source, self.robot.spec))
-        if not (self.folder / "provenance.json").exists():
+        identity = dict(self.world.identity())
+        if (self.folder / "provenance.json").exists():
+            before = self.read("provenance").get("world", {})
+            if before != identity:
+                raise RunError(
+                    f"{self.folder}: was begun on another machine ({_told(before)}, now {_told(identity)}). "
+                    "Put that one back, or begin a new run."
+                )
+        else:
             plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}
             found = collect_provenance(self.config.seed, self.config.engine, plugins, self.config.provenance.diff)
-            write_json(self.folder / "provenance.json", found)
+            write_json(self.folder / "provenance.json", {**found, **({"world": identity} if identity else {})})
 
     @cached_property
     def combinations(self) -> list[dict[str, float]]:
@@ -180,3 +188,7 @@ class Job:
     def close(self) -> None:
         if "world" in self.__dict__:
             self.world.close()
+
+
+def _told(identity: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {value[:12]}" for name, value in identity.items()) or "none was named"

@@ -49,6 +49,7 @@ def summarise(job: Job) -> dict[str, Any]:
         "robot": config.robot.name,
         "world": config.world.name,
         "world_simulated": job.world.simulated,
+        "world_identity": dict(job.world.identity()),
         "preset": config.preset,
         "engine": config.engine,
         "seed": config.seed,

@@ -61,10 +61,12 @@ class Operator:
     """Keeps the heading of W robots as a person with a joystick would.
 
     While a robot is commanded to walk without turning, yaw rate = clip(0.5 * heading error, -1, 1); the heading to keep
-    is the one it had when that began. A robot commanded to stand still gets no correction.
+    is the one it had when that began. A robot commanded to stand still gets no correction. gain: factor on 0.5;
+    offset: by how much the operator misjudges a heading, rad; both (W,) or a number.
     """
 
-    def __init__(self, num_worlds: int) -> None:
+    def __init__(self, num_worlds: int, gain: np.ndarray | float = 1.0, offset: np.ndarray | float = 0.0) -> None:
+        self._gain, self._offset = HEADING_GAIN * gain, offset
         self._wanted = np.zeros(num_worlds)
         self._keeping = np.zeros(num_worlds, dtype=bool)
 
@@ -76,8 +78,8 @@ class Operator:
         begins = straight & ~self._keeping
         self._wanted[begins] = heading[begins]
         self._keeping = straight
-        error = (self._wanted - heading + np.pi) % (2 * np.pi) - np.pi
-        correction = np.minimum(np.maximum(HEADING_GAIN * error, -LARGEST_YAW_RATE), LARGEST_YAW_RATE)
+        error = (self._wanted + self._offset - heading + np.pi) % (2 * np.pi) - np.pi
+        correction = np.minimum(np.maximum(self._gain * error, -LARGEST_YAW_RATE), LARGEST_YAW_RATE)
         sent[straight, 2] = correction[straight]
         return sent
 

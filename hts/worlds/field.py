@@ -18,7 +18,7 @@ from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
 from hts.contracts import HoldSpeed, Installed, Settings, World, WorldContext
-from hts.errors import RecordingError, WaitingForRobot, WorldError
+from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
 from hts.recordings.needs import check_mapping
 from hts.recordings.recording import Recording

@@ -23,10 +23,11 @@ from hts.policies.files import load_policy
 from hts.worlds.base import Operator, commands, in_groups, request_id, seed_sequence, walking
 from hts.worlds.twin.dynamics import Dynamics
 from hts.worlds.twin.model import build, columns
-from hts.worlds.twin.parameters import DynamicsParameters, SensorParameters, TwinSettings, parameters_hash
+from hts.worlds.twin.parameters import DynamicsParameters, SensorParameters, TwinSettings, parameters_hash, resolved
 from hts.worlds.twin.programme import Block, Session, head_to_head
 from hts.worlds.twin.sensors import in_words
 from hts.worlds.twin.session import Batch, Standing
+from hts.worlds.twin.structure import BodyStructure, SessionParameters
 from hts.worlds.twin.world import make_twin
 
 ROOT = Path(__file__).parents[2]
@@ -343,12 +344,24 @@ def test_a_policy_of_another_robot_is_refused_by_name(robot, tmp_path):
 
 
 def test_every_parameter_of_the_twin_states_unit_source_and_range():
-    for model in (DynamicsParameters, SensorParameters):
+    for model in (DynamicsParameters, SensorParameters, BodyStructure, SessionParameters):
         for name, field in model.model_fields.items():
-            if name != "machine":
-                assert {"unit", "source", "range"} <= set(field.json_schema_extra), name
+            if name == "structure":
+                continue
+            assert {"unit", "source"} <= set(field.json_schema_extra), name
+            if field.annotation is not bool:
                 low, high = field.json_schema_extra["range"]
                 assert low <= field.default <= high, name
+
+
+def test_structures_and_differing_sessions_are_off_and_not_in_the_hash_unless_they_are_on():
+    for model in (BodyStructure, SessionParameters):
+        assert all(field.default in (0, False) for field in model.model_fields.values())
+    resolved_default = resolved(TwinSettings(), {})
+    assert "structure" not in resolved_default["dynamics"] and "sessions" not in resolved_default
+    base = parameters_hash(TwinSettings(), {})
+    assert parameters_hash(TwinSettings(dynamics={"structure": {"wind_force": 1.0}}), {}) != base
+    assert parameters_hash(TwinSettings(sessions={"heading_offset": 0.1}), {}) != base
 
 
 def test_a_misspelt_parameter_is_one_line_with_the_closest_name(tmp_path):

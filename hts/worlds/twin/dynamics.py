@@ -11,6 +11,7 @@ overshoot with, so it saturates below 0.3 rad/s at full load. All arrays are (W,
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import mujoco
@@ -18,22 +19,41 @@ import numpy as np
 from mujoco import rollout
 
 from hts.contracts import Instrument, PhysicsSample
+from hts.worlds.twin.drives import Drives, makes_a_difference
+from hts.worlds.twin.ground import PERIOD, Conditions, Wind, gravity
+from hts.worlds.twin.link import Link
 from hts.worlds.twin.model import Machine
 from hts.worlds.twin.parameters import DynamicsParameters
+from hts.worlds.twin.structure import SessionParameters
 
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS.value
+CONTROL, FORCE = mujoco.mjtState.mjSTATE_CTRL.value, mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
 
 
 class Dynamics:
-    """The bodies and drives of W equal robots, each on its own floor."""
+    """The bodies and drives of W equal robots, each on its own floor.
 
-    def __init__(self, machine: Machine, parameters: DynamicsParameters, num_worlds: int) -> None:
+    conditions: how their sessions differ; None: not at all. rng: of jitter, lost packets and gusts.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        parameters: DynamicsParameters,
+        num_worlds: int,
+        conditions: Conditions | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> None:
         self.machine, self.num_worlds = machine, num_worlds
         model, spec = machine.model, machine.spec
+        rng = rng if rng is not None else np.random.default_rng(0)
+        conditions = conditions or Conditions.drawn(SessionParameters(), num_worlds, rng)
+        self.structure = parameters.structure
         self.dt = parameters.physics_dt
-        self.delay_steps = round(parameters.actuation_delay / self.dt)
         self._rollout = rollout.Rollout(nthread=0)  # on the calling thread; batches run in threads of their own
         self._models, self._data = [model] * num_worlds, [mujoco.MjData(model)]
+        self.down = None  # direction of gravity on a sloping floor, (W, 3)
+        self._lie_of_the_land(conditions)
 
         size = mujoco.mj_stateSize(model, FULL)
         self._state = np.zeros((num_worlds, 1, size))
@@ -42,7 +62,10 @@ class Dynamics:
         self.qpos = flat[:, 1 : 1 + model.nq]
         self.qvel = flat[:, 1 + model.nq : 1 + model.nq + model.nv]
         self._sensordata = np.zeros((num_worlds, 1, model.nsensordata))
-        self._control = np.zeros((num_worlds, 1, model.nu))
+        self._wind = Wind(self.structure, conditions.wind_direction, rng) if self.structure.wind_force > 0 else None
+        self._spec = (CONTROL | FORCE) if self._wind else CONTROL  # a state is laid out in the order of mjtState
+        self._inputs = np.zeros((num_worlds, 1, model.nu + (model.nv if self._wind else 0)))
+        self._control, self._force = self._inputs[..., : model.nu], self._inputs[:, 0, model.nu :]
         self._acceleration = np.zeros((num_worlds, model.nv))  # of the last step: warm start of the contact solver
         self._before = np.zeros((num_worlds, model.nv))
         sensors = self._sensordata.reshape(num_worlds, -1)
@@ -60,14 +83,20 @@ class Dynamics:
         self._limit = limit
         self._limit_start = limit / fall
         self._limit_slope = np.stack([limit / (fall * no_load), -limit / (fall * no_load)])[:, None]  # (2, 1, J)
+        self._rated_slope = self._limit_slope
         self._limits = np.zeros((2, *joints))
+        serial = parameters.machine
+        self._drives: Drives | None = None
+        if makes_a_difference(self.structure):
+            self._drives = Drives(machine, self.structure, serial, limit, self.dt, num_worlds)
         self._loss = machine.gear_loss
         self._loss_slope = 0.5 * model.dof_armature[machine.joint_dof] / self.dt
         self._motor, self._friction, self._scratch = np.zeros(joints), np.zeros(joints), np.zeros(joints)
+        self._current = np.zeros(joints) if self._drives else self._motor  # torque that it would make, were K nominal
         self._target = np.tile(np.array(spec.default_pose), (num_worlds, 1))
         self.set_gains(np.array(spec.kp), np.array(spec.kd))
         self._clock = 0.0
-        self._arriving: list[tuple[int, np.ndarray]] = []
+        self._link = Link(round(parameters.actuation_delay / self.dt), self.structure, self.dt, num_worlds, rng)
         self._sample = PhysicsSample(
             motor_torque=self._motor,
             joint_velocity=self._before[:, machine.joint_dof],
@@ -75,6 +104,7 @@ class Dynamics:
             foot_speed=np.zeros((num_worlds, len(spec.foot_sites))),
             foot_mass=np.tile(machine.foot_mass, (num_worlds, 1)),
             dt=self.dt,
+            current_torque=self._current if self._drives else None,
         )
         self.stand(np.ones(num_worlds, dtype=bool))
 
@@ -92,7 +122,11 @@ class Dynamics:
     @property
     def commanded_torque(self) -> np.ndarray:
         """What the firmware believes that its motors make, N·m."""
-        return self._motor / self._strength
+        return self._current / self._strength
+
+    def set_supply(self, ratio: np.ndarray) -> None:
+        """Voltage of the motors' supply as a share of the rated one (W,): no-load speed is proportional to it."""
+        self._limit_slope = self._rated_slope / np.maximum(ratio, 0.1)[:, None]
 
     def stand(self, mask: np.ndarray) -> None:
         """Stand the robots of the mask (W,) up in the default pose, keeping place and heading."""
@@ -100,13 +134,15 @@ class Dynamics:
         self.qpos[mask] = self.machine.standing
         self.qpos[mask, :2] = place
         self.qpos[mask, 3], self.qpos[mask, 6] = np.cos(heading / 2), np.sin(heading / 2)
+        self.qpos[mask, 2] += self.structure.floor_roughness  # over the highest bump
         self.qvel[mask] = 0
         self.time[mask] = self._clock
         self._acceleration[mask] = 0
-        self._motor[mask] = 0
+        self._motor[mask] = self._current[mask] = 0
         self._target[mask] = self.machine.spec.default_pose
-        for _, target in self._arriving:
-            target[mask] = self.machine.spec.default_pose
+        self._link.replace(mask, np.array(self.machine.spec.default_pose))
+        if self._drives:
+            self._drives.play[mask] = 0
         self._aim()
 
     def heading(self) -> np.ndarray:
@@ -116,7 +152,8 @@ class Dynamics:
 
     def joint_position(self) -> np.ndarray:
         """As the encoders have it, with their zero error, rad."""
-        return self.qpos[:, self.machine.joint_qpos] + self.machine.encoder_offset
+        seen = self.qpos[:, self.machine.joint_qpos] + self.machine.encoder_offset
+        return seen + self._drives.play if self._drives else seen
 
     def joint_velocity(self) -> np.ndarray:
         return self.qvel[:, self.machine.joint_dof]
@@ -136,14 +173,17 @@ class Dynamics:
 
         Instruments get one `PhysicsSample` per step; its arrays are overwritten by the next step.
         """
-        self._arriving.append((self.delay_steps, np.array(targets, dtype=float)))
+        self._link.send(targets)
+        if self._wind:
+            self._force[:, :2] = self._wind.blow(steps * self.dt)
         for _ in range(steps):
-            while self._arriving and self._arriving[0][0] <= 0:
-                self._target[:] = self._arriving.pop(0)[1]
+            if self._link.receive(self._target):
                 self._aim()
-            self._arriving = [(left - 1, target) for left, target in self._arriving]
             self._step(instruments)
         self._clock += steps * self.dt
+        if self.structure.floor_roughness > 0:  # the bumps repeat
+            place = self.qpos[:, :2]
+            place -= PERIOD * np.rint(place / PERIOD)
 
     def diverged(self) -> np.ndarray:
         """Worlds (W,) whose physics broke down: the engine keeps them finite and stops their clock."""
@@ -153,13 +193,31 @@ class Dynamics:
         """Let go of the engine's memory."""
         self._rollout.close()
 
+    def _lie_of_the_land(self, conditions: Conditions) -> None:
+        """Slope and grip of each robot's floor, where they differ from session to session."""
+        sloping = self.structure.floor_slope > 0
+        if not sloping and (conditions.friction == 1).all():
+            return
+        model = self.machine.model
+        strength = float(np.linalg.norm(model.opt.gravity))
+        floor = model.geom_bodyid == 0
+        self._models = [copy.copy(model) for _ in range(self.num_worlds)]
+        for own, grip, direction in zip(self._models, conditions.friction, conditions.slope_direction, strict=True):
+            own.geom_friction[floor, 0] *= grip
+            own.opt.gravity[:] = gravity(self.structure, direction, strength)
+        if sloping:
+            self.down = np.stack([own.opt.gravity / strength for own in self._models])
+
     def _step(self, instruments: Sequence[Instrument]) -> None:
         """One physics step. Written for speed: every line costs about a microsecond for W = 6."""
-        m = self.machine
+        m, drives = self.machine, self._drives
         self._before[:] = self.qvel
-        velocity, torque, scratch, limits = self._before[:, m.joint_dof], self._motor, self._scratch, self._limits
+        velocity, torque, scratch, limits = self._before[:, m.joint_dof], self._current, self._scratch, self._limits
         np.multiply(self.qpos[:, m.joint_qpos], self._kp, out=torque)
         np.subtract(self._pull, torque, out=torque)
+        if drives:
+            np.multiply(drives.play, self._kp, out=scratch)
+            np.subtract(torque, scratch, out=torque)
         np.multiply(velocity, self._kd, out=scratch)
         np.subtract(torque, scratch, out=torque)
         np.multiply(velocity, self._limit_slope, out=limits)
@@ -172,8 +230,14 @@ class Dynamics:
         np.negative(limits[1], out=scratch)
         np.maximum(torque, scratch, out=torque)
 
+        if drives:
+            self._motor[:] = drives.torque(torque)
+            torque = self._motor
+            drives.cross(torque)
         np.abs(torque, out=scratch)
         np.multiply(scratch, self._loss, out=scratch)
+        if drives:
+            scratch += drives.stiction(velocity)
         np.multiply(velocity, self._loss_slope, out=self._friction)
         np.minimum(self._friction, scratch, out=self._friction)
         np.negative(scratch, out=scratch)
@@ -185,7 +249,8 @@ class Dynamics:
             self._models,
             self._data,
             flat,
-            self._control,
+            self._inputs,
+            control_spec=self._spec,
             skip_checks=True,
             nstep=1,
             initial_warmstart=self._acceleration,

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from hts.contracts import Instrument, Robot, Settings
+from hts.contracts import Instrument, PhysicsSample, Robot, Settings
 from hts.errors import ConfigError, UnfitWorldError, unknown_name
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hts.plugins import Registry
 
 
@@ -35,3 +37,54 @@ def make_instruments(
             raise ConfigError("world.instruments: " + unknown_name("instrument", name, registry.instruments))
     names = dict.fromkeys([*instrument_names(registry, objectives), *settings])
     return {name: registry.make_instrument(name, settings.get(name, {}), robot) for name in names}
+
+
+def instruments_of_reality(
+    registry: Registry,
+    robot: Robot,
+    objectives: Mapping[str, Settings],
+    settings: Mapping[str, Mapping[str, Any]],
+    supplied: bool,
+) -> dict[str, Instrument]:
+    """Those of the objectives, as a reality has them. supplied: torque depends on the supply, so the instrument that
+    simulates it is there even where nobody reads it."""
+    names = instrument_names(registry, objectives)
+    made = {name: registry.make_instrument(name, settings.get(name, {}), robot) for name in names}
+    if supplied and all(instrument.supply() is None for instrument in made.values()):
+        for name in sorted(set(settings) & set(registry.instruments) - set(made)):
+            other = registry.make_instrument(name, settings[name], robot)
+            if other.supply() is not None:
+                made[name] = Unread(other)
+                break
+    return made
+
+
+class Unread(Instrument):
+    """An instrument that goes on simulating its part of the machine, and that nobody reads."""
+
+    channels = ()
+
+    def __init__(self, instrument: Instrument) -> None:
+        self._instrument = instrument
+
+    def reset(self, num_worlds: int, rng: np.random.Generator) -> None:
+        self._instrument.reset(num_worlds, rng)
+
+    def step(self, sample: PhysicsSample) -> None:
+        self._instrument.step(sample)
+
+    def read(self) -> Mapping[str, np.ndarray]:
+        self._instrument.read()  # works through the steps so far
+        return {}
+
+    def idle(self) -> Mapping[str, float]:
+        return {}
+
+    def settle(self) -> None:
+        self._instrument.settle()
+
+    def supply(self) -> np.ndarray | None:
+        return self._instrument.supply()
+
+    def conditions(self) -> Mapping[str, np.ndarray]:
+        return self._instrument.conditions()

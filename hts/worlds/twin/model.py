@@ -10,7 +10,9 @@ import numpy as np
 
 from hts.contracts import Robot, RobotSpec
 from hts.errors import UnfitWorldError
+from hts.worlds.twin.ground import bumpy_floor, heights
 from hts.worlds.twin.parameters import DynamicsParameters
+from hts.worlds.twin.structure import BodyStructure
 
 TOUCH_ZONE = 1.6  # times the site size: the zone of the touch sensor must hold every contact of the foot
 
@@ -78,6 +80,9 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
     trunk = root.find("body", spec.trunk_body).full_identifier
     _motors_for_servos(root, joints)
     _foot_sensors(root, spec)
+    structure = parameters.structure
+    if structure.floor_roughness > 0:
+        bumpy_floor(root, structure.floor_roughness)
     root.option.timestep = parameters.physics_dt
     root.option.integrator = "Euler"
     root.option.cone = "elliptic"
@@ -98,6 +103,10 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
     model.body_mass[body] *= parameters.trunk_mass_scale
     model.body_inertia[body] *= parameters.trunk_mass_scale
     model.body_ipos[body] += (parameters.com_shift_x, parameters.com_shift_y, parameters.com_shift_z)
+    if structure.payload_mass > 0:
+        _load(model, body, structure)
+    if structure.floor_roughness > 0:
+        model.hfield_data[:] = heights(structure, parameters.machine).ravel()
     model.geom_solref[:, 0] = parameters.contact_time
     floor = model.geom_bodyid == 0
     model.geom_friction[floor, 0] = parameters.floor_friction
@@ -125,6 +134,27 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
         standing_torque=statics(model, standing, len(spec.foot_sites))[dof],
         total_mass=float(model.body_mass.sum()),
     )
+
+
+def _load(model: mujoco.MjModel, body: int, structure: BodyStructure) -> None:
+    """A payload, taken as a point, on a body: mass, centre of mass and inertia of both together (Steiner's theorem)."""
+    mass, added = float(model.body_mass[body]), structure.payload_mass
+    centre, place = (
+        model.body_ipos[body].copy(),
+        np.array([structure.payload_x, structure.payload_y, structure.payload_z]),
+    )
+    arm = place - centre
+    axes, quaternion = np.zeros(9), np.zeros(4)
+    mujoco.mju_quat2Mat(axes, model.body_iquat[body])
+    turned = axes.reshape(3, 3)
+    inertia = turned @ np.diag(model.body_inertia[body]) @ turned.T
+    inertia += mass * added / (mass + added) * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    principal, vectors = np.linalg.eigh(inertia)
+    vectors[:, 0] *= np.sign(np.linalg.det(vectors))  # a rotation, not a reflection
+    mujoco.mju_mat2Quat(quaternion, vectors.ravel())
+    model.body_mass[body] = mass + added
+    model.body_ipos[body] = centre + added / (mass + added) * arm
+    model.body_inertia[body], model.body_iquat[body] = principal, quaternion
 
 
 def _motors_for_servos(root: Any, joints: list) -> None:

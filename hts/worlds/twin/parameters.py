@@ -14,16 +14,16 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer, model_validator
 
 from hts.config import Config
+from hts.contracts import parameter
+from hts.errors import ConfigError
+from hts.explain import dotted, explain
+from hts.worlds.twin import reality
+from hts.worlds.twin.structure import BodyStructure, SessionParameters
 
-
-def parameter(default: float, low: float, high: float, unit: str, source: str, meaning: str) -> Any:
-    """A field with meaning, unit, range and source; a value outside the range is refused."""
-    text = f"{meaning}, {unit}. Range {low:g} to {high:g}. Source: {source}"
-    extra: dict[str, Any] = {"unit": unit, "source": source, "range": [low, high]}
-    return Field(default, ge=low, le=high, description=text, json_schema_extra=extra)
+SERIALS = 2**31 - 1  # the largest serial number that is drawn
 
 
 class DynamicsParameters(Config):
@@ -33,7 +33,7 @@ class DynamicsParameters(Config):
     physics_dt: float = parameter(
         0.001, 0.0005, 0.002, "s",
         "E: 1 kHz, five times finer than training, so that motor control and contact are resolved",
-        "physics and motor-control step",
+        "physics and motor-control step", fixed="numerics, not a machine",
     )
     trunk_mass_scale: float = parameter(
         1.04, 0.8, 1.3, "1",
@@ -115,7 +115,13 @@ class DynamicsParameters(Config):
         "relative spread of dry friction from joint to joint, uniform within +- this, fixed per machine",
     )
     # fmt: on
-    machine: int = Field(1, ge=0, description="serial number: seeds what is fixed per machine (offsets, spread), 1")
+    machine: int = Field(
+        1,
+        ge=0,
+        description="serial number: seeds what is fixed per machine (offsets, spread), 1",
+        json_schema_extra={"unit": "1", "source": "by definition", "range": [0, SERIALS]},
+    )
+    structure: BodyStructure = Field(default_factory=BodyStructure, description="structures, off by default")
 
 
 class SensorParameters(Config):
@@ -125,30 +131,37 @@ class SensorParameters(Config):
     position_noise: float = parameter(
         0.001, 0, 0.02, "rad", "E: encoder noise seen through gear play",
         "joint angle, sigma",
+        drawn=(0.0002, 0.02),
     )
     velocity_noise: float = parameter(
         0.05, 0, 1.0, "rad/s", "E: differentiated encoder, filtered",
         "joint speed, sigma",
+        drawn=(0.01, 1),
     )
     velocity_word: float = parameter(
         0.00123, 0, 0.1, "rad/s", "Q7 word at the rotor / 6.33 (actuator_sdk, B)",
         "step of the joint speed word; 0: none",
+        drawn=(0.001, 0.1),
     )
     torque_noise: float = parameter(
         0.15, 0, 2.0, "N*m", "E: torque estimates from motor current are noisy (walk-these-ways issue 34, A)",
         "torque estimate, sigma",
+        drawn=(0.02, 2),
     )
     torque_word: float = parameter(
         0.0247, 0, 0.5, "N*m", "Q8 word at the rotor x 6.33 (actuator_sdk, B)",
         "step of the torque word; 0: none",
+        drawn=(0.005, 0.5),
     )
     gyro_noise: float = parameter(
         0.02, 0, 0.5, "rad/s", "E: consumer MEMS at 50 Hz with body vibration",
         "angular velocity, sigma",
+        drawn=(0.005, 0.5),
     )
     gravity_noise: float = parameter(
         0.005, 0, 0.1, "1", "E: attitude filter, 0.3 degrees",
         "projected gravity, sigma per axis",
+        drawn=(0.001, 0.1),
     )
     tilt_error: float = parameter(
         0.008, 0, 0.05, "rad", "E: mounting and attitude drift of half a degree (comm.h notes drift, A)",
@@ -157,10 +170,12 @@ class SensorParameters(Config):
     foot_force_noise: float = parameter(
         3.0, 0, 20, "N", "E: raw air-bag sensor",
         "foot force, sigma",
+        drawn=(0.2, 20),
     )
     foot_force_drift: float = parameter(
         0.3, 0, 5, "N/sqrt(s)", "E; drift is reported (legged_sdk issue 86, A)",
         "foot force, random walk",
+        drawn=(0.05, 5),
     )
     foot_force_gain: float = parameter(
         0.05, 0, 0.3, "1", "E",
@@ -169,6 +184,7 @@ class SensorParameters(Config):
     camera_speed_noise: float = parameter(
         0.03, 0, 0.3, "m/s", "E: motion capture, 0.4 mm between frames of 20 ms (sqrt 2 x 0.4 mm / 20 ms)",
         "base velocity, sigma per axis",
+        drawn=(0.003, 0.3),
     )
     camera_scale_error: float = parameter(
         0.0, -0.02, 0.02, "1", "E: calibrated volume",
@@ -181,11 +197,22 @@ class SensorParameters(Config):
     # fmt: on
 
 
-class TwinSettings(Config):
-    """A twin: its body, its sensors, its instruments, and how sessions on it go."""
+MACHINE = ("dynamics", "sensors", "sessions", "instruments")  # what a reality says
 
+
+class TwinSettings(Config):
+    """A twin: its body, its sensors, its instruments, and how sessions on it go.
+
+    With `reality`, the first three are what its file says, which only the twin's own process reads.
+    """
+
+    reality: str | None = Field(
+        None, description="a drawn twin: its name (`hts realities list`) or file; null: the twin of the settings below"
+    )
+    reality_sha256: str | None = Field(None, description="of the reality's file, filled in; another file is refused")
     dynamics: DynamicsParameters = Field(default_factory=DynamicsParameters)
     sensors: SensorParameters = Field(default_factory=SensorParameters)
+    sessions: SessionParameters = Field(default_factory=SessionParameters)
     instruments: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="name of an instrument -> its settings, validated by its own plugin"
     )
@@ -196,6 +223,47 @@ class TwinSettings(Config):
     unsteady_seconds: float = Field(2.0, ge=0, description="start of each block that evaluation should leave out, s")
     max_worlds: int = Field(6, ge=1, description="robots that one process simulates together, at most")
     processes: int = Field(0, ge=0, description="processes side by side; 0: one per core")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named(cls, values: Any) -> Any:
+        """The hash of the reality's file, and nothing beside it that would make it another machine."""
+        if not isinstance(values, Mapping) or not isinstance(values.get("reality"), str):
+            return values
+        reference, expected = values["reality"], values.get("reality_sha256")
+        beside = [name for name in MACHINE if values.get(name)]
+        if beside:
+            raise ConfigError(
+                f"world.{beside[0]}: world.reality={reference} says all of the machine; leave one of the two out."
+            )
+        found = reality.sha256(reality.locate(reference))
+        if expected is not None and found != expected:
+            raise ConfigError(reality.changed(reference, found, expected))
+        return {**values, "reality_sha256": found}
+
+    @model_serializer(mode="wrap")
+    def _referred(self, whole: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """With a reality, its name and hash stand for the machine."""
+        content: dict[str, Any] = whole(self)
+        hidden = MACHINE if self.reality is not None else ("reality", "reality_sha256")
+        return {name: value for name, value in content.items() if name not in hidden}
+
+
+def resolved_settings(settings: TwinSettings, robot: str) -> TwinSettings:
+    """The settings with what the file of their reality says; themselves without one. Raises ConfigError.
+
+    For the twin's own process; everybody else has the reality's name and hash.
+    """
+    if settings.reality is None:
+        return settings
+    content = reality.for_robot(reality.read(settings.reality, settings.reality_sha256), robot)
+    try:
+        machine = TwinSettings.model_validate({name: content.get(name, {}) for name in MACHINE})
+    except ValidationError as error:
+        raise ConfigError(
+            explain(error, TwinSettings, lambda at: f"reality {settings.reality}: {dotted(at)}")
+        ) from error
+    return settings.model_copy(update={name: values for name, values in machine if name in MACHINE})
 
 
 def parameters_hash(settings: TwinSettings, instruments: Mapping[str, Mapping[str, Any]]) -> str:
@@ -208,8 +276,13 @@ def parameters_hash(settings: TwinSettings, instruments: Mapping[str, Mapping[st
 
 def resolved(settings: TwinSettings, instruments: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """All parameters with their values, as they go into the hash and into docs/twin-calibration.json."""
-    return {
+    content: dict[str, Any] = {
         "dynamics": settings.dynamics.model_dump(mode="json"),
         "sensors": settings.sensors.model_dump(mode="json"),
         "instruments": {name: dict(values) for name, values in sorted(instruments.items())},
     }
+    if settings.dynamics.structure == BodyStructure():
+        del content["dynamics"]["structure"]  # off: it is the twin of before there were structures
+    if settings.sessions != SessionParameters():
+        content["sessions"] = settings.sessions.model_dump(mode="json")
+    return content

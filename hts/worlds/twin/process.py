@@ -31,7 +31,7 @@ from typing import Any, TextIO
 
 from hts.errors import HtsError, UnfitWorldError
 from hts.worlds.base import seed_sequence
-from hts.worlds.twin.parameters import TwinSettings
+from hts.worlds.twin.parameters import TwinSettings, resolved_settings
 from hts.worlds.twin.programme import Session
 
 PROGRESS_SECONDS = 0.5
@@ -43,17 +43,20 @@ class Twin:
     def __init__(self, start: dict[str, Any]) -> None:
         from hts import plugins
         from hts.recordings.store import RecordingStore
-        from hts.worlds.twin.instruments import make_instruments
+        from hts.worlds.twin.instruments import instruments_of_reality, make_instruments
 
         registry = plugins.load()
-        self.settings = TwinSettings.model_validate(start["settings"])
         self.robot = registry.make_robot(start["robot"], start["robot_settings"])
+        self.settings = resolved_settings(TwinSettings.model_validate(start["settings"]), start["robot"])
         self.seed, self.name = int(start["seed"]), start["name"]
         self.wanted = {
             name: [channel.name for channel in registry.make_objective(name, settings).real_channels]
             for name, settings in start["objectives"].items()
         }
-        self._make = lambda: make_instruments(registry, self.robot, start["objectives"], self.settings.instruments)
+        given = (registry, self.robot, start["objectives"], self.settings.instruments)
+        sags = self.settings.dynamics.structure.torque_follows_supply
+        real = self.settings.reality is not None
+        self._make = lambda: instruments_of_reality(*given, sags) if real else make_instruments(*given)
         self._make()  # wrong settings are refused at once
         self.spool = RecordingStore(Path(start["spool"]), create=True)
 

@@ -38,7 +38,8 @@ class Sensors:
         drawn = self._rng.standard_normal((body.num_worlds, self._cuts[-1].stop))
         noise = iter([drawn[:, cut] for cut in self._cuts])
         rotation = body.rotation()
-        gravity = -rotation[:, :, 2] @ self._tilt.T + p.gravity_noise * next(noise)
+        down = -rotation[:, :, 2] if body.down is None else np.matmul(rotation, body.down[:, :, None])[:, :, 0]
+        gravity = down @ self._tilt.T + p.gravity_noise * next(noise)
         velocity = np.matmul(rotation, body.qvel[:, :3, None])[:, :, 0]
         self._drift += p.foot_force_drift * np.sqrt(period) * next(noise)
         return {

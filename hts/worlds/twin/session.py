@@ -15,6 +15,7 @@ from hts.errors import PolicyError
 from hts.recordings.recording import Recording, Series
 from hts.worlds.base import Operator, commands
 from hts.worlds.twin.dynamics import Dynamics
+from hts.worlds.twin.ground import Conditions
 from hts.worlds.twin.model import Machine, build
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.programme import Block, Session
@@ -57,15 +58,19 @@ class Batch:
     ) -> None:
         self.robot, self.spec, self.settings, self.instruments = robot, robot.spec, settings, instruments
         self.machine = build(robot, settings.dynamics)
-        self.body = Dynamics(self.machine, settings.dynamics, num_worlds)
         sensor_seed, policy_seed, *instrument_seeds = seeds.spawn(2 + len(instruments))
+        session_random, body_random = (np.random.default_rng(seed) for seed in seeds.spawn(2))
+        self.conditions = Conditions.drawn(settings.sessions, num_worlds, session_random)
+        self.body = Dynamics(self.machine, settings.dynamics, num_worlds, self.conditions, body_random)
         self._policy_random = np.random.default_rng(policy_seed)  # of policies that are run with exploration noise
         self.sensors = Sensors(
             settings.sensors, self.body, settings.dynamics.machine, np.random.default_rng(sensor_seed)
         )
         for instrument, seed in zip(instruments.values(), instrument_seeds, strict=True):
             instrument.reset(num_worlds, np.random.default_rng(seed))
-        self.operator = Operator(num_worlds)
+        self.operator = Operator(num_worlds, self.conditions.heading_gain, self.conditions.heading_offset)
+        self._sags = settings.dynamics.structure.torque_follows_supply
+        self.notes = self._noted(num_worlds)
         self.period = 1 / self.spec.control_rate_hz
         self.steps = round(self.period / settings.dynamics.physics_dt)
         self._low_seconds = np.zeros(num_worlds)
@@ -155,11 +160,30 @@ class Batch:
                 if trimming is not None:
                     trimming.fell(fell)
                 readings["joint_target"][fell] = self.spec.default_pose
+            if self._sags:
+                self._supply()
             self.body.advance(readings["joint_target"], self.steps, tuple(self.instruments.values()))
             self._ticks += 1
             if step % 50 == 0:
                 progress(step / commanded.shape[1])
         return recorder
+
+    def _supply(self) -> None:
+        """The voltage that the motors get now, from the instrument that simulates it."""
+        for instrument in self.instruments.values():
+            ratio = instrument.supply()
+            if ratio is not None:
+                self.body.set_supply(ratio)
+
+    def _noted(self, num_worlds: int) -> list[dict[str, str]]:
+        """What somebody notes of each robot's session at its start, as text."""
+        noted: dict[str, np.ndarray] = {}
+        for instrument in self.instruments.values():
+            noted |= instrument.conditions()
+        settings = self.settings
+        which = {"reality": settings.reality, "reality_sha256": settings.reality_sha256} if settings.reality else {}
+        rows = [{name: f"{values[number]:g}" for name, values in noted.items()} for number in range(num_worlds)]
+        return [{**{name: str(value) for name, value in which.items()}, **row} for row in rows]
 
     def _fallen(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
         """Robots (W,) that lie on their side, have collapsed, or whose physics broke down."""
@@ -268,6 +292,7 @@ class Recorder:
         counted = falls + batch.falls_before(number, block)
         notes = {"unsteady_seconds": f"{batch.settings.unsteady_seconds:g}", "falls": str(counted)}
         notes |= batch.held_notes(number, block)
+        notes |= batch.notes[number]
         return Recording(
             robot=spec.name,
             world=world,

@@ -137,6 +137,11 @@ class TwinWorld(World):
         self._hold, self._found = hold, {}
         return hold is not None
 
+    def identity(self) -> Mapping[str, str]:
+        """Name and hash of the reality; nothing for the twin of the settings, which the configuration holds."""
+        reality, sha256 = self.settings.reality, self.settings.reality_sha256
+        return {"reality": reality, "reality_sha256": sha256} if reality and sha256 else {}
+
     def on_progress(self, report: Callable[[float], None]) -> None:
         self._report = report
 

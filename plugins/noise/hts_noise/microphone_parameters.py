@@ -9,27 +9,14 @@ what counts.
 
 from __future__ import annotations
 
-from typing import Any
+from pydantic import BaseModel, ConfigDict, model_validator
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from hts.contracts import parameter as number
+from hts.contracts import parameters as numbers
 
 MODES = (6, 10)  # how many
 FREQUENCY = (60.0, 8000.0)  # Hz
 DAMPING = (0.02, 0.10)
-
-
-def number(default: float, low: float, high: float, unit: str, source: str, meaning: str) -> Any:
-    """A field with meaning, unit, range and source; a value outside the range is refused."""
-    text = f"{meaning}, {unit}. Range {low:g} to {high:g}. Source: {source}"
-    extra: dict[str, Any] = {"unit": unit, "source": source, "range": [low, high]}
-    return Field(default, ge=low, le=high, description=text, json_schema_extra=extra)
-
-
-def numbers(default: tuple[float, ...], low: float, high: float, unit: str, source: str, meaning: str) -> Any:
-    """The same for one value per mode."""
-    text = f"{meaning}, one per mode, {unit}. Range {low:g} to {high:g}. Source: {source}"
-    extra: dict[str, Any] = {"unit": unit, "source": source, "range": [low, high]}
-    return Field(default, min_length=MODES[0], max_length=MODES[1], description=text, json_schema_extra=extra)
 
 
 class MicrophoneParameters(BaseModel):
@@ -42,7 +29,13 @@ class MicrophoneParameters(BaseModel):
     foot_radius: float = number(0.023, 0.01, 0.05, "m", "mujoco_menagerie, unitree_go1 (A)", "R_f: of the foot")
     restitution: float = number(0.25, 0.1, 0.4, "1", "E", "e: speed after over speed before")
     contact_newtons: float = number(
-        1.0, 0.1, 10.0, "N", "by choice: a thirtieth of the weight on a foot", "force above which a foot touches"
+        1.0,
+        0.1,
+        10.0,
+        "N",
+        "by choice: a thirtieth of the weight on a foot",
+        "force above which a foot touches",
+        fixed="numerics, not a machine",
     )
     least_speed: float = number(
         0.01,
@@ -51,6 +44,7 @@ class MicrophoneParameters(BaseModel):
         "m/s",
         "by choice: a step at 0.01 m/s would peak at 21 dB(A), under any room (B)",
         "no strike below this",
+        fixed="numerics, not a machine",
     )
     step_scatter: float = number(
         2.5,
@@ -71,10 +65,22 @@ class MicrophoneParameters(BaseModel):
 
     # ---- what rings: two modes of the floor, three of the shank, three of the shells
     frequencies: tuple[float, ...] = numbers(
-        (120.0, 200.0, 330.0, 540.0, 900.0, 1500.0, 2400.0, 4000.0), *FREQUENCY, "Hz", "E: 120 to 4000 Hz", "f_k"
+        (120.0, 200.0, 330.0, 540.0, 900.0, 1500.0, 2400.0, 4000.0),
+        *FREQUENCY,
+        "Hz",
+        "E: 120 to 4000 Hz",
+        "f_k",
+        counts=MODES,
+        drawn=(120.0, 4000.0),
+        ascending=True,
     )
     dampings: tuple[float, ...] = numbers(
-        (0.10, 0.08, 0.06, 0.05, 0.05, 0.04, 0.03, 0.03), *DAMPING, "1", "E: 0.02 to 0.10", "zeta_k: damping ratio"
+        (0.10, 0.08, 0.06, 0.05, 0.05, 0.04, 0.03, 0.03),
+        *DAMPING,
+        "1",
+        "E: 0.02 to 0.10",
+        "zeta_k: damping ratio",
+        counts=MODES,
     )
     gain_slope: float = number(
         6.0,
@@ -95,13 +101,23 @@ class MicrophoneParameters(BaseModel):
 
     # ---- drives and room
     drive_level: float = number(45.0, 30.0, 55.0, "dB(A)", "E: 40 to 50", "level at 1 m of one drive at drive_speed")
-    drive_speed: float = number(5.0, 1.0, 10.0, "rad/s", "by definition", "q'_r: joint speed that drive_level is of")
+    drive_speed: float = number(
+        5.0, 1.0, 10.0, "rad/s", "by definition", "q'_r: joint speed that drive_level is of", fixed="a definition"
+    )
     drive_exponent: float = number(2.0, 2.0, 2.5, "1", "gear noise rises 20-25 dB per decade of speed (C)", "a")
     drive_load: float = number(0.5, 0.3, 1.0, "1", "E", "kappa: what full torque adds")
     room_level: float = number(38.0, 30.0, 45.0, "dB(A)", "E", "p_b: the room and the robot's fan, motors idle")
 
     # ---- the meter
-    distance: float = number(1.0, 0.5, 4.0, "m", "by choice; the microphone keeps its distance", "r: from the robot")
+    distance: float = number(
+        1.0,
+        0.5,
+        4.0,
+        "m",
+        "by choice; the microphone keeps its distance",
+        "r: from the robot",
+        fixed="whoever measures chooses it",
+    )
     calibration_error: float = number(
         0.3, -1.0, 1.0, "dB", "E: within the tolerance of a class 2 meter (IEC 61672-1, C)", "what it shows too much"
     )

@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from hts_power.anchors import IDLE_SHARE, STANDING_WATTS
+
 if TYPE_CHECKING:
     from hts.contracts import Robot
     from hts.recordings.recording import Recording
@@ -25,9 +27,7 @@ if TYPE_CHECKING:
     from hts_power.gauge import BatteryGauge
 
 GRAVITY = 9.81  # m/s^2
-IDLE_SHARE = {0.5: 0.310, 0.8: 0.248, 1.1: 0.198}
 IDLE_SHARE_TOLERANCE = 0.15
-STANDING_WATTS = (53.0, 65.0)
 COPPER_SHARE = (0.55, 0.80)
 INSTRUMENT = "battery_gauge"
 

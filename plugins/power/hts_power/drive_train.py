@@ -56,7 +56,15 @@ def inverter_power(
     return conduction + switching + dead
 
 
-def bus_power(idle_power: float, joint_powers: np.ndarray, regeneration: float) -> np.ndarray:
+def converter_power(power: Values, share: float, square: float) -> np.ndarray:
+    """Loss of a drive's own converter, W: a |P| + b P^2, whichever way the power P, W, passes it. square b: 1/W.
+
+    Its efficiency, P / (P + loss) = 1 / (1 + a + b P), falls with load; what it draws without load is idle power.
+    """
+    return share * np.abs(power) + square * np.square(power)
+
+
+def bus_power(idle_power: Values, joint_powers: np.ndarray, regeneration: float) -> np.ndarray:
     """(6) What the shared bus asks of the battery, W. joint_powers: (..., J), may be negative.
 
     One joint's generated power feeds another with no further loss; only what is left over, a negative sum,

@@ -10,19 +10,23 @@ costs hardly more than on (W, J).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hts.channels import Channel
-from hts.contracts import Instrument, PhysicsSample, Robot, RobotSpec, Settings
+from hts.contracts import Fact, Instrument, PhysicsSample, Robot, RobotSpec, Settings
 from hts.errors import WorldError
 from hts_power import drive_train
+from hts_power.anchors import facts
 from hts_power.battery import Battery
 from hts_power.gauge_parameters import GaugeParameters
+from hts_power.structure import GaugeStructure
 
-ENERGIES = ("idle", "mechanical", "copper", "iron", "inverter", "bus", "battery")
+ENERGIES = ("idle", "mechanical", "copper", "iron", "inverter", "converter", "burned", "bus", "battery")
+RATED_CELL_VOLTAGE = 3.7  # V; 22.2 V of six, at which the no-load speed is 30.09 rad/s (manual 1.4; motor constants)
 CHUNK = 64  # steps worked through together at most
 
 
@@ -54,16 +58,30 @@ class BatteryGauge(Instrument):
         self._constant = np.array(spec.motors.torque_constant)
         self._ratio = np.array(spec.motors.gear_ratio)
         self._coefficient = drive_train.copper_coefficient(parameters.phase_resistance, self._constant)
+        structure = parameters.structure
+        if structure.resistance_spread > 0:
+            fixed = np.random.default_rng([structure.machine, 5])
+            self._coefficient *= 1 + structure.resistance_spread * fixed.uniform(-1, 1, spec.num_joints)
         self.reset(1, np.random.default_rng(0))
 
     def reset(self, num_worlds: int, rng: np.random.Generator) -> None:
         p, joints = self.p, (num_worlds, self.spec.num_joints)
         self._rng = rng
-        self._battery = self._new_battery(num_worlds)
+        s = p.structure
+        self._charge_at_start: np.ndarray | float = p.state_of_charge
+        if s.least_charge > 0:
+            self._charge_at_start = rng.uniform(min(s.least_charge, p.state_of_charge), p.state_of_charge, num_worlds)
+        self._ambient: np.ndarray | float = p.ambient
+        if s.ambient_spread > 0:
+            self._ambient = p.ambient + s.ambient_spread * rng.uniform(-1, 1, (num_worlds, 1))
+        self._wander = rng.standard_normal(num_worlds) if s.idle_spread > 0 else None
+        self._battery = self._new_battery(num_worlds, self._charge_at_start)
         self.winding = np.full(joints, p.start_temperature)
         self.housing = np.full(joints, p.start_temperature)
         self._count, self._dt = 0, 0.0
         self._torque, self._speed = np.empty((CHUNK, *joints)), np.empty((CHUNK, *joints))
+        self._current_torque = np.empty((CHUNK, *joints))
+        self._irregular = False  # whether a motor's current is not its torque over the nominal constant
         self._history = np.empty((0, num_worlds))
         self._steps = 0
         self._shown = self._register(self._battery.current)
@@ -76,6 +94,9 @@ class BatteryGauge(Instrument):
     def step(self, sample: PhysicsSample) -> None:
         self._torque[self._count] = sample.motor_torque
         self._speed[self._count] = sample.joint_velocity
+        if sample.current_torque is not None:
+            self._current_torque[self._count] = sample.current_torque
+            self._irregular = True
         self._count += 1
         self._dt = sample.dt
         if self._count == CHUNK:
@@ -92,7 +113,7 @@ class BatteryGauge(Instrument):
 
     def idle(self) -> Mapping[str, float]:
         """As read off over a minute: noise averages out, gain and offset do not."""
-        battery = self._new_battery(1)
+        battery = self._new_battery(1, self.p.state_of_charge)
         reading = (1 + self.p.gain_error) * battery.current[0] - self.p.offset
         return {"battery_current": float(reading), "battery_voltage": float(battery.voltage[0])}
 
@@ -109,7 +130,7 @@ class BatteryGauge(Instrument):
             self._torque_squared / self._settle_seconds,
             self._iron / self._settle_seconds,
             self._coefficient,
-            p.ambient,
+            self._ambient,
             p.winding_resistance,
             p.housing_resistance,
         )
@@ -124,15 +145,33 @@ class BatteryGauge(Instrument):
         self._since_settle()
 
     def describe(self) -> Mapping[str, Any]:
-        return self.p.model_dump(mode="json")
+        off = self.p.structure == GaugeStructure()  # then it is the gauge of before there were structures
+        return self.p.model_dump(mode="json", exclude={"structure"} if off else None)
+
+    def supply(self) -> np.ndarray | None:
+        """Against the voltage that the motors' no-load speed is given for."""
+        return self._battery.voltage / (RATED_CELL_VOLTAGE * self.p.cells)
+
+    def conditions(self) -> Mapping[str, np.ndarray]:
+        """Charge in whole per cent and air in whole degrees, where they differ from session to session."""
+        s, noted = self.p.structure, {}
+        if s.least_charge > 0:
+            noted["state_of_charge"] = np.round(100 * np.asarray(self._charge_at_start))
+        if s.ambient_spread > 0:
+            noted["ambient"] = np.round(np.asarray(self._ambient)[:, 0])
+        return noted
+
+    def facts(self) -> Sequence[Fact]:
+        """Published figures of this robot, if there are any (anchors.py)."""
+        return facts(self.spec.name)
 
     # ------------------------------------------------------------------------------------------ inside
 
-    def _new_battery(self, num: int) -> Battery:
+    def _new_battery(self, num: int, state_of_charge: np.ndarray | float) -> Battery:
         p = self.p
         return Battery(
             num,
-            p.state_of_charge,
+            state_of_charge,
             p.cells,
             3600 * p.capacity,
             p.pack_resistance,
@@ -156,6 +195,8 @@ class BatteryGauge(Instrument):
         p, dt = self.p, self._dt
         torque, speed = self._torque[:count], self._speed[:count]  # (K, W, J)
         mechanical = torque * speed
+        if self._irregular:
+            torque = self._current_torque[:count]  # from here on it stands for the current
         copper = drive_train.copper_power(torque, self._coefficient, self.winding)
         iron = drive_train.iron_power(self._ratio * speed, p.hysteresis, p.eddy)
         inverter = drive_train.inverter_power(
@@ -167,10 +208,19 @@ class BatteryGauge(Instrument):
             p.switching_frequency,
             p.diode_voltage,
         )
-        bus = drive_train.bus_power(p.idle_power, mechanical + copper + iron + inverter, p.regeneration)
+        seconds = count * dt
+        joints = mechanical + copper + iron + inverter
+        idle, converted, burned = self._idle_power(seconds), 0.0, 0.0
+        if p.structure.converter_share > 0:
+            loss = drive_train.converter_power(joints, p.structure.converter_share, p.structure.converter_square)
+            joints = joints + loss
+            converted = np.einsum("kwj->w", loss) * dt
+        if p.structure.own_regeneration:
+            burned = -np.einsum("kwj->w", np.minimum(joints, 0)) * dt
+            joints = np.maximum(joints, 0)
+        bus = drive_train.bus_power(idle, joints, p.regeneration)
         current = self._battery.deliver(bus, dt)
 
-        seconds = count * dt
         copper, iron = np.add.reduce(copper) * dt, np.add.reduce(iron) * dt  # J of each motor from here on
         self._warm(copper / seconds, iron / seconds, seconds)
         self._torque_squared += np.einsum("kwj,kwj->wj", torque, torque) * dt
@@ -179,11 +229,13 @@ class BatteryGauge(Instrument):
         self._charge += charge
         self._settle_seconds += seconds
         for name, joules in (
-            ("idle", p.idle_power * seconds),
+            ("idle", idle * seconds),
             ("mechanical", np.einsum("kwj->w", mechanical) * dt),
             ("copper", np.add.reduce(copper, axis=1)),
             ("iron", np.add.reduce(iron, axis=1)),
             ("inverter", np.einsum("kwj->w", inverter) * dt),
+            ("converter", converted),
+            ("burned", burned),
             ("bus", np.add.reduce(bus) * dt),
             ("battery", charge * self._battery.voltage),
         ):
@@ -191,20 +243,39 @@ class BatteryGauge(Instrument):
         self.seconds += seconds
         self._sense(current, dt)
 
+    def _idle_power(self, seconds: float) -> np.ndarray | float:
+        """P_idle of the next `seconds`, W; if it wanders P_idle (1 + sigma x), x Ornstein-Uhlenbeck (W,)."""
+        s = self.p.structure
+        if self._wander is None:
+            return self.p.idle_power
+        keep = np.exp(-seconds / max(s.idle_seconds, 1e-3))
+        self._wander = keep * self._wander + np.sqrt(1 - keep**2) * self._rng.standard_normal(len(self._wander))
+        return self.p.idle_power * np.maximum(1 + s.idle_spread * self._wander, 0)
+
     def _warm(self, copper: np.ndarray, iron: np.ndarray, seconds: float) -> None:
         """(10) C_w T_w' = P_cu + P_fe/2 - (T_w - T_h)/R_wh; C_h T_h' = (T_w - T_h)/R_wh - (T_h - T_a)/R_ha."""
         p = self.p
         inner = (self.winding - self.housing) / p.winding_resistance
-        outer = (self.housing - p.ambient) / p.housing_resistance
+        outer = (self.housing - self._ambient) / p.housing_resistance
         self.winding = self.winding + seconds / p.winding_capacity * (copper + 0.5 * iron - inner)
         self.housing = self.housing + seconds / p.housing_capacity * (inner - outer)
 
     def _sense(self, current: np.ndarray, dt: float) -> None:
-        """(11) The register: mean over the window, as it was `delay` ago, at each update since the last look."""
+        """(11) The register: mean over the window, as it was `delay` ago, at each update since the last look.
+
+        A low-pass, y' = (I - y) / W, is taken before; its history then needs no window.
+        """
         p = self.p
         window, late = max(1, round(p.window / dt)), round(p.delay / dt)
+        if p.structure.low_pass:
+            window = 1
         if len(self._history) < window + late:  # before the first step it had been idling
-            self._history = np.tile(self._new_battery(current.shape[1]).current, (window + late, 1))
+            self._history = np.tile(
+                self._new_battery(current.shape[1], self._charge_at_start).current, (window + late, 1)
+            )
+        if p.structure.low_pass:
+            keep = np.exp(-dt / p.window)  # exact for a current that is constant over a step
+            current, _ = lfilter([1 - keep], [1, -keep], current, axis=0, zi=keep * self._history[-1:])
         self._history = np.concatenate([self._history[-(window + late) :], current])
         every = max(1, round(1 / (p.update_rate * dt)))
         first = -(self._steps + 1) % every  # steps until the register changes; counted back by `late` from the newest

@@ -7,16 +7,10 @@ Tags in the sources: A read in the named source, B arithmetic on A, C recalled f
 
 from __future__ import annotations
 
-from typing import Any
-
 from pydantic import BaseModel, ConfigDict, Field
 
-
-def number(default: float, low: float, high: float, unit: str, source: str, meaning: str) -> Any:
-    """A field with meaning, unit, range and source; a value outside the range is refused."""
-    text = f"{meaning}, {unit}. Range {low:g} to {high:g}. Source: {source}"
-    extra: dict[str, Any] = {"unit": unit, "source": source, "range": [low, high]}
-    return Field(default, ge=low, le=high, description=text, json_schema_extra=extra)
+from hts.contracts import parameter as number
+from hts_power.structure import GaugeStructure
 
 
 class GaugeParameters(BaseModel):
@@ -70,7 +64,13 @@ class GaugeParameters(BaseModel):
         6.0, 4.0, 6.3, "Ah", "manual 1.4: 6.0 in its table, 6.3 in its text (A)", "Q: of the pack, less with age"
     )
     state_of_charge: float = number(
-        0.80, 0.1, 1.0, "1", "the state at which sessions start, by choice", "s: at the start"
+        0.80,
+        0.1,
+        1.0,
+        "1",
+        "the state at which sessions start, by choice",
+        "s: at the start",
+        drawn=(0.8, 1.0),
     )
     pack_resistance: float = number(
         0.10,
@@ -94,6 +94,7 @@ class GaugeParameters(BaseModel):
         "degC",
         "a robot that walked a few minutes ago, by choice",
         "windings and housings at the start",
+        drawn=(20.0, 60.0),
     )
     winding_capacity: float = number(40.0, 30.0, 60.0, "J/K", "E: about 100 g of copper", "C_w")
     winding_resistance: float = number(1.2, 0.8, 2.0, "K/W", "E: time constant about 50 s", "R_wh: winding to housing")
@@ -113,10 +114,20 @@ class GaugeParameters(BaseModel):
     )
     update_rate: float = number(50.0, 4.0, 50.0, "Hz", "E", "f_u: how often the register changes")
     delay: float = number(0.040, 0.010, 0.150, "s", "E", "d: from average to log")
-    resolution: float = number(0.008, 0.0, 0.05, "A", "7.6 uV over 1 mohm (B)", "LSB: 0 leaves it out")
-    noise: float = number(0.015, 0.0, 0.1, "A", "E", "n: sigma of a reading")
+    resolution: float = number(
+        0.008, 0.0, 0.05, "A", "7.6 uV over 1 mohm (B)", "LSB: 0 leaves it out", drawn=(0.001, 0.05)
+    )
+    noise: float = number(0.015, 0.0, 0.1, "A", "E", "n: sigma of a reading", drawn=(0.001, 0.1))
     cell_noise: float = number(
-        0.001, 0.0, 0.01, "V", "E: one step of a cell's word", "sigma of a cell voltage, read in whole millivolts"
+        0.001,
+        0.0,
+        0.01,
+        "V",
+        "E: one step of a cell's word",
+        "sigma of a cell voltage, read in whole millivolts",
+        drawn=(0.0001, 0.01),
     )
     gain_error: float = number(0.008, -0.015, 0.015, "1", "E: shunt tolerance", "g")
     offset: float = number(0.010, -0.020, 0.020, "A", "E", "o: positive reads less discharge")
+
+    structure: GaugeStructure = Field(default_factory=GaugeStructure, description="structures, off by default")

@@ -1,0 +1,129 @@
+"""`hts realities`: plausible twins: drawn, looked at, held against public facts."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+app = typer.Typer(
+    help="Plausible twins: draw, show, check, list, ranges.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Which = Annotated[str, typer.Argument(metavar="FILE|NAME", help="A reality's file, or its name (see list).")]
+AsJson = Annotated[bool, typer.Option("--json", help="As JSON, for programs.")]
+
+
+@app.command()
+def draw(
+    count: Annotated[int, typer.Option(min=1, help="Realities to keep.")],
+    seed: Annotated[str, typer.Option(help="Any text; the same text gives the same realities.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for them; one that was begun is gone on with.")],
+    robot: Annotated[str, typer.Option(metavar="NAME", help="The machine.")] = "",
+    name: Annotated[str, typer.Option(help="They are called NAME-00 and so on.")] = "reality",
+    processes: Annotated[int, typer.Option(min=0, help="Side by side; 0: one per core.")] = 0,
+) -> None:
+    """Draw twins over the published ranges until so many agree with public facts."""
+    from hts.worlds.realities.batch import Asked, draw_many, exported_policy
+
+    robot = robot or _only_robot()
+
+    def tell(line: Mapping[str, Any], kept: str) -> None:
+        typer.echo(f"draw {line['index']}: {'kept as ' + kept if kept else line['why']}", err=True)
+
+    with tempfile.TemporaryDirectory() as folder:
+        policy = exported_policy(robot, Path(folder))
+        asked = Asked(count, seed, robot, name, str(policy))
+        for path in draw_many(asked, out, processes, tell):
+            typer.echo(str(path))
+
+
+@app.command()
+def show(reality: Which, as_json: AsJson = False) -> None:
+    """Show what a reality is: its structures, and where it differs from the default twin."""
+    from hts.worlds.twin.parameters import TwinSettings
+    from hts.worlds.twin.reality import locate, read, sha256
+
+    found = read(reality)
+    if as_json:
+        typer.echo(json.dumps({**found.model_dump(mode="json"), "sha256": sha256(locate(reality))}, indent=1))
+        return
+    typer.echo(f"{found.name}: a {found.robot}, draw {found.index} of seed '{found.seed}'")
+    typer.echo(f"sha256: {sha256(locate(reality))}")
+    typer.echo(f"structures: {', '.join(found.switches) or 'none'}")
+    for fact in found.facts:
+        typer.echo(f"{fact.name}: {fact.value:.4g} {fact.unit} ({fact.low:.4g} to {fact.high:.4g})")
+    default = dict(_flat(TwinSettings().model_dump(mode="json"), ""))
+    for key, value in _flat(found.parameters, ""):
+        if value != default.get(key):
+            typer.echo(f"  {key}: {value}" + (f" (default twin: {default[key]})" if key in default else ""))
+
+
+@app.command()
+def check(reality: Which, as_json: AsJson = False) -> None:
+    """Hold a reality against public facts. Exit code 1 if it does not agree."""
+    from hts.worlds.realities.batch import verdict_on
+    from hts.worlds.twin.reality import read
+
+    verdict = verdict_on(read(reality))
+    if as_json:
+        facts = [one.model_dump(mode="json") for one in verdict.measured]
+        typer.echo(json.dumps({"agrees": verdict.kept, "why": verdict.why, "facts": facts}, indent=1))
+    else:
+        for fact in verdict.measured:
+            mark = "ok" if fact.low <= fact.value <= fact.high else "OUTSIDE"
+            typer.echo(f"{fact.name}: {fact.value:.4g} {fact.unit} ({fact.low:.4g} to {fact.high:.4g}: {mark})")
+        typer.echo("agrees" if verdict.kept else f"does not agree: {verdict.why}")
+    if not verdict.kept:
+        raise typer.Exit(1)
+
+
+@app.command("list")
+def list_() -> None:
+    """List the realities that come with installed robots."""
+    from hts.worlds.twin.reality import known_names, sha256
+
+    for name, path in known_names().items():
+        typer.echo(f"{name}  {sha256(path)}")
+
+
+@app.command()
+def ranges() -> None:
+    """Print all that is drawn, and over what, as a table in markdown."""
+    from hts import plugins
+    from hts.worlds.realities.ranges import drawn_parameters, table
+
+    typer.echo(table(drawn_parameters(plugins.load())))
+
+
+def _only_robot() -> str:
+    """The robot that is installed, if there is one with a policy; else --robot is needed."""
+    from hts import plugins
+    from hts.errors import ConfigError, HtsError
+
+    registry, found = plugins.load(), []
+    for name in registry.robots:
+        try:
+            if registry.make_robot(name).pretrained_policy() is not None:
+                found.append(name)
+        except HtsError:  # one that needs settings
+            continue
+    if len(found) != 1:
+        raise ConfigError(f"--robot: say which machine: {', '.join(found) or 'none that is installed ships a policy'}.")
+    return found[0]
+
+
+def _flat(values: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value

@@ -1,0 +1,8 @@
+"""A population of plausible realities: twins whose every parameter, and structure, is drawn.
+
+ranges.py  what is drawn, and over what: read from the parameter classes of the twin and of installed instruments
+draw.py    one draw from (seed, index)
+quick.py   a glance at it by statics, before anything is simulated
+check.py   whether a draw agrees with public facts
+batch.py   many draws, side by side, resumable, until enough agree
+"""

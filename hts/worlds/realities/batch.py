@@ -1,0 +1,179 @@
+"""Draws side by side until enough agree with the facts; written as they come, so that it goes on where it stopped.
+
+    DIR/draws.jsonl     first line: what was asked; then one line a draw, in the order of the index, kept or not
+    DIR/NAME-00.json    the realities that were kept
+
+The result follows from seed and count alone: draws are looked at in the order of their index, whoever is done first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hts import plugins
+from hts.atomic import atomic_write
+from hts.cores import available
+from hts.errors import ConfigError, RunError
+from hts.plugin_settings import in_full
+from hts.worlds.realities.check import Verdict, check
+from hts.worlds.realities.draw import Draw, draw
+from hts.worlds.realities.ranges import drawn_parameters, table
+from hts.worlds.twin.parameters import MACHINE, TwinSettings
+from hts.worlds.twin.reality import Reality, read
+
+LINES = "draws.jsonl"
+AHEAD = 2  # draws in work per process: one that takes long does not hold up the others
+
+Told = Callable[[Mapping[str, Any], str], None]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What to draw: so many realities of a robot from a seed, called NAME-00 and so on."""
+
+    count: int
+    seed: str
+    robot: str
+    name: str
+    policy: str  # exported
+
+
+def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str, Any]]:
+    """All parameters of the twin in full, with those that were drawn."""
+    settings = TwinSettings.model_validate(drawn.nested())
+    content: dict[str, dict[str, Any]] = settings.model_dump(mode="json", include=set(MACHINE))
+    for name, given in settings.instruments.items():
+        content["instruments"][name] = in_full(registry, "instruments", name, given)
+    return content
+
+
+def examine(reality: Reality, policy: Path) -> Verdict:
+    """Hold a reality against the facts."""
+    registry = plugins.load()
+    robot = registry.make_robot(reality.robot)
+    settings = TwinSettings.model_validate(dict(reality.parameters))
+    instruments = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
+    return check(robot, settings, instruments, policy)
+
+
+def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
+    """The line of a draw, and the reality's file if it is kept ("" if not). Its name is still to be filled in."""
+    registry = plugins.load()
+    drawn = draw(drawn_parameters(registry), asked.seed, index)
+    reality = Reality(
+        name="",
+        robot=asked.robot,
+        seed=asked.seed,
+        index=index,
+        switches=drawn.switches,
+        parameters=parameters_of(drawn, registry),
+    )
+    verdict = examine(reality, Path(asked.policy))
+    line = {
+        "index": index,
+        "kept": verdict.kept,
+        "why": verdict.why,
+        "switches": list(drawn.switches),
+        "values": dict(drawn.values),
+        "measured": {one.name: round(one.value, 4) for one in verdict.measured},
+    }
+    whole = reality.model_copy(update={"facts": verdict.measured})
+    return line, whole.model_dump_json() if verdict.kept else ""
+
+
+def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None = None) -> list[Path]:
+    """Files of the realities that were kept, as many as asked for. Goes on with what the folder holds already."""
+    heading = {
+        "format": 1,
+        "seed": asked.seed,
+        "robot": asked.robot,
+        "name": asked.name,
+        "ranges_sha256": hashlib.sha256(table(drawn_parameters(plugins.load())).encode()).hexdigest(),
+    }
+    lines = _begun(folder / LINES, heading)
+    files = [folder / f"{asked.name}-{number:02d}.json" for number in range(asked.count)]
+    kept = sum(line["kept"] for line in lines)
+    _check_files(files[:kept])
+    if kept >= asked.count:
+        return files
+    for line, content in _in_order(asked, len(lines), processes):
+        path = files[kept] if line["kept"] else None
+        if path is not None:
+            named = Reality.model_validate_json(content).model_copy(update={"name": path.stem})
+            atomic_write(path, json.dumps(named.model_dump(mode="json"), indent=1) + "\n")
+            kept += 1
+        with (folder / LINES).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        if tell is not None:
+            tell(line, path.stem if path else "")
+        if kept == asked.count:
+            break
+    return files
+
+
+def _in_order(asked: Asked, first: int, processes: int) -> Iterator[tuple[dict[str, Any], str]]:
+    """Draws from `first` on, without end, in the order of the index."""
+    number = processes or available()
+    with ProcessPoolExecutor(number, mp_context=multiprocessing.get_context("spawn")) as pool:
+        waiting: list[Future[tuple[dict[str, Any], str]]] = []
+        index = first
+        try:
+            while True:
+                while len(waiting) < AHEAD * number:
+                    waiting.append(pool.submit(one_draw, asked, index))
+                    index += 1
+                yield waiting.pop(0).result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _begun(path: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Lines of the draws so far. Raises RunError if the folder is that of other draws."""
+    if not path.exists():
+        if path.parent.exists() and any(path.parent.iterdir()):
+            raise RunError(f"{path.parent}: is not empty and holds no {LINES}. Choose an empty folder with --out.")
+        atomic_write(path, json.dumps(heading) + "\n")
+        return []
+    text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]  # a line that was cut off is drawn again
+    if whole != text:
+        atomic_write(path, whole)
+    found, *lines = (json.loads(line) for line in whole.splitlines())
+    other = [key for key in heading if found.get(key) != heading[key]]
+    if other:
+        raise RunError(
+            f"{path}: was begun with another {other[0]} ({found.get(other[0])}, now {heading[other[0]]}). "
+            "Choose another folder with --out."
+        )
+    return lines
+
+
+def _check_files(files: list[Path]) -> None:
+    for path in files:
+        read(str(path))  # raises for one that is not there or broken
+
+
+def exported_policy(robot: str, folder: Path) -> Path:
+    """The policy that the robot's package ships, as ONNX in the folder. Raises ConfigError if there is none."""
+    from hts.policies.export import to_onnx
+    from hts.policies.files import load_policy
+
+    source = plugins.load().make_robot(robot).pretrained_policy()
+    if source is None or not Path(source).exists():
+        raise ConfigError(f"Robot '{robot}' ships no policy, so no draw can be held against how it walks.")
+    return to_onnx(load_policy(Path(source)), folder / "pretrained.onnx")
+
+
+def verdict_on(reality: Reality) -> Verdict:
+    """Hold a reality against the facts, with its robot's own policy."""
+    with tempfile.TemporaryDirectory() as folder:
+        return examine(reality, exported_policy(reality.robot, Path(folder)))

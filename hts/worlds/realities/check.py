@@ -1,0 +1,154 @@
+"""Whether a twin agrees with public facts: its instruments' own, and that the robot's policy walks without a fall.
+
+What is cheap comes first, and the first that fails ends it: statics take a tenth of a second, standing in simulation
+half of one, a short walk one, a long walk eight. Statics and the short walk only drop what is outside by a margin, so
+whether a draw is kept is up to the two others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hts.config import EvaluationConfig
+from hts.contracts import Fact, Instrument, Robot
+from hts.errors import HtsError
+from hts.recordings.recording import Recording
+from hts.worlds.base import request_id, seed_sequence, walking
+from hts.worlds.realities.quick import standing_values
+from hts.worlds.twin.model import build
+from hts.worlds.twin.parameters import TwinSettings
+from hts.worlds.twin.programme import Block, Session, warm_up
+from hts.worlds.twin.reality import Measured
+from hts.worlds.twin.session import Batch
+
+Margin = tuple[float, float]  # factors on a fact's lower and upper bound
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Sessions in simulation: s of warm-up and s measured, so many at each speed, and how far outside is outside."""
+
+    warm: float
+    measured: float
+    sessions: int
+    margin: Margin = (1.0, 1.0)
+
+
+STATICS: Margin = (0.7, 1.15)  # bumps and payloads add up to a quarter to it, friction takes away up to 8 % (79 draws)
+STANDING = Stage(warm=2.0, measured=2.0, sessions=2)
+GLANCE = Stage(warm=3.0, measured=5.0, sessions=1, margin=(0.88, 1.12))
+WALKING = Stage(warm=8.0, measured=15.0, sessions=2)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was measured so far, and why it was dropped; "" if it is kept."""
+
+    measured: tuple[Measured, ...]
+    why: str
+
+    @property
+    def kept(self) -> bool:
+        return not self.why
+
+
+def check(robot: Robot, settings: TwinSettings, instruments: Mapping[str, Instrument], policy: Path) -> Verdict:
+    """The verdict on a twin. policy: exported (ONNX); instruments: all that simulate a part of the machine."""
+    facts = [fact for instrument in instruments.values() for fact in instrument.facts()]
+    speeds = sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
+    measured: tuple[Measured, ...] = ()
+    try:
+        if any(fact.speed == 0 for fact in facts):
+            machine = build(robot, settings.dynamics)
+            values = standing_values(machine, instruments, facts, settings.dynamics.physics_dt)
+            if why := _outside(_measured(facts, values), STATICS):
+                return Verdict((), f"{why} by statics")
+            values = _standing(robot, settings, instruments, facts)
+            measured = _measured(facts, values)
+            if why := _outside(measured, STANDING.margin):
+                return Verdict(measured, why)
+        for stage in (GLANCE, WALKING):
+            values, fallen = _walking(robot, settings, instruments, facts, str(policy), speeds, stage)
+            if fallen:
+                return Verdict(measured, f"fell at {', '.join(f'{speed:g}' for speed in fallen)} m/s")
+            walked = _measured(facts, values)
+            if why := _outside(walked, stage.margin):
+                return Verdict((*measured, *walked), why)
+    except (HtsError, FloatingPointError) as error:  # such as motors that warm up without end
+        return Verdict(measured, str(error))
+    return Verdict((*measured, *walked), "")
+
+
+def _measured(facts: Sequence[Fact], values: Mapping[str, float]) -> tuple[Measured, ...]:
+    return tuple(
+        Measured(name=fact.name, value=values[fact.name], low=fact.low, high=fact.high, unit=fact.unit)
+        for fact in facts
+        if fact.name in values
+    )
+
+
+def _outside(measured: Sequence[Measured], margin: Margin) -> str:
+    """What lies outside its bounds; "" if nothing does."""
+    outside = [one for one in measured if not margin[0] * one.low <= one.value <= margin[1] * one.high]
+    return " and ".join(f"{one.name} {one.value:.3g} {one.unit}" for one in outside)
+
+
+def _standing(
+    robot: Robot, settings: TwinSettings, instruments: Mapping[str, Instrument], facts: Sequence[Fact]
+) -> dict[str, float]:
+    rows = _recorded(robot, settings, instruments, None, [0.0], STANDING)
+    return {fact.name: _value(fact, rows[0.0]) for fact in facts if fact.speed == 0}
+
+
+def _walking(
+    robot: Robot,
+    settings: TwinSettings,
+    instruments: Mapping[str, Instrument],
+    facts: Sequence[Fact],
+    policy: str,
+    speeds: Sequence[float],
+    stage: Stage,
+) -> tuple[dict[str, float], list[float]]:
+    """Fact about walking -> value; and the speeds at which a robot fell, warm-up included."""
+    rows = _recorded(robot, settings, instruments, policy, speeds, stage)
+    fallen = [speed for speed in speeds if any(one.fell for row in rows[speed] for one in row)]
+    return {fact.name: _value(fact, rows[fact.speed]) for fact in facts if fact.speed > 0}, fallen
+
+
+def _recorded(
+    robot: Robot,
+    settings: TwinSettings,
+    instruments: Mapping[str, Instrument],
+    policy: str | None,
+    speeds: Sequence[float],
+    stage: Stage,
+) -> dict[float, list[list[Recording]]]:
+    """Speed -> the recordings of each session: of its warm-up's blocks, and last the one that is measured."""
+    cases = [speed for speed in speeds for _ in range(stage.sessions)]
+    seeds = seed_sequence(0, request_id("check", stage.warm, stage.measured, stage.sessions))
+    batch = Batch(robot, settings, instruments, len(cases), seeds)
+    programme = [
+        Session(
+            id=f"{speed:g}",
+            blocks=(
+                *(block.model_copy(update={"recorded": True}) for block in warm_up(policy, speed, stage.warm)),
+                Block(policy=policy, schedule=walking(speed, stage.measured)),
+            ),
+        )
+        for speed in cases
+    ]
+    try:
+        rows = batch.run(programme, "twin")
+    finally:
+        batch.close()
+    return {speed: [row for row, case in zip(rows, cases, strict=True) if case == speed] for speed in speeds}
+
+
+def _value(fact: Fact, sessions: Sequence[Sequence[Recording]]) -> float:
+    """Mean over the sessions, of what was recorded last in each."""
+    last = [recordings[-1] for recordings in sessions]
+    return float(np.mean([fact.reading({name: one.values(name) for name in one.channels}, one.idle) for one in last]))

@@ -1,0 +1,73 @@
+"""One draw: values for everything in `ranges`, from a seed and an index.
+
+Each parameter has random numbers of its own, from seed, index and its key. So what a plugin adds later changes none
+of the values of the others, and one draw does not depend on how many came before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hts.worlds.realities.ranges import Drawn, switches
+
+PROBABILITY = 0.5  # of each structural switch
+DIGITS = 6  # significant, of a drawn number: what a person can read
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Values by dotted key, of what was drawn; and the switches that are on."""
+
+    values: Mapping[str, Any]
+    switches: tuple[str, ...]
+
+    def nested(self) -> dict[str, Any]:
+        """{"dynamics": {"structure": {...}, ...}, ...}"""
+        content: dict[str, Any] = {}
+        for key, value in self.values.items():
+            *path, name = key.split(".")
+            below = content
+            for part in path:
+                below = below.setdefault(part, {})
+            below[name] = value
+        return content
+
+
+def draw(parameters: Sequence[Drawn], seed: str, index: int) -> Draw:
+    """The draw of that index."""
+    on = [name for name in switches(list(parameters)) if _random(seed, index, f"switch {name}").random() < PROBABILITY]
+    values: dict[str, Any] = {}
+    for one in parameters:
+        if one.switch is None or one.switch in on:
+            values[one.key] = _value(one, seed, index)
+    return Draw(values, tuple(on))
+
+
+def _value(one: Drawn, seed: str, index: int) -> Any:
+    rng = _random(seed, index, one.key)
+    if one.boolean:
+        return True
+    if one.whole:
+        return int(rng.integers(int(one.low), int(one.high), endpoint=True))
+    if one.counts is None:
+        return _number(one, rng.random())
+    group = one.key.rpartition(".")[0]
+    count = int(_random(seed, index, f"count {group}").integers(*one.counts, endpoint=True))
+    several = [_number(one, share) for share in rng.random(count)]
+    return sorted(several) if one.ascending else several
+
+
+def _number(one: Drawn, share: float) -> float:
+    """The value below which this share of the range lies."""
+    value = one.low * (one.high / one.low) ** share if one.logarithmic else one.low + (one.high - one.low) * share
+    return min(max(float(f"{value:.{DIGITS}g}"), one.low), one.high)
+
+
+def _random(seed: str, index: int, what: str) -> np.random.Generator:
+    words = hashlib.sha256(f"{seed}\n{index}\n{what}".encode()).digest()
+    return np.random.default_rng(np.frombuffer(words, dtype="<u4").tolist())

@@ -1,0 +1,112 @@
+"""A reality in a file: one complete set of a twin's parameters and structures, by path or by name.
+
+A run names it, `world.reality`, and keeps the name and the file's SHA-256. Only the twin's own process reads what is
+in it. Names are those of files in folders `realities` of the packages that bring robots:
+`hts_NAME/realities/dev-03.json` is `dev-03`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, ValidationError
+
+from hts.config import Config
+from hts.errors import ConfigError, UnfitWorldError, unknown_name
+from hts.explain import explain
+
+FOLDER, SUFFIX = "realities", ".json"
+
+
+class Measured(Config):
+    """A public fact that was checked when the reality was drawn."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+class Reality(Config):
+    """What is in the file."""
+
+    format: int = Field(1, ge=1, le=1)
+    name: str
+    robot: str
+    seed: str = Field(description="text that it was drawn from")
+    index: int = Field(ge=0, description="of the draw")
+    switches: tuple[str, ...] = Field(description="structures that are on")
+    parameters: dict[str, dict[str, Any]] = Field(description="dynamics, sensors, sessions, instruments, in full")
+    facts: tuple[Measured, ...] = ()
+
+
+def known_names() -> dict[str, Path]:
+    """Realities that come with installed robots, name -> file."""
+    from hts import plugins
+
+    found: dict[str, Path] = {}
+    packages = {entry.factory.__module__.partition(".")[0] for entry in plugins.load().robots.values()}
+    for package in sorted(packages):
+        folder = Path(str(resources.files(package))) / FOLDER
+        found |= {path.stem: path for path in sorted(folder.glob("*" + SUFFIX))}
+    return found
+
+
+def locate(reference: str) -> Path:
+    """The file of a name or path. Raises ConfigError."""
+    if reference.endswith(SUFFIX) or "/" in reference:
+        path = Path(reference)
+        if not path.is_file():
+            raise ConfigError(
+                f"reality {reference}: there is no such file. Draw some: "
+                "`hts realities draw --count 4 --seed S --out DIR`."
+            )
+        return path
+    names = known_names()
+    if reference not in names:
+        raise ConfigError(unknown_name("reality", reference, names) + f" A file's path ends in {SUFFIX}.")
+    return names[reference]
+
+
+def sha256(path: Path) -> str:
+    """Of the file's bytes."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigError(f"reality {path}: cannot be read ({error.strerror}).") from error
+
+
+def read(reference: str, expected_sha256: str | None = None) -> Reality:
+    """What is in the file of a name or path. Raises ConfigError, also for a file that is not the one it was."""
+    path = locate(reference)
+    found = sha256(path)
+    if expected_sha256 is not None and found != expected_sha256:
+        raise ConfigError(changed(reference, found, expected_sha256))
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return Reality.model_validate(content)
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ConfigError(f"reality {path}: is not JSON ({error}).") from error
+    except ValidationError as error:
+        raise ConfigError(explain(error, Reality, lambda location: f"reality {path}")) from error
+
+
+def changed(reference: str, found: str, expected: str) -> str:
+    """One line about a file that is another one now."""
+    return (
+        f"reality {reference}: its SHA-256 is {found[:12]}…, the run was begun with {expected[:12]}…. "
+        "Put the file back, or begin a new run."
+    )
+
+
+def for_robot(reality: Reality, robot: str) -> Mapping[str, Any]:
+    """Its parameters. Raises UnfitWorldError if it is a reality of another robot."""
+    if reality.robot != robot:
+        raise UnfitWorldError(f"reality {reality.name}: is one of robot '{reality.robot}', the run's is '{robot}'.")
+    return reality.parameters
