@@ -11,7 +11,10 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import os
 import tempfile
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
@@ -30,6 +33,7 @@ from hts.worlds.twin.parameters import MACHINE, TwinSettings
 from hts.worlds.twin.reality import Reality, read
 
 LINES = "draws.jsonl"
+PARENT_SECONDS = 1.0  # between two looks whether the parent is there
 AHEAD = 2  # draws in work per process: one that takes long does not hold up the others
 
 Told = Callable[[Mapping[str, Any], str], None]
@@ -122,7 +126,8 @@ def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None 
 def _in_order(asked: Asked, first: int, processes: int) -> Iterator[tuple[dict[str, Any], str]]:
     """Draws from `first` on, without end, in the order of the index."""
     number = processes or available()
-    with ProcessPoolExecutor(number, mp_context=multiprocessing.get_context("spawn")) as pool:
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(number, mp_context=context, initializer=end_with, initargs=(os.getpid(),)) as pool:
         waiting: list[Future[tuple[dict[str, Any], str]]] = []
         index = first
         try:
@@ -134,6 +139,17 @@ def _in_order(asked: Asked, first: int, processes: int) -> Iterator[tuple[dict[s
         finally:
             for future in waiting:
                 future.cancel()
+
+
+def end_with(parent: int) -> None:
+    """This process ends when its parent does, even if that is killed in the midst of a draw."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(PARENT_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _begun(path: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:

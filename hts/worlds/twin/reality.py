@@ -90,6 +90,8 @@ def read(reference: str, expected_sha256: str | None = None) -> Reality:
         raise ConfigError(changed(reference, found, expected_sha256))
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(content, dict):
+            raise ConfigError(f"reality {path}: expected keys and values, found {type(content).__name__}.")
         return Reality.model_validate(content)
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ConfigError(f"reality {path}: is not JSON ({error}).") from error
