@@ -2,12 +2,14 @@
 
 Every policy but the reference costs `saving` less than it: of what a real channel shows above its idle level, exactly
 that share is missing in the policy's blocks. Both roles get the same made-up walk, so the ratio is exact and not only
-likely. Each sample of a real channel follows the robot's first joint channels, so that a model can be fitted to it.
+likely. They may walk slower than they are told (`pace`). Each sample of a real channel follows the robot's first joint
+channels, so that a model can be fitted to it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from pydantic import Field
 
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import Objective, Robot, World, WorldContext
+from hts.contracts import HoldSpeed, Objective, Robot, World, WorldContext
 from hts.recordings.recording import Recording, Series
 from hts.worlds.base import ORDER, commands, file_hash, request_id, seed_sequence, walking
 
@@ -27,6 +29,7 @@ class Settings(Config):
     saving: float = Field(0.2, lt=1, description="share that a policy saves against the reference, 1")
     level: float = Field(10.0, gt=0, description="mean of a real channel above its idle level, reference, its unit")
     swing: float = Field(0.3, ge=0, lt=1, description="how far it swings with the joints, share of `level`, 1")
+    pace: float = Field(1.0, gt=0, description="speed of every policy but the reference, share of its command, 1")
     block_seconds: float = Field(12.0, gt=0, description="length of each of the four blocks of a head-to-head, s")
 
 
@@ -49,6 +52,7 @@ class KnownWorld(World):
         lowers those that have an idle level."""
         self.robot, self.settings, self.seed = robot, settings or Settings(), seed
         self._idle = dict(idle)
+        self._hold: HoldSpeed | None = None
         measured = (channel for objective in objectives for channel in objective.real_channels)
         self.real = {channel.name: channel for channel in (*extra, *measured)}
 
@@ -62,35 +66,62 @@ class KnownWorld(World):
             for number, policy in enumerate(policies)
         ]
 
+    def hold_speed(self, hold: HoldSpeed | None) -> bool:
+        """Whoever walks slower gets as much more of a command, at once; nothing is walked for it."""
+        self._hold = hold
+        return hold is not None
+
     def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
-        factor = {"reference": 1.0, "policy": 1.0 - self.settings.saving}
+        return self._head_to_head(policy, reference, speeds, self.settings.block_seconds)
+
+    def head_to_heads_in_session(
+        self, policies: Sequence[Path], reference: Path, speeds: Sequence[float], block_seconds: float | None
+    ) -> list[list[Recording]]:
+        seconds = block_seconds or self.settings.block_seconds
+        return [self._head_to_head(policy, reference, speeds, seconds) for policy in policies]
+
+    def _head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float], seconds: float) -> list[Recording]:
+        factor, pace = {"reference": 1.0, "policy": 1.0 - self.settings.saving}, {"policy": self.settings.pace}
         if file_hash(policy) == file_hash(reference):
-            factor["policy"] = 1.0
-        request = request_id("head to head", self.seed, file_hash(policy), file_hash(reference))
+            factor["policy"] = pace["policy"] = 1.0
+        holding = [asdict(self._hold)] if self._hold is not None else []
+        request = request_id("head to head", self.seed, file_hash(policy), file_hash(reference), *holding)
         paths = {"policy": policy, "reference": reference}
         recordings = []
         for speed in speeds:
             session = request_id(request, float(speed))
-            schedule = walking(float(speed), self.settings.block_seconds)
+            schedule = walking(float(speed), seconds)
             recordings += [
-                self._recording(paths[role], schedule, session, block, role, factor[role])
+                self._recording(paths[role], schedule, session, block, role, factor[role], pace=pace.get(role, 1.0))
                 for block, role in enumerate(ORDER)
             ]
         return recordings
 
     def _recording(
-        self, policy: Path, schedule: ScheduleConfig, session: str, block: int, role: str, factor: float, walk: int = 0
+        self,
+        policy: Path,
+        schedule: ScheduleConfig,
+        session: str,
+        block: int,
+        role: str,
+        factor: float,
+        walk: int = 0,
+        pace: float = 1.0,
     ) -> Recording:
         from hts.policies.deploy import DeployedPolicy
 
         spec, rng = self.robot.spec, np.random.default_rng(seed_sequence(self.seed, "0", walk))
-        commanded = commands(schedule, spec.control_rate_hz)
+        commanded, notes = commands(schedule, spec.control_rate_hz), {}
+        if self._hold is not None and role != "collection":
+            (low, high), wanted = self._hold.commands, schedule.commands[0].vx / pace
+            commanded[:, 0] = held = min(max(wanted, low), high)
+            notes = {"held_command": repr(held), "held_saturated": "false" if low < wanted < high else "true"}
         values = {
             name: rng.standard_normal((len(commanded), *channel.shape))
             for name, channel in self.robot.channels().items()
         }
         values |= {
-            "base_velocity": np.column_stack([commanded[:, 0], np.zeros((len(commanded), 2))]),
+            "base_velocity": np.column_stack([pace * commanded[:, 0], np.zeros((len(commanded), 2))]),
             "projected_gravity": np.tile([0.0, 0.0, -1.0], (len(commanded), 1)),
             "command": commanded,
         }
@@ -122,6 +153,7 @@ class KnownWorld(World):
             session=session,
             block=block,
             role=role,
+            notes=notes,
         )
 
 

@@ -145,6 +145,20 @@ def test_a_world_of_one_machine_needs_no_objective_in_its_package(install, tmp_p
             "two speeds are 1 session(s)",
         ),
         (["made.settings = made.settings.model_copy(update={'level': float('nan')})"], "fake_level"),
+        (
+            ["made.head_to_head = lambda p, r, v: [x.replace(notes={}) for x in head_to_head(p, r, v)]"],
+            "says that it holds the speed, and its recordings have no note",
+        ),
+        (
+            [
+                "def wandering(p, r, v):",
+                "    notes = lambda x: {**x.notes, 'held_command': repr(0.8 + 0.01 * x.block)} if x.notes else x.notes",
+                "    return [x.replace(notes=notes(x)) for x in head_to_head(p, r, v)]",
+                "made.head_to_head = wandering",
+            ],
+            "noted a command of 0.81 m/s and sent 0.8 to 0.8",
+        ),
+        (["made.hold_speed = lambda hold: True"], "have no note"),
     ],
 )
 def test_a_faulty_world_is_named_with_its_fault(install, changes, fault):

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hts.config import Command, ScheduleConfig
-from hts.contracts import World, WorldContext
+from hts.contracts import HoldSpeed, World, WorldContext
 from hts.errors import ConfigError, WaitingForRobot
 from hts.plugins import Entry, Registry
 from hts.recordings.recording import Recording
@@ -93,6 +93,34 @@ def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
         ensure(len(sessions) == 2, f"two speeds are {len(sessions)} session(s), so their blocks would be mixed")
 
 
+def holds_the_speed_that_it_says(entry: Entry, registry: Registry) -> None:
+    """A world that holds a speed freezes one command per policy, sends it, and writes it down; others say that they
+    cannot."""
+    hold = HoldSpeed((0.1, 1.5), seconds=4.0)
+    with _world(entry, registry) as (world, _, policy, _):
+        if not world.hold_speed(hold):
+            return
+        try:
+            recordings = world.head_to_head(policy, policy, (0.8,))
+        except WaitingForRobot:
+            return
+        for recording in recordings:
+            asked = {command.vx for command in recording.schedule.commands}
+            ensure(asked == {0.8}, f"was asked to hold 0.8 m/s and its schedule says {sorted(asked)}")
+            lacking = {"held_command", "held_saturated"} - set(recording.notes)
+            ensure(not lacking, f"says that it holds the speed, and its recordings have no note {listed(lacking)}")
+            command = float(recording.notes["held_command"])
+            ensure(0.1 <= command <= 1.5, f"sent {command:g} m/s, where 0.1 to 1.5 were allowed")
+            if "command" in recording.channels:
+                sent = recording.values("command")[:, 0]
+                steady = abs(sent - command).max() < 1e-3
+                ensure(steady, f"noted a command of {command:g} m/s and sent {sent.min():g} to {sent.max():g}")
+        for role in ("policy", "reference"):
+            found = {recording.notes["held_command"] for recording in recordings if recording.role == role}
+            ensure(len(found) == 1, f"sent the {role} {len(found)} commands in one head-to-head, not a frozen one")
+        ensure(world.hold_speed(None) is False, "still holds the speed after hold_speed(None)")
+
+
 def _whole(recording: Recording, case: Case, world: str, seconds: float, folder: Path) -> None:
     """What the store and the rest of a run need of a recording."""
     from hts.recordings.store import RecordingStore
@@ -151,4 +179,4 @@ def _short(entry: Entry, given: WorldContext) -> dict[str, float]:
     return taken
 
 
-CHECKS = (costs_nothing_yet, gives_recordings, compares_on_one_machine)
+CHECKS = (costs_nothing_yet, gives_recordings, compares_on_one_machine, holds_the_speed_that_it_says)
