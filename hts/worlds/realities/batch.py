@@ -85,7 +85,7 @@ def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
         "kept": verdict.kept,
         "why": verdict.why,
         "switches": list(drawn.switches),
-        "values": dict(drawn.values),
+        **({"values": dict(drawn.values)} if verdict.kept else {}),  # those of the others follow from the seed
         "measured": {one.name: round(one.value, 4) for one in verdict.measured},
     }
     whole = reality.model_copy(update={"facts": verdict.measured})
