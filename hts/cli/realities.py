@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 app = typer.Typer(
-    help="Plausible twins: draw, show, check, list, ranges.",
+    help="Plausible twins: draw, show, check, list, ranges, posterior.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -84,6 +84,20 @@ def check(reality: Which, as_json: AsJson = False) -> None:
         typer.echo("agrees" if verdict.kept else f"does not agree: {verdict.why}")
     if not verdict.kept:
         raise typer.Exit(1)
+
+
+@app.command()
+def posterior(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that draw wrote.")],
+    most: Annotated[int, typer.Option(min=1, help="Parameters to show.")] = 12,
+) -> None:
+    """Print what was kept against what was drawn: acceptance, reasons, and the parameters that moved."""
+    from hts import plugins
+    from hts.worlds.realities.posterior import lines_of, text
+    from hts.worlds.realities.ranges import drawn_parameters, switches
+
+    parameters = drawn_parameters(plugins.load())
+    typer.echo(text(parameters, switches(parameters), lines_of(folder), most))
 
 
 @app.command("list")

@@ -6,7 +6,7 @@ calibration anchors. Never for an objective, a reward or a measurement model: wh
 
 from hts.worlds.base import Operator, request_id, seed_sequence, walking
 from hts.worlds.twin.model import build
-from hts.worlds.twin.parameters import TwinSettings, parameters_hash, resolved
+from hts.worlds.twin.parameters import TwinSettings, parameters_hash, resolved, resolved_settings
 from hts.worlds.twin.programme import Block, Session, warm_up
 from hts.worlds.twin.session import Batch
 
@@ -20,6 +20,7 @@ __all__ = [
     "parameters_hash",
     "request_id",
     "resolved",
+    "resolved_settings",
     "seed_sequence",
     "walking",
     "warm_up",

@@ -137,6 +137,15 @@ def test_another_world_is_called_what_it_says_it_is(tmp_path, words_only, simula
     assert ("Simulated reality" in shown) == (simulated is True)
 
 
+def test_the_report_says_on_which_reality(tmp_path, words_only):
+    write_example_run(tmp_path, world="twin", **SMALL)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    identity = {"reality": "dev-03", "reality_sha256": "ab" * 32}
+    (tmp_path / "summary.json").write_text(json.dumps({**summary, "world_identity": identity}))
+    write_report(tmp_path)
+    assert "(Reality dev-03, Reality sha256 abababababab)" in " ".join(text(tmp_path).split())
+
+
 def test_provenance_is_shown_and_a_long_diff_only_mentioned(run):
     shown = text(run)
     assert "versions / torch 2.13.0" in shown

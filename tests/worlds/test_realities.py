@@ -16,6 +16,7 @@ from hts.worlds.realities import batch as batch_module
 from hts.worlds.realities.batch import Asked, draw_many, parameters_of
 from hts.worlds.realities.check import Verdict, check
 from hts.worlds.realities.draw import draw
+from hts.worlds.realities.posterior import narrowed, reasons
 from hts.worlds.realities.quick import standing_values
 from hts.worlds.realities.ranges import drawn_parameters, switches, table
 from hts.worlds.twin.model import build
@@ -294,6 +295,32 @@ def test_a_folder_with_other_things_in_it_is_left_alone(tmp_path, in_one_process
     with pytest.raises(RunError, match="not empty"):
         draw_many(ASKED, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_a_range_that_the_facts_narrow_stands_out_and_others_do_not(parameters):
+    lines = []
+    for index in range(200):
+        values = dict(draw(parameters, "narrow", index).values)
+        kept = values["instruments.battery_gauge.phase_resistance"] < 0.115
+        lines.append({"index": index, "kept": kept, "why": "" if kept else "standing 80 W", "values": values})
+    first, *others = narrowed(parameters, lines)
+    assert first.key == "instruments.battery_gauge.phase_resistance" and first.z < -6
+    assert first.prior == pytest.approx((0.1225, 0.145, 0.1675))
+    assert max(first.posterior) < 0.115
+    assert np.mean([abs(one.z) < 2 for one in others]) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("why", "kind"),
+    [
+        ("standing 79.9 W", "standing"),
+        ("standing 79.9 W by statics", "standing, by statics"),
+        ("idle share at 0.5 m/s 0.2 1 and idle share at 0.8 m/s 0.1 1", "idle share"),
+        ("fell at 0.5, 0.8 m/s", "a fall"),
+    ],
+)
+def test_reasons_are_counted_without_their_numbers(why, kind):
+    assert dict(reasons([{"kept": False, "why": why}, {"kept": True, "why": ""}])) == {kind: 1, "kept": 1}
 
 
 # ------------------------------------------------------------------------------------ the development ones

@@ -8,7 +8,6 @@ The result follows from seed and count alone: draws are looked at in the order o
 
 from __future__ import annotations
 
-import hashlib
 import json
 import multiprocessing
 import os
@@ -28,7 +27,7 @@ from hts.errors import ConfigError, RunError
 from hts.plugin_settings import in_full
 from hts.worlds.realities.check import Verdict, check
 from hts.worlds.realities.draw import Draw, draw
-from hts.worlds.realities.ranges import drawn_parameters, table
+from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
 from hts.worlds.twin.parameters import MACHINE, TwinSettings
 from hts.worlds.twin.reality import Reality, read
 
@@ -86,7 +85,7 @@ def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
         "kept": verdict.kept,
         "why": verdict.why,
         "switches": list(drawn.switches),
-        "values": dict(drawn.values),
+        **({"values": dict(drawn.values)} if verdict.kept else {}),  # those of the others follow from the seed
         "measured": {one.name: round(one.value, 4) for one in verdict.measured},
     }
     whole = reality.model_copy(update={"facts": verdict.measured})
@@ -100,7 +99,7 @@ def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None 
         "seed": asked.seed,
         "robot": asked.robot,
         "name": asked.name,
-        "ranges_sha256": hashlib.sha256(table(drawn_parameters(plugins.load())).encode()).hexdigest(),
+        "ranges_sha256": ranges_sha256(drawn_parameters(plugins.load())),
     }
     lines = _begun(folder / LINES, heading)
     files = [folder / f"{asked.name}-{number:02d}.json" for number in range(asked.count)]

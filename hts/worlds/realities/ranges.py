@@ -11,6 +11,8 @@ and a field without a range, or an instrument whose settings class is not known,
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -68,6 +70,12 @@ def drawn_parameters(registry: Registry) -> list[Drawn]:
 def switches(parameters: list[Drawn]) -> list[str]:
     """Names of the structural switches, each once."""
     return list(dict.fromkeys(one.switch for one in parameters if one.switch is not None))
+
+
+def ranges_sha256(parameters: list[Drawn]) -> str:
+    """Of all that decides a draw: another hash, other realities from the same seed."""
+    rows = [(p.key, p.low, p.high, p.switch, p.whole, p.boolean, p.counts, p.ascending) for p in parameters]
+    return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
 
 
 def table(parameters: list[Drawn]) -> str:

@@ -52,7 +52,7 @@ class Dynamics:
         self.dt = parameters.physics_dt
         self._rollout = rollout.Rollout(nthread=0)  # on the calling thread; batches run in threads of their own
         self._models, self._data = [model] * num_worlds, [mujoco.MjData(model)]
-        self.down = None  # direction of gravity on a sloping floor, (W, 3)
+        self.down: np.ndarray | None = None  # direction of gravity on a sloping floor, (W, 3)
         self._lie_of_the_land(conditions)
 
         size = mujoco.mj_stateSize(model, FULL)

@@ -40,7 +40,7 @@ class BodyStructure(Config):
         drawn=(0.003, 0.018), switch="transmission",
     )
     torque_follows_supply: bool = structural(
-        "sag", "B: no-load speed is proportional to the supply's voltage (go1_facts: 30.09 rad/s at 22.2 V)",
+        "sag", "B: the no-load speed of such a motor is proportional to the supply's voltage",
         "whether the no-load speed, and with it the torque limit, falls with the supply's voltage",
     )
     command_jitter: float = parameter(

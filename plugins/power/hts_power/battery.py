@@ -36,7 +36,7 @@ class Battery:
     def __init__(
         self,
         num: int,
-        state_of_charge: float,
+        state_of_charge: Values,
         cells: int,
         capacity_coulomb: float,
         resistance: float,

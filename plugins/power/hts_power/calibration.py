@@ -50,12 +50,12 @@ def calibrate_twin(
     from hts import plugins
     from hts.config_loading import load_config
     from hts.policies.deploy import DeployedPolicy
-    from hts.testing.twin import TwinSettings, parameters_hash, resolved
+    from hts.testing.twin import TwinSettings, parameters_hash, resolved, resolved_settings
 
     config = load_config(objectives=["power"], robot=robot, world="twin", overrides=set_ or ())
     registry = plugins.load()
     machine = registry.make_robot(robot, config.robot.settings)
-    settings = TwinSettings.model_validate(config.world.settings)
+    settings = resolved_settings(TwinSettings.model_validate(config.world.settings), robot)
     instrument = settings.instruments.get(INSTRUMENT, {})
 
     def make() -> BatteryGauge:

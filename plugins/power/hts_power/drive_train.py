@@ -78,7 +78,7 @@ def steady_temperatures(
     torque_squared: Values,
     iron: Values,
     coefficient: Values,
-    ambient: float,
+    ambient: Values,
     winding_to_housing: float,
     housing_to_ambient: float,
 ) -> tuple[np.ndarray, np.ndarray]:

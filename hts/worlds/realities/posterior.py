@@ -1,0 +1,109 @@
+"""What the facts say: parameters of the draws that were kept against those of all draws."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hts.errors import RunError
+from hts.worlds.realities.batch import LINES
+from hts.worlds.realities.ranges import Drawn
+
+Lines = Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Narrowed:
+    """One parameter: quartiles of its range (`prior`) and of what was kept (`posterior`), and how far its mean rank
+    moved, in standard errors of a mean of so many: |z| above 3 is hardly chance, among a hundred parameters."""
+
+    key: str
+    prior: tuple[float, float, float]
+    posterior: tuple[float, float, float]
+    z: float
+
+
+def lines_of(folder: Path) -> Lines:
+    """All draws of a folder. Raises RunError."""
+    path = folder / LINES
+    if not path.is_file():
+        raise RunError(f"{path}: there is no such file. `hts realities draw` writes it.")
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()[1:]]
+
+
+def narrowed(parameters: Sequence[Drawn], lines: Lines) -> list[Narrowed]:
+    """Those that are single numbers, the most moved first. Prior and rank are those of the range itself."""
+    found = []
+    for one in parameters:
+        if one.boolean or one.whole or one.counts:
+            continue
+        values = np.array([line["values"][one.key] for line in lines if line["kept"] and one.key in line["values"]])
+        if len(values) < 2:
+            continue
+        share = np.log(values / one.low) / np.log(one.high / one.low) if one.logarithmic else _share(one, values)
+        z = (share.mean() - 0.5) * np.sqrt(12 * len(values))  # a uniform share has a variance of 1/12
+        found.append(Narrowed(one.key, _quartiles_of_range(one), _quartiles(values), float(z)))
+    return sorted(found, key=lambda one: -abs(one.z))
+
+
+def reasons(lines: Lines) -> Counter[str]:
+    """Why draws were dropped, without the numbers; "kept" for the others."""
+    return Counter("kept" if line["kept"] else _kind(line["why"]) for line in lines)
+
+
+def switches_kept(lines: Lines, names: Sequence[str]) -> dict[str, int]:
+    """Structure -> in how many of the kept draws it is on."""
+    return {name: sum(line["kept"] and name in line["switches"] for line in lines) for name in names}
+
+
+def text(parameters: Sequence[Drawn], names: Sequence[str], lines: Lines, most: int = 12) -> str:
+    """Tables in markdown."""
+    kept, moved = sum(bool(line["kept"]) for line in lines), narrowed(parameters, lines)
+    rows = [f"{kept} of {len(lines)} draws kept ({kept / max(len(lines), 1):.1%}).", ""]
+    rows += ["| ended by | draws |", "|---|---|"]
+    rows += [f"| {reason} | {number} |" for reason, number in reasons(lines).most_common()]
+    rows += ["", f"The {min(most, len(moved))} of {len(moved)} parameters that moved most:", ""]
+    rows += ["| parameter | range: 25, 50, 75 % | kept: 25, 50, 75 % | z |", "|---|---|---|---|"]
+    for one in moved[:most]:
+        before, after = (", ".join(f"{value:.3g}" for value in three) for three in (one.prior, one.posterior))
+        rows.append(f"| `{one.key}` | {before} | {after} | {one.z:+.1f} |")
+    on = switches_kept(lines, names)
+    rows += [
+        "",
+        "| structure | on, of the kept |",
+        "|---|---|",
+        *(f"| `{name}` | {on[name]} of {kept} |" for name in on),
+    ]
+    return "\n".join(rows)
+
+
+def _share(one: Drawn, values: np.ndarray) -> np.ndarray:
+    return np.asarray((values - one.low) / (one.high - one.low))
+
+
+def _quartiles(values: np.ndarray) -> tuple[float, float, float]:
+    low, middle, high = np.percentile(values, (25, 50, 75))
+    return float(low), float(middle), float(high)
+
+
+def _quartiles_of_range(one: Drawn) -> tuple[float, float, float]:
+    shares = np.array([0.25, 0.5, 0.75])
+    if one.logarithmic:
+        return tuple((one.low * (one.high / one.low) ** shares).tolist())
+    return tuple((one.low + (one.high - one.low) * shares).tolist())
+
+
+def _kind(why: str) -> str:
+    """`standing 79.9 W` -> `standing`; what more is said after an `and` is left out."""
+    if why.startswith("fell"):
+        return "a fall"
+    words = why.split(" and ")[0].split()
+    name = " ".join(itertools.takewhile(lambda word: not word[:1].isdigit(), words))
+    return f"{name.removesuffix(' at')}{', by statics' if why.endswith('by statics') else ''}"
