@@ -20,15 +20,19 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from batch import blocks, tables
 from batch import methods as known
+from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
 from batch.queue import run_batch, slots_of
 
-from hts.errors import ConfigError, HtsError
+from hts.atomic import atomic_write
+from hts.errors import ConfigError, HtsError, unknown_name
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LINES = REPOSITORY / "docs/results/lines"
 FIGURES = REPOSITORY / "docs/results/figures"
+OLDER = REPOSITORY / "docs/results/older-numbers.json"
 
 
 def run(given: argparse.Namespace) -> int:
@@ -37,7 +41,7 @@ def run(given: argparse.Namespace) -> int:
     names = [name for name in given.methods.split(",") if name]
     for name in names:
         if name not in table:
-            raise ConfigError(known.unknown_name("method", name, table))
+            raise ConfigError(unknown_name("method", name, table))
     jobs = known.jobs_of(
         {name: table[name] for name in names},
         known.realities_of(given.realities),
@@ -68,6 +72,66 @@ def run(given: argparse.Namespace) -> int:
     )
 
 
+def chosen_groups(given: argparse.Namespace) -> list[Group]:
+    """What the options of `table` and `figures` choose."""
+    lines = read_lines(files_of(given.lines or [LINES]))
+    return groups_of(lines, given.preset, given.methods.split(",") if given.methods else None, given.objective)
+
+
+def table(given: argparse.Namespace) -> int:
+    """Print tables as markdown."""
+    groups = chosen_groups(given)
+    names = [given.name] if given.name else list(tables.TABLES)
+    for name in names:
+        if name not in tables.TABLES:
+            raise ConfigError(unknown_name("table", name, tables.TABLES))
+        print(f"### {name}\n\n{tables.TABLES[name](groups)}\n")
+    if given.against or not given.name:
+        against = given.against or groups[0].name
+        print(f"### against {against}\n\n{tables.pairs(groups, against)}\n")
+    for line in (line for group in groups for line in group.lines if line.error):
+        print(f"failed: {line.method}, {line.reality}, seed {line.seed}: {line.error}")
+    return 0
+
+
+def figures(given: argparse.Namespace) -> int:
+    """Write figures; print their names."""
+    from batch.figures import draw
+
+    groups = chosen_groups(given)
+    prefix = given.prefix or groups[0].lines[0].preset
+    for path in draw(groups, given.out, prefix):
+        print(path)
+    return 0
+
+
+def write_docs(given: argparse.Namespace) -> int:
+    """Fill the blocks of the pages from the lines; with --check only say which are not up to date."""
+    older, stale, left = blocks.read_older(OLDER), [], {}
+    for page in blocks.pages(REPOSITORY):
+        before = page.read_text(encoding="utf-8")
+        after = blocks.written(before, LINES)
+        name = str(page.relative_to(REPOSITORY))
+        if after != before:
+            stale.append(name)
+        if name in blocks.NUMBER:
+            left[name] = blocks.remaining(name, after, older.get(name, {}))
+            for number in blocks.strangers(name, after, older.get(name, {})):
+                print(f"{name}: {number} comes from no line: put a block there (docs/benchmarks-realities.md)")
+                stale.append(name)
+        if after != before and not given.check:
+            atomic_write(page, after)
+    if not given.check:
+        if left != older:
+            atomic_write(OLDER, blocks.older_text(left))
+        return 0
+    if left != older:
+        stale.append(str(OLDER.relative_to(REPOSITORY)))
+    for name in dict.fromkeys(stale):
+        print(f"{name}: is not what the lines say. Run: python benchmarks/realities.py write-docs")
+    return 1 if stale else 0
+
+
 def commit_of(given: str | None) -> str:
     """The commit that runs are made with. Raises ConfigError where nobody knows it, or sources differ from it."""
     stated = given or os.environ.get("HTS_COMMIT")
@@ -75,7 +139,9 @@ def commit_of(given: str | None) -> str:
         return stated
     try:
         found, changed = (
-            subprocess.run(["git", *arguments], cwd=REPOSITORY, capture_output=True, text=True, check=True).stdout.strip()
+            subprocess.run(
+                ["git", *arguments], cwd=REPOSITORY, capture_output=True, text=True, check=True
+            ).stdout.strip()
             for arguments in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no", "--", "hts"))
         )
     except (OSError, subprocess.SubprocessError) as error:
@@ -130,6 +196,25 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--stop-after", type=float, metavar="SECONDS", help="stop then with status 75; call again")
     one.add_argument("--dry-run", action="store_true", help="only say which runs these are")
 
+    reading = argparse.ArgumentParser(add_help=False)
+    reading.add_argument("--lines", type=Path, action="append", help="files or folders (default: docs/results/lines)")
+    reading.add_argument("--preset", help="of the lines, where they have several")
+    reading.add_argument("--methods", help="names with commas, in the order to be shown (default: all)")
+    reading.add_argument("--objective", help="default: the lines' first")
+
+    one = commands.add_parser("table", parents=[reading], help="tables as markdown")
+    one.set_defaults(do=table)
+    one.add_argument("--name", help=f"one of {', '.join(tables.TABLES)} (default: all)")
+    one.add_argument("--against", help="differences to this method (default: the first)")
+
+    one = commands.add_parser("figures", parents=[reading], help="figures as SVG and PNG")
+    one.set_defaults(do=figures)
+    one.add_argument("--out", type=Path, default=FIGURES)
+    one.add_argument("--prefix", help="of the files (default: the preset)")
+
+    one = commands.add_parser("write-docs", help="fill the blocks of README and docs from docs/results/lines")
+    one.set_defaults(do=write_docs)
+    one.add_argument("--check", action="store_true", help="write nothing; status 1 where something is not up to date")
     return top
 
 

@@ -103,7 +103,9 @@ def realities_of(text: str) -> list[str]:
             found += [str(one.resolve()) for one in sorted(path.glob("*.yaml"))]
         elif path.suffix in (".yaml", ".yml", ".json"):
             if not path.is_file():
-                raise ConfigError(f"--realities {part}: there is no such file. Give a name, a file or a folder of files.")
+                raise ConfigError(
+                    f"--realities {part}: there is no such file. Give a name, a file or a folder of files."
+                )
             found.append(str(path.resolve()))
         else:
             found.append(part)
@@ -191,7 +193,9 @@ def _resolved(
     if method.command not in COMMANDS_OF_RUNS:
         raise ConfigError(f"Method '{name}': " + unknown_name("command of runs", method.command, COMMANDS_OF_RUNS))
     if method.command not in COMMANDS:
-        raise ConfigError(f"Method '{name}' needs `hts {method.command}`, which this version does not have. Leave it out.")
+        raise ConfigError(
+            f"Method '{name}' needs `hts {method.command}`, which this version does not have. Leave it out."
+        )
     if method.command == "oracle":
         return None
     try:

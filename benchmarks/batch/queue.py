@@ -89,7 +89,9 @@ def run_batch(
         made = {key: line for key, line in made.items() if line.status == "done"}
     waiting = [job for job in jobs if job.key not in made]
     failed = sum(made[job.key].status == "failed" for job in jobs if job.key in made)
-    say(f"{len(jobs)} runs: {len(jobs) - len(waiting)} have a line already, {len(waiting)} to do, {len(slots)} at a time")
+    say(
+        f"{len(jobs)} runs: {len(jobs) - len(waiting)} have a line already, {len(waiting)} to do, {len(slots)} at a time"
+    )
     if not keep:  # killed between a line and its folder
         for job in jobs:
             if job.key in made and made[job.key].status == "done":

@@ -76,7 +76,13 @@ def population(
 
 
 def paired(
-    first: Values, second: Values, statistic: Statistic = mean, *, level: float = 0.95, resamples: int = 10_000, seed: int = 0
+    first: Values,
+    second: Values,
+    statistic: Statistic = mean,
+    *,
+    level: float = 0.95,
+    resamples: int = 10_000,
+    seed: int = 0,
 ) -> Population:
     """`population` of first less second, reality by reality, over those that both have.
 
@@ -103,7 +109,9 @@ def spread(values: Values) -> Spread:
     """
     means = _means(values)
     if len(means) < 2:
-        raise EvaluationError(f"One reality ({_named(values)}) has no spread between realities. Run on another one too.")
+        raise EvaluationError(
+            f"One reality ({_named(values)}) has no spread between realities. Run on another one too."
+        )
     of_means = float(means.var(ddof=1))
     seeds = [np.array([_session_mean(one) for one in runs]) for runs in values.values()]
     degrees = sum(len(one) - 1 for one in seeds)

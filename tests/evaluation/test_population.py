@@ -106,7 +106,11 @@ def test_only_realities_of_both_are_compared_and_none_in_common_is_one_line():
 
 @pytest.mark.parametrize(
     ("values", "said"),
-    [({}, "no reality"), ({"a": []}, "'a' has no run"), ({"a": [0.1], "b": [math.nan]}, "'b' has a number that is not")],
+    [
+        ({}, "no reality"),
+        ({"a": []}, "'a' has no run"),
+        ({"a": [0.1], "b": [math.nan]}, "'b' has a number that is not"),
+    ],
 )
 def test_a_bad_number_is_one_line(values, said):
     with pytest.raises(EvaluationError, match=said):
