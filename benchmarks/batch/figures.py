@@ -43,7 +43,7 @@ def savings(groups: Sequence[Group]) -> Figure | None:
 
 
 def prediction(groups: Sequence[Group]) -> Figure | None:
-    """Predicted against measured: improvements where runs told them, and what the model made of the tried ones' logs."""
+    """Predicted against measured: improvements where runs told them, and what the model made of the logs."""
     drawing, axes = figure(3.2, columns=2)
     (left, right), (factor, unit), drawn = axes[0], scale(groups[0].unit), False
     for row, group in enumerate(groups):
@@ -130,7 +130,7 @@ def open_loop(groups: Sequence[Group]) -> Figure | None:
     return drawing
 
 
-FIGURES: dict[str, Callable[[Sequence[Group]], "Figure | None"]] = {
+FIGURES: dict[str, Callable[[Sequence[Group]], Figure | None]] = {
     "savings": savings,
     "prediction": prediction,
     "robot-time": robot_time,

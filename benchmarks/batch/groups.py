@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import mean
 
 from batch.lines import Figures, Line, Outcome, Result
@@ -19,7 +20,7 @@ from hts.evaluation.population import Values
 
 @dataclass(frozen=True)
 class Group:
-    """Runs of one method in one preset for one objective; name: the method, with its version where there are several."""
+    """Runs of one method in one preset for one objective; name: the method, if need be with its version."""
 
     name: str
     objective: str
@@ -119,7 +120,7 @@ def groups_of(
 def objectives_of(line: Line) -> list[str]:
     """Of the run, from what was typed."""
     given = line.arguments
-    return [value for option, value in zip(given, given[1:], strict=False) if option == "--objective"]
+    return [value for option, value in pairwise(given) if option == "--objective"]
 
 
 def _name(key: tuple[str, str, str], keys: Sequence[tuple[str, str, str]]) -> str:

@@ -37,7 +37,7 @@ class Figures(Part):
 
 
 class Outcome(Part):
-    """The final head-to-head of one objective. held: with the speed held, none where it was not; refused: speed -> why."""
+    """The final head-to-head of one objective. held: none where the speed was not held; refused: speed -> why."""
 
     unit: str
     held: dict[str, Figures] | None = None
@@ -115,7 +115,7 @@ class Result(Part):
 
 
 class Line(Part):
-    """One run. key: see `methods.Job.key`. seconds_here: of the process that ended it, s (a resumed run: its last part)."""
+    """One run. key: see `methods.Job.key`. seconds_here: of the last process that worked at it, s."""
 
     version: Literal[1] = VERSION
     key: str

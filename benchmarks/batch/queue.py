@@ -24,6 +24,7 @@ from typing import IO
 from batch.harvest import finished, provenance_of, result_of
 from batch.lines import Line, append, read_lines
 from batch.methods import Job
+from hts.errors import HtsError
 
 STOPPED = 75
 """Exit status where the time is up and runs are left: call again."""
@@ -89,9 +90,7 @@ def run_batch(
         made = {key: line for key, line in made.items() if line.status == "done"}
     waiting = [job for job in jobs if job.key not in made]
     failed = sum(made[job.key].status == "failed" for job in jobs if job.key in made)
-    say(
-        f"{len(jobs)} runs: {len(jobs) - len(waiting)} have a line already, {len(waiting)} to do, {len(slots)} at a time"
-    )
+    say(f"{len(jobs)} runs: {len(jobs) - len(waiting)} have a line already, {len(waiting)} to do, {len(slots)} at once")
     if not keep:  # killed between a line and its folder
         for job in jobs:
             if job.key in made and made[job.key].status == "done":
@@ -156,7 +155,7 @@ def _start(job: Job, folder: Path, slot: Slot, program: Sequence[str]) -> Runnin
         stderr=subprocess.STDOUT,
         env=environment,
         start_new_session=True,
-        preexec_fn=prepare,
+        preexec_fn=prepare,  # noqa: PLW1509 - this process has no other thread
     )
     return Running(job, folder, slot, process, log)
 
@@ -166,9 +165,9 @@ def _line(one: Running, batch: str) -> Line:
     one.log.close()
     job, status, error, result = one.job, one.process.returncode, None, None
     if status == 0 and finished(one.folder):
-        try:
+        try:  # its files may have another shape than this version knows
             result = result_of(one.folder)
-        except (ValueError, KeyError, TypeError, AttributeError) as wrong:  # another shape than this version knows
+        except (HtsError, ValueError, KeyError, TypeError, AttributeError) as wrong:
             error = f"finished, but its files could not be read: {type(wrong).__name__}: {wrong}"
     else:
         error = f"exit status {status}: {_last_line(one.folder.with_suffix('.log'))}"
@@ -186,7 +185,7 @@ def _line(one: Running, batch: str) -> Line:
         preset=job.preset,
         commit=job.commit,
         arguments=[_short(text) for text in job.arguments],
-        ended=datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        ended=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         seconds_here=round(time.monotonic() - one.started, 1),
         versions=versions,
         hardware={**hardware, "cores_used": len(one.slot.cores), "gpu": one.slot.gpu},

@@ -8,8 +8,8 @@ Units are few (a block against its neighbour each) and their variance is unknown
 sub-Gaussian values need a number nobody has, and asymptotic sequences are not yet true. What is exact from the second
 unit on, for normal units, is the t-test's likelihood ratio mixed over the effect size δ = (μ − μ₀)/σ ~ N(0, g) with
 σ integrated out by its right Haar measure: under μ₀ it is a martingale whatever σ is (Lai 1976, Annals of Statistics
-4:265; Hendriksen, de Heide and Grünwald 2021, Bayesian Analysis 16:961; Wang and Ramdas 2025, Sequential Analysis 44:56).
-By Ville's inequality it exceeds 1/α ever with probability α at most.
+4:265; Hendriksen, de Heide and Grünwald 2021, Bayesian Analysis 16:961; Wang and Ramdas 2025, Sequential Analysis
+44:56). By Ville's inequality it exceeds 1/α ever with probability α at most.
 
 `docs/evaluation.md` says what units are, how they are checked, and what it costs.
 """
@@ -53,7 +53,8 @@ def half_width(values: Sequence[float] | np.ndarray, error: float = 0.05, g: flo
 
         t²/ν ≤ (k − 1)/(1 − k r),   infinite as long as k r ≥ 1
 
-    With the default g and α = 0.05 it is finite from the third unit on. Raises ValueError as `evidence`, and for an error that is no probability.
+    With the default g and α = 0.05 it is finite from the third unit on. Raises ValueError as `evidence`, and for an
+    error that is no probability.
     """
     if not 0.0 < error < 1.0:
         raise ValueError(f"error is {error}; expected a probability between 0 and 1")

@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+from hts.atomic import atomic_write
 from hts.config_loading import dump_config, load_config
 
 STAGES = ("collect", "iterations/00/test", "final", "log/stages", "summary")
@@ -78,9 +79,9 @@ def main() -> int:
     folder = Path(typed[1] if typed[0] == "resume" else typed[typed.index("--out") + 1])
     if typed[0] != "resume":
         seed = int(typed[typed.index("--seed") + 1])
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         config = load_config(preset="smoke", objectives=["power"], robot="go1", world="twin", seed=seed)
-        (folder / "config.yaml").write_text(dump_config(config))
+        atomic_write(folder / "config.yaml", dump_config(config))
     seed = int(
         next(line for line in (folder / "config.yaml").read_text().splitlines() if line.startswith("seed")).split()[1]
     )
@@ -91,8 +92,7 @@ def main() -> int:
         path = folder / f"{stage}.json"
         if not path.exists():
             time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(files(seed)[stage]))
+            atomic_write(path, json.dumps(files(seed)[stage]))
     (folder / "report.html").write_text("")
     return 0
 

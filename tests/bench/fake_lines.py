@@ -6,7 +6,7 @@ from batch.lines import Figures, Line, Model, Outcome, Pair, Point, Result, Trie
 
 
 def line(method="ours", reality="dev-00", seed=0, saved=(0.1, 0.2, 0.3), **changes) -> Line:
-    """A run at 0.5, 0.8 and 1.1 m/s. saved: per speed, None where it was refused; all None: nobody beat the pretrained."""
+    """A run at three speeds. saved: at each, None where it was refused; all None: the pretrained one stayed."""
     speeds = ["0.5", "0.8", "1.1"]
     found = {key: figures(value) for key, value in zip(speeds, saved, strict=True) if value is not None}
     refused = {key: "too slow" for key, value in zip(speeds, saved, strict=True) if value is None}

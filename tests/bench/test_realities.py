@@ -211,9 +211,11 @@ def test_killed_at_any_moment_nothing_is_lost_and_nothing_runs_on(place, monkeyp
     command = [sys.executable, "-c", program, str(BENCHMARKS), str(Path(__file__).parent), str(place)]
     for begun in (1, 3):  # as soon as so many runs are in their midst or done
         process = subprocess.Popen(command)
-        until = time.monotonic() + 60
+        until = time.monotonic() + 120
         while len(list((place / "runs").glob("*/collect.json"))) + done(place) < begun and time.monotonic() < until:
             time.sleep(0.02)
+        assert time.monotonic() < until
+        assert process.poll() is None, "it ended by itself, or never came so far"
         process.send_signal(signal.SIGKILL)
         process.wait()
         time.sleep(0.2)
@@ -398,3 +400,48 @@ def test_a_real_run_folder_becomes_a_result(small_run):
     assert sum(value for stage, value in found.real_samples.items() if stage != "total") == summary["real_samples"]
     assert found.candidates == 2 and len(found.tried) == 1
     assert found.models[0].objective == "power" and found.models[0].pairs
+
+
+# ------------------------------------------------------------------------------------------------- the command line
+
+
+@pytest.fixture
+def command():
+    """`main` of the script."""
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location("realities", BENCHMARKS / "realities.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_batch_can_be_looked_at_before_it_is_made(command, capsys, tmp_path):
+    options = ["run", "--methods", "ours,baseline", "--realities", "default,dev-01", "--preset", "smoke"]
+    assert command.main([*options, "--out", str(tmp_path), "--commit", "c", "--dry-run"]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) == 4 and "hts baseline" in rows[1] and "world.reality=dev-01" in rows[2]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_wrong_name_is_one_line(command, capsys, tmp_path):
+    options = ["run", "--realities", "default", "--out", str(tmp_path), "--commit", "c"]
+    assert command.main([*options, "--methods", "our"]) == 2
+    assert "No method named 'our'. Did you mean 'ours'?" in capsys.readouterr().err
+
+
+def test_tables_and_figures_are_one_command_each(command, capsys, lines):
+    assert command.main(["table", "--lines", str(lines), "--against", "ours"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"### {name}" in text for name in tables.TABLES) and "| ours | 3 × 1 |" in text
+    assert command.main(["figures", "--lines", str(lines / "a.jsonl"), "--out", str(lines / "figures")]) == 0
+    assert (lines / "figures/quick-savings.svg").stat().st_size > 1000
+
+
+def test_the_commit_is_what_is_said_else_what_git_says(command, monkeypatch, tmp_path):
+    monkeypatch.setenv("HTS_COMMIT", "abc")
+    assert (command.commit_of("def"), command.commit_of(None)) == ("def", "abc")
+    monkeypatch.delenv("HTS_COMMIT")
+    monkeypatch.setattr(command, "REPOSITORY", tmp_path)  # no git there
+    with pytest.raises(ConfigError, match="Say it: --commit"):
+        command.commit_of(None)
