@@ -9,6 +9,8 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,9 @@ from hts.yaml_text import load_mapping_file
 
 COMMANDS_OF_RUNS = ("run", "baseline", "oracle")
 REALITY = "world.reality"
+NAMES_OF_REALITIES = "hts.worlds.twin.reality"  # knows where the file of a name lies
 DEFAULT_REALITY = "default"
+SUFFIX = ".json"  # of a reality's file
 
 
 @dataclass(frozen=True)
@@ -93,15 +97,15 @@ def read_methods(path: Path | None) -> dict[str, Method]:
 
 
 def realities_of(text: str) -> list[str]:
-    """References from `--realities`: names, `dev` (dev-00 to dev-15), files, or a folder's *.yaml; commas between."""
+    """References from `--realities`: names, `dev` (dev-00 to dev-15), files, or a folder's *.json; commas between."""
     found: list[str] = []
     for part in filter(None, (one.strip() for one in text.split(","))):
         path = Path(part)
         if part == "dev":
             found += [f"dev-{index:02d}" for index in range(16)]
         elif path.is_dir():
-            found += [str(one.resolve()) for one in sorted(path.glob("*.yaml"))]
-        elif path.suffix in (".yaml", ".yml", ".json"):
+            found += [str(one.resolve()) for one in sorted(path.glob(f"*{SUFFIX}"))]
+        elif path.suffix == SUFFIX:
             if not path.is_file():
                 raise ConfigError(
                     f"--realities {part}: there is no such file. Give a name, a file or a folder of files."
@@ -170,8 +174,14 @@ def jobs_of(
 
 
 def reality_hash(reference: str) -> str:
-    """SHA-256 of a reality's file; of the name for one that comes with the package, whose content the commit fixes."""
+    """SHA-256 of a reality's file, by path or by name; of its name for the default twin, which has no file.
+
+    Raises ConfigError for a name that this version does not know, where it knows of realities at all; where it does
+    not, the name stands for the file, and the run will say what is wrong.
+    """
     path = Path(reference)
+    if not path.is_file() and reference != DEFAULT_REALITY and find_spec(NAMES_OF_REALITIES):
+        path = import_module(NAMES_OF_REALITIES).locate(reference)
     content = path.read_bytes() if path.is_file() else f"name:{reference}".encode()
     return hashlib.sha256(content).hexdigest()
 

@@ -27,6 +27,14 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
 @pytest.fixture
+def reality(tmp_path):
+    """The file of one."""
+    path = tmp_path / "there.json"
+    path.write_text("{}")
+    return str(path)
+
+
+@pytest.fixture
 def place(tmp_path, monkeypatch):
     monkeypatch.setenv("FAKE_HTS", str(tmp_path))
     return tmp_path
@@ -55,9 +63,9 @@ def test_seeds_and_realities_are_written_short():
 
 
 def test_a_folder_of_realities_is_its_files(tmp_path):
-    for name in ("b.yaml", "a.yaml"):
-        (tmp_path / name).write_text("x: 1")
-    assert realities_of(str(tmp_path)) == [str(tmp_path / "a.yaml"), str(tmp_path / "b.yaml")]
+    for name in ("b.json", "a.json"):
+        (tmp_path / name).write_text("{}")
+    assert realities_of(str(tmp_path)) == [str(tmp_path / "a.json"), str(tmp_path / "b.json")]
 
 
 @pytest.mark.parametrize(
@@ -65,7 +73,7 @@ def test_a_folder_of_realities_is_its_files(tmp_path):
     [
         (lambda: seeds_of("3-1"), "'3-1' is no seed"),
         (lambda: seeds_of("a"), "'a' is no seed"),
-        (lambda: realities_of("gone.yaml"), "gone.yaml: there is no such file"),
+        (lambda: realities_of("gone.json"), "gone.json: there is no such file"),
         (lambda: realities_of(","), "names none"),
         (lambda: jobs(settings=["nonsense.key=1"]), "Method 'ours': .*nonsense"),
         (lambda: jobs_of({"x": Method("dance")}, ["default"], [0], objectives=["power"], robot="go1", preset="smoke",
@@ -86,28 +94,28 @@ def test_methods_come_from_a_file_too(tmp_path):
         read_methods(path)
 
 
-def test_the_key_tells_runs_apart_and_nothing_else(tmp_path):
+def test_the_key_tells_runs_apart_and_nothing_else(tmp_path, reality):
     (one,) = jobs()
     others = [
         *jobs(methods=["baseline"]),
         *jobs(seeds=[1]),
-        *jobs(realities=["dev-00"]),
+        *jobs(realities=[reality]),
         *jobs(commit="d"),
         *jobs(settings=["finetune.steps=10"]),
     ]
     assert len({one.key, *(other.key for other in others)}) == 6
-    path = tmp_path / "r.yaml"
-    path.write_text("a: 1")
+    path = tmp_path / "r.json"
+    path.write_text("{}")
     (first,) = jobs(realities=[str(path)])
     assert first.reality == "r" and f"world.reality={path}" in first.arguments
-    path.write_text("a: 2")
+    path.write_text("[]")
     assert jobs(realities=[str(path)])[0].key != first.key
     assert jobs()[0].key == one.key
     assert not any("world.reality" in text for text in one.arguments)  # the default twin needs no name
 
 
-def test_what_is_compared_is_made_together():
-    made = jobs(methods=["ours", "baseline"], realities=["default", "dev-00"], seeds=[0, 1])
+def test_what_is_compared_is_made_together(reality):
+    made = jobs(methods=["ours", "baseline"], realities=["default", reality], seeds=[0, 1])
     assert [(job.reality, job.seed, job.method) for job in made[:3]] == [
         ("default", 0, "ours"),
         ("default", 0, "baseline"),
@@ -416,12 +424,12 @@ def command():
     return module
 
 
-def test_a_batch_can_be_looked_at_before_it_is_made(command, capsys, tmp_path):
-    options = ["run", "--methods", "ours,baseline", "--realities", "default,dev-01", "--preset", "smoke"]
-    assert command.main([*options, "--out", str(tmp_path), "--commit", "c", "--dry-run"]) == 0
+def test_a_batch_can_be_looked_at_before_it_is_made(command, capsys, tmp_path, reality):
+    options = ["run", "--methods", "ours,baseline", "--realities", f"default,{reality}", "--preset", "smoke"]
+    assert command.main([*options, "--out", str(tmp_path / "out"), "--commit", "c", "--dry-run"]) == 0
     rows = capsys.readouterr().out.splitlines()
-    assert len(rows) == 4 and "hts baseline" in rows[1] and "world.reality=dev-01" in rows[2]
-    assert list(tmp_path.iterdir()) == []
+    assert len(rows) == 4 and "hts baseline" in rows[1] and f"world.reality={reality}" in rows[2]
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_wrong_name_is_one_line(command, capsys, tmp_path):
