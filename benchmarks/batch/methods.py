@@ -29,11 +29,15 @@ SUFFIX = ".json"  # of a reality's file
 
 @dataclass(frozen=True)
 class Method:
-    """command: of `hts`; settings: `--set` of it, KEY=VALUE each; presets: asked preset -> the one it takes."""
+    """command: of `hts`; settings: `--set` of it, KEY=VALUE each; presets: asked preset -> the one it takes ("": any).
+
+    elsewhere: settings where the asked preset is none of `presets`.
+    """
 
     command: str = "run"
     settings: tuple[str, ...] = ()
     presets: Mapping[str, str] = field(default_factory=dict)
+    elsewhere: tuple[str, ...] = ()
     about: str = ""
 
 
@@ -41,7 +45,17 @@ METHODS: dict[str, Method] = {
     "ours": Method(about="the method as shipped"),
     "ours-proxy": Method(settings=("reward_source=proxy",), about="ours with the analytic stand-in as reward"),
     "baseline": Method(command="baseline", about="`hts baseline`: the stand-in with its own sweep and budget"),
-    "paper-exact": Method(presets={"paper": "paper-exact"}, about="the paper to the letter"),
+    # With `paper` the paper to the letter; in smaller presets its inputs, data and criterion, within their budgets.
+    "paper-exact": Method(
+        presets={"paper": "paper-exact"},
+        elsewhere=(
+            "objectives.power.model.products=false",
+            "objectives.power.criterion=net",
+            "collection.exploring=0",
+            "collection.repeats=8",  # as many recordings as ours in `quick`
+        ),
+        about="the paper's own recipe",
+    ),
     "oracle": Method(command="oracle", about="the twin's own dynamics and instrument: what was possible"),
     # Ablations: ours without one thing.
     "no-products": Method(settings=("objectives.power.model.products=false",), about="inputs of the paper alone"),
@@ -151,7 +165,8 @@ def jobs_of(
     made: dict[str, tuple[tuple[str, ...], str]] = {}
     for name, method in methods.items():
         taken = method.presets.get(preset, method.presets.get("", preset))
-        sets = [*method.settings, *settings]
+        own = () if preset in method.presets or "" in method.presets else method.elsewhere
+        sets = [*method.settings, *own, *settings]
         config = _resolved(name, method, taken, sets, objectives, robot, engine)
         resolved = dump_config(config.model_copy(update={"seed": 0})) if config else [taken, *common, *sets]
         options = (*common, "--preset", taken, *(text for one in sets for text in ("--set", one)))

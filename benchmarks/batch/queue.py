@@ -170,7 +170,8 @@ def _line(one: Running, batch: str) -> Line:
         except (HtsError, ValueError, KeyError, TypeError, AttributeError) as wrong:
             error = f"finished, but its files could not be read: {type(wrong).__name__}: {wrong}"
     else:
-        error = f"exit status {status}: {_last_line(one.folder.with_suffix('.log'))}"
+        said = _last_line(one.folder.with_suffix(".log")).replace(f"{one.folder.parent}/", "")
+        error = f"exit status {status}: {said}"
     versions, hardware = provenance_of(one.folder)
     return Line(
         key=job.key,

@@ -73,6 +73,35 @@ def _against_best(group: Group, others: Sequence[Group]) -> tuple[str, str]:
     )
 
 
+def best_other(groups: Sequence[Group]) -> str:
+    """Each method against the best of the others on each reality: harder than against any one of them."""
+    rows = []
+    for group in groups:
+        ours, theirs = group.values(), [one.values() for one in groups if one is not group]
+        best = {
+            name: max(_mean_of(values, name) for values in theirs if name in values)
+            for name in ours
+            if any(name in values for values in theirs)
+        }
+        if not best:
+            continue
+        gaps = {name: [_mean_of(ours, name) - other] for name, other in best.items()}
+        ratios = {name: [_mean_of(ours, name) / other] for name, other in best.items() if other > 0}
+        show, point = differences(group.unit), POINT.get(group.unit, 1.0)
+        rows.append(
+            [
+                group.name,
+                str(len(best)),
+                with_interval(population(gaps), show),
+                with_interval(population(gaps, quantile(0.5)), show),
+                ratio(population(ratios, quantile(0.5))) + f" on {len(ratios)}" if ratios else NONE,
+                f"{sum(gap[0] >= -point for gap in gaps.values())} of {len(gaps)}",
+            ]
+        )
+    head = ["method", "realities", "less the best other there: mean, 95 %", "median, 95 %", "ratio: median, 95 %"]
+    return table([*head, "within 1 point of it"], rows)
+
+
 def pairs(groups: Sequence[Group], against: str) -> str:
     """Differences to one method, reality by reality: also the table of an ablation, where `against` is the whole."""
     whole = next((group for group in groups if group.name == against), None)
@@ -241,6 +270,13 @@ def with_interval(found: Population, show: Callable[[float], str]) -> str:
     return f"{show(found.estimate)} ({low} to {high})"
 
 
+def ratio(found: Population) -> str:
+    """`1.05 (0.97 to 1.20)`."""
+    if found.interval is None:
+        return f"{found.estimate:.2f} (one reality)"
+    return f"{found.estimate:.2f} ({found.interval[0]:.2f} to {found.interval[1]:.2f})"
+
+
 def number(value: float | None) -> str:
     """With two decimals."""
     return NONE if value is None else f"{value:.2f}".replace("-", "−")
@@ -265,6 +301,7 @@ def _number(run: float | Sequence[float]) -> float:
 
 TABLES: dict[str, Callable[[Sequence[Group]], str]] = {
     "methods": methods,
+    "best-other": best_other,
     "realities": realities,
     "open-loop": open_loop,
     "prediction": prediction,

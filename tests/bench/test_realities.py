@@ -183,6 +183,7 @@ def test_the_line_holds_what_tables_need(place):
     assert row.commit == "c" and row.hardware["cores_used"] == 1
 
 
+@pytest.mark.slow
 def test_when_the_time_is_up_it_says_so_and_goes_on_when_called_again(place, monkeypatch):
     monkeypatch.setenv("FAKE_SECONDS", "0.5")
     made = jobs(seeds=[0, 1, 2])
@@ -207,6 +208,7 @@ def command_lines():
             continue
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="runs die with their batch on Linux only")
 def test_killed_at_any_moment_nothing_is_lost_and_nothing_runs_on(place, monkeypatch):
     """SIGKILL of the whole batch, again and again; in the end every run has one line, made of resumed folders."""
@@ -320,6 +322,22 @@ def test_an_ablation_is_paired_by_reality():
     assert row[1] == "3" and row[2].startswith("+0.2 points (") and row[4] == "2 of 3"
 
 
+def test_the_best_other_is_another_one_on_each_reality():
+    a = [line("a", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.20), (2, 0.10), (3, 0.30))]
+    b = [line("b", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.10), (2, 0.20), (3, 0.00))]
+    ours = [line("ours", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.22), (2, 0.16), (3, 0.33))]
+    row = row_of(tables.best_other(groups_of([*ours, *a, *b])), "ours")
+    assert row[1] == "3" and row[2].startswith("+0.3 points") and row[3].startswith("+2.0 points")
+    assert row[4].startswith("1.10 (") and row[4].endswith(" on 3") and row[5] == "2 of 3"
+
+
+def test_the_papers_recipe_is_never_ours_by_another_name():
+    ours, exact = jobs(methods=["ours", "paper-exact"], preset="quick")
+    assert ours.method_hash != exact.method_hash
+    assert "objectives.power.model.products=false" in exact.arguments
+    assert exact.arguments[exact.arguments.index("--preset") + 1] == "quick"
+
+
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
@@ -343,6 +361,7 @@ def test_every_table_has_a_row_for_each_method(name):
     assert len({row.count("|") for row in text.splitlines()}) == 1
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_and_the_same_lines_give_the_same_bytes(tmp_path):
     from batch.figures import draw
 
