@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -26,6 +26,7 @@ from hts.contracts import (
     TestedCandidate,
 )
 from hts.errors import ConfigError, unknown_name
+from hts.selection import anytime
 from hts.selection.hierarchical import Hierarchical, HierarchicalSettings
 
 
@@ -38,6 +39,11 @@ class RacingSettings(Config):
     allow_falls: bool = Field(False, description="may a candidate that fell in reality be the best one")
     block_seconds: float = Field(15.0, gt=0, description="length of each block of a round, s")
     rounds: int = Field(4, ge=1, description="rounds at most: the budget")
+    test: Literal["looks", "anytime"] = Field(
+        "looks",
+        description="looks: t-tests at `rounds` looks fixed before; anytime: confidence sequences, "
+        "whose error does not depend on `rounds`",
+    )
     error: float = Field(
         0.05, gt=0, lt=1, description="alpha: probability, over the whole race, that the best one is dropped"
     )
@@ -77,8 +83,11 @@ class Racing(Selector):
         racing = [index for index, one in enumerate(able) if one.racing]
         if len(racing) < 2:
             return [able[index].id for index in racing]
-        level = self.settings.error / (self.settings.rounds * len(able))
         table = _table([[self._score(half) for half in one.halves] for one in able])
+        if self.settings.test == "anytime":
+            left = anytime.still_racing(table, racing, self.settings.error / len(able), self.settings.indifference)
+            return [able[index].id for index in left]
+        level = self.settings.error / (self.settings.rounds * len(able))
         racing = [index for index in racing if not _clearly_below_zero(table[index], level)]
         return [able[index].id for index in still_racing(table, racing, level, self.settings.indifference)]
 

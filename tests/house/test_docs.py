@@ -37,7 +37,7 @@ THEIRS = {"authors/tutorial.md": {"tests/test_heat.py"}}
 def test_every_file_that_a_page_names_is_there(page):
     text = page.read_text()
     folders = "hts|tests|docs|plugins|robots|benchmarks|examples"
-    named = set(re.findall(rf"(?<![\w/.-])((?:{folders})/[\w./-]+\.(?:py|json|md|yaml))", text))
+    named = set(re.findall(rf"(?<![\w/.-])((?:{folders})/[\w./-]+\.(?:py|json|md|yaml)\b)", text))
     theirs = THEIRS.get(str(page.relative_to(DOCS)) if page.is_relative_to(DOCS) else "", set())
     assert {name for name in named - theirs if not (REPOSITORY / name).exists()} == set()
 

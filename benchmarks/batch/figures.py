@@ -1,0 +1,171 @@
+"""Figures from lines: savings over realities, prediction, real samples, open loop beside held. SVG and PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from statistics import mean
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from batch.groups import Group, saving
+from batch.tables import predicted
+from hts.evaluation.population import population, quantile
+from hts.report.style import ACCENT, MARKERS, RC, REFERENCE, SOFT, WARN, figure, zero_line
+from hts.report.wording import scale
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = (ACCENT, WARN, "#3a5a98", "#7a4a8c", "#5b7f2b", SOFT)
+
+
+def savings(groups: Sequence[Group]) -> Figure | None:
+    """One dot per reality, the median as a bar."""
+    there = [group for group in groups if group.values()]
+    if not there:
+        return None
+    drawing, axes = figure(0.9 + 0.42 * len(there))
+    panel, (factor, unit) = axes[0, 0], scale(there[0].unit)
+    zero_line(panel, vertical=True)
+    for row, group in enumerate(there):
+        means = factor * np.array([mean(map(float, np.ravel(runs))) for runs in group.values().values()])
+        offsets = 0.24 * (np.argsort(np.argsort(means)) % 5 - 2) / 2  # side by side where they would hide each other
+        panel.plot(means, row + offsets, "o", color=_colour(row), markersize=4, alpha=0.65, markeredgewidth=0)
+        middle = factor * population(group.values(), quantile(0.5)).estimate
+        panel.plot([middle, middle], [row - 0.36, row + 0.36], color=_colour(row), linewidth=2.2)
+    panel.set_yticks(range(len(there)), [group.name for group in there])
+    panel.set_ylim(len(there) - 0.5, -0.5)
+    panel.set_xlabel(f"saved, mean over speeds, {unit}; a dot is a reality, the bar their median")
+    return drawing
+
+
+def prediction(groups: Sequence[Group]) -> Figure | None:
+    """Predicted against measured: improvements where runs told them, and what the model made of the logs."""
+    drawing, axes = figure(3.2, columns=2)
+    (left, right), (factor, unit), drawn = axes[0], scale(groups[0].unit), False
+    for row, group in enumerate(groups):
+        found = [
+            pair for _, result in group.results for one in result.tried for pair in predicted(one, group.objective)
+        ]
+        costs = [
+            (pair.predicted / level, pair.measured / level)
+            for _, result in group.results
+            for model in result.models
+            if model.objective == group.objective and model.pairs
+            for level in [mean(pair.measured for pair in model.pairs)]
+            for pair in model.pairs
+        ]
+        style = {"color": _colour(row), "marker": MARKERS[row % len(MARKERS)], "s": 12, "alpha": 0.6, "linewidths": 0}
+        for panel, pairs, by in ((left, found, factor), (right, costs, 1.0)):
+            if pairs:
+                drawn = True
+                panel.scatter(
+                    *(by * np.array(values) for values in zip(*pairs, strict=True)), label=group.name, **style
+                )
+    if not drawn:
+        return None
+    left.set_title("Improvement")
+    left.set_xlabel(f"predicted, {unit}")
+    left.set_ylabel(f"measured, {unit}")
+    right.set_title("Measured quantity, of its iteration's mean")
+    right.set_xlabel("predicted from the log")
+    right.set_ylabel("measured")
+    for panel in (left, right):
+        _diagonal(panel)
+    (right if right.get_legend_handles_labels()[0] else left).legend(loc="upper left")
+    return drawing
+
+
+def robot_time(groups: Sequence[Group]) -> Figure | None:
+    """Saving over real samples: medians over runs of the best so far after each iteration, and the final one."""
+    drawing, axes = figure(2.9)
+    panel, (factor, unit), drawn = axes[0, 0], scale(groups[0].unit), False
+    for row, group in enumerate(groups):
+        curves = [_curve(group, index) for index in range(len(group.results))]
+        longest = max((len(curve) for curve in curves), default=0)
+        steps = [[curve[step] for curve in curves if len(curve) > step] for step in range(longest)]
+        if not steps:
+            continue
+        drawn = True
+        middle = np.array([np.median(np.array(step), axis=0) for step in steps])
+        panel.plot(middle[:, 0] / 1000, factor * middle[:, 1], "o-", color=_colour(row), label=group.name, markersize=4)
+        final = [(result.real_samples["total"], saving(result, group.objective)) for _, result in group.results]
+        x, y = np.median(np.array(final), axis=0)
+        panel.plot([x / 1000], [factor * y], "D", color=_colour(row), markerfacecolor="white", markersize=6)
+    if not drawn:
+        return None
+    zero_line(panel)
+    panel.set_xlabel("real samples, thousands (open diamonds: after the final head-to-head, all speeds)")
+    panel.set_ylabel(f"saved, median, {unit}")
+    panel.legend(loc="best")
+    return drawing
+
+
+def open_loop(groups: Sequence[Group]) -> Figure | None:
+    """Open loop against held, a dot per run and speed."""
+    drawing, axes = figure(3.2)
+    panel, (factor, unit), drawn = axes[0, 0], scale(groups[0].unit), False
+    for row, group in enumerate(groups):
+        outcomes = [result.objectives.get(group.objective) for _, result in group.results]
+        pairs = [
+            (factor * one.open_loop[speed].improvement, factor * held.improvement)
+            for one in outcomes
+            if one is not None and one.held and one.open_loop
+            for speed, held in one.held.items()
+            if speed in one.open_loop
+        ]
+        if pairs:
+            drawn = True
+            x, y = zip(*pairs, strict=True)
+            panel.scatter(x, y, s=12, alpha=0.6, color=_colour(row), label=group.name, linewidths=0)
+    if not drawn:
+        return None
+    _diagonal(panel)
+    panel.set_xlabel(f"open loop, {unit}")
+    panel.set_ylabel(f"speed held, {unit}")
+    panel.legend(loc="upper left")
+    return drawing
+
+
+FIGURES: dict[str, Callable[[Sequence[Group]], Figure | None]] = {
+    "savings": savings,
+    "prediction": prediction,
+    "robot-time": robot_time,
+    "open-loop": open_loop,
+}
+
+
+def draw(groups: Sequence[Group], folder: Path, prefix: str) -> list[Path]:
+    """PREFIX-NAME.svg and .png of every figure that has data; the same lines give the same SVG."""
+    import matplotlib as mpl
+
+    folder.mkdir(parents=True, exist_ok=True)
+    made = []
+    with mpl.rc_context(RC):
+        for name, make in FIGURES.items():
+            drawing = make(groups)
+            if drawing is not None:
+                path = folder / f"{prefix}-{name}"
+                drawing.savefig(path.with_suffix(".svg"), metadata={"Date": None})
+                drawing.savefig(path.with_suffix(".png"), dpi=150, metadata={"Software": None})
+                made += [path.with_suffix(".svg"), path.with_suffix(".png")]
+    return made
+
+
+def _curve(group: Group, index: int) -> list[tuple[float, float]]:
+    """(samples, saving) after each iteration of a run; 0 while the pretrained policy was the best."""
+    points = group.results[index][1].curve
+    values = [list(point.improvement.get(group.objective, {}).values()) for point in points]
+    return [(point.samples, mean(found) if found else 0.0) for point, found in zip(points, values, strict=True)]
+
+
+def _diagonal(panel: Axes) -> None:
+    low, high = min(panel.get_xlim()[0], panel.get_ylim()[0]), max(panel.get_xlim()[1], panel.get_ylim()[1])
+    panel.plot([low, high], [low, high], color=REFERENCE, linewidth=0.9, zorder=1)
+
+
+def _colour(row: int) -> str:
+    return COLOURS[row % len(COLOURS)]

@@ -1,0 +1,132 @@
+"""Lines put together: what each run saved, by method and reality. The rules that all tables share are here.
+
+- A run's figure at a speed is the held one where the speed was held, else the open-loop one.
+- Where the pretrained policy stayed the best, the run saved 0 at every speed.
+- A speed that was refused counts as 0: nobody would use the policy there. How many were, is a column of its own.
+- A run's saving is the mean over the speeds that were asked for. A failed run has none; it is counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import mean
+
+from batch.lines import Figures, Line, Outcome, Result
+from hts.errors import EvaluationError
+from hts.evaluation.population import Values
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs of one method in one preset for one objective; name: the method, if need be with its version."""
+
+    name: str
+    objective: str
+    unit: str
+    lines: tuple[Line, ...]
+
+    @property
+    def results(self) -> list[tuple[Line, Result]]:
+        """Of runs that ended well."""
+        return [(line, line.result) for line in self.lines if line.result is not None]
+
+    @property
+    def speeds(self) -> list[str]:
+        """That any run was asked for, slowest first."""
+        return sorted({str(speed) for _, result in self.results for speed in result.asked_speeds}, key=float)
+
+    def values(self, speed: str | None = None, kind: str = "chosen") -> Values:
+        """reality -> saving of each seed, at one speed or over all."""
+        found: dict[str, list[float]] = {}
+        for line, result in self.results:
+            found.setdefault(line.reality, []).append(saving(result, self.objective, speed, kind))
+        return found
+
+    def figures(self) -> list[Figures]:
+        """Every speed that was measured."""
+        return [one for _, result in self.results for one in chosen(result.objectives.get(self.objective)).values()]
+
+    def count_refused(self) -> int:
+        """Speeds that were refused, over all runs."""
+        return sum(
+            len(result.objectives[self.objective].refused)
+            for _, result in self.results
+            if self.objective in result.objectives
+        )
+
+
+def chosen(outcome: Outcome | None, kind: str = "chosen") -> Mapping[str, Figures]:
+    """Figures by speed: `held`, `open_loop`, or `chosen`: held where there are such."""
+    if outcome is None:
+        return {}
+    if kind == "chosen":
+        kind = "held" if outcome.held is not None else "open_loop"
+    return (outcome.held if kind == "held" else outcome.open_loop) or {}
+
+
+def saving(result: Result, objective: str, speed: str | None = None, kind: str = "chosen") -> float:
+    """What a run saved at a speed, or on average over those asked for; see the rules above."""
+    figures = chosen(result.objectives.get(objective), kind)
+    speeds = [str(one) for one in result.asked_speeds] if speed is None else [speed]
+    return mean(figures[one].improvement if one in figures else 0.0 for one in speeds)
+
+
+def groups_of(
+    lines: Iterable[Line], preset: str | None = None, methods: Sequence[str] | None = None, objective: str | None = None
+) -> list[Group]:
+    """Groups in the order of `methods`, else of the lines. Raises EvaluationError where nothing is left, or where one
+    group holds several presets or one run twice: those are not to be averaged.
+
+    Versions of a method (other options, another commit) are groups of their own: `ours@1a2b3c4`, commit or options.
+    """
+    wanted = [
+        line
+        for line in lines
+        if (preset is None or line.preset == preset)
+        and (methods is None or line.method in methods)
+        and (objective is None or line.result is None or objective in objectives_of(line))
+    ]
+    if not wanted:
+        raise EvaluationError(
+            f"No line has preset {preset or 'any'} and a method of {methods or 'any'}. Look at --lines."
+        )
+    presets = sorted({line.preset for line in wanted})
+    if len(presets) > 1:
+        raise EvaluationError(f"These lines are of presets {', '.join(presets)}. Name one: --preset {presets[0]}.")
+    hashes: dict[str, str] = {}
+    for line in wanted:
+        if hashes.setdefault(line.reality, line.reality_hash) != line.reality_hash:
+            raise EvaluationError(
+                f"These lines have two realities named '{line.reality}', {hashes[line.reality][:12]} and "
+                f"{line.reality_hash[:12]}. Give the newer file another name, or leave one's lines out."
+            )
+    name = objective or next((found for line in wanted for found in objectives_of(line)), "")
+    unit = next(
+        (line.result.objectives[name].unit for line in wanted if line.result and name in line.result.objectives), "1"
+    )
+    parted: dict[tuple[str, str, str], list[Line]] = {}
+    for line in wanted:
+        parted.setdefault((line.method, line.method_hash, line.commit), []).append(line)
+    found = [
+        Group(_name(key, list(parted)), name, unit, tuple(sorted(rows, key=lambda line: (line.reality, line.seed))))
+        for key, rows in parted.items()
+    ]
+    order = list(methods) if methods else list(dict.fromkeys(line.method for line in wanted))
+    return sorted(found, key=lambda group: order.index(group.lines[0].method))
+
+
+def objectives_of(line: Line) -> list[str]:
+    """Of the run, from what was typed."""
+    given = line.arguments
+    return [value for option, value in pairwise(given) if option == "--objective"]
+
+
+def _name(key: tuple[str, str, str], keys: Sequence[tuple[str, str, str]]) -> str:
+    method, options, commit = key
+    same = [one for one in keys if one[0] == method]
+    if len(same) == 1:
+        return method
+    by_commit = len({one[2] for one in same}) == len(same)
+    return f"{method}@{commit[:7]}" if by_commit else f"{method}@{commit[:7]}-{options[:4]}"

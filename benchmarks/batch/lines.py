@@ -1,0 +1,190 @@
+"""One JSON line per run: its schema, and a file of lines that a killed writer cannot spoil."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hts.errors import RunError
+
+VERSION: Literal[1] = 1
+
+
+class Part(BaseModel):
+    """Base: frozen, unknown keys refused, NaN and infinity refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Figures(Part):
+    """One speed of a head-to-head; as in summary.json."""
+
+    improvement: float
+    improvement_ci95: tuple[float, float] | None = None
+    segments: int
+    valid: float
+    falls: int
+    mean_speed: float
+    metrics: dict[str, float] = {}
+    metrics_ci95: dict[str, tuple[float, float] | None] = {}
+    reference_falls: int | None = None
+    reference_speed: float | None = None
+
+
+class Outcome(Part):
+    """The final head-to-head of one objective. held: none where the speed was not held; refused: speed -> why."""
+
+    unit: str
+    held: dict[str, Figures] | None = None
+    open_loop: dict[str, Figures] | None = None
+    refused: dict[str, str] = {}
+    refused_open_loop: dict[str, str] = {}
+
+
+class Tried(Part):
+    """A candidate that was tried in reality. predicted, measured: objective -> speed -> improvement."""
+
+    id: str
+    iteration: int
+    anchor: str
+    weights: dict[str, float]
+    kl_bound: float | None = Field(description="nats; none: no bound")
+    kl: float
+    std_ratio: float | None = Field(None, description="its sigma over its anchor's")
+    sim_score: float
+    sim_falls: int
+    predicted: dict[str, dict[str, float]] | None = None
+    predicted_sd: dict[str, dict[str, float]] | None = None
+    measured: dict[str, dict[str, float]] = {}
+    falls: int = 0
+    fell: bool = False
+    refused: bool = False
+
+
+class Pair(Part):
+    """What a policy's measured quantity was and what the iteration's model made of its log, in the target's unit."""
+
+    policy: str
+    speed: float | None = None
+    measured: float
+    predicted: float
+
+
+class Model(Part):
+    """One fit of one objective's measurement model, and how it did on the policies tried after it."""
+
+    iteration: int
+    objective: str
+    held_out_r2: float | None = None
+    elites_r2: float | None = None
+    rank_correlation: float | None = None
+    proxy_rank_correlation: dict[str, float | None] = {}
+    pairs: list[Pair] = []
+
+
+class Point(Part):
+    """The best so far after an iteration. samples: real ones until then; improvement: objective -> speed -> value."""
+
+    iteration: int
+    samples: int
+    best: str
+    improvement: dict[str, dict[str, float]] = {}
+
+
+class Result(Part):
+    """What a finished run came to."""
+
+    final_policy: str
+    asked_speeds: list[float]
+    objectives: dict[str, Outcome]
+    best: Tried | None = Field(None, description="none: the pretrained policy stayed the best")
+    tried: list[Tried]
+    candidates: int
+    stopped_candidates: int = 0
+    models: list[Model] = []
+    pooled_rank: dict[str, float | None] = {}
+    curve: list[Point] = []
+    real_samples: dict[str, int] = Field(description="by stage; `total` as in summary.json")
+    sim_steps: int
+    seconds: dict[str, float] = Field(description="by stage; `total` as in summary.json")
+
+
+class Line(Part):
+    """One run. key: see `methods.Job.key`. seconds_here: of the last process that worked at it, s."""
+
+    version: Literal[1] = VERSION
+    key: str
+    status: Literal["done", "failed"]
+    error: str | None = None
+    batch: str
+    method: str
+    method_hash: str
+    reality: str
+    reality_hash: str
+    seed: int
+    preset: str
+    commit: str
+    arguments: list[str]
+    ended: str
+    seconds_here: float
+    versions: dict[str, str] = {}
+    hardware: dict[str, Any] = {}
+    result: Result | None = None
+
+
+def read_lines(paths: Iterable[Path]) -> list[Line]:
+    """Lines of these files, a later one of a key in place of an earlier one. Raises RunError naming file and line.
+
+    What a killed writer left of a last line, which no newline ends, is not a line.
+    """
+    found: dict[str, Line] = {}
+    for path in paths:
+        for number, text in enumerate(_whole(path.read_bytes()).decode("utf-8").splitlines(), start=1):
+            try:
+                line = Line.model_validate_json(text)
+            except ValidationError as error:
+                first = error.errors(include_url=False)[0]
+                where = ".".join(str(part) for part in first["loc"]) or "the line"
+                raise RunError(
+                    f"{path}, line {number}: {where}: {first['msg']}. Expected a line of version {VERSION}, as "
+                    "benchmarks/realities.py run writes it. Take the file as it was committed, or run again."
+                ) from error
+            if line.status == "done" or line.key not in found or found[line.key].status == "failed":
+                found.pop(line.key, None)
+                found[line.key] = line
+    return list(found.values())
+
+
+def files_of(places: Sequence[Path]) -> list[Path]:
+    """Files of lines in these places: a file itself, of a folder its *.jsonl. Raises RunError where there is none."""
+    found = [file for place in places for file in (sorted(place.glob("*.jsonl")) if place.is_dir() else [place])]
+    missing = [file for file in found if not file.is_file()]
+    if missing:
+        raise RunError(f"{missing[0]}: there is no such file. Expected lines of benchmarks/realities.py run.")
+    return found
+
+
+def append(path: Path, line: Line) -> None:
+    """Add a line; it is on the disk when this returns. Several processes may write one file."""
+    text = line.model_dump_json() + "\n"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+b") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        file.seek(0)
+        content = file.read()
+        whole = _whole(content)
+        if len(whole) != len(content):  # a writer was killed in the midst of its line; that run is made again
+            file.truncate(len(whole))
+        file.write(text.encode("utf-8"))
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _whole(content: bytes) -> bytes:
+    """Without what follows the last newline."""
+    return content[: content.rfind(b"\n") + 1]

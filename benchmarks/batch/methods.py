@@ -1,0 +1,237 @@
+"""Methods by name: a command of `hts` and the options that make it what it is.
+
+Ablations are `ours` without one thing. A file adds more (`--methods FILE`): YAML, name -> command, preset, set.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from hts.cli.commands import COMMANDS
+from hts.config import RunConfig
+from hts.config_loading import dump_config, load_config
+from hts.errors import ConfigError, unknown_name
+from hts.yaml_text import load_mapping_file
+
+COMMANDS_OF_RUNS = ("run", "baseline", "oracle")
+REALITY = "world.reality"
+NAMES_OF_REALITIES = "hts.worlds.twin.reality"  # knows where the file of a name lies
+DEFAULT_REALITY = "default"
+SUFFIX = ".json"  # of a reality's file
+
+
+@dataclass(frozen=True)
+class Method:
+    """command: of `hts`; settings: `--set` of it, KEY=VALUE each; presets: asked preset -> the one it takes ("": any).
+
+    elsewhere: settings where the asked preset is none of `presets`.
+    """
+
+    command: str = "run"
+    settings: tuple[str, ...] = ()
+    presets: Mapping[str, str] = field(default_factory=dict)
+    elsewhere: tuple[str, ...] = ()
+    about: str = ""
+
+
+METHODS: dict[str, Method] = {
+    "ours": Method(about="the method as shipped"),
+    "ours-proxy": Method(settings=("reward_source=proxy",), about="ours with the analytic stand-in as reward"),
+    "baseline": Method(command="baseline", about="`hts baseline`: the stand-in with its own sweep and budget"),
+    # With `paper` the paper to the letter; in smaller presets its inputs, data and criterion, within their budgets.
+    "paper-exact": Method(
+        presets={"paper": "paper-exact"},
+        elsewhere=(
+            "objectives.power.model.products=false",
+            "objectives.power.criterion=net",
+            "collection.exploring=0",
+            "collection.repeats=8",  # as many recordings as ours in `quick`
+        ),
+        about="the paper's own recipe",
+    ),
+    "oracle": Method(command="oracle", about="the twin's own dynamics and instrument: what was possible"),
+    # Ablations: ours without one thing.
+    "no-products": Method(settings=("objectives.power.model.products=false",), about="inputs of the paper alone"),
+    "no-exploring": Method(settings=("collection.exploring=0",), about="first data by the mean action alone"),
+    "no-held-speed": Method(settings=("evaluation.hold_speed=false",), about="commands as asked, speed not held"),
+    "one-speed": Method(settings=("selection.speeds=[0.8]",), about="elites tried at 0.8 m/s alone"),
+    "racing": Method(settings=("selection.selector.name=racing",), about="elites in rounds"),
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run to be made; `key` says which. arguments: of `hts`, without the folder."""
+
+    method: str
+    method_hash: str
+    reality: str
+    reality_hash: str
+    seed: int
+    preset: str
+    commit: str
+    arguments: tuple[str, ...]
+
+    @property
+    def key(self) -> str:
+        """The same for the same method, options, reality, seed, preset and commit, and for nothing else."""
+        return digest([self.method, self.method_hash, self.reality_hash, self.seed, self.preset, self.commit])[:16]
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder."""
+        return f"{self.method}-{self.reality}-{self.preset}-{self.seed}-{self.key}"
+
+
+def digest(value: Any) -> str:
+    """SHA-256 of a JSON value."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def read_methods(path: Path | None) -> dict[str, Method]:
+    """`METHODS` and those of a file. Raises ConfigError, naming the file and the entry."""
+    found = dict(METHODS)
+    for name, entry in (load_mapping_file(path) if path else {}).items():
+        expected = "Expected a mapping with any of command, preset, set (a list of KEY=VALUE)"
+        if not isinstance(entry, Mapping) or set(entry) - {"command", "preset", "set"}:
+            raise ConfigError(f"{path}: method '{name}' is {entry!r}. {expected}.")
+        settings = entry.get("set", [])
+        if not isinstance(settings, list) or not all(isinstance(one, str) and "=" in one for one in settings):
+            raise ConfigError(f"{path}: method '{name}': set is {settings!r}. {expected}.")
+        preset = entry.get("preset")
+        found[name] = Method(entry.get("command", "run"), tuple(settings), {"": preset} if preset else {})
+    return found
+
+
+def realities_of(text: str) -> list[str]:
+    """References from `--realities`: names, `dev` (dev-00 to dev-15), files, or a folder's *.json; commas between."""
+    found: list[str] = []
+    for part in filter(None, (one.strip() for one in text.split(","))):
+        path = Path(part)
+        if part == "dev":
+            found += [f"dev-{index:02d}" for index in range(16)]
+        elif path.is_dir():
+            found += [str(one.resolve()) for one in sorted(path.glob(f"*{SUFFIX}"))]
+        elif path.suffix == SUFFIX:
+            if not path.is_file():
+                raise ConfigError(
+                    f"--realities {part}: there is no such file. Give a name, a file or a folder of files."
+                )
+            found.append(str(path.resolve()))
+        else:
+            found.append(part)
+    if not found:
+        raise ConfigError(f"--realities {text}: names none. Give names or files with commas between, or `dev`.")
+    return list(dict.fromkeys(found))
+
+
+def seeds_of(text: str) -> list[int]:
+    """`0-4`, `7` or `0,2,5-6`."""
+    found: list[int] = []
+    for part in text.split(","):
+        low, _, high = part.partition("-")
+        if not low.isdigit() or (high and not high.isdigit()) or int(high or low) < int(low):
+            raise ConfigError(f"--seeds {text}: '{part}' is no seed and no range of seeds. Expected for instance 0-4.")
+        found += range(int(low), int(high or low) + 1)
+    return list(dict.fromkeys(found))
+
+
+def jobs_of(
+    methods: Mapping[str, Method],
+    realities: Sequence[str],
+    seeds: Sequence[int],
+    *,
+    objectives: Sequence[str],
+    robot: str,
+    preset: str,
+    commit: str,
+    settings: Sequence[str] = (),
+    engine: str | None = None,
+) -> list[Job]:
+    """Every run of the batch: realities outermost and methods innermost, so that what is compared is made together.
+
+    settings: `--set` of every method. Every method's options are resolved here, so a wrong one shows before anything
+    is spent. Raises ConfigError.
+    """
+    common = [text for name in objectives for text in ("--objective", name)]
+    common += ["--robot", robot, "--world", "twin", *(["--engine", engine] if engine else [])]
+    made: dict[str, tuple[tuple[str, ...], str]] = {}
+    for name, method in methods.items():
+        taken = method.presets.get(preset, method.presets.get("", preset))
+        own = () if preset in method.presets or "" in method.presets else method.elsewhere
+        sets = [*method.settings, *own, *settings]
+        config = _resolved(name, method, taken, sets, objectives, robot, engine)
+        resolved = dump_config(config.model_copy(update={"seed": 0})) if config else [taken, *common, *sets]
+        options = (*common, "--preset", taken, *(text for one in sets for text in ("--set", one)))
+        made[name] = ((method.command, *options), digest([method.command, resolved]))
+    return [
+        Job(
+            method=name,
+            method_hash=hashed,
+            reality=Path(reality).stem,
+            reality_hash=reality_hash(reality),
+            seed=seed,
+            preset=preset,
+            commit=commit,
+            arguments=(*arguments, *_reality_option(reality), "--seed", str(seed)),
+        )
+        for reality in realities
+        for seed in seeds
+        for name, (arguments, hashed) in made.items()
+    ]
+
+
+def reality_hash(reference: str) -> str:
+    """SHA-256 of a reality's file, by path or by name; of its name for the default twin, which has no file.
+
+    Raises ConfigError for a name that this version does not know, where it knows of realities at all; where it does
+    not, the name stands for the file, and the run will say what is wrong.
+    """
+    path = Path(reference)
+    if not path.is_file() and reference != DEFAULT_REALITY and find_spec(NAMES_OF_REALITIES):
+        path = import_module(NAMES_OF_REALITIES).locate(reference)
+    content = path.read_bytes() if path.is_file() else f"name:{reference}".encode()
+    return hashlib.sha256(content).hexdigest()
+
+
+def _reality_option(reference: str) -> tuple[str, ...]:
+    return () if reference == DEFAULT_REALITY else ("--set", f"{REALITY}={reference}")
+
+
+def _resolved(
+    name: str,
+    method: Method,
+    preset: str,
+    settings: Sequence[str],
+    objectives: Sequence[str],
+    robot: str,
+    engine: str | None,
+) -> RunConfig | None:
+    """The configuration of a method, without reality and seed; None for a command whose configuration is its own."""
+    if method.command not in COMMANDS_OF_RUNS:
+        raise ConfigError(f"Method '{name}': " + unknown_name("command of runs", method.command, COMMANDS_OF_RUNS))
+    if method.command not in COMMANDS:
+        raise ConfigError(
+            f"Method '{name}' needs `hts {method.command}`, which this version does not have. Leave it out."
+        )
+    if method.command == "oracle":
+        return None
+    try:
+        return load_config(
+            preset=preset,
+            objectives=objectives,
+            robot=robot,
+            world="twin",
+            engine=engine,
+            reward_source="proxy" if method.command == "baseline" else None,
+            overrides=list(settings),
+        )
+    except ConfigError as error:
+        raise ConfigError(f"Method '{name}': {error}") from error

@@ -1,0 +1,245 @@
+"""Runs side by side, each on its own cores, and one line as soon as one ends. Killed at any time, it goes on.
+
+Everything happens in one thread: a run is told to die with the process that started it, and on Linux that is meant of
+the thread that did.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import datetime
+import fcntl
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+from batch.harvest import finished, provenance_of, result_of
+from batch.lines import Line, append, read_lines
+from batch.methods import Job
+from hts.errors import HtsError
+
+STOPPED = 75
+"""Exit status where the time is up and runs are left: call again."""
+PR_SET_PDEATHSIG = 1
+GRACE_SECONDS = 20.0
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What one run may use. gpu: for CUDA_VISIBLE_DEVICES, "" hides all, None leaves the variable alone."""
+
+    cores: tuple[int, ...]
+    gpu: str | None = None
+
+
+@dataclass
+class Running:
+    """A run in a process of its own."""
+
+    job: Job
+    folder: Path
+    slot: Slot
+    process: subprocess.Popen[bytes]
+    log: IO[bytes]
+    started: float = field(default_factory=time.monotonic)
+
+
+def slots_of(cores: int, gpus: Sequence[str] | None, jobs: int | None, available: Sequence[int]) -> list[Slot]:
+    """As many as there are cores for, GPUs in turn; `jobs` at most. At least one, on whatever cores there are."""
+    count = max(1, len(available) // cores)
+    count = min(count, jobs) if jobs else count
+    return [
+        Slot(
+            tuple(available[index * cores : (index + 1) * cores]) or tuple(available),
+            None if gpus is None else (gpus[index % len(gpus)] if gpus else ""),
+        )
+        for index in range(count)
+    ]
+
+
+def run_batch(
+    jobs: Sequence[Job],
+    slots: Sequence[Slot],
+    *,
+    folders: Path,
+    lines: Path,
+    known: Sequence[Path],
+    batch: str,
+    keep: bool = False,
+    retry_failed: bool = False,
+    stop_after: float | None = None,
+    say: Callable[[str], None] = print,
+    program: Sequence[str] = (sys.executable, "-m", "hts.cli.main"),
+) -> int:
+    """Make the runs that have no line yet. 0, 1 if one failed, STOPPED if `stop_after` seconds were not enough.
+
+    known: files whose lines count as made; lines: where new ones go. folders: one folder per run, deleted when its
+    line is on the disk unless `keep`.
+    """
+    folders.mkdir(parents=True, exist_ok=True)
+    made = {line.key: line for line in read_lines([path for path in known if path.exists()])}
+    if retry_failed:
+        made = {key: line for key, line in made.items() if line.status == "done"}
+    waiting = [job for job in jobs if job.key not in made]
+    failed = sum(made[job.key].status == "failed" for job in jobs if job.key in made)
+    say(f"{len(jobs)} runs: {len(jobs) - len(waiting)} have a line already, {len(waiting)} to do, {len(slots)} at once")
+    if not keep:  # killed between a line and its folder
+        for job in jobs:
+            if job.key in made and made[job.key].status == "done":
+                _remove(folders / job.folder)
+    free, running, begun, done = list(slots), list[Running](), time.monotonic(), 0
+
+    def end(one: Running) -> None:
+        nonlocal failed, done
+        line = _line(one, batch)
+        append(lines, line)
+        done += 1
+        failed += line.status == "failed"
+        say(f"[{done}/{len(waiting_at_first)}] {one.job.folder}: {line.error or _said(line)}")
+        if line.status == "done" and not keep:
+            _remove(one.folder)
+        free.append(one.slot)
+
+    waiting_at_first = list(waiting)
+    try:
+        while waiting or running:
+            if stop_after is not None and time.monotonic() - begun > stop_after:
+                say(f"time is up: {len(running)} stopped in their midst, {len(waiting)} not begun; call again to go on")
+                return STOPPED
+            ready = [job for job in waiting if not _busy(folders / job.folder)]
+            while ready and free:
+                job = ready.pop(0)
+                waiting.remove(job)
+                running.append(_start(job, folders / job.folder, free.pop(0), program))
+            for one in [one for one in running if one.process.poll() is not None]:
+                running.remove(one)
+                end(one)
+            time.sleep(0.2)
+    finally:
+        _stop(running)
+    return 1 if failed else 0
+
+
+def _start(job: Job, folder: Path, slot: Slot, program: Sequence[str]) -> Running:
+    """Begin or resume a run in a process group of its own, on its cores."""
+    if (folder / "config.yaml").exists():
+        command = [*program, "resume", str(folder)]
+    else:
+        command = [*program, *job.arguments, "--out", str(folder)]
+    environment = dict(os.environ)
+    if slot.gpu is not None:
+        environment["CUDA_VISIBLE_DEVICES"] = slot.gpu
+    parent = os.getpid()
+    libc = ctypes.CDLL(None) if sys.platform == "linux" else None
+
+    def prepare() -> None:
+        if libc is not None:
+            os.sched_setaffinity(0, slot.cores)
+            libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+            if os.getppid() != parent:  # it died before that call
+                os._exit(1)
+
+    log = folder.with_suffix(".log").open("ab")
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=subprocess.STDOUT,
+        env=environment,
+        start_new_session=True,
+        preexec_fn=prepare,  # noqa: PLW1509 - this process has no other thread
+    )
+    return Running(job, folder, slot, process, log)
+
+
+def _line(one: Running, batch: str) -> Line:
+    """The line of a process that has ended. What cannot be read back is an error of the run too."""
+    one.log.close()
+    job, status, error, result = one.job, one.process.returncode, None, None
+    if status == 0 and finished(one.folder):
+        try:  # its files may have another shape than this version knows
+            result = result_of(one.folder)
+        except (HtsError, ValueError, KeyError, TypeError, AttributeError) as wrong:
+            error = f"finished, but its files could not be read: {type(wrong).__name__}: {wrong}"
+    else:
+        said = _last_line(one.folder.with_suffix(".log")).replace(f"{one.folder.parent}/", "")
+        error = f"exit status {status}: {said}"
+    versions, hardware = provenance_of(one.folder)
+    return Line(
+        key=job.key,
+        status="failed" if error else "done",
+        error=error,
+        batch=batch,
+        method=job.method,
+        method_hash=job.method_hash,
+        reality=job.reality,
+        reality_hash=job.reality_hash,
+        seed=job.seed,
+        preset=job.preset,
+        commit=job.commit,
+        arguments=[_short(text) for text in job.arguments],
+        ended=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        seconds_here=round(time.monotonic() - one.started, 1),
+        versions=versions,
+        hardware={**hardware, "cores_used": len(one.slot.cores), "gpu": one.slot.gpu},
+        result=result,
+    )
+
+
+def _short(argument: str) -> str:
+    """Without the folders of a reality's file: a line says nothing of the machine's paths."""
+    key, equals, value = argument.partition("=")
+    return f"{key}={Path(value).name}" if equals and "/" in value else argument
+
+
+def _said(line: Line) -> str:
+    assert line.result is not None
+    speeds = {
+        name: {speed: round(row.improvement, 4) for speed, row in (found.held or found.open_loop or {}).items()}
+        for name, found in line.result.objectives.items()
+    }
+    return f"{line.seconds_here:.0f} s, best {line.result.final_policy}, {speeds}"
+
+
+def _last_line(path: Path) -> str:
+    lines = [text.strip() for text in path.read_text(encoding="utf-8", errors="replace").splitlines() if text.strip()]
+    return lines[-1][:500] if lines else "it said nothing"
+
+
+def _busy(folder: Path) -> bool:
+    """Whether a process of an earlier call still works in the folder."""
+    try:
+        with (folder / ".lock").open("r+") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
+def _remove(folder: Path) -> None:
+    """A run's folder and what it said."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.with_suffix(".log").unlink(missing_ok=True)
+
+
+def _stop(running: Sequence[Running]) -> None:
+    """End what runs; it goes on where it is when it is called again."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        for one in running:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(one.process.pid, number)
+        until = time.monotonic() + GRACE_SECONDS
+        while time.monotonic() < until and any(one.process.poll() is None for one in running):
+            time.sleep(0.05)
+    for one in running:
+        one.log.close()

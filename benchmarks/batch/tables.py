@@ -1,0 +1,311 @@
+"""Markdown tables from lines. Every number in them is made here, by the rules of `groups`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from statistics import mean, median
+
+import numpy as np
+
+from batch.groups import Group, chosen
+from batch.lines import Result, Tried
+from hts.errors import EvaluationError
+from hts.evaluation.population import Population, Values, paired, population, quantile, spread
+from hts.measurement.scoring import spearman
+from hts.report.wording import scale
+
+POINT = {"1": 0.01}
+"""What "within one point" means in a unit; 1 in any other."""
+NONE = "–"
+
+
+def methods(groups: Sequence[Group]) -> str:
+    """Methods over realities: what they save, what goes wrong, what it takes."""
+    speeds = sorted({speed for group in groups for speed in group.speeds}, key=float)
+    head = ["method", "realities × runs", "failed"]
+    head += [f"median, {speed} m/s" for speed in speeds]
+    head += ["median", "mean, 95 %", "5th percentile", "lowest", "falls: final, tried", "speeds refused"]
+    head += ["real samples, median", "within 1 point of the best other", "less the best other, mean, 95 %"]
+    return table(head, [_method(group, [one for one in groups if one is not group], speeds) for group in groups])
+
+
+def _method(group: Group, others: Sequence[Group], speeds: Sequence[str]) -> list[str]:
+    show, values = shown(group.unit), group.values()
+    failed = sum(line.status == "failed" for line in group.lines)
+    if not values:
+        return [group.name, "0", str(failed), *[NONE] * (len(speeds) + 9)]
+    whole, lowest = population(values), min(mean(map(_number, runs)) for runs in values.values())
+    tried = sum(one.falls for _, result in group.results for one in result.tried)
+    within, less = _against_best(group, others)
+    return [
+        group.name,
+        f"{whole.realities} × {whole.runs / whole.realities:.3g}",
+        str(failed),
+        *(show(population(group.values(speed), quantile(0.5)).estimate) for speed in speeds),
+        show(population(values, quantile(0.5)).estimate),
+        with_interval(whole, show),
+        show(population(values, quantile(0.05)).estimate),
+        show(lowest),
+        f"{sum(one.falls for one in group.figures())}, {tried}",
+        f"{group.count_refused()} of {sum(len(result.asked_speeds) for _, result in group.results)}",
+        samples_median(group),
+        within,
+        less,
+    ]
+
+
+def _against_best(group: Group, others: Sequence[Group]) -> tuple[str, str]:
+    """Share of realities not more than a point behind the best of the others there; and the mean difference to the one
+    of them that is best on average over the realities they share."""
+    ours, found = group.values(), [one for one in others if set(one.values()) & set(group.values())]
+    if not found:
+        return NONE, NONE
+    theirs = [one.values() for one in found]
+    shared = [name for name in ours if any(name in values for values in theirs)]
+    point = POINT.get(group.unit, 1.0)
+    near = sum(
+        _mean_of(ours, name) >= max(_mean_of(values, name) for values in theirs if name in values) - point
+        for name in shared
+    )
+    best = min(found, key=lambda one: paired(ours, one.values()).estimate)
+    return f"{near} of {len(shared)}", (
+        f"{with_interval(paired(ours, best.values()), differences(group.unit))} ({best.name})"
+    )
+
+
+def best_other(groups: Sequence[Group]) -> str:
+    """Each method against the best of the others on each reality: harder than against any one of them."""
+    rows = []
+    for group in groups:
+        ours, theirs = group.values(), [one.values() for one in groups if one is not group]
+        best = {
+            name: max(_mean_of(values, name) for values in theirs if name in values)
+            for name in ours
+            if any(name in values for values in theirs)
+        }
+        if not best:
+            continue
+        gaps = {name: [_mean_of(ours, name) - other] for name, other in best.items()}
+        ratios = {name: [_mean_of(ours, name) / other] for name, other in best.items() if other > 0}
+        show, point = differences(group.unit), POINT.get(group.unit, 1.0)
+        rows.append(
+            [
+                group.name,
+                str(len(best)),
+                with_interval(population(gaps), show),
+                with_interval(population(gaps, quantile(0.5)), show),
+                ratio(population(ratios, quantile(0.5))) + f" on {len(ratios)}" if ratios else NONE,
+                f"{sum(gap[0] >= -point for gap in gaps.values())} of {len(gaps)}",
+            ]
+        )
+    head = ["method", "realities", "less the best other there: mean, 95 %", "median, 95 %", "ratio: median, 95 %"]
+    return table([*head, "within 1 point of it"], rows)
+
+
+def pairs(groups: Sequence[Group], against: str) -> str:
+    """Differences to one method, reality by reality: also the table of an ablation, where `against` is the whole."""
+    whole = next((group for group in groups if group.name == against), None)
+    if whole is None:
+        raise EvaluationError(f"No line is of '{against}'. There are: {', '.join(group.name for group in groups)}.")
+    show = differences(whole.unit)
+    rows = []
+    for group in groups:
+        ours = group.values()
+        if group is whole or not set(ours) & set(whole.values()):
+            continue
+        found = paired(ours, whole.values())
+        each = [_mean_of(ours, name) - _mean_of(whole.values(), name) for name in ours if name in whole.values()]
+        rows.append(
+            [
+                group.name,
+                str(found.realities),
+                with_interval(found, show),
+                show(float(np.median(each))),
+                f"{sum(value > 0 for value in each)} of {len(each)}",
+                f"{group.count_refused() - whole.count_refused():+d}",
+            ]
+        )
+    head = ["method", "realities", f"less {against}, mean, 95 %", "median", "better on", "more speeds refused"]
+    return table(head, rows)
+
+
+def realities(groups: Sequence[Group]) -> str:
+    """Each reality and each method: mean over seeds of the saving over speeds, and the lowest speed."""
+    names = sorted({name for group in groups for name in group.values()})
+    show = shown(groups[0].unit)
+
+    def cell(group: Group, name: str) -> str:
+        if name not in group.values():
+            return NONE
+        lowest = min(_mean_of(group.values(speed), name) for speed in group.speeds)
+        return f"{show(_mean_of(group.values(), name))} (lowest speed {show(lowest)})"
+
+    return table(["reality", *(group.name for group in groups)], [[n, *(cell(g, n) for g in groups)] for n in names])
+
+
+def open_loop(groups: Sequence[Group]) -> str:
+    """Held beside open loop: medians over realities, speed by speed, and how much slower the policy walks."""
+    rows = []
+    for group in groups:
+        show = shown(group.unit)
+        for speed in group.speeds:
+            row = [group.name, speed]
+            for kind in ("held", "open_loop"):
+                there = [
+                    chosen(result.objectives[group.objective], kind)
+                    for _, result in group.results
+                    if group.objective in result.objectives
+                ]
+                walked = [found[speed] for found in there if speed in found]
+                slower = [one.mean_speed - one.reference_speed for one in walked if one.reference_speed is not None]
+                row += [
+                    show(population(group.values(speed, kind), quantile(0.5)).estimate) if walked else NONE,
+                    f"{mean(slower):+.3f}".replace("-", "−") if slower else NONE,
+                ]
+            rows.append(row)
+    head = ["method", "speed, m/s", "held: median", "held: m/s against the reference"]
+    return table([*head, "open loop: median", "open loop: m/s against the reference"], rows)
+
+
+def prediction(groups: Sequence[Group]) -> str:
+    """What was predicted of the candidates that were tried, and what was measured."""
+    rows = []
+    for group in groups:
+        found = [
+            pair for _, result in group.results for one in result.tried for pair in predicted(one, group.objective)
+        ]
+        ranks = [
+            result.pooled_rank[group.objective] for _, result in group.results if group.objective in result.pooled_rank
+        ]
+        known = [rank for rank in ranks if rank is not None]
+        fits = [
+            model.held_out_r2
+            for _, result in group.results
+            for model in result.models
+            if model.objective == group.objective and model.held_out_r2 is not None
+        ]
+        total = sum(one for one, _ in found)
+        rank = spearman(*zip(*found, strict=True)) if len(found) > 1 else None
+        rows.append(
+            [
+                group.name,
+                str(len(found)),
+                number(sum(one for _, one in found) / total if total else None),
+                number(rank),
+                number(median(known) if known else None),
+                number(min(known) if known else None),
+                number(median(fits) if fits else None),
+                number(min(fits) if fits else None),
+            ]
+        )
+    head = ["method", "candidates with a prediction", "measured / predicted", "rank correlation, all"]
+    head += ["rank of costs in a run, median", "lowest", "R² held out, median", "lowest"]
+    return table(head, rows)
+
+
+def predicted(one: Tried, objective: str) -> list[tuple[float, float]]:
+    """(predicted, measured) improvement at each speed that has both."""
+    told, found = (one.predicted or {}).get(objective, {}), one.measured.get(objective, {})
+    return [(told[speed], found[speed]) for speed in told if speed in found]
+
+
+def samples(groups: Sequence[Group]) -> str:
+    """Where the robot's time goes, and the computer's: medians over runs."""
+    rows = []
+    for group in groups:
+        found = [result for _, result in group.results]
+        if not found:
+            continue
+        selection = [sum(v for stage, v in one.real_samples.items() if stage.endswith("/test")) for one in found]
+        rows.append(
+            [
+                group.name,
+                *(f"{median(values):,.0f}" for values in (_stage(found, "collect"), selection, _stage(found, "final"))),
+                f"{median(one.real_samples['total'] for one in found):,.0f}",
+                f"{median(one.seconds['total'] for one in found) / 60:.1f}",
+            ]
+        )
+    return table(["method", "first data", "selection", "final", "all real samples", "minutes of computing"], rows)
+
+
+def variation(groups: Sequence[Group]) -> str:
+    """How much of the scatter is the realities', how much the seeds'."""
+    rows = []
+    for group in groups:
+        if len(group.values()) > 1:
+            found, show = spread(group.values()), differences(group.unit, signed=False)
+            rows.append([group.name, show(found.between), NONE if found.within is None else show(found.within)])
+    return table(["method", "standard deviation between realities", "between seeds of one"], rows)
+
+
+# ------------------------------------------------------------------------------------------------------ writing
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """As markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(row) + " |" for row in lines)
+
+
+def shown(unit: str) -> Callable[[float], str]:
+    """A saving in its unit, with one decimal."""
+    factor, name = scale(unit)
+    return lambda value: f"{factor * value:.1f} {name}".replace("-", "−")
+
+
+def differences(unit: str, signed: bool = True) -> Callable[[float], str]:
+    """A difference of savings: percentage points where they are per cent."""
+    factor, name = scale(unit)
+    name = "points" if name == "%" else name
+    return lambda value: (f"{factor * value:+.1f} {name}" if signed else f"{factor * value:.1f} {name}").replace(
+        "-", "−"
+    )
+
+
+def with_interval(found: Population, show: Callable[[float], str]) -> str:
+    """`estimate (low to high)`; the estimate alone where one reality says nothing of others."""
+    if found.interval is None:
+        return f"{show(found.estimate)} (one reality)"
+    low, high = (show(value).rsplit(" ", 1)[0] for value in found.interval)
+    return f"{show(found.estimate)} ({low} to {high})"
+
+
+def ratio(found: Population) -> str:
+    """`1.05 (0.97 to 1.20)`."""
+    if found.interval is None:
+        return f"{found.estimate:.2f} (one reality)"
+    return f"{found.estimate:.2f} ({found.interval[0]:.2f} to {found.interval[1]:.2f})"
+
+
+def number(value: float | None) -> str:
+    """With two decimals."""
+    return NONE if value is None else f"{value:.2f}".replace("-", "−")
+
+
+def samples_median(group: Group) -> str:
+    """Real samples of a run."""
+    return f"{median(result.real_samples['total'] for _, result in group.results):,.0f}"
+
+
+def _stage(found: Sequence[Result], stage: str) -> list[int]:
+    return [one.real_samples.get(stage, 0) for one in found]
+
+
+def _mean_of(values: Values, name: str) -> float:
+    return mean(map(_number, values[name]))
+
+
+def _number(run: float | Sequence[float]) -> float:
+    return float(np.mean(run))
+
+
+TABLES: dict[str, Callable[[Sequence[Group]], str]] = {
+    "methods": methods,
+    "best-other": best_other,
+    "realities": realities,
+    "open-loop": open_loop,
+    "prediction": prediction,
+    "samples": samples,
+    "variation": variation,
+}
+"""By name; `pairs` and `ablation` take the method they are against besides."""

@@ -1,0 +1,474 @@
+"""Batches of runs: each gets one line, whatever happens, and tables say what the lines say."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from batch import blocks, tables
+from batch.groups import groups_of, saving
+from batch.harvest import result_of
+from batch.lines import append, read_lines
+from batch.methods import METHODS, Method, jobs_of, read_methods, realities_of, seeds_of
+from batch.queue import STOPPED, Slot, run_batch, slots_of
+from fake_lines import line
+
+from hts.errors import ConfigError, EvaluationError, RunError
+
+FAKE = (sys.executable, str(Path(__file__).parent / "fake_hts.py"))
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture
+def reality(tmp_path):
+    """The file of one."""
+    path = tmp_path / "there.json"
+    path.write_text("{}")
+    return str(path)
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    monkeypatch.setenv("FAKE_HTS", str(tmp_path))
+    return tmp_path
+
+
+def jobs(methods=("ours",), realities=("default",), seeds=(0,), **changes):
+    given = {"objectives": ["power"], "robot": "go1", "preset": "smoke", "commit": "c", **changes}
+    return jobs_of({name: METHODS[name] for name in methods}, realities, seeds, **given)
+
+
+def batch(place, made, **changes):
+    """Run with the stand-in; what it said."""
+    said = []
+    options = {"folders": place / "runs", "lines": place / "lines.jsonl", "known": [place / "lines.jsonl"], **changes}
+    slots = [Slot((core,), "") for core in sorted(os.sched_getaffinity(0))[:1]] * 2
+    return run_batch(made, slots, batch="b", say=said.append, program=FAKE, **options), said
+
+
+# --------------------------------------------------------------------------------------------- what is to be run
+
+
+def test_seeds_and_realities_are_written_short():
+    assert seeds_of("0-2,7") == [0, 1, 2, 7]
+    assert realities_of("default,dev-03") == ["default", "dev-03"]
+    assert realities_of("dev")[-1] == "dev-15" and len(realities_of("dev")) == 16
+
+
+def test_a_folder_of_realities_is_its_files(tmp_path):
+    for name in ("b.json", "a.json"):
+        (tmp_path / name).write_text("{}")
+    assert realities_of(str(tmp_path)) == [str(tmp_path / "a.json"), str(tmp_path / "b.json")]
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: seeds_of("3-1"), "'3-1' is no seed"),
+        (lambda: seeds_of("a"), "'a' is no seed"),
+        (lambda: realities_of("gone.json"), "gone.json: there is no such file"),
+        (lambda: realities_of(","), "names none"),
+        (lambda: jobs(settings=["nonsense.key=1"]), "Method 'ours': .*nonsense"),
+        (lambda: jobs_of({"x": Method("dance")}, ["default"], [0], objectives=["power"], robot="go1", preset="smoke",
+                         commit="c"), "No command of runs named 'dance'"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_one_line_before_anything_is_spent(call, said):
+    with pytest.raises(ConfigError, match=said):
+        call()
+
+
+def test_methods_come_from_a_file_too(tmp_path):
+    path = tmp_path / "methods.yaml"
+    path.write_text("mine: {command: baseline, preset: smoke, set: [finetune.steps=10]}\n")
+    assert read_methods(path)["mine"] == Method("baseline", ("finetune.steps=10",), {"": "smoke"})
+    path.write_text("mine: {sets: [a=1]}\n")
+    with pytest.raises(ConfigError, match=r"methods.yaml: method 'mine' .* Expected a mapping"):
+        read_methods(path)
+
+
+def test_the_key_tells_runs_apart_and_nothing_else(tmp_path, reality):
+    (one,) = jobs()
+    others = [
+        *jobs(methods=["baseline"]),
+        *jobs(seeds=[1]),
+        *jobs(realities=[reality]),
+        *jobs(commit="d"),
+        *jobs(settings=["finetune.steps=10"]),
+    ]
+    assert len({one.key, *(other.key for other in others)}) == 6
+    path = tmp_path / "r.json"
+    path.write_text("{}")
+    (first,) = jobs(realities=[str(path)])
+    assert first.reality == "r" and f"world.reality={path}" in first.arguments
+    path.write_text("[]")
+    assert jobs(realities=[str(path)])[0].key != first.key
+    assert jobs()[0].key == one.key
+    assert not any("world.reality" in text for text in one.arguments)  # the default twin needs no name
+
+
+def test_what_is_compared_is_made_together(reality):
+    made = jobs(methods=["ours", "baseline"], realities=["default", reality], seeds=[0, 1])
+    assert [(job.reality, job.seed, job.method) for job in made[:3]] == [
+        ("default", 0, "ours"),
+        ("default", 0, "baseline"),
+        ("default", 1, "ours"),
+    ]
+
+
+def test_slots_share_cores_and_gpus():
+    found = slots_of(2, ["0", "1"], None, range(7))
+    assert [(slot.cores, slot.gpu) for slot in found] == [((0, 1), "0"), ((2, 3), "1"), ((4, 5), "0")]
+    assert [slot.gpu for slot in slots_of(2, [], 1, range(7))] == [""]
+    assert slots_of(4, None, None, [0, 1]) == [Slot((0, 1), None)]
+
+
+# ------------------------------------------------------------------------------------------------------- the queue
+
+
+def test_each_run_gets_one_line_and_is_not_made_again(place):
+    made = jobs(methods=["ours", "baseline"], seeds=[0, 1])
+    status, _ = batch(place, made)
+    lines = read_lines([place / "lines.jsonl"])
+    assert status == 0
+    assert {(row.method, row.seed, row.status) for row in lines} == {
+        (method, seed, "done") for method in ("ours", "baseline") for seed in (0, 1)
+    }
+    assert list((place / "runs").iterdir()) == []  # folders are deleted
+    typed = (place / "typed.txt").read_text().splitlines()
+    assert len(typed) == 4 and all(row.startswith("1  ") for row in typed)  # one core, GPUs hidden
+    status, said = batch(place, made)
+    assert status == 0 and "4 have a line already, 0 to do" in said[0]
+    assert len((place / "typed.txt").read_text().splitlines()) == 4
+
+
+def test_a_run_that_fails_is_a_line_and_is_tried_again_only_when_asked(place):
+    made = jobs(seeds=[13, 1])
+    assert batch(place, made)[0] == 1
+    found = {row.seed: row for row in read_lines([place / "lines.jsonl"])}
+    assert (found[13].status, found[13].error) == ("failed", "exit status 2: error: thirteen")
+    assert found[13].result is None and found[1].status == "done"
+    assert batch(place, made)[0] == 1
+    assert len((place / "typed.txt").read_text().splitlines()) == 2
+    batch(place, made, retry_failed=True)
+    assert (place / "typed.txt").read_text().splitlines()[-1].split()[-2] == "resume"
+
+
+def test_the_line_holds_what_tables_need(place):
+    batch(place, jobs(), keep=True)
+    (row,) = read_lines([place / "lines.jsonl"])
+    outcome = row.result.objectives["power"]
+    assert (outcome.held["0.8"].falls, outcome.open_loop["0.8"].falls) == (0, 2)
+    assert (outcome.held["0.8"].reference_falls, outcome.held["0.8"].reference_speed) == (1, 0.8)
+    assert row.result.real_samples == {
+        "collect": 100,
+        "iterations/00/test": 200,
+        "iterations/00/test:trim": 50,
+        "final": 300,
+        "total": 600,
+    }
+    (tried,) = row.result.tried
+    assert (tried.kl, tried.kl_bound, tried.std_ratio) == (3.0, None, 0.5)
+    assert tables.predicted(tried, "power") == [(0.25, 0.2)]
+    assert tried.predicted_sd == {"power": {"0.8": 0.02}}
+    assert row.result.curve[0].samples == 300
+    assert row.result.models[0].pairs[0].predicted == 5.1
+    assert row.commit == "c" and row.hardware["cores_used"] == 1
+
+
+@pytest.mark.slow
+def test_when_the_time_is_up_it_says_so_and_goes_on_when_called_again(place, monkeypatch):
+    monkeypatch.setenv("FAKE_SECONDS", "0.5")
+    made = jobs(seeds=[0, 1, 2])
+    assert batch(place, made, stop_after=1.2)[0] == STOPPED
+    monkeypatch.setenv("FAKE_SECONDS", "0")
+    assert batch(place, made)[0] == 0
+    assert Counter(row.seed for row in read_lines([place / "lines.jsonl"])) == {0: 1, 1: 1, 2: 1}
+
+
+def done(place):
+    """Lines so far."""
+    path = place / "lines.jsonl"
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def command_lines():
+    """Of all processes that have one; a zombie has none."""
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            yield path.read_text().replace("\0", " ")
+        except OSError:
+            continue
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="runs die with their batch on Linux only")
+def test_killed_at_any_moment_nothing_is_lost_and_nothing_runs_on(place, monkeypatch):
+    """SIGKILL of the whole batch, again and again; in the end every run has one line, made of resumed folders."""
+    monkeypatch.setenv("FAKE_SECONDS", "0.15")
+    program = (
+        "import sys; sys.path[:0] = [sys.argv[1], sys.argv[2]]\n"
+        "import test_realities as t; from pathlib import Path\n"
+        "sys.exit(t.batch(Path(sys.argv[3]), t.jobs(seeds=[0, 1, 2, 3]))[0])"
+    )
+    command = [sys.executable, "-c", program, str(BENCHMARKS), str(Path(__file__).parent), str(place)]
+    for begun in (1, 3):  # as soon as so many runs are in their midst or done
+        process = subprocess.Popen(command)
+        until = time.monotonic() + 120
+        while len(list((place / "runs").glob("*/collect.json"))) + done(place) < begun and time.monotonic() < until:
+            time.sleep(0.02)
+        assert time.monotonic() < until
+        assert process.poll() is None, "it ended by itself, or never came so far"
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        time.sleep(0.2)
+        assert not any(str(place) in text for text in command_lines())
+    assert subprocess.run(command, check=False, timeout=60).returncode == 0
+    assert " resume " in (place / "typed.txt").read_text()
+    lines = (place / "lines.jsonl").read_text().splitlines()
+    assert sorted(json.loads(text)["seed"] for text in lines) == [0, 1, 2, 3]
+    assert list((place / "runs").iterdir()) == []
+
+
+# -------------------------------------------------------------------------------------------------- files of lines
+
+
+def test_a_line_that_was_torn_is_no_line_and_spoils_no_other(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    append(path, line(seed=0))
+    whole = path.read_bytes()
+    path.write_bytes(whole + whole[:40])  # killed in the midst of the second
+    assert [row.seed for row in read_lines([path])] == [0]
+    append(path, line(seed=1))
+    assert [row.seed for row in read_lines([path])] == [0, 1]
+    assert path.read_bytes().startswith(whole)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"version": 2}, "version: Input should be 1"), ({"seed": None}, "seed"), ({"stranger": 1}, "stranger: Extra")],
+)
+def test_a_line_of_another_shape_is_refused_with_its_place(tmp_path, change, said):
+    path = tmp_path / "lines.jsonl"
+    good = line().model_dump_json()
+    path.write_text(good + "\n" + json.dumps({**json.loads(good), **change}) + "\n")
+    with pytest.raises(RunError, match=rf"lines.jsonl, line 2: {said}"):
+        read_lines([path])
+
+
+def test_a_number_that_is_not_finite_cannot_become_a_line():
+    with pytest.raises(ValueError, match="finite"):
+        line(saved=(0.1, float("nan"), 0.1))
+
+
+def test_a_failure_never_takes_the_place_of_a_finished_run(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    for row in (line(), line(status="failed", error="boom", result=None)):
+        append(path, row)
+    assert [row.status for row in read_lines([path])] == ["done"]
+
+
+# ---------------------------------------------------------------------------------------------------------- tables
+
+
+def two_methods():
+    ours = [line("ours", f"dev-{n:02d}", seed, (0.1 * n,) * 3) for n in (1, 2, 3) for seed in (0, 1)]
+    other = [
+        line("baseline", f"dev-{n:02d}", 0, (0.1 * n - gap,) * 3) for n, gap in ((1, 0.02), (2, -0.02), (3, -0.005))
+    ]
+    return groups_of([*ours, *other])
+
+
+def row_of(text, method):
+    (found,) = [row for row in text.splitlines() if row.startswith(f"| {method} |")]
+    return [cell.strip() for cell in found.strip("|").split("|")]
+
+
+def test_a_table_over_realities_can_be_checked_on_paper():
+    row = row_of(tables.methods(two_methods()), "ours")
+    assert row[1:7] == ["3 × 2", "0", "20.0 %", "20.0 %", "20.0 %", "20.0 %"]
+    assert row[7].startswith("20.0 % (")
+    assert row[8:10] == ["11.0 %", "10.0 %"]  # 5th percentile between 10 and 20: 10 + 0.1 * 10
+    assert row[-2] == "2 of 3"  # behind by 2 points, ahead by 2, behind by half a point: the first is 2 ahead
+    assert row[-1].startswith("−0.2 points (")
+
+
+def test_what_was_refused_counts_as_nothing_saved_and_is_counted():
+    groups = groups_of([line(saved=(None, 0.3, 0.3)), line(reality="dev-01", saved=(None, None, None))])
+    assert [saving(result, "power") for _, result in groups[0].results] == pytest.approx([0.2, 0.0])
+    row = row_of(tables.methods(groups), "ours")
+    assert row[11] == "1 of 6"  # the second one stayed with the pretrained policy: nothing was refused
+
+
+def test_a_failed_run_has_no_saving_and_is_counted():
+    groups = groups_of([line(), line(seed=1, status="failed", error="boom", result=None)])
+    assert row_of(tables.methods(groups), "ours")[1:4] == ["1 × 1", "1", "10.0 %"]
+
+
+def test_a_changed_method_is_another_row():
+    groups = groups_of([line(), line(commit="d" * 40)])
+    assert [group.name for group in groups] == ["ours@ccccccc", "ours@ddddddd"]
+
+
+def test_an_ablation_is_paired_by_reality():
+    row = row_of(tables.pairs(two_methods(), "ours"), "baseline")
+    assert row[1] == "3" and row[2].startswith("+0.2 points (") and row[4] == "2 of 3"
+
+
+def test_the_best_other_is_another_one_on_each_reality():
+    a = [line("a", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.20), (2, 0.10), (3, 0.30))]
+    b = [line("b", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.10), (2, 0.20), (3, 0.00))]
+    ours = [line("ours", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.22), (2, 0.16), (3, 0.33))]
+    row = row_of(tables.best_other(groups_of([*ours, *a, *b])), "ours")
+    assert row[1] == "3" and row[2].startswith("+0.3 points") and row[3].startswith("+2.0 points")
+    assert row[4].startswith("1.10 (") and row[4].endswith(" on 3") and row[5] == "2 of 3"
+
+
+def test_the_papers_recipe_is_never_ours_by_another_name():
+    ours, exact = jobs(methods=["ours", "paper-exact"], preset="quick")
+    assert ours.method_hash != exact.method_hash
+    assert "objectives.power.model.products=false" in exact.arguments
+    assert exact.arguments[exact.arguments.index("--preset") + 1] == "quick"
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ([], "No line has"),
+        ([line(), line(preset="paper", key="other")], "presets paper, quick"),
+        ([line(), line(reality_hash="other", key="other")], "two realities named 'dev-00'"),
+    ],
+)
+def test_what_does_not_belong_together_is_not_averaged(lines, said):
+    with pytest.raises(EvaluationError, match=said):
+        groups_of(lines)
+
+
+@pytest.mark.parametrize("name", list(tables.TABLES))
+def test_every_table_has_a_row_for_each_method(name):
+    text = tables.TABLES[name](two_methods())
+    if name == "realities":
+        assert text.splitlines()[0] == "| reality | ours | baseline |"
+    else:
+        assert {"ours", "baseline"} <= {row.split("|")[1].strip() for row in text.splitlines()[2:]}
+    assert len({row.count("|") for row in text.splitlines()}) == 1
+
+
+@pytest.mark.slow
+def test_figures_are_drawn_and_the_same_lines_give_the_same_bytes(tmp_path):
+    from batch.figures import draw
+
+    made = draw(two_methods(), tmp_path / "a", "x")
+    assert {path.name for path in made} == {
+        f"x-{name}.{kind}" for name in ("savings", "prediction", "robot-time", "open-loop") for kind in ("svg", "png")
+    }
+    again = draw(two_methods(), tmp_path / "b", "x")
+    assert [path.read_bytes() for path in made] == [path.read_bytes() for path in again]
+
+
+# ------------------------------------------------------------------------------------------------ numbers in pages
+
+
+@pytest.fixture
+def lines(tmp_path):
+    for row in (line(reality=f"dev-{n:02d}", saved=(0.1 * n,) * 3) for n in (1, 2, 3)):
+        append(tmp_path / "a.jsonl", row)
+    return tmp_path
+
+
+def test_blocks_are_filled_from_lines_and_filling_twice_changes_nothing(lines):
+    text = (
+        "Saves <!-- results: value lines=a.jsonl method=ours -->9.9 %<!-- end --> in the median, "
+        "falls <!-- results: value lines=a.jsonl statistic=falls --><!-- end -->.\n"
+        "<!-- results: methods lines=a.jsonl -->\nold\n<!-- end -->\nafter"
+    )
+    made = blocks.written(text, lines)
+    assert "-->20.0 %<!-- end --> in the median" in made and "-->0<!-- end -->." in made
+    assert "| ours | 3 × 1 |" in made and "old" not in made and made.endswith("after")
+    assert blocks.written(made, lines) == made
+
+
+@pytest.mark.parametrize(
+    ("block", "said"),
+    [
+        ("<!-- results: methods -->x<!-- end -->", "expected lines=FILE"),
+        ("<!-- results: dance lines=a.jsonl --><!-- end -->", "No table named 'dance'"),
+        ("<!-- results: value lines=a.jsonl method=x --><!-- end -->", "No method in these lines named 'x'"),
+        ("<!-- results: value lines=a.jsonl statistic=x --><!-- end -->", "No statistic named 'x'"),
+        ("<!-- results: methods lines=a.jsonl -->", "begins and does not end"),
+    ],
+)
+def test_a_block_that_cannot_be_made_is_one_line(lines, block, said):
+    with pytest.raises(EvaluationError, match=said):
+        blocks.written(block, lines)
+
+
+def test_a_number_outside_of_blocks_is_seen_unless_it_stood_there_before():
+    text = "Saves 15.6 % and 3 dB(A). <!-- results: value lines=a.jsonl -->20.0 %<!-- end --> | 7.25 |"
+    assert blocks.strangers("README.md", text, {}) == ["15.6", "3"]
+    assert blocks.strangers("docs/results.md", text, {"15.6": 1}) == ["3", "7.25"]
+    assert blocks.remaining("README.md", text, {"15.6": 2, "8.8": 1}) == {"15.6": 1}
+
+
+# ------------------------------------------------------------------------------------------------- real run folders
+
+
+@pytest.mark.slow
+def test_a_real_run_folder_becomes_a_result(small_run):
+    found, summary = result_of(small_run.folder), small_run.summary_of()
+    assert found.real_samples["total"] == summary["real_samples"]
+    assert sum(value for stage, value in found.real_samples.items() if stage != "total") == summary["real_samples"]
+    assert found.candidates == 2 and len(found.tried) == 1
+    assert found.models[0].objective == "power" and found.models[0].pairs
+
+
+# ------------------------------------------------------------------------------------------------- the command line
+
+
+@pytest.fixture
+def command():
+    """`main` of the script."""
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location("realities", BENCHMARKS / "realities.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_batch_can_be_looked_at_before_it_is_made(command, capsys, tmp_path, reality):
+    options = ["run", "--methods", "ours,baseline", "--realities", f"default,{reality}", "--preset", "smoke"]
+    assert command.main([*options, "--out", str(tmp_path / "out"), "--commit", "c", "--dry-run"]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) == 4 and "hts baseline" in rows[1] and f"world.reality={reality}" in rows[2]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_wrong_name_is_one_line(command, capsys, tmp_path):
+    options = ["run", "--realities", "default", "--out", str(tmp_path), "--commit", "c"]
+    assert command.main([*options, "--methods", "our"]) == 2
+    assert "No method named 'our'. Did you mean 'ours'?" in capsys.readouterr().err
+
+
+def test_tables_and_figures_are_one_command_each(command, capsys, lines):
+    assert command.main(["table", "--lines", str(lines), "--against", "ours"]) == 0
+    text = capsys.readouterr().out
+    assert all(f"### {name}" in text for name in tables.TABLES) and "| ours | 3 × 1 |" in text
+    assert command.main(["figures", "--lines", str(lines / "a.jsonl"), "--out", str(lines / "figures")]) == 0
+    assert (lines / "figures/quick-savings.svg").stat().st_size > 1000
+
+
+def test_the_commit_is_what_is_said_else_what_git_says(command, monkeypatch, tmp_path):
+    monkeypatch.setenv("HTS_COMMIT", "abc")
+    assert (command.commit_of("def"), command.commit_of(None)) == ("def", "abc")
+    monkeypatch.delenv("HTS_COMMIT")
+    monkeypatch.setattr(command, "REPOSITORY", tmp_path)  # no git there
+    with pytest.raises(ConfigError, match="Say it: --commit"):
+        command.commit_of(None)

@@ -1,0 +1,31 @@
+"""Numbers of README and results come from committed lines: blocks are up to date, and nothing else claims anything."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+OLDER = REPOSITORY / "docs/results/older-numbers.json"
+MOST_OLDER = {"README.md": 7, "docs/results.md": 586}
+"""Numbers that stood in the pages before lines were kept. Only ever lower these."""
+
+
+def test_every_number_of_the_pages_comes_from_the_lines():
+    done = subprocess.run(
+        [sys.executable, str(REPOSITORY / "benchmarks/realities.py"), "write-docs", "--check"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_older_numbers_only_get_fewer():
+    older = json.loads(OLDER.read_text(encoding="utf-8"))
+    assert set(older) == set(MOST_OLDER)
+    for page, found in older.items():
+        assert sum(found.values()) <= MOST_OLDER[page], page
