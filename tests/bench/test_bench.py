@@ -138,7 +138,7 @@ def trainer():
 
 def test_the_replay_repeats_every_collected_control_step_and_leaves_no_trace(trainer):
     engine = trainer.env.engine
-    replay = Replay(engine)
+    replay = Replay([engine])
     trainer.collect()
     replay.start()
     trainer.collect()
@@ -151,10 +151,10 @@ def test_the_replay_repeats_every_collected_control_step_and_leaves_no_trace(tra
 def test_the_replayed_physics_is_the_collected_physics(trainer):
     """Replaying a step alone must end where the collection ended: same state, inputs and models."""
     engine = trainer.env.engine
-    replay = Replay(engine)
+    replay = Replay([engine])
     replay.start()
     trainer.collect()
-    replay.recording = False
+    replay.seconds()
     ends = []
     for step, after in itertools.pairwise(replay.steps):
         engine.replay([step])
