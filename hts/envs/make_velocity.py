@@ -13,7 +13,6 @@ from hts.rl.task_env import SplitStepEnv
 from hts.sim.models import variants
 from hts.sim.selection import make_engine, select_engine
 
-
 GROUPS = 2  # one in its physics, the other deciding: more would do more operations and be no more often in physics
 
 

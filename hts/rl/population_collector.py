@@ -289,8 +289,6 @@ def _joined(parts: Sequence[torch.Tensor], dim: int) -> torch.Tensor:
 
 
 @torch.no_grad()
-def _sequence(
-    transform: DeferrableTransform, recorded: torch.Tensor, ended: torch.Tensor
-) -> dict[Any, torch.Tensor]:
+def _sequence(transform: DeferrableTransform, recorded: torch.Tensor, ended: torch.Tensor) -> dict[Any, torch.Tensor]:
     """What a transform makes of T recorded steps."""
     return transform.forward_sequence(recorded, ended)
