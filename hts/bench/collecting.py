@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from hts.bench.bare import Replay, synchronise
+from hts.bench.bare import Replay, engines_of, synchronise
 from hts.bench.setup import Sizes, conditions, find, make_trainer
 from hts.training.trainer import PopulationTrainer
 
@@ -41,7 +41,7 @@ def measure(trainer: PopulationTrainer, work: Callable[[], Any], seconds: float)
     On a GPU, where remembering would be part of what is timed, the batch that is replayed is the one after the timed
     one.
     """
-    device, replay = trainer.population.device, Replay(trainer.env.engine)
+    device, replay = trainer.population.device, Replay(engines_of(trainer.env))
     for _ in range(WARM_UP):
         work()
     fast: list[float]
@@ -69,24 +69,26 @@ def measure(trainer: PopulationTrainer, work: Callable[[], Any], seconds: float)
 
 
 def profile(trainer: PopulationTrainer, batches: int = 3) -> dict[str, float] | None:
-    """Shares of collection: physics, policy, measurement, env (reward, observation, resets), collector (the rest).
+    """Shares of collection: physics, policy, measurement, env (reward, observation, resets), collector (the rest,
+    waiting included); of the time of all threads, where groups of candidates have one each.
 
     None on a GPU, where the parts of a step are captured graphs and the time in Python says nothing.
     """
     if trainer.population.device.type != "cpu":
         return None
-    env = trainer.env.base_env
+    groups = trainer.env.base_env.groups()
+    parts = ("begin_step", "end_step", "rewards", "channel_values", "start_episodes")
     clocks = {
-        "physics": [Clock(env.engine, "step")],
+        "physics": [Clock(engine, "step") for engine in engines_of(trainer.env)],
         "policy": [Clock(trainer.population, "mean")],
         "measurement": [Clock(one, name) for one in trainer.env.transform for name in ("record", "forward_sequence")],
-        "env": [Clock(env, name) for name in ("begin_step", "end_step", "rewards", "channel_values", "start_episodes")],
+        "env": [Clock(group, name) for group in groups for name in parts],
     }
     start = time.perf_counter()
     for _ in range(batches):
         trainer.collect()
-    total = time.perf_counter() - start
-    spent = {name: sum(clock.stop() for clock in parts) for name, parts in clocks.items()}
+    total = (time.perf_counter() - start) * len(groups)
+    spent = {name: sum(clock.stop() for clock in each) for name, each in clocks.items()}
     spent["collector"] = total - sum(spent.values())
     return {name: round(value / total, 4) for name, value in spent.items()}
 

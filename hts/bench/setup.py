@@ -13,6 +13,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
+from hts.bench.bare import engines_of
 from hts.bench.widening import widened
 from hts.config import Command, EnvConfig, PPOConfig, ScheduleConfig
 from hts.contracts import MODEL, MeasurementModel, ModelContext, chosen_model, robot_signals
@@ -170,7 +171,7 @@ def _recording(inputs: torch.Tensor, model: MeasurementModel, robot: Robot) -> R
 def conditions(trainer: PopulationTrainer, robot: Robot, objective: Objective) -> dict[str, Any]:
     """What was measured where, for the JSON; `engine` is the one that ran."""
     shape: Sequence[int] = trainer.env.batch_size
-    made = trainer.env.engine
+    made = engines_of(trainer.env)[0]
     return {
         "robot": robot.spec.name,
         "engine": "mujoco" if isinstance(made, MujocoEngine) else "warp",

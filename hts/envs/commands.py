@@ -82,7 +82,8 @@ class Commands:
         error = torch.remainder(self.heading - yaw + math.pi, 2 * math.pi) - math.pi
         low, high = self.config.yaw_rate
         wanted = (self.config.heading_gain * error).clamp(low, high)
-        self.value[..., 2] = torch.where(self.keeps_heading, wanted, self.value[..., 2])
+        yaw_rate = torch.where(self.keeps_heading, wanted, self.value[..., 2])
+        self.value = torch.cat((self.value[..., :2], yaw_rate.unsqueeze(-1)), -1)  # the last one may be remembered
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         return {name: getattr(self, name).clone() for name in self.STATE}

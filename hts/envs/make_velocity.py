@@ -7,9 +7,14 @@ from collections.abc import Sequence
 from hts.channels import SPEED_ERROR
 from hts.config import EnvConfig
 from hts.contracts import Robot
+from hts.cores import available
 from hts.envs.velocity import VelocityEnv
+from hts.rl.grouped_env import GroupedEnv
+from hts.rl.task_env import SplitStepEnv
 from hts.sim.models import variants
-from hts.sim.selection import make_engine
+from hts.sim.selection import make_engine, select_engine
+
+GROUPS = 2  # one in its physics, the other deciding: more would do more operations and be no more often in physics
 
 
 def make_velocity_env(
@@ -20,22 +25,35 @@ def make_velocity_env(
     config: EnvConfig,
     channels: Sequence[str] = (),
     seeds: Sequence[int] | None = None,
-) -> VelocityEnv:
-    """The velocity task for a robot. channels: which of the robot's sim channels to write; seeds: one per candidate."""
+) -> SplitStepEnv:
+    """The velocity task for a robot. channels: which of the robot's sim channels to write; seeds: one per candidate.
+
+    On a CPU in two groups of candidates where there are two of both: one decides while the other is in its physics.
+    """
     known = robot.channels()
     pool = variants(robot, config.randomisation, config.seed)
-    assignment = [world % len(pool) for _ in range(num_candidates) for world in range(num_envs)]
-    made = make_engine(
-        engine,
-        pool,
-        assignment,
-        robot.spec.substeps,
-        threads=config.threads,
-        device=config.device,
-        contacts_per_world=config.contacts_per_world,
-        constraints_per_world=config.constraints_per_world,
-    )
     seeds = list(seeds) if seeds is not None else [config.seed + index for index in range(num_candidates)]
     extra = {SPEED_ERROR.name: SPEED_ERROR}
     wanted = {name: extra.get(name) or known[name] for name in (channels or known)}
-    return VelocityEnv(made, robot.spec, num_candidates, num_envs, config, wanted, seeds)
+    if engine == "auto":
+        engine = select_engine(engine, config.device)
+
+    def make(own: Sequence[int]) -> VelocityEnv:
+        assignment = [world % len(pool) for _ in own for world in range(num_envs)]
+        made = make_engine(
+            engine,
+            pool,
+            assignment,
+            robot.spec.substeps,
+            threads=config.threads,
+            device=config.device,
+            contacts_per_world=config.contacts_per_world,
+            constraints_per_world=config.constraints_per_world,
+        )
+        return VelocityEnv(made, robot.spec, len(own), num_envs, config, wanted, own)
+
+    threads = config.threads or available()
+    if engine == "warp" or min(num_candidates, threads) < GROUPS:
+        return make(seeds)
+    half = (num_candidates + 1) // 2
+    return GroupedEnv([make(seeds[:half]), make(seeds[half:])])

@@ -72,15 +72,6 @@ class RewardInputs:
     tracking_sigma: float
     broken: torch.Tensor | None = None
 
-    def copied(self) -> RewardInputs:
-        """The same when the next step has been taken: copies of what engine and commands rewrite in place."""
-        return replace(
-            self,
-            angular_velocity=self.angular_velocity.clone(),
-            torque=self.torque.clone(),
-            command=self.command.clone(),
-        )
-
 
 def stacked(steps: Sequence[RewardInputs]) -> RewardInputs:
     """Several steps as one, with a leading dimension: [T, P, N, ...]."""

@@ -32,6 +32,7 @@ CHANNEL_FIELDS = {
     "joint_position": "_joint_position",
     "joint_velocity": "_joint_velocity",
     "joint_target": "target",
+    "angular_velocity": "_angular_velocity",
     "projected_gravity": "_gravity",
     "base_velocity": "_velocity",
 }
@@ -95,6 +96,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
             torch.full((int(part["size"]),), NOISE.get(str(part["name"]), 0.0)) for part in observation_layout(joints)
         ]
         self._noise = torch.cat(noise).to(device) * config.observation_noise
+        self._twice_noise = 2 * self._noise
         self._noisy = bool(self._noise.any())
         self._down = torch.tensor((0.0, 0.0, -1.0), device=device).expand(*shape, 3)
         self._fixed_draws = DRAWS + 3 + 2 + 6 + joints + 1
@@ -169,7 +171,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         target = torch.addcmul(self.default_pose, self.action_scale, action)
         # An instance with delay d applies the previous target in its first d physics steps.
         late = self._substep < self.delay
-        ctrl = torch.where(late, self.target - self.joint_offset, target - self.joint_offset)
+        ctrl = torch.where(late, self.target, target) - self.joint_offset
         self.target = target
         return ctrl.view(self.robot_spec.substeps, -1, ctrl.shape[-1])
 
@@ -179,7 +181,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
 
     def end_step(self, action: torch.Tensor) -> tuple[RewardInputs, dict[str, torch.Tensor]]:
         """What the reward looks at, and the flags."""
-        seen = self._after_physics(action).copied()
+        seen = self._after_physics(action)
         return seen, self._prepare_next(seen)
 
     def rewards(self, steps: Sequence[RewardInputs]) -> torch.Tensor:
@@ -273,10 +275,10 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.steps = self.steps * ~mask
         self.engine.sensordata.masked_fill_(gone.reshape(-1, 1), 0.0)  # sensors are read from the first step on
         old, old_critic = self._observation, self._critic_observation
-        self._read_pose()
+        self._read_engine()
         self.commands.resample(mask, self._draws[..., :DRAWS], self._yaw)
         self.commands.steer(self._yaw)
-        self._contact = self.engine.sensordata[:, self._touch].view(*self.shape2, -1) > 1.0
+        self._contact = self._sensors[..., self._touch] > 1.0
         self._observe(self._draws[..., self._fixed_draws :])
         self._observation = torch.where(keep, old, self._observation)
         self._critic_observation = torch.where(keep, old_critic, self._critic_observation)
@@ -284,20 +286,22 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
     def walk_at(self, commands: torch.Tensor) -> None:
         self.commands.walk_at(commands)
 
-    def _read_pose(self) -> None:
-        """Trunk pose and velocities in the trunk frame, from the engine's state."""
-        qpos, qvel = self.engine.qpos.view(*self.shape2, -1), self.engine.qvel.view(*self.shape2, -1)
+    def _read_engine(self) -> None:
+        """Pose, velocities in the trunk frame and sensors; copies, since the engine rewrites its own."""
+        qpos, qvel = self.engine.qpos.view(*self.shape2, -1), self.engine.qvel.view(*self.shape2, -1).clone()
+        self._sensors = self.engine.sensordata.view(*self.shape2, -1).clone()
         self._velocity, self._gravity = trunk_frame(qpos, qvel, self._down)
         self._yaw = yaw_of(qpos)
         self._height = qpos[..., 2:3]
         self._angular_velocity = qvel[..., 3:6]
         self._joint_position = qpos[..., 7:] + self.joint_offset  # as the encoders say
-        self._joint_velocity = qvel[..., 6:].clone()
+        self._pose_error = self._joint_position - self.default_pose
+        self._joint_velocity = qvel[..., 6:]
 
     def _read(self, action: torch.Tensor) -> RewardInputs:
         """Look at the robots after a step."""
-        self._read_pose()
-        sensors = self.engine.sensordata.view(*self.shape2, -1)
+        self._read_engine()
+        sensors = self._sensors
         force = sensors[..., self._touch]
         now = force > 1.0
         contact = now | self.was_contact  # or-ed with the last step, as released: one lost sample is not a flight
@@ -318,7 +322,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
             torque=sensors[..., self._torques],
             joint_velocity=self._joint_velocity,
             last_joint_velocity=self.last_joint_velocity,
-            pose_error=self._joint_position - self.default_pose,
+            pose_error=self._pose_error,
             action=action,
             last_action=self.action,
             air_time=air_time,
@@ -335,24 +339,20 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         return seen
 
     def _observe(self, draws: torch.Tensor) -> None:
-        offset = self._joint_position - self.default_pose
         body = (self._angular_velocity, self._gravity, self.commands.value)
-        clean = torch.cat((*body, offset, self._joint_velocity, self.action), -1)
+        clean = torch.cat((*body, self._pose_error, self._joint_velocity, self.action), -1)
         # Uniform in +-noise: clean - noise + 2 noise u.
-        self._observation = torch.addcmul(clean - self._noise, draws, 2 * self._noise) if self._noisy else clean
+        self._observation = torch.addcmul(clean - self._noise, draws, self._twice_noise) if self._noisy else clean
         self._critic_observation = torch.cat((clean, self._velocity, self._height, self._contact.to(clean.dtype)), -1)
 
     def _channel_value(self, name: str) -> torch.Tensor:
-        """One channel now; a copy where engine or commands rewrite theirs in place."""
+        """One channel now."""
         if name in ("joint_torque", "foot_force"):
-            columns = self._torques if name == "joint_torque" else self._touch
-            return self.engine.sensordata.view(*self.shape2, -1)[..., columns].clone()
+            return self._sensors[..., self._torques if name == "joint_torque" else self._touch]
         if name == "command":
-            return self.commands.value.clone()
+            return self.commands.value
         if name == SPEED_ERROR.name:
             return self._speed_error()
-        if name == "angular_velocity":
-            return self._angular_velocity.clone()
         return getattr(self, CHANNEL_FIELDS[name])
 
     def _speed_error(self) -> torch.Tensor:
@@ -408,7 +408,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.engine.load_state_dict(state["engine"])
         self.commands.load_state_dict(state["commands"])
         self.random.load_state_dict(state["random"])
-        self._read_pose()
+        self._read_engine()
         self._resuming = True
 
     def close(self, **kwargs: Any) -> None:

@@ -16,6 +16,7 @@ from torchrl.envs import EnvBase, TransformedEnv
 from hts.contracts import HoldSpeed
 from hts.envs.commands import WalksAsTold
 from hts.errors import ConfigError
+from hts.rl.task_env import SplitStepEnv
 
 SECONDS = 6.0  # many instances at once: their mean is quieter than one robot's sensor
 SETTLING = 1.5  # s, the start from standing
@@ -55,6 +56,19 @@ def trim(env: EnvBase, act: Act, speeds: Sequence[float], hold: HoldSpeed, forwa
     return command
 
 
+class _Together(WalksAsTold):
+    """Groups of candidates, each told its own part."""
+
+    def __init__(self, groups: Sequence[EnvBase]) -> None:
+        self._groups = groups
+
+    def walk_at(self, commands: torch.Tensor) -> None:
+        parts = commands.split([group.batch_size[0] for group in self._groups])
+        for group, part in zip(self._groups, parts, strict=True):
+            assert isinstance(group, WalksAsTold)
+            group.walk_at(part)
+
+
 def _means(speed: torch.Tensor, fallen: torch.Tensor, member: torch.Tensor, asked: torch.Tensor) -> torch.Tensor:
     """Mean speed [P, S] of the instances [P, N] at each speed that stand; the asked one where none does."""
     columns = []
@@ -71,6 +85,9 @@ def _told(env: EnvBase) -> WalksAsTold:
         base = base.base_env
     if isinstance(base, WalksAsTold):
         return base
+    groups = base.groups() if isinstance(base, SplitStepEnv) else ()
+    if groups and all(isinstance(group, WalksAsTold) for group in groups):
+        return _Together(groups)
     raise ConfigError(
         f"The env of this robot ({type(base).__name__}) takes no other speed while it runs, so none can be held in "
         "simulation. Leave it out: --set simulation_test.hold_speed=false"

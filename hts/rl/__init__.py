@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hts.rl.captured_collector import CapturedCollector
     from hts.rl.centring import RewardCentring
     from hts.rl.deferred import DeferrableTransform
+    from hts.rl.grouped_env import GroupedEnv
     from hts.rl.kl import distribution_kl, gaussian_kl
     from hts.rl.kl_bound import project_to_kl_bound
     from hts.rl.loss import KLConstrainedPPOLoss
@@ -39,6 +40,7 @@ _HOMES = {
     "CapturedCollector": "captured_collector",
     "DeferrableTransform": "deferred",
     "EqualityMultiplier": "multiplier",
+    "GroupedEnv": "grouped_env",
     "KLConstrainedPPOLoss": "loss",
     "LagrangeMultiplier": "multiplier",
     "LaunchedSimulator": "task_env",
@@ -67,6 +69,7 @@ __all__ = [
     "CapturedCollector",
     "DeferrableTransform",
     "EqualityMultiplier",
+    "GroupedEnv",
     "KLConstrainedPPOLoss",
     "LagrangeMultiplier",
     "LaunchedSimulator",

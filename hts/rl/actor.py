@@ -35,7 +35,13 @@ class PopulationActor(TensorDictModuleBase):
 
     def __init__(self, population: Population, random: PopulationRandom | None = None) -> None:
         super().__init__()
-        self.population, self.random = population, random
+        self.population, self.random, self.members = population, random, slice(None)
+
+    def of(self, members: slice) -> PopulationActor:
+        """The policies of some candidates, with the same parameters and generators; for collecting."""
+        part = PopulationActor(self.population, None if self.random is None else self.random.of(members))
+        part.members = members
+        return part
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -50,11 +56,12 @@ class PopulationActor(TensorDictModuleBase):
 
     def loc(self, observation: torch.Tensor) -> torch.Tensor:
         """Mean actions [P, ..., A], without gradients."""
-        return self.population.mean(observation.flatten(1, -2)).view(*observation.shape[:-1], -1)
+        mean = self.population.mean(observation.flatten(1, -2), members=self.members)
+        return mean.view(*observation.shape[:-1], -1)
 
     def log_std(self, ndim: int, named: Parameters | None = None) -> torch.Tensor:
         """ln sigma, [P, 1, ..., 1, A] of ndim dimensions."""
-        log_std = self.population.log_std(named)
+        log_std = self.population.log_std(named)[self.members]
         return log_std.view(len(log_std), *(1,) * (ndim - 2), -1)
 
     def get_dist(self, tensordict: TensorDictBase) -> Independent:

@@ -17,7 +17,7 @@ from torchrl.envs import EnvBase
 from hts.rl.actor import PopulationActor, log_prob
 from hts.rl.capture import StaticBuffers, captured, explained, warm_up
 from hts.rl.population import Population
-from hts.rl.population_collector import FLAGS, Key, SplitStepCollector
+from hts.rl.population_collector import FLAGS, Key, SplitStepCollector, decide
 from hts.rl.precision import tf32
 from hts.rl.random import PopulationRandom, PrefetchedNoise
 from hts.rl.task_env import LaunchedSimulator, ReplacedState
@@ -76,9 +76,9 @@ class CapturedCollector(SplitStepCollector):
         """Policy, noise, the simulator's inputs; the latter come last."""
         for random in self._randoms():
             random.begin_step()
-        step, inputs = self._decide()
-        loc = step["loc",]
-        step["action_log_prob",] = log_prob(step["action",], loc, self.policy.log_std(loc.ndim))
+        log_std = self.policy.log_std(ndim=3)
+        step, inputs = decide(self.bare_env, self.policy, log_std.exp())
+        step["action_log_prob",] = log_prob(step["action",], step["loc",], log_std)
         self._keys["before"] = list(step)
         return *step.values(), inputs
 

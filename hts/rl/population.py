@@ -230,12 +230,17 @@ class Population(nn.Module):
         return x if x.device.type == "cpu" else F.pad(x, (0, -x.shape[-1] % ALIGNED))
 
     def mean(
-        self, observation: torch.Tensor, named: Parameters | None = None, normalised: bool = False
+        self,
+        observation: torch.Tensor,
+        named: Parameters | None = None,
+        normalised: bool = False,
+        members: slice = slice(None),
     ) -> torch.Tensor:
-        """Mean action [P, B, J] of observations [P, B, O]; normalised: they are already."""
+        """Mean action [P, B, J] of observations [P, B, O]; normalised: they are already; members: whose they are."""
         if named is None:
-            named = self._ready()
-        return self._mlp("actor", observation if normalised else self.normalised("observation", observation), named)
+            named = self._ready(members)
+        x = observation if normalised else self.normalised("observation", observation, members)
+        return self._mlp("actor", x, named)
 
     def log_std(self, named: Parameters | None = None) -> torch.Tensor:
         """log sigma [P, 1, J]."""
@@ -256,15 +261,19 @@ class Population(nn.Module):
 
     def value_of(self, index: int, critic_observation: torch.Tensor) -> torch.Tensor:
         """V [B] of one candidate, of critic observations [B, O_c]."""
-        named, member = self._ready(), slice(index, index + 1)
-        one = named[member] if isinstance(named, list) else {name: value[member] for name, value in named.items()}
+        member = slice(index, index + 1)
         x = self.normalised("critic_observation", critic_observation.unsqueeze(0), member)
-        return self._mlp("critic", x, one).view(-1)
+        return self._mlp("critic", x, self._ready(member)).view(-1)
 
-    def _ready(self) -> Parameters:
+    def _ready(self, members: slice = slice(None)) -> Parameters:
         if self._cache is None or self._now() != self._versions:
             self.refresh()
-        return self._cache  # type: ignore[return-value]  # `refresh` has made it
+        assert self._cache is not None  # `refresh` has made it
+        if members == slice(None):
+            return self._cache
+        if isinstance(self._cache, list):
+            return self._cache[members]
+        return {name: value[members] for name, value in self._cache.items()}
 
     def _now(self) -> list[int]:
         """How often each candidate's parameters have been changed, also by an optimiser."""

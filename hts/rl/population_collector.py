@@ -8,8 +8,11 @@ graphs.
 
 from __future__ import annotations
 
+import itertools
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import torch
@@ -117,17 +120,6 @@ class SplitStepCollector(BaseCollector):
     def _collect(self) -> TensorDict:
         raise NotImplementedError
 
-    def _decide(self) -> tuple[dict[Key, torch.Tensor], torch.Tensor]:
-        """A step before its physics: what was seen and done, by key, and the simulator's inputs."""
-        env, policy = self.bare_env, self.policy
-        seen = env.observations()
-        loc = policy.loc(seen["observation"])
-        action = loc
-        if policy.random is not None:
-            action = loc + policy.log_std(loc.ndim).exp() * policy.random.normal(*loc.shape[1:])
-        step: dict[Key, torch.Tensor] = {(name,): value for name, value in seen.items()}
-        return step | {("loc",): loc, ("action",): action}, env.begin_step(action)
-
     def _batch(self, rows: Mapping[Key, torch.Tensor]) -> TensorDict:
         """rows [P, N, T, ...] by key, as a TensorDict. The flags at a step's beginning are always false."""
         shape = torch.Size((*self.bare_env.batch_size, self.horizon))
@@ -183,6 +175,16 @@ class SplitStepCollector(BaseCollector):
             self.env.close()
 
 
+@dataclass
+class _Collected:
+    """T steps of a group of candidates. rows: by key, [P, N, T, ...], or [T, P, N, ...] where the key begins with
+    "next"; rewards [T, P, N]; recorded: of each transform, [T, P·N, ...]."""
+
+    rows: dict[Key, torch.Tensor]
+    rewards: torch.Tensor
+    recorded: list[torch.Tensor]
+
+
 class PopulationCollector(SplitStepCollector):
     """Batches [P, N, T] of a population, on a CPU.
 
@@ -191,12 +193,18 @@ class PopulationCollector(SplitStepCollector):
 
     env: a `SplitStepEnv`, with deferrable transforms around it if any; policy: whose exploration noise comes from a
     generator per candidate; frames_per_batch: P N T. Rewards and the transforms' entries are evaluated once a batch.
-    Parameters are read at the beginning of each batch.
+    Parameters are read at the beginning of each batch. An env that consists of groups has each of them stepped by a
+    thread of its own.
     """
 
     def __init__(self, env: EnvBase, policy: PopulationActor, *, frames_per_batch: int, total_frames: int = -1) -> None:
         super().__init__(env, policy, frames_per_batch=frames_per_batch, total_frames=total_frames)
-        self._pool = pool(len(self.transforms))
+        groups = self.bare_env.groups()
+        ends = list(itertools.accumulate(group.batch_size[0] for group in groups))
+        members = [slice(begin, end) for begin, end in itertools.pairwise((0, *ends))]
+        self._groups = [(group, policy.of(own)) for group, own in zip(groups, members, strict=True)]
+        self._turn = Lock()
+        self._pool = pool(max(len(groups), len(self.transforms)))
 
     def shutdown(self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True) -> None:
         """Close the env and let go of threads."""
@@ -204,50 +212,83 @@ class PopulationCollector(SplitStepCollector):
         self._pool.shutdown()
 
     def _collect(self) -> TensorDict:
-        env = self.bare_env
-        steps: dict[Key, list[torch.Tensor]] = {}
-        recorded: list[list[torch.Tensor]] = [[] for _ in self.transforms]
-        rewarded: list[Any] = []
-        for _ in range(self.horizon):
-            step, inputs = self._decide()
-            env.simulate(inputs)
-            ended, flags = env.end_step(step["action",])
-            rewarded.append(ended)
-            if self.transforms:
-                channels = env.channel_values()
-                for row, transform in zip(recorded, self.transforms, strict=True):
-                    row.append(transform.record(channels))
-            step |= {("next", name): value for name, value in (*env.observations().items(), *flags.items())}
-            for key, value in step.items():
-                steps.setdefault(key, []).append(value)
-            if bool(flags["done"].any()):
-                env.start_episodes(flags["done"].squeeze(-1))
-        ended = torch.stack(steps["next", "done"]).reshape(self.horizon, -1)
+        run = map if len(self._groups) == 1 else self._pool.map
+        collected = list(run(self._steps, *zip(*self._groups, strict=True)))
+        recorded = [_joined(parts, 1) for parts in zip(*(one.recorded for one in collected), strict=True)]
+        rows = {key: _joined([one.rows[key] for one in collected], _candidates(key)) for key in collected[0].rows}
+        rows = {key: value.movedim(0, 2) if _candidates(key) else value for key, value in rows.items()}
+        ended = rows["next", "done"].movedim(2, 0).reshape(self.horizon, -1)
         # What transforms make of the batch is computed beside the rest of it:
         # the physics is done, and the other cores are free.
         late = [
             self._pool.submit(_sequence, transform, row, ended)
             for row, transform in zip(recorded, self.transforms, strict=True)
         ]
-        # What stands under "next" is seldom read as a whole: it keeps the order of time in memory, one plain copy.
-        rows = {
-            key: torch.stack(values).movedim(0, 2) if key[0] == "next" else torch.stack(values, 2)
-            for key, values in steps.items()
-        }
-        entries: dict[Key, torch.Tensor] = {("reward",): env.rewards(rewarded)}
-        for one in late:
-            entries |= one.result()
+        entries: dict[Key, torch.Tensor] = {("reward",): _joined([one.rewards for one in collected], 1)}
+        for result in late:
+            entries |= result.result()
         for key, value in entries.items():
             # Laid out alike however many candidates there are: sums take the order of the memory.
-            rows["next", *key] = value.view(self.horizon, *env.batch_size, 1).movedim(0, 2).contiguous()
-        loc = rows["loc",]
-        rows["action_log_prob",] = log_prob(rows["action",], loc, self.policy.log_std(loc.ndim))
+            rows["next", *key] = value.view(self.horizon, *self.bare_env.batch_size, 1).movedim(0, 2).contiguous()
         return self._batch(rows)
+
+    @torch.no_grad()  # each thread has a switch of its own
+    def _steps(self, env: SplitStepEnv, policy: PopulationActor) -> _Collected:
+        """The next T steps of a group. Only its physics runs beside that of the others: Python's lock is handed over
+        once and not at every operation."""
+        steps: dict[Key, list[torch.Tensor]] = {}
+        recorded: list[list[torch.Tensor]] = [[] for _ in self.transforms]
+        rewarded: list[Any] = []
+        log_std = policy.log_std(ndim=3)
+        std = log_std.exp()
+        with self._turn:
+            for _ in range(self.horizon):
+                step, inputs = decide(env, policy, std)
+                self._turn.release()
+                try:
+                    env.simulate(inputs)
+                finally:
+                    self._turn.acquire()
+                ended, flags = env.end_step(step["action",])
+                rewarded.append(ended)
+                if self.transforms:
+                    channels = env.channel_values()
+                    for row, transform in zip(recorded, self.transforms, strict=True):
+                        row.append(transform.record(channels))
+                step |= {("next", name): value for name, value in (*env.observations().items(), *flags.items())}
+                for key, value in step.items():
+                    steps.setdefault(key, []).append(value)
+                if bool(flags["done"].any()):
+                    env.start_episodes(flags["done"].squeeze(-1))
+        rows = {key: torch.stack(values, 0 if _candidates(key) else 2) for key, values in steps.items()}
+        rows["action_log_prob",] = log_prob(rows["action",], rows["loc",], log_std.unsqueeze(2))
+        return _Collected(rows, env.rewards(rewarded), [torch.stack(row) for row in recorded])
+
+
+def decide(
+    env: SplitStepEnv, policy: PopulationActor, std: torch.Tensor
+) -> tuple[dict[Key, torch.Tensor], torch.Tensor]:
+    """A step before its physics: what was seen and done, by key, and the simulator's inputs. std [P, 1, A]: of the
+    exploration noise."""
+    seen = env.observations()
+    loc = policy.loc(seen["observation"])
+    action = loc if policy.random is None else loc + std * policy.random.normal(*loc.shape[1:])
+    step: dict[Key, torch.Tensor] = {(name,): value for name, value in seen.items()}
+    return step | {("loc",): loc, ("action",): action}, env.begin_step(action)
+
+
+def _candidates(key: Key) -> int:
+    """Which dimension of a group's rows is that of candidates: behind time under "next", which is seldom read as a
+    whole and keeps the order of time in memory, one plain copy."""
+    return int(key[0] == "next")
+
+
+def _joined(parts: Sequence[torch.Tensor], dim: int) -> torch.Tensor:
+    """One group's tensor as it is, those of several one behind the other."""
+    return parts[0] if len(parts) == 1 else torch.cat(list(parts), dim)
 
 
 @torch.no_grad()
-def _sequence(
-    transform: DeferrableTransform, recorded: list[torch.Tensor], ended: torch.Tensor
-) -> dict[Any, torch.Tensor]:
-    """What a transform makes of T recorded steps. Gradients are switched off for each thread by itself."""
-    return transform.forward_sequence(torch.stack(recorded), ended)
+def _sequence(transform: DeferrableTransform, recorded: torch.Tensor, ended: torch.Tensor) -> dict[Any, torch.Tensor]:
+    """What a transform makes of T recorded steps."""
+    return transform.forward_sequence(recorded, ended)

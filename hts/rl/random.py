@@ -52,6 +52,19 @@ class PopulationRandom:
         self.generators = [torch.Generator(device).manual_seed(int(seed)) for seed in seeds]
         self.prefetched: PrefetchedNoise | None = None
 
+    @classmethod
+    def joined(cls, parts: Sequence[PopulationRandom]) -> PopulationRandom:
+        """The candidates of all parts: the same generators, not copies."""
+        whole = cls((), parts[0].device)
+        whole.generators = [generator for part in parts for generator in part.generators]
+        return whole
+
+    def of(self, members: slice) -> PopulationRandom:
+        """Some candidates: the same generators, not copies."""
+        part = PopulationRandom((), self.device)
+        part.generators = self.generators[members]
+        return part
+
     def seed(self, seed: int) -> None:
         """Begin anew: candidate p draws from seed + p."""
         for index, generator in enumerate(self.generators):

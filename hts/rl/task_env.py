@@ -138,6 +138,10 @@ class SplitStepEnv(TaskEnv):
 
     # ------------------------------------------------------------------------------------------------- abilities
 
+    def groups(self) -> Sequence[SplitStepEnv]:
+        """Envs of consecutive candidates that make up this one and may be stepped side by side; itself, the default."""
+        return [self]
+
     def first_mask(self) -> torch.Tensor:
         """Where the first reset starts episodes, bool [P, N]: everywhere, unless they go on from a saved state."""
         return torch.ones(self.batch_size, dtype=torch.bool, device=self.device)

@@ -68,12 +68,12 @@ class MujocoEngine(Engine):
         self._rollout(self._state, self._ctrl)
         self._state[:] = self._states[:, -1]
         nq = self._nq
-        self.qpos[:] = torch.from_numpy(self._state[:, 1 : 1 + nq])
-        self.qvel[:] = torch.from_numpy(self._state[:, 1 + nq :])
-        self.sensordata[:] = torch.from_numpy(self._sensors[:, -1])
+        # In numpy, which needs less time to begin with something small.
+        self.qpos.numpy()[:] = self._state[:, 1 : 1 + nq]
+        self.qvel.numpy()[:] = self._state[:, 1 + nq :]
+        self.sensordata.numpy()[:] = self._sensors[:, -1]
         # A world that MuJoCo gave up on comes back finite with its clock frozen: only the clock tells.
-        frozen = self._state[:, 0] - before < (self.substeps - 0.5) * self._dt
-        self.diverged[:] = torch.from_numpy(frozen)
+        self.diverged.numpy()[:] = self._state[:, 0] - before < (self.substeps - 0.5) * self._dt
 
     def _rollout(self, state: np.ndarray, ctrl: np.ndarray) -> None:
         """All worlds from state (W, size) with ctrl (W, substeps, nu), into `_states` and `_sensors`."""

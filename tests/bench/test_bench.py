@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,7 +13,7 @@ pytest.importorskip("hts_go1", reason="a bench needs an installed robot with a m
 pytest.importorskip("hts_power", reason="a bench needs an installed objective")
 
 from hts.bench import Sizes, bench_env, bench_fit, bench_sweep, bench_train
-from hts.bench.bare import Replay
+from hts.bench.bare import Replay, engines_of
 from hts.bench.setup import find, make_population, make_trainer, new_model, size
 from hts.bench.sweeping import same_results
 from hts.errors import ConfigError
@@ -138,7 +139,7 @@ def trainer():
 
 def test_the_replay_repeats_every_collected_control_step_and_leaves_no_trace(trainer):
     engine = trainer.env.engine
-    replay = Replay(engine)
+    replay = Replay([engine])
     trainer.collect()
     replay.start()
     trainer.collect()
@@ -151,10 +152,10 @@ def test_the_replay_repeats_every_collected_control_step_and_leaves_no_trace(tra
 def test_the_replayed_physics_is_the_collected_physics(trainer):
     """Replaying a step alone must end where the collection ended: same state, inputs and models."""
     engine = trainer.env.engine
-    replay = Replay(engine)
+    replay = Replay([engine])
     replay.start()
     trainer.collect()
-    replay.recording = False
+    replay.seconds()
     ends = []
     for step, after in itertools.pairwise(replay.steps):
         engine.replay([step])
@@ -162,3 +163,19 @@ def test_the_replayed_physics_is_the_collected_physics(trainer):
     same = sum(int((end == 0).sum()) for end in ends)
     # All but the worlds that were reset or pushed between two steps.
     assert same > 0.9 * 3 * len(ends)
+
+
+def test_engines_of_groups_are_replayed_as_one_engine_of_all_worlds():
+    machine, objective = find("go1", "power")
+    made = make_trainer(machine, objective, "mujoco", 3, 2)
+    engines = engines_of(made.env)
+    replay = Replay(engines)
+    replay.start()
+    made.collect()
+    assert replay.seconds() > 0 and replay.overhead > 0
+    states, inputs = replay.steps[-1]
+    assert len(replay.steps) == made.config.horizon and states.shape[0] == inputs.shape[0] == 6
+    assert replay.engine.num_worlds == 6 and replay.engine.threads == engines[0].threads
+    ends = np.concatenate([engine._states[:, -1] for engine in engines])
+    assert np.array_equal(replay.engine._states[:, -1], ends)  # the last step that was taken, again
+    made.close()

@@ -174,7 +174,7 @@ def test_gravity_is_seen_from_the_trunk(make, quaternion, gravity):
     env = make(1, 1)
     env.reset()
     put(env, 0, quaternion)
-    env._read_pose()
+    env._read_engine()
     torch.testing.assert_close(env._gravity[0, 0], torch.tensor(gravity), atol=1e-6, rtol=0)
 
 
@@ -182,7 +182,7 @@ def test_velocity_is_seen_from_the_trunk(make):
     env = make(1, 1)
     env.reset()
     put(env, 0, (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)), velocity=(0.0, 1.0, 0.0))  # facing left, moving left
-    env._read_pose()
+    env._read_engine()
     torch.testing.assert_close(env._velocity[0, 0], torch.tensor([1.0, 0.0, 0.0]), atol=1e-6, rtol=0)
     assert float(env._yaw) == pytest.approx(math.pi / 2)
 
