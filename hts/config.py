@@ -22,7 +22,7 @@ class Named(BaseModel):
     """A plugin by name, with settings that its own factory validates."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
-    name: str
+    name: str = Field(description="as `hts plugins` lists it")
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -86,8 +86,10 @@ class EnvConfig(Config):
     """The training environment: commands, rewards, randomisation, time-out."""
 
     episode_seconds: float = Field(20.0, gt=0, description="time-out, s")
-    commands: CommandConfig = Field(default_factory=CommandConfig)
-    randomisation: RandomisationConfig = Field(default_factory=RandomisationConfig)
+    commands: CommandConfig = Field(default_factory=CommandConfig, description="what velocities are asked for")
+    randomisation: RandomisationConfig = Field(
+        default_factory=RandomisationConfig, description="what differs between env instances"
+    )
     observation_noise: float = Field(1.0, ge=0, description="factor on the sensor noise of training, 1")
     tracking_sigma: float = Field(
         0.05, gt=0, description="width of the tracking terms exp(-error^2 / sigma), (m/s)^2 and (rad/s)^2"
@@ -136,8 +138,8 @@ class FinetuneConfig(Config):
     num_envs: int = Field(64, ge=1, description="worlds per candidate, N")
     steps: int = Field(400_000, gt=0, description="control steps per candidate")
     max_candidates: int = Field(32, ge=1, description="trained together at most; more go in several groups")
-    ppo: PPOConfig = Field(default_factory=PPOConfig)
-    env: EnvConfig = Field(default_factory=EnvConfig)
+    ppo: PPOConfig = Field(default_factory=PPOConfig, description="how it learns")
+    env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")
 
 
 class PretrainConfig(Config):
@@ -153,7 +155,7 @@ class PretrainConfig(Config):
         default_factory=lambda: PPOConfig(learning_rate=1e-3, adaptive_rate=True, entropy_coef=0.005),
         description="PPO without an anchor",
     )
-    env: EnvConfig = Field(default_factory=EnvConfig)
+    env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")
 
 
 class SweepConfig(Config):
@@ -200,7 +202,7 @@ class CollectionConfig(Config):
     then candidates that walk differently. Recordings with exploration noise show it what such changes cost.
     """
 
-    schedule: ScheduleConfig
+    schedule: ScheduleConfig = Field(description="what each recording is commanded, and for how long")
     repeats: int = Field(2, ge=1, description="recordings of the schedule with the mean action, as policies are tested")
     exploring: int = Field(6, ge=0, description="recordings of the schedule with exploration noise")
     exploration: float = Field(1.0, gt=0, description="sigma of that noise, as a share of the policy's own sigma")
@@ -218,7 +220,9 @@ class MeasurementConfig(Config):
 class SelectionConfig(Config):
     """Elites and the best."""
 
-    selector: Named = Field(default_factory=lambda: Named(name="hierarchical"))
+    selector: Named = Field(
+        default_factory=lambda: Named(name="hierarchical"), description="who is tested and who goes on"
+    )
     elites: int = Field(6, ge=1, description="K: candidates tried in reality per iteration")
     speed: float = Field(0.8, gt=0, description="speed of the head-to-head during iterations, m/s")
 
@@ -242,10 +246,10 @@ class ProvenanceConfig(Config):
 class RunConfig(Config):
     """All of a run. `preset` says which defaults it started from."""
 
-    preset: str
+    preset: str = Field(description="which defaults it started from: smoke, quick or paper")
     objectives: dict[str, dict[str, Any]] = Field(min_length=1, description="name -> settings of its plugin")
-    robot: Named
-    world: Named
+    robot: Named = Field(description="the machine, and its settings")
+    world: Named = Field(description='where policies run "for real", and its settings')
     engine: str = Field(
         "auto", description="mujoco (CPU), warp (GPU), or auto: warp where CUDA and its package are there"
     )
@@ -255,14 +259,20 @@ class RunConfig(Config):
     executor: str = Field("local", description="local (ray is planned)")
     seed: int = Field(0, ge=0, description="of the whole run")
     iterations: int = Field(ge=1, description="rounds of Algorithm 1")
-    collection: CollectionConfig
-    measurement: MeasurementConfig = Field(default_factory=MeasurementConfig)
-    sweep: SweepConfig = Field(default_factory=SweepConfig)
-    finetune: FinetuneConfig = Field(default_factory=FinetuneConfig)
-    simulation_test: SimulationTestConfig = Field(default_factory=SimulationTestConfig)
-    selection: SelectionConfig = Field(default_factory=SelectionConfig)
-    evaluation: EvaluationConfig = Field(default_factory=EvaluationConfig)
-    provenance: ProvenanceConfig = Field(default_factory=ProvenanceConfig)
+    collection: CollectionConfig = Field(description="first real data")
+    measurement: MeasurementConfig = Field(
+        default_factory=MeasurementConfig, description="fitting of measurement models"
+    )
+    sweep: SweepConfig = Field(default_factory=SweepConfig, description="anchors, weights λ and KL bounds c")
+    finetune: FinetuneConfig = Field(default_factory=FinetuneConfig, description="training of the candidates")
+    simulation_test: SimulationTestConfig = Field(
+        default_factory=SimulationTestConfig, description="candidates judged in simulation"
+    )
+    selection: SelectionConfig = Field(default_factory=SelectionConfig, description="elites and the best")
+    evaluation: EvaluationConfig = Field(default_factory=EvaluationConfig, description="the final head-to-head")
+    provenance: ProvenanceConfig = Field(
+        default_factory=ProvenanceConfig, description="what is kept of where results come from"
+    )
 
     @model_validator(mode="after")
     def _something_to_learn(self) -> RunConfig:

@@ -184,8 +184,8 @@ class SensorParameters(Config):
 class TwinSettings(Config):
     """A twin: its body, its sensors, its instruments, and how sessions on it go."""
 
-    dynamics: DynamicsParameters = Field(default_factory=DynamicsParameters)
-    sensors: SensorParameters = Field(default_factory=SensorParameters)
+    dynamics: DynamicsParameters = Field(default_factory=DynamicsParameters, description="body and drives")
+    sensors: SensorParameters = Field(default_factory=SensorParameters, description="what the robot sees of itself")
     instruments: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="name of an instrument -> its settings, validated by its own plugin"
     )

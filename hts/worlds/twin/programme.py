@@ -18,20 +18,22 @@ class Block(Config):
     """A stretch with one policy under one schedule."""
 
     policy: str | None = Field(description="path of its ONNX file; null: stand in the default pose")
-    schedule: ScheduleConfig
+    schedule: ScheduleConfig = Field(description="what is commanded, and for how long")
     recorded: bool = Field(True, description="whether it becomes a recording")
     settle: bool = Field(
         False, description="when it ends, bring the instruments' heat to the steady state of what went before"
     )
     index: int = Field(0, ge=0, description="number of a recorded block in its session")
-    role: Literal["collection", "policy", "reference"] = "collection"
+    role: Literal["collection", "policy", "reference"] = Field(
+        "collection", description="first data, or a block of the policy or of its reference in a head-to-head"
+    )
 
 
 class Session(Config):
     """All that happens on one robot, from switching it on."""
 
-    id: str
-    blocks: tuple[Block, ...]
+    id: str = Field(description="what its recordings are marked with")
+    blocks: tuple[Block, ...] = Field(description="one after the other, without a pause")
 
     @property
     def seconds(self) -> float:
