@@ -7,9 +7,10 @@ plugin's factory validates them. Nothing edits a config after it is built.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 
 class Config(BaseModel):
@@ -29,17 +30,65 @@ class Named(BaseModel):
         return dict(self.model_extra or {})
 
 
+NOTHING = 0.0
+"""The set-point of a task in which nothing is commanded, wherever one has to stand."""
+
+
+def _velocity_or_set_point(schema: dict[str, Any]) -> None:
+    """In the schema: either of the two."""
+    schema["required"] = ["seconds"]
+    schema["anyOf"] = [{"required": ["vx"]}, {"required": ["set_point"]}]
+
+
 class Command(Config):
-    """A stretch of a schedule: the commanded velocity, held for so long."""
+    """A stretch of a schedule: the commanded velocity, or the set-point of another task, held for so long."""
+
+    model_config = ConfigDict(json_schema_extra=_velocity_or_set_point)
 
     seconds: float = Field(gt=0, description="duration, s")
     vx: float = Field(description="commanded forward velocity, m/s")
     vy: float = Field(0.0, description="commanded sideways velocity, m/s")
     yaw_rate: float = Field(0.0, description="commanded yaw rate, rad/s (0: the operator keeps the heading)")
+    set_point: float | None = Field(
+        None,
+        allow_inf_nan=False,
+        description="instead of velocities, for a robot with another task: its set-point, in the task's own unit; "
+        "null where that task has nothing to command",
+    )
+
+    @property
+    def is_velocity(self) -> bool:
+        """Whether it commands a velocity, or a set-point of another task."""
+        return "set_point" not in self.model_fields_set
+
+    @property
+    def commanded(self) -> float:
+        """What is to be achieved: the forward velocity, m/s, or the set-point; `NOTHING` where nothing is commanded."""
+        if self.is_velocity:
+            return self.vx
+        return NOTHING if self.set_point is None else self.set_point
+
+    @model_validator(mode="before")
+    @classmethod
+    def _either(cls, given: Any) -> Any:
+        """One of the two is needed: `vx`, unless there is a set-point, beside which no velocity may stand."""
+        if not isinstance(given, Mapping) or "set_point" not in given:
+            return given
+        velocities = [name for name in ("vx", "vy", "yaw_rate") if name in given]
+        if velocities:
+            raise ValueError(f"`set_point` stands instead of a velocity, found {velocities[0]} beside it")
+        return {**given, "vx": 0.0}
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without what is not commanded. Recordings and requests are known by the content of their schedule, so a
+        velocity is written as ever."""
+        wanted = ("seconds", "vx", "vy", "yaw_rate") if self.is_velocity else ("seconds", "set_point")
+        return {name: value for name, value in plain(self).items() if name in wanted}
 
 
 class ScheduleConfig(Config):
-    """Commanded speeds over time."""
+    """Commanded velocities, or set-points of another task, over time."""
 
     commands: tuple[Command, ...] = Field(min_length=1, description="one after the other")
 
@@ -191,8 +240,12 @@ class SimulationTestConfig(Config):
 
     num_envs: int = Field(32, ge=1, description="worlds per candidate and speed")
     seconds: float = Field(8.0, ge=3.0, description="length of each trial, s; its first 2 s are not judged")
-    speeds: tuple[float, ...] = Field((0.8,), min_length=1, description="m/s")
-    speed_tolerance: float = Field(0.1, gt=0, description="largest relative error of the mean speed")
+    speeds: tuple[float, ...] = Field(
+        (0.8,), min_length=1, description="m/s; set-points of a robot with another task, which brings its own"
+    )
+    speed_tolerance: float = Field(
+        0.1, gt=0, description="largest relative error of the mean speed; another task has its own use for it"
+    )
 
 
 class CollectionConfig(Config):
@@ -224,14 +277,20 @@ class SelectionConfig(Config):
         default_factory=lambda: Named(name="hierarchical"), description="who is tested and who goes on"
     )
     elites: int = Field(6, ge=1, description="K: candidates tried in reality per iteration")
-    speed: float = Field(0.8, gt=0, description="speed of the head-to-head during iterations, m/s")
+    speed: float = Field(
+        0.8, description="speed of the head-to-head during iterations, m/s; set-point of a robot with another task"
+    )
 
 
 class EvaluationConfig(Config):
     """The final head-to-head, and how segments become numbers."""
 
-    speeds: tuple[float, ...] = Field((0.5, 0.8, 1.1), min_length=1, description="m/s")
-    speed_tolerance: float = Field(0.1, gt=0, description="a 1 s segment counts within this relative speed error")
+    speeds: tuple[float, ...] = Field(
+        (0.5, 0.8, 1.1), min_length=1, description="m/s; set-points of a robot with another task, which brings its own"
+    )
+    speed_tolerance: float = Field(
+        0.1, gt=0, description="a 1 s segment counts within this relative speed error; another task has its own use"
+    )
     min_valid: float = Field(0.5, ge=0, le=1, description="refuse to report below this share of valid segments")
     min_segments: int = Field(10, ge=1, description="refuse to report with fewer valid segments of either policy")
     bootstrap: int = Field(2000, ge=100, description="resamples of the interval")

@@ -1,6 +1,7 @@
 """From preset, config file, options and --set to one frozen RunConfig; and from a saved config back to it.
 
-Later wins: preset < what several objectives change of it (`presets.SEVERAL`) < --config FILE < --objective, --robot,
+Later wins: preset < what several objectives change of it (`presets.SEVERAL`) < set-points of a robot with another task
+than to follow a velocity (`hts.task_settings`) < --config FILE < --objective, --robot,
 --world, --engine, --executor, --seed < --set KEY=VALUE. How one layer is laid on another: `hts.layers`.
 """
 
@@ -24,6 +25,7 @@ from hts.layers import in_full as written_out
 from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
 from hts.presets import BASELINES, DEFAULT, PRESETS, SEVERAL
+from hts.task_settings import check_task, task_layer
 from hts.yaml_text import load_mapping_file
 
 if TYPE_CHECKING:
@@ -50,11 +52,13 @@ def load_config(
     seed: int | None = None,
     reward_source: str | None = None,
     overrides: Sequence[str | Override] = (),
+    registry: Registry | None = None,
 ) -> RunConfig:
     """The configuration of a run. Raises ConfigError, one line, for anything that is wrong with it.
 
     objectives: if any are given, exactly these; settings for them still come from the file.
     overrides: KEY=VALUE each, the key dotted, the value as YAML; or such a pair already taken apart.
+    registry: what is installed; without it the robot is not asked for its task, and presets' speeds stay.
     """
     sets = parsed(overrides)
     written = written_out(load_mapping_file(file), str(file)) if file else {}
@@ -73,7 +77,9 @@ def load_config(
     names = _objectives(objectives, written, last, sets)
     several = SEVERAL[chosen] if len(names) > 1 else {}
     baseline = BASELINES[chosen] if reward_source == "proxy" else {}
-    layers = (PRESETS[chosen], several, baseline, written, options)
+    machine = laid(written, options, last).get("robot") if registry else None
+    task = task_layer(registry, machine, PRESETS[chosen]) if registry and machine else {}
+    layers = (PRESETS[chosen], several, baseline, task, written, options)
     below = laid(*layers)
     for override in sets:
         check_has_keys(below, override)
@@ -138,6 +144,7 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     for name, settings in config.objectives.items():
         registry.make_objective(name, settings)
     robot = registry.make_robot(config.robot.name, config.robot.settings)
+    check_task(config, robot)
     registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     with tempfile.TemporaryDirectory() as nowhere:
         context = WorldContext(

@@ -1,4 +1,4 @@
-"""What a plugin implements: Robot, Objective, MeasurementModel, Instrument, World, Selector, LogReader.
+"""What a plugin implements: Robot, Task, Objective, MeasurementModel, Instrument, World, Selector, LogReader.
 
 Interfaces only, one file each, a handful of methods each. Nothing here imports torch or mujoco, so that a
 plugin's module loads in milliseconds; heavy imports belong inside the methods.
@@ -21,12 +21,15 @@ from hts.contracts.objective import Comparison, Objective
 from hts.contracts.robot import JointMotors, Robot, RobotSpec
 from hts.contracts.selector import FineTuning, RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
+from hts.contracts.task import VELOCITY, FollowVelocity, Task
 from hts.contracts.world import World, WorldContext
 
 __all__ = [
     "MODEL",
+    "VELOCITY",
     "Comparison",
     "FineTuning",
+    "FollowVelocity",
     "Installed",
     "Instrument",
     "JointMotors",
@@ -44,6 +47,7 @@ __all__ = [
     "Settings",
     "Signals",
     "SimulatedCandidate",
+    "Task",
     "TestedCandidate",
     "World",
     "WorldContext",

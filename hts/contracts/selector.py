@@ -33,8 +33,8 @@ class SimulatedCandidate:
     """A candidate after fine-tuning, judged in simulation by its mean action.
 
     score: unweighted mean r_real, larger is better, summed over objectives; falls: worlds that fell; tracked: whether
-    it keeps the speed; scores: the parts of `score`, objective -> mean r_real, in the order of the run's objectives;
-    made: how; a run always says, made-up candidates may leave it out.
+    it keeps the speed, or does whatever else its task is; scores: the parts of `score`, objective -> mean r_real, in
+    the order of the run's objectives; made: how; a run always says, made-up candidates may leave it out.
     """
 
     id: str

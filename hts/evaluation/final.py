@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
 from hts.config import EvaluationConfig, Named
-from hts.contracts import Objective, TestedCandidate, WorldContext
+from hts.contracts import VELOCITY, FollowVelocity, Objective, Task, TestedCandidate, WorldContext
 from hts.errors import PolicyError, RunError
 from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
 
@@ -30,14 +30,23 @@ def speed_key(speed: float) -> str:
 
 
 def head_to_heads(
-    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+    task: Task = VELOCITY,
 ) -> Results:
     """One `HeadToHead` per commanded speed, slowest first. Raises EvaluationError as `compare` does."""
-    return {speed: compare(objective, group, config, seed) for speed, group in by_speed(recordings).items()}
+    groups = by_speed(recordings, task)
+    return {speed: compare(objective, group, config, seed, task) for speed, group in groups.items()}
 
 
 def walked_speeds(
-    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+    task: Task = VELOCITY,
 ) -> tuple[Results, dict[str, str]]:
     """`head_to_heads`, but a speed that the policy does not keep is refused alone: results, and speed key -> why.
 
@@ -47,9 +56,9 @@ def walked_speeds(
     results: Results = {}
     refused: dict[str, str] = {}
     last: TooFewSegments | None = None
-    for speed, group in by_speed(recordings).items():
+    for speed, group in by_speed(recordings, task).items():
         try:
-            results[speed] = compare(objective, group, config, seed)
+            results[speed] = compare(objective, group, config, seed, task)
         except TooFewSegments as error:
             if error.role == "reference":
                 raise
@@ -109,6 +118,7 @@ def candidate_result(
     recordings: Sequence[Recording],
     config: EvaluationConfig,
     seed: int = 0,
+    task: Task = VELOCITY,
 ) -> CandidateResult:
     """Compare a candidate on every objective. A candidate that cannot walk is a result, not a failure of the run.
 
@@ -120,7 +130,7 @@ def candidate_result(
     fell = False
     for name, objective in objectives.items():
         try:
-            results = head_to_heads(objective, recordings, config, seed)
+            results = head_to_heads(objective, recordings, config, seed, task)
         except TooFewSegments as error:
             if error.role == "reference":
                 raise
@@ -143,8 +153,9 @@ def evaluate_run(
 ) -> dict[str, Any]:
     """Head-to-head of a policy against the run's pretrained one, written to `folder`/evaluation.json and returned.
 
-    speeds: m/s, by default those of the run's configuration; policy: "best" (default), "pretrained", a candidate's
-    id or an ONNX file; world: a name, by default the run's own world with its settings; seed: by default the run's.
+    speeds: m/s (or set-points of another task), by default those of the run's configuration; policy: "best" (default),
+    "pretrained", a candidate's id or an ONNX file; world: a name, by default the run's own world with its settings;
+    seed: by default the run's.
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
     head-to-head is refused (EvaluationError).
     """
@@ -155,6 +166,8 @@ def evaluate_run(
     folder = Path(folder)
     config = read_config(folder / "config.yaml")
     registry = registry or load()
+    task = registry.make_robot(config.robot.name, config.robot.settings).task()
+    task.check(speeds or (), "--speed")
     speeds = tuple(speeds or config.evaluation.speeds)
     seed = config.seed if seed is None else seed
     tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
@@ -178,19 +191,32 @@ def evaluate_run(
     store = RecordingStore(place / "data.zarr", create=True)
     ids = [store.write(recording) for recording in recordings]
     results = {
-        name: head_to_heads(objective, recordings, config.evaluation, seed) for name, objective in objectives.items()
+        name: head_to_heads(objective, recordings, config.evaluation, seed, task)
+        for name, objective in objectives.items()
     }
     result = {
         "world": named.name,
         "world_simulated": where.simulated,
         "policy": str(policy or "best"),
         "seed": seed,
+        "task": task_entry(task),
         "recordings": ids,
         "objectives": {name: entry_of(objectives[name], found) for name, found in results.items()},
         "segments": {name: segment_scores(found) for name, found in results.items()},
     }
     _write(folder / RESULT, result)
     return result
+
+
+def task_entry(task: Task) -> dict[str, Any]:
+    """`task` of `summary.json` and `evaluation.json`: how its set-points and what it achieves are called. `commanded`:
+    whether anything is; if not, the one set-point, 0, is no number to show."""
+    return {
+        "velocity": isinstance(task, FollowVelocity),
+        "quantity": task.quantity,
+        "unit": task.unit,
+        "commanded": task.set_points != (),
+    }
 
 
 def policy_file(folder: Path, policy: str | Path) -> Path:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from hts.config import EvaluationConfig
-from hts.contracts import Comparison, Objective
+from hts.contracts import VELOCITY, Comparison, Objective, Task
 from hts.evaluation.head_to_head import TooFewSegments, point
 
 if TYPE_CHECKING:
@@ -20,7 +20,10 @@ Half = Mapping[str, Comparison]
 
 
 def halves(
-    objectives: Mapping[str, Objective], recordings: Sequence[Recording], config: EvaluationConfig
+    objectives: Mapping[str, Objective],
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    task: Task = VELOCITY,
 ) -> list[Half | None]:
     """One comparison per objective for each half of one session, in order of time.
 
@@ -31,11 +34,13 @@ def halves(
     ordered = sorted(recordings, key=lambda recording: recording.block)
     policy, reference = ([r for r in ordered if r.role == role] for role in ("policy", "reference"))
     few = config.model_copy(update={"min_segments": 1})
-    return [_half(objectives, pair, few) for pair in zip(policy, reference, strict=True)]
+    return [_half(objectives, pair, few, task) for pair in zip(policy, reference, strict=True)]
 
 
-def _half(objectives: Mapping[str, Objective], pair: Sequence[Recording], config: EvaluationConfig) -> Half | None:
+def _half(
+    objectives: Mapping[str, Objective], pair: Sequence[Recording], config: EvaluationConfig, task: Task
+) -> Half | None:
     try:
-        return {name: point(objective, pair, config) for name, objective in objectives.items()}
+        return {name: point(objective, pair, config, task) for name, objective in objectives.items()}
     except TooFewSegments:
         return None

@@ -1,5 +1,5 @@
-"""How policies do in the training simulation: mean action, straight walks at fixed speeds,
-one whole trial per env instance."""
+"""How policies do in the training simulation: mean action, straight walks at fixed speeds (or the set-points of another
+task), one whole trial per env instance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig
-from hts.errors import ConfigError
+from hts.contracts import VELOCITY, Task
+from hts.errors import ConfigError, PluginError
 from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 
@@ -23,8 +24,9 @@ SETTLE_SECONDS = 2.0  # the start of a trial is not judged
 class SimulatedTrial:
     """One policy at one speed over its env instances.
 
-    falls: instances that fell at least once; mean_speed m/s over those that did not; valid: share of their 1 s segments
-    within the tolerance of the commanded speed; rewards: mean r_real per objective, task_reward: mean of the task's
+    speed, mean_speed: m/s, or of another task its set-point and what was achieved, in its unit; falls: instances that
+    fell at least once; mean_speed is over those that did not; valid: share of the 1 s segments in which the task was
+    done; rewards: mean r_real per objective, task_reward: mean of the task's
     own, both per second, after settling, over instances that did not fall.
     """
 
@@ -38,7 +40,7 @@ class SimulatedTrial:
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
-    """The training env with straight walks at `speeds`, no pushes, no time-out within the trial;
+    """The training env with straight walks at `speeds` (or other set-points), no pushes, no time-out within the trial;
     its noise and variants stay."""
     commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
     calm = base.randomisation.model_copy(update={"push_speed": 0.0})
@@ -51,12 +53,17 @@ test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 @torch.no_grad()
 def simulate(
-    env: EnvBase, population: Population, speeds: Sequence[float], seconds: float, tolerance: float
+    env: EnvBase,
+    population: Population,
+    speeds: Sequence[float],
+    seconds: float,
+    tolerance: float,
+    task: Task = VELOCITY,
 ) -> list[list[SimulatedTrial]]:
     """Trials of every policy (outer) at every speed (inner); env instance n walks at speeds[n mod len(speeds)].
 
-    env: of batch size [P, N], made with `test_config`, writing the channel base_velocity;
-    tolerance: relative speed error of a valid segment.
+    env: of batch size [P, N], made with `test_config`, writing the channels that the task is judged by;
+    tolerance: relative speed error of a valid segment, see `Task.done`.
     """
     if seconds < SETTLE_SECONDS + 1.0:
         raise ConfigError(
@@ -79,7 +86,7 @@ def simulate(
         if step * env.dt < SETTLE_SECONDS - 1e-6:
             continue
         counted += 1
-        speed_sum += _forward_speed(env, after)
+        speed_sum += _achieved(task, after, shape)
         task_sum += after["reward"].squeeze(-1)
         if counted % per_segment == 0:
             segments.append(speed_sum / per_segment)
@@ -89,7 +96,7 @@ def simulate(
                 sums[name] = sums.get(name, 0.0) + value.squeeze(-1)
     commanded = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
     pieces = torch.stack(segments)  # (S, P, N)
-    good = ((pieces - commanded).abs() <= tolerance * commanded).float().mean(0)
+    good = torch.as_tensor(task.done(pieces, commanded, tolerance), device=env.device).float().mean(0)
     mean_speed = pieces.mean(0)
     results = []
     for candidate in range(shape[0]):
@@ -116,6 +123,12 @@ def simulate(
     return results
 
 
-def _forward_speed(env: EnvBase, after: TensorDictBase) -> torch.Tensor:
-    """Trunk speed forward, m/s, [P, N]: the channel of any env that writes it."""
-    return after["channels", "base_velocity"][..., 0]
+def _achieved(task: Task, after: TensorDictBase, shape: torch.Size) -> torch.Tensor:
+    """What the task says of this step, [P, N], from the channels of any env that writes them."""
+    found = torch.as_tensor(task.achieved({name: after["channels", name] for name in task.channels}))
+    if found.shape != shape:
+        raise PluginError(
+            f"{type(task).__name__}.achieved gives shape {tuple(found.shape)} for [P, N] = {list(shape)}; expected one "
+            "number per world."
+        )
+    return found

@@ -12,7 +12,7 @@ from typing import Any
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
-from hts.contracts import FineTuning, SimulatedCandidate
+from hts.contracts import VELOCITY, FineTuning, SimulatedCandidate, Task
 from hts.evaluation.simulation import SimulatedTrial, test_config
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
@@ -182,7 +182,8 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     worlds = test.num_envs * len(test.speeds)
     seed = job.seed("simulate")  # the same worlds in every iteration
     env_config = test_config(config.finetune.env, test.speeds, test.seconds, seed)
-    channels = tuple(dict.fromkeys((*inputs(job), "base_velocity")))
+    task = job.robot.task()
+    channels = tuple(dict.fromkeys((*inputs(job), *task.channels)))
     bare = job.robot.make_env(
         config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
     )
@@ -190,11 +191,12 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     population = Population.from_candidates(
         policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device
     )
-    results = dict(zip(names, trials(env, population, test.speeds, test.seconds, test.speed_tolerance), strict=True))
+    found = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, task)
+    results = dict(zip(names, found, strict=True))
     env.close()
     task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
     judged = [
-        replace(_judge(row, results[row["id"]], test.speed_tolerance), made=fine_tuning(row, task_rewards))
+        replace(_judge(row, results[row["id"]], test.speed_tolerance, task), made=fine_tuning(row, task_rewards))
         for row in rows
     ]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
@@ -242,14 +244,21 @@ def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]
     )
 
 
-def _judge(row: dict[str, Any], results: Sequence[SimulatedTrial], tolerance: float) -> SimulatedCandidate:
+def _judge(
+    row: Mapping[str, Any], results: Sequence[SimulatedTrial], tolerance: float, task: Task = VELOCITY
+) -> SimulatedCandidate:
     """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations)."""
     falls = sum(trial.falls for trial in results)
-    tracked = all(abs(trial.mean_speed - trial.speed) <= tolerance * trial.speed for trial in results)
+    tracked = does_it(task, results, tolerance)
     scores = _scores(results)
     if row["stopped"] is not None:
         scores, tracked = dict.fromkeys(scores, float("-inf")), False
     return SimulatedCandidate(row["id"], sum(scores.values()), falls, tracked, scores)
+
+
+def does_it(task: Task, results: Sequence[SimulatedTrial], tolerance: float) -> bool:
+    """Whether a policy does the task at every set-point."""
+    return all(task.does_it(trial.mean_speed, trial.valid, trial.speed, tolerance) for trial in results)
 
 
 def _scores(results: Sequence[SimulatedTrial]) -> dict[str, float]:

@@ -32,9 +32,9 @@ def final(job: Job, best: str, report: Report) -> dict[str, Any]:
     job.watch(report)
     recordings = job.world.head_to_head(job.exported("best"), job.exported("pretrained"), config.evaluation.speeds)
     ids = job.keep(recordings, config.iterations + 1)
-    entries, scores = {}, {}
+    entries, scores, task = {}, {}, job.robot.task()
     for name, objective in job.objectives.items():
-        results, refused = walked_speeds(objective, recordings, config.evaluation, job.seed("interval", "final"))
+        results, refused = walked_speeds(objective, recordings, config.evaluation, job.seed("interval", "final"), task)
         entries[name], scores[name] = entry_of(objective, results), segment_scores(results)
         if refused:
             entries[name]["refused"] = refused

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hts.evaluation.final import task_entry
 from hts.measurement.scoring import spearman
 from hts.run.front import PRETRAINED, front_entry
 from hts.run.job import Job
@@ -46,6 +47,7 @@ def summarise(job: Job) -> dict[str, Any]:
     return {
         "objectives": list(config.objectives),
         "robot": config.robot.name,
+        "task": task_entry(job.robot.task()),
         "world": config.world.name,
         "world_simulated": job.world.simulated,
         "preset": config.preset,

@@ -16,9 +16,10 @@ from pydantic import Field
 
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import Objective, Robot, World, WorldContext
+from hts.contracts import FollowVelocity, Objective, Robot, World, WorldContext
+from hts.errors import UnfitWorldError
 from hts.recordings.recording import Recording, Series
-from hts.worlds.base import ORDER, commands, file_hash, request_id, seed_sequence, walking
+from hts.worlds.base import ORDER, commands, file_hash, request_id, seed_sequence
 
 
 class Settings(Config):
@@ -55,6 +56,13 @@ class KnownWorld(World):
     def idle(self) -> Mapping[str, float]:
         return dict(self._idle)
 
+    def check(self) -> None:
+        if not isinstance(self.robot.task(), FollowVelocity):
+            raise UnfitWorldError(
+                f"World 'known' makes up walks at commanded velocities; robot '{self.robot.spec.name}' has another "
+                "task. Try it in a world of its own."
+            )
+
     def collect(self, policies: Sequence[Path], schedule: ScheduleConfig) -> list[Recording]:
         request = request_id("collect", self.seed, [file_hash(policy) for policy in policies], schedule.model_dump())
         return [
@@ -71,7 +79,7 @@ class KnownWorld(World):
         recordings = []
         for speed in speeds:
             session = request_id(request, float(speed))
-            schedule = walking(float(speed), self.settings.block_seconds)
+            schedule = self.robot.task().schedule(float(speed), self.settings.block_seconds)
             recordings += [
                 self._recording(paths[role], schedule, session, block, role, factor[role])
                 for block, role in enumerate(ORDER)

@@ -16,12 +16,12 @@ from pydantic import Field
 from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import Installed, Settings, World, WorldContext
+from hts.contracts import Installed, Robot, Settings, World, WorldContext
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
 from hts.recordings.needs import check_mapping
 from hts.recordings.recording import Recording
-from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out, walking
+from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
 
 
@@ -95,10 +95,11 @@ class FieldWorld(World):
             "head to head", [*policies, reference], [*map(float, speeds), self.settings.block_seconds]
         )
         orders: list[Order] = []
+        task = self._robot.task()
         for number, policy in enumerate(policies):
             for speed in speeds:
                 session = request_id(request, number, float(speed))
-                schedule = walking(float(speed), self.settings.block_seconds)
+                schedule = task.schedule(float(speed), self.settings.block_seconds)
                 for block, role in enumerate(ORDER):
                     path = Path(policy if role == "policy" else reference)
                     orders.append(Order(f"{len(orders):02d}", path, schedule, session, block, role))
@@ -111,7 +112,8 @@ class FieldWorld(World):
     ) -> list[list[Recording]]:
         """One bundle a round, its logs recorded in one go; the policies share the reference's blocks."""
         request = self._request("round", [*policies, reference], [float(speed), number, float(block_seconds)])
-        schedule, session = walking(float(speed), float(block_seconds)), request_id(request, 0)
+        schedule = self._robot.task().schedule(float(speed), float(block_seconds))
+        session = request_id(request, 0)
         order = round_order(len(policies), number)
         orders = [
             Order(f"{i:02d}", Path(reference), schedule, session, i, "reference")
@@ -131,7 +133,7 @@ class FieldWorld(World):
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             self._mapping()
-            write_bundle(bundle, orders, self._mapping_path(), self._command())
+            write_bundle(bundle, orders, self._mapping_path(), self._command(), self._robot.task())
         except OSError as error:
             raise WorldError(f"{bundle}: the deploy bundle cannot be written ({error.strerror}).") from error
         files = {order.name: _log_files(bundle / "logs", order.name) for order in orders}
@@ -157,9 +159,8 @@ class FieldWorld(World):
             "block": order.block,
             "role": order.role,
         }
-        robot = registry.make_robot(self._context.robot, self._context.robot_settings)
         try:
-            recording = read_log(registry, files, {**mapping, "recording": facts}, robot)
+            recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)
         except ConfigError as error:
             raise ConfigError(f"{self._mapping_path()}: {error}") from error
         if abs(recording.seconds - order.schedule.seconds) > 0.1 * order.schedule.seconds:
@@ -172,6 +173,10 @@ class FieldWorld(World):
     @cached_property
     def _registry(self) -> Installed:
         return self._context.registry or load()
+
+    @cached_property
+    def _robot(self) -> Robot:
+        return self._registry.make_robot(self._context.robot, self._context.robot_settings)
 
     def _mapping_path(self) -> Path:
         return self.settings.mapping or self._folder / "mapping.yaml"
@@ -188,7 +193,7 @@ class FieldWorld(World):
     def _template(self) -> str:
         """A mapping to fill in: the robot's channels, and what only the robot gives for the objectives."""
         registry = self._registry
-        robot = registry.make_robot(self._context.robot, self._context.robot_settings)
+        robot = self._robot
         real: dict[str, Channel] = {}
         for name, settings in self._context.objectives.items():
             objective = registry.make_objective(name, settings)
