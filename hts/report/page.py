@@ -18,6 +18,7 @@ from hts.report.front import front_part
 from hts.report.glossary import GLOSSARY
 from hts.report.measurement_figure import proxy_r2
 from hts.report.outcome import closing
+from hts.report.task_words import TaskWords
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,7 +111,7 @@ def _facts(run: RunData) -> list[str]:
 
 def _objective(run: RunData, name: str) -> dict[str, Any]:
     result = run.final.get(name) or {"unit": "1", "speeds": {}}
-    shown = result_rows(name, result)
+    shown = result_rows(name, result, run.task)
     return {
         **shown,
         "headline": _headline(run, name, result),
@@ -129,7 +130,7 @@ def _objective(run: RunData, name: str) -> dict[str, Any]:
     }
 
 
-def result_rows(name: str, result: Json) -> dict[str, Any]:
+def result_rows(name: str, result: Json, task: TaskWords) -> dict[str, Any]:
     """The result table of one objective."""
     unit, speeds = result["unit"], result["speeds"]
     metrics = list(dict.fromkeys(metric for speed in speeds.values() for metric in speed.get("metrics") or {}))
@@ -138,11 +139,12 @@ def result_rows(name: str, result: Json) -> dict[str, Any]:
         speed = speeds[key]
         bounds = speed.get("improvement_ci95")
         reference = speed.get("reference") or {}
-        mean = f"{wording.number(speed.get('mean_speed'))} m/s"
+        mean = task.amount(speed.get("mean_speed"))
         valid = speed.get("valid")
         rows.append(
             {
-                "speed": key,
+                "speed": task.point(key),
+                "at": task.at([key]).strip() or "against the pretrained policy",
                 "improvement": wording.quantity(speed["improvement"], unit),
                 "interval": wording.interval(bounds, unit),
                 "above_zero": bool(bounds) and bounds[0] > 0,
@@ -155,7 +157,13 @@ def result_rows(name: str, result: Json) -> dict[str, Any]:
                 + (f" ({100 * valid:.0f} %)" if valid is not None else ""),
             }
         )
-    return {"name": name, "metrics": [wording.label(metric) for metric in metrics], "rows": rows}
+    return {
+        "name": name,
+        "metrics": [wording.label(metric) for metric in metrics],
+        "rows": rows,
+        "set_point": task.heading,
+        "achieved": task.achieved,
+    }
 
 
 def _headline(run: RunData, name: str, result: Json) -> str:
@@ -175,34 +183,31 @@ def _headline(run: RunData, name: str, result: Json) -> str:
         spread = (
             wording.interval((values[0], values[-1]), unit) if len(values) > 1 else wording.quantity(values[0], unit)
         )
-        text = f"Against the pretrained policy, {policy} improves {name} by {spread}, at every speed tested."
+        text = f"Against the pretrained policy, {policy} improves {name} by {spread}{run.task.everywhere}."
     else:
         parts = [
             (better, "better"),
             (worse, "worse"),
             ([k for k in speeds if k not in better + worse], "not clearly either"),
         ]
-        found = ", ".join(f"{word} at {_speeds(keys)}" for keys, word in parts if keys)
+        found = ", ".join(f"{word}{run.task.at(keys)}" for keys, word in parts if keys)
         text = f"Against the pretrained policy, {policy} is, for {name}, {found}."
     if refused:
-        text += f" At {_speeds(refused)} it is not judged: it does not keep the commanded speed."
+        text += f" At{run.task.at(refused).removeprefix(' at')} it is not judged: it does not {run.task.done}."
     fell = "It did not fall." if not falls else f"It fell {falls} time{'' if falls == 1 else 's'}."
     return f"{text} {fell}"
-
-
-def _speeds(keys: Iterable[str]) -> str:
-    return " and ".join(sorted(keys, key=float)) + " m/s"
 
 
 def _later(run: RunData) -> dict[str, Any] | None:
     evaluation = run.evaluation
     if not evaluation.get("objectives"):
         return None
+    task = TaskWords.of(evaluation)
     return {
         "text": f"`hts evaluate`: policy {evaluation.get('policy', 'best')} against pretrained on world "
         f"{evaluation.get('world', 'unknown')}{' (simulated)' if evaluation.get('world_simulated') else ''}, seed "
         f"{evaluation.get('seed', 'unknown')}.",
-        "objectives": [result_rows(name, result) for name, result in evaluation["objectives"].items()],
+        "objectives": [result_rows(name, result, task) for name, result in evaluation["objectives"].items()],
     }
 
 
@@ -302,7 +307,8 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
                 "fell": bool(candidate.get("falls")),
                 "kind": "best" if best else "elite" if candidate.get("elite") else "",
                 "improvement": [
-                    (f"{speed} m/s: " if several else "") + wording.quantity(result.get("improvement"), run.unit(name))
+                    (f"{run.task.point(speed)}: " if several else "")
+                    + wording.quantity(result.get("improvement"), run.unit(name))
                     for name, speed, result in measured
                 ]
                 or ["refused" if candidate.get("refused") else "–"],

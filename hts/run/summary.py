@@ -33,7 +33,7 @@ def summarise(job: Job) -> dict[str, Any]:
                     key: _model(report, tested["model_checks"].get(key)) for key, report in fit.items()
                 },
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
-                "pretrained_task_reward": (simulated.get("task_rewards") or {}).get(PRETRAINED),
+                **_task(tuned, simulated),
                 "candidates": [_candidate(row, simulated, tested) for row in tuned["candidates"]],
             }
         )
@@ -99,6 +99,13 @@ def _model(report: dict[str, Any], checked: dict[str, Any] | None) -> dict[str, 
     }
 
 
+def _task(tuned: Mapping[str, Any], simulated: Mapping[str, Any]) -> dict[str, Any]:
+    """What became of the task in an iteration; nothing of runs from before it was written down."""
+    if "task_rewards" not in simulated:
+        return {}
+    return {"pretrained_task_reward": simulated["task_rewards"].get(PRETRAINED)}
+
+
 def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str, Any]) -> dict[str, Any]:
     name = row["id"]
     result = tested["results"].get(name, {})
@@ -113,7 +120,6 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
         "sim_score": simulated["scores"][name],
         "sim_scores": (simulated.get("objective_scores") or {}).get(name, {}),
         "tracked": simulated["tracked"][name],
-        "task_reward": (simulated.get("task_rewards") or {}).get(name),
         "elite": name in tested["elites"],
         "falls": simulated["falls"][name],
         "real": result.get("real"),
@@ -123,6 +129,8 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
     if result.get("refused"):
         entry["refused"] = result["refused"]
         entry["refusal"] = result.get("refusal")  # of runs from before it was written: none
+    if "task_rewards" in simulated:
+        entry["task_reward"] = simulated["task_rewards"].get(name)
     if row["stopped"]:
         entry["stopped"] = row["stopped"]
     return entry
