@@ -47,7 +47,7 @@ def nobody_chosen(rows: Sequence[Row], task: TaskWords = VELOCITY) -> str:
 
 
 def closing(summary: Mapping[str, Any]) -> list[str]:
-    """Sentences for the end of a run in which nobody, or for long nobody, was chosen;
+    """Sentences for the end of a run in which nobody, or for long nobody, was chosen, or elites gave up their task;
     empty if there is nothing to say."""
     iterations = [
         (one.get("index", number), one.get("best"), [row for row in one.get("candidates") or () if row.get("elite")])
@@ -56,6 +56,8 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
     sentences, task = [], TaskWords.of(summary)
     if (summary.get("final") or {}).get("policy") == "pretrained":
         sentences.append(_no_final([row for _, _, rows in iterations for row in rows], bool(iterations), task))
+    for number, one in enumerate(summary.get("iterations") or ()):
+        sentences += [f"Iteration {one.get('index', number):02d}: {line}" for line in one.get("warnings") or ()]
     for nobody, group in groupby(iterations, key=lambda one: one[1] is None):
         streak = list(group)
         if nobody and SEVERAL <= len(streak) < len(iterations):  # if it is all of them, that is said above

@@ -321,7 +321,17 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
                 or ["–"],
             }
         )
-    return {"index": iteration["index"], "rows": rows}
+    return {
+        "index": iteration["index"],
+        "rows": rows,
+        "warnings": iteration.get("warnings") or [],
+        "scale": [
+            f"Rewards of the task and of {name} spread by {wording.number(found['task_spread'])} and "
+            f"{wording.number(found['measured_spread'])} per second in the first batch: they weigh the same at λ = "
+            f"{found['equal_weight']:.2g}."
+            for name, found in (iteration.get("reward_scale") or {}).items()
+        ],
+    }
 
 
 # ------------------------------------------------------------------------------------------- provenance

@@ -22,6 +22,7 @@ from hts.policies.files import Policy, make_card
 from hts.rl.population import Population
 from hts.run.front import real_front
 from hts.run.job import Job
+from hts.run.task_watch import gave_up, gave_up_line, reward_scale, scale_lines
 from hts.selection.fronts import towards
 from hts.training.finetune import finetune as finetune_candidates
 from hts.training.finetune import measured_env
@@ -160,7 +161,10 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
             }
         )
     _remove_checkpoints(checkpoint)
-    return {"candidates": rows, "steps": steps}
+    scale = reward_scale(rows, list(job.objectives))
+    for line in scale_lines(scale, rows):
+        job.stages.progress.say(line)
+    return {"candidates": rows, "steps": steps, "reward_scale": scale}
 
 
 def _remove_checkpoints(checkpoint: Path) -> None:
@@ -176,7 +180,8 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     """Judge candidates by their mean action in the training simulation; Π_{i+1} <- top K."""
     config = job.config
     test = config.simulation_test
-    rows = job.read(f"iterations/{iteration:02d}/finetune")["candidates"]
+    tuned = job.read(f"iterations/{iteration:02d}/finetune")
+    rows = tuned["candidates"]
     names = ["pretrained", *(row["id"] for row in rows)]
     policies = [job.policy(name) for name in names]
     worlds = test.num_envs * len(test.speeds)
@@ -191,8 +196,8 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     population = Population.from_candidates(
         policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device
     )
-    found = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, task)
-    results = dict(zip(names, found, strict=True))
+    walks = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, task)
+    results = dict(zip(names, walks, strict=True))
     env.close()
     task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
     judged = [
@@ -208,16 +213,21 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         name: [{key: value for key, value in vars(trial).items() if key != "worlds"} for trial in row]
         for name, row in results.items()
     }
-    return {
+    found = {
         "scores": {c.id: c.score for c in judged},
         "objective_scores": {name: _scores(row) for name, row in results.items()},  # of the pretrained policy too
         "task_rewards": task_rewards,  # likewise, per second
         "falls": {c.id: c.falls for c in judged},
         "tracked": {c.id: c.tracked for c in judged},
+        "pretrained_tracked": does_it(task, results["pretrained"], test.speed_tolerance),
         "elites": elites,
         "trials": details,
         "steps": round(test.seconds * job.robot.spec.control_rate_hz) * worlds * len(names),
     }
+    line = gave_up_line(elites, found, tuned.get("reward_scale") or {}, task.quantity, task.unit)
+    if line is not None:
+        job.stages.progress.say(f"iteration {iteration:02d}: {line}")
+    return {**found, "gave_up": {"elites": gave_up(elites, found), "line": line}}
 
 
 def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:

@@ -9,6 +9,7 @@ from hts.evaluation.final import task_entry
 from hts.measurement.scoring import spearman
 from hts.run.front import PRETRAINED, front_entry
 from hts.run.job import Job
+from hts.run.task_watch import scale_lines
 
 
 def summarise(job: Job) -> dict[str, Any]:
@@ -103,7 +104,14 @@ def _task(tuned: Mapping[str, Any], simulated: Mapping[str, Any]) -> dict[str, A
     """What became of the task in an iteration; nothing of runs from before it was written down."""
     if "task_rewards" not in simulated:
         return {}
-    return {"pretrained_task_reward": simulated["task_rewards"].get(PRETRAINED)}
+    scale, left = tuned.get("reward_scale") or {}, simulated.get("gave_up") or {}
+    lines = [*scale_lines(scale, tuned["candidates"]), left.get("line")]
+    return {
+        "pretrained_task_reward": simulated["task_rewards"].get(PRETRAINED),
+        "reward_scale": scale,
+        "gave_up": left.get("elites") or [],
+        "warnings": [line for line in lines if line],
+    }
 
 
 def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str, Any]) -> dict[str, Any]:
