@@ -1,5 +1,5 @@
-# make run | test | check (lint and test) | docs | wheels | smoke-wheels | changelog; each installs first where needed, into
-# .venv, from constraints.txt.
+# make run | test | check (lint and test) | docs | fields (its tables of settings) | wheels | smoke-wheels | changelog; each
+# installs first where needed, into .venv, from constraints.txt.
 
 # The first Python that really starts (a pyenv shim may exist and fail), is 3.11 or 3.12, and can make environments.
 SUPPORTED := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))
@@ -13,7 +13,7 @@ PINS := constraints.txt pyproject.toml hts/__init__.py $(wildcard plugins/*/pypr
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 WORKERS ?= 2
 
-.PHONY: install install-dev run test lint check format docs changelog hooks wheels smoke-wheels clean
+.PHONY: install install-dev run test lint check format docs fields changelog hooks wheels smoke-wheels clean
 .DEFAULT_GOAL := install
 
 install: .venv/installed
@@ -40,6 +40,9 @@ format: install-dev
 docs: install-dev
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo site/index.html
+
+fields: install-dev
+	$(BIN)/python -m hts.testing.field_tables docs/authors/api.md
 
 changelog: install-dev
 	@$(BIN)/towncrier build --draft --version next 2>/dev/null

@@ -45,10 +45,12 @@ def run(
     """
     from hts.config_loading import load_config
     from hts.overrides import Override
+    from hts.plugins import load as load_plugins
     from hts.run import start_run
 
     names = [objectives] if isinstance(objectives, str) else list(objectives)
     overrides = [Override.of(key, value) for key, value in (settings or {}).items()]
+    registry = load_plugins()
     resolved = load_config(
         preset=preset,
         file=Path(config) if config else None,
@@ -58,8 +60,9 @@ def run(
         engine=engine,
         seed=seed,
         overrides=overrides,
+        registry=registry,
     )
-    return start_run(resolved, Path(out))
+    return start_run(resolved, Path(out), registry=registry)
 
 
 def resume(folder: Path | str) -> Path:

@@ -9,43 +9,33 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from hts.config_base import Config, Named
+from hts.schedules import NOTHING, Command, ScheduleConfig
 
-class Config(BaseModel):
-    """Base of all configuration sections: frozen, unknown keys refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Named(BaseModel):
-    """A plugin by name, with settings that its own factory validates."""
-
-    model_config = ConfigDict(frozen=True, extra="allow")
-    name: str
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        return dict(self.model_extra or {})
-
-
-class Command(Config):
-    """A stretch of a schedule: the commanded velocity, held for so long."""
-
-    seconds: float = Field(gt=0, description="duration, s")
-    vx: float = Field(description="commanded forward velocity, m/s")
-    vy: float = Field(0.0, description="commanded sideways velocity, m/s")
-    yaw_rate: float = Field(0.0, description="commanded yaw rate, rad/s (0: the operator keeps the heading)")
-
-
-class ScheduleConfig(Config):
-    """Commanded speeds over time."""
-
-    commands: tuple[Command, ...] = Field(min_length=1, description="one after the other")
-
-    @property
-    def seconds(self) -> float:
-        return sum(command.seconds for command in self.commands)
+__all__ = [
+    "NOTHING",
+    "CollectionConfig",
+    "Command",
+    "CommandConfig",
+    "Config",
+    "EnvConfig",
+    "EvaluationConfig",
+    "FinetuneConfig",
+    "MeasurementConfig",
+    "Named",
+    "PPOConfig",
+    "PretrainConfig",
+    "ProvenanceConfig",
+    "RandomisationConfig",
+    "RunConfig",
+    "ScheduleConfig",
+    "SelectionConfig",
+    "SimulationTestConfig",
+    "SweepConfig",
+    "TrustRegionConfig",
+]
 
 
 class RandomisationConfig(Config):
@@ -86,8 +76,10 @@ class EnvConfig(Config):
     """The training environment: commands, rewards, randomisation, time-out."""
 
     episode_seconds: float = Field(20.0, gt=0, description="time-out, s")
-    commands: CommandConfig = Field(default_factory=CommandConfig)
-    randomisation: RandomisationConfig = Field(default_factory=RandomisationConfig)
+    commands: CommandConfig = Field(default_factory=CommandConfig, description="what velocities are asked for")
+    randomisation: RandomisationConfig = Field(
+        default_factory=RandomisationConfig, description="what differs between env instances"
+    )
     observation_noise: float = Field(1.0, ge=0, description="factor on the sensor noise of training, 1")
     tracking_sigma: float = Field(
         0.05, gt=0, description="width of the tracking terms exp(-error^2 / sigma), (m/s)^2 and (rad/s)^2"
@@ -143,8 +135,8 @@ class FinetuneConfig(Config):
         description="hold the task's own measure at zero on average (of a velocity robot: its relative speed error) "
         "by a multiplier per candidate, so that doing less of the task is no saving",
     )
-    ppo: PPOConfig = Field(default_factory=PPOConfig)
-    env: EnvConfig = Field(default_factory=EnvConfig)
+    ppo: PPOConfig = Field(default_factory=PPOConfig, description="how it learns")
+    env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")
 
 
 class PretrainConfig(Config):
@@ -160,7 +152,7 @@ class PretrainConfig(Config):
         default_factory=lambda: PPOConfig(learning_rate=1e-3, adaptive_rate=True, entropy_coef=0.005),
         description="PPO without an anchor",
     )
-    env: EnvConfig = Field(default_factory=EnvConfig)
+    env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")
 
 
 class TrustRegionConfig(Config):
@@ -214,8 +206,12 @@ class SimulationTestConfig(Config):
 
     num_envs: int = Field(32, ge=1, description="worlds per candidate and speed")
     seconds: float = Field(8.0, ge=3.0, description="length of each trial, s; its first 2 s are not judged")
-    speeds: tuple[float, ...] = Field((0.8,), min_length=1, description="m/s")
-    speed_tolerance: float = Field(0.1, gt=0, description="largest relative error of the mean speed")
+    speeds: tuple[float, ...] = Field(
+        (0.8,), min_length=1, description="m/s; set-points of a robot with another task, which brings its own"
+    )
+    speed_tolerance: float = Field(
+        0.1, gt=0, description="largest relative error of the mean speed; another task has its own use for it"
+    )
     hold_speed: bool = Field(
         False, description="trim each candidate's command at each speed first, then judge it at the asked mean speed"
     )
@@ -228,7 +224,7 @@ class CollectionConfig(Config):
     then candidates that walk differently. Recordings with exploration noise show it what such changes cost.
     """
 
-    schedule: ScheduleConfig
+    schedule: ScheduleConfig = Field(description="what each recording is commanded, and for how long")
     repeats: int = Field(2, ge=1, description="recordings of the schedule with the mean action, as policies are tested")
     exploring: int = Field(6, ge=0, description="recordings of the schedule with exploration noise")
     exploration: float = Field(1.0, gt=0, description="sigma of that noise, as a share of the policy's own sigma")
@@ -246,11 +242,17 @@ class MeasurementConfig(Config):
 class SelectionConfig(Config):
     """Elites and the best."""
 
-    selector: Named = Field(default_factory=lambda: Named(name="hierarchical"))
+    selector: Named = Field(
+        default_factory=lambda: Named(name="hierarchical"), description="who is tested and who goes on"
+    )
     elites: int = Field(6, ge=1, description="K: candidates tried in reality per iteration")
-    speed: float = Field(0.8, gt=0, description="speed of the head-to-head during iterations, m/s")
+    speed: float = Field(
+        0.8, description="speed of the head-to-head during iterations, m/s; set-point of a robot with another task"
+    )
     speeds: tuple[float, ...] = Field(
-        (), description="several speeds of it, m/s: a candidate counts by its mean over them; empty: `speed` alone"
+        (),
+        description="several speeds of it, m/s, or set-points: a candidate counts by its mean over them; empty: "
+        "`speed` alone",
     )
     block_seconds: float | None = Field(
         None, gt=0, description="length of each of its blocks, s; null: that of the world"
@@ -258,15 +260,15 @@ class SelectionConfig(Config):
 
     @property
     def tested_speeds(self) -> tuple[float, ...]:
-        """Speeds at which elites are tried, m/s."""
+        """Speeds at which elites are tried, m/s, or set-points of another task."""
         return self.speeds or (self.speed,)
 
     @field_validator("speeds")
     @classmethod
     def _each_once(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
         for speed in speeds:
-            if not (math.isfinite(speed) and speed > 0):
-                raise ValueError(f"{speed} is not a number above 0")
+            if not math.isfinite(speed):
+                raise ValueError(f"{speed} is not a finite number")
         if len(set(speeds)) < len(speeds):
             raise ValueError("a speed is there twice")
         return speeds
@@ -275,8 +277,12 @@ class SelectionConfig(Config):
 class EvaluationConfig(Config):
     """The final head-to-head, and how segments become numbers."""
 
-    speeds: tuple[float, ...] = Field((0.5, 0.8, 1.1), min_length=1, description="m/s")
-    speed_tolerance: float = Field(0.1, gt=0, description="a 1 s segment counts within this relative speed error")
+    speeds: tuple[float, ...] = Field(
+        (0.5, 0.8, 1.1), min_length=1, description="m/s; set-points of a robot with another task, which brings its own"
+    )
+    speed_tolerance: float = Field(
+        0.1, gt=0, description="a 1 s segment counts within this relative speed error; another task has its own use"
+    )
     min_valid: float = Field(0.5, ge=0, le=1, description="refuse to report below this share of valid segments")
     min_segments: int = Field(10, ge=1, description="refuse to report with fewer valid segments of either policy")
     bootstrap: int = Field(2000, ge=100, description="resamples of the interval")
@@ -299,10 +305,10 @@ class ProvenanceConfig(Config):
 class RunConfig(Config):
     """All of a run. `preset` says which defaults it started from."""
 
-    preset: str
+    preset: str = Field(description="which defaults it started from: smoke, quick or paper")
     objectives: dict[str, dict[str, Any]] = Field(min_length=1, description="name -> settings of its plugin")
-    robot: Named
-    world: Named
+    robot: Named = Field(description="the machine, and its settings")
+    world: Named = Field(description='where policies run "for real", and its settings')
     engine: str = Field(
         "auto", description="mujoco (CPU), warp (GPU), or auto: warp where CUDA and its package are there"
     )
@@ -312,14 +318,20 @@ class RunConfig(Config):
     executor: str = Field("local", description="local (ray is planned)")
     seed: int = Field(0, ge=0, description="of the whole run")
     iterations: int = Field(ge=1, description="rounds of Algorithm 1")
-    collection: CollectionConfig
-    measurement: MeasurementConfig = Field(default_factory=MeasurementConfig)
-    sweep: SweepConfig = Field(default_factory=SweepConfig)
-    finetune: FinetuneConfig = Field(default_factory=FinetuneConfig)
-    simulation_test: SimulationTestConfig = Field(default_factory=SimulationTestConfig)
-    selection: SelectionConfig = Field(default_factory=SelectionConfig)
-    evaluation: EvaluationConfig = Field(default_factory=EvaluationConfig)
-    provenance: ProvenanceConfig = Field(default_factory=ProvenanceConfig)
+    collection: CollectionConfig = Field(description="first real data")
+    measurement: MeasurementConfig = Field(
+        default_factory=MeasurementConfig, description="fitting of measurement models"
+    )
+    sweep: SweepConfig = Field(default_factory=SweepConfig, description="anchors, weights λ and KL bounds c")
+    finetune: FinetuneConfig = Field(default_factory=FinetuneConfig, description="training of the candidates")
+    simulation_test: SimulationTestConfig = Field(
+        default_factory=SimulationTestConfig, description="candidates judged in simulation"
+    )
+    selection: SelectionConfig = Field(default_factory=SelectionConfig, description="elites and the best")
+    evaluation: EvaluationConfig = Field(default_factory=EvaluationConfig, description="the final head-to-head")
+    provenance: ProvenanceConfig = Field(
+        default_factory=ProvenanceConfig, description="what is kept of where results come from"
+    )
 
     @property
     def records_first(self) -> bool:

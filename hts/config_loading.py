@@ -1,6 +1,7 @@
 """From preset, config file, options and --set to one frozen RunConfig; and from a saved config back to it.
 
-Later wins: preset < what several objectives change of it (`presets.SEVERAL`) < --config FILE < --objective, --robot,
+Later wins: preset < what several objectives change of it (`presets.SEVERAL`) < set-points of a robot with another task
+than to follow a velocity (`hts.task_settings`) < --config FILE < --objective, --robot,
 --world, --engine, --executor, --seed < --set KEY=VALUE. How one layer is laid on another: `hts.layers`.
 """
 
@@ -24,6 +25,7 @@ from hts.layers import in_full as written_out
 from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
 from hts.presets import ASKS_OBJECTIVES, BASELINES, DEFAULT, PRESETS, SEVERAL
+from hts.task_settings import check_task, task_layer
 from hts.yaml_text import load_mapping_file
 
 if TYPE_CHECKING:
@@ -56,9 +58,10 @@ def load_config(
     """The configuration of a run. Raises ConfigError, one line, for anything that is wrong with it.
 
     objectives: if any are given, exactly these; settings for them still come from the file. baseline: the sweep and the
-    budget of `hts baseline`, with the analytic proxy as reward. registry: all that is installed, for presets that ask
-    objectives for settings of their own; None: loaded then.
+    budget of `hts baseline`, with the analytic proxy as reward.
     overrides: KEY=VALUE each, the key dotted, the value as YAML; or such a pair already taken apart.
+    registry: all that is installed. None: the robot is not asked for its task, and presets' speeds stay; it is loaded
+    only for presets that ask objectives for settings of their own.
     """
     sets = parsed(overrides)
     written = written_out(load_mapping_file(file), str(file)) if file else {}
@@ -78,7 +81,9 @@ def load_config(
     several = SEVERAL[chosen] if len(names) > 1 else {}
     without = {**BASELINES[chosen], "reward_source": "proxy"} if baseline else {}
     own = {"objectives": _of_objectives(names, chosen, registry)} if chosen in ASKS_OBJECTIVES else {}
-    layers = (PRESETS[chosen], own, several, without, written, options)
+    machine = laid(written, options, last).get("robot") if registry else None
+    task = task_layer(registry, machine, PRESETS[chosen]) if registry and machine else {}
+    layers = (PRESETS[chosen], own, several, without, task, written, options)
     below = laid(*layers)
     for override in sets:
         check_has_keys(below, override)
@@ -154,6 +159,7 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     for name, settings in config.objectives.items():
         registry.make_objective(name, settings)
     robot = registry.make_robot(config.robot.name, config.robot.settings)
+    check_task(config, robot)
     registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     with tempfile.TemporaryDirectory() as nowhere:
         context = WorldContext(

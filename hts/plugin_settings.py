@@ -7,11 +7,14 @@ model stays unknown, and is left as it is written.
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticUndefined
@@ -33,12 +36,15 @@ WITH_SETTINGS = ("objectives", "measurement_models", "robots", "worlds", "instru
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting: its dotted key, its default as YAML would have it (None with `needed`), and what it means."""
+    """One setting: its dotted key, its default as YAML would have it (None with `needed`), what it means, its type in
+    Python's words, and the bounds of its values ("> 0, ≤ 1"; empty without any)."""
 
     key: str
     default: Any
     description: str
     needed: bool = False
+    type: str = ""
+    bounds: str = ""
 
 
 def settings_model(registry: Registry, kind: str, name: str) -> type[BaseModel] | None:
@@ -62,7 +68,29 @@ def settings_of(model: type[BaseModel], prefix: str = "") -> Iterator[Setting]:
         if isinstance(inner, type) and issubclass(inner, BaseModel):
             yield from settings_of(inner, f"{key}.")
         else:
-            yield Setting(key, _default(field), field.description or "", field.is_required())
+            yield setting_of(key, field)
+
+
+def setting_of(key: str, field: FieldInfo) -> Setting:
+    """One field of a model, as it is whatever its type."""
+    required = field.is_required()
+    return Setting(key, _default(field), field.description or "", required, type_text(field.annotation), _bounds(field))
+
+
+def type_text(annotation: Any) -> str:
+    """A type as one would write it: `tuple[float, ...]`, `int | None`, `"best" | "front"`, `ScheduleConfig`."""
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if annotation is type(None):
+        return "None"
+    if origin is Literal:
+        return " | ".join(json.dumps(value) for value in inner)
+    if origin is Annotated:
+        return type_text(inner[0])
+    if origin in (Union, UnionType):
+        return " | ".join(type_text(one) for one in inner)
+    if origin is not None:
+        return f"{origin.__name__}[{', '.join('...' if one is Ellipsis else type_text(one) for one in inner)}]"
+    return annotation.__name__ if isinstance(annotation, type) else str(annotation).removeprefix("typing.")
 
 
 def in_full(registry: Registry, kind: str, name: str, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -79,6 +107,24 @@ def in_full(registry: Registry, kind: str, name: str, settings: Mapping[str, Any
     except (ValidationError, ValueError):
         return dict(settings)
     return full
+
+
+BOUNDS = {"gt": "> {}", "ge": "≥ {}", "lt": "< {}", "le": "≤ {}", "min_length": "at least {} of them"}
+"""Constraints as `annotated_types` names them -> how they are written."""
+
+
+def _bounds(field: FieldInfo) -> str:
+    """Of a list, of its length; limits that stand elsewhere (in validators) are not known here."""
+    found = [_values_of(one) for one in field.metadata]
+    return ", ".join(text.format(one[name]) for one in found for name, text in BOUNDS.items() if name in one)
+
+
+def _values_of(constraint: Any) -> dict[str, Any]:
+    """The fields of a constraint that have a value."""
+    if not dataclasses.is_dataclass(constraint):
+        return {}
+    found = {one.name: getattr(constraint, one.name) for one in dataclasses.fields(constraint)}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _default(field: FieldInfo) -> Any:

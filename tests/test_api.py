@@ -22,7 +22,7 @@ def test_run_resolves_a_configuration_and_starts_in_the_folder(tmp_path, monkeyp
     import hts.run
 
     seen = {}
-    monkeypatch.setattr(hts.run, "start_run", lambda config, out: seen.update(config=config) or out)
+    monkeypatch.setattr(hts.run, "start_run", lambda config, out, registry: seen.update(config=config) or out)
     out = api.run("anything", "any", out=tmp_path / "new", preset="smoke", seed=5, settings={"finetune.num_envs": 16})
     assert out == tmp_path / "new"
     assert (seen["config"].seed, seen["config"].preset, seen["config"].finetune.num_envs) == (5, "smoke", 16)
@@ -32,7 +32,7 @@ def test_run_resolves_a_configuration_and_starts_in_the_folder(tmp_path, monkeyp
 def test_run_takes_several_objectives(tmp_path, monkeypatch):
     import hts.run
 
-    monkeypatch.setattr(hts.run, "start_run", lambda config, out: tuple(config.objectives))
+    monkeypatch.setattr(hts.run, "start_run", lambda config, out, registry: tuple(config.objectives))
     assert api.run(["one", "two"], "any", out=tmp_path / "new") == ("one", "two")
 
 

@@ -230,7 +230,7 @@ def _resolved(
             robot=robot,
             world="twin",
             engine=engine,
-            reward_source="proxy" if method.command == "baseline" else None,
+            baseline=method.command == "baseline",
             overrides=list(settings),
         )
     except ConfigError as error:

@@ -21,7 +21,9 @@ def command(
     """The same as `hts run`, with the objective's analytic proxy as reward and a sweep and budget of its own."""
     from hts.cli.run import start
     from hts.config_loading import load_config
+    from hts.plugins import load
 
+    registry = load()
     resolved = load_config(
         preset=preset,
         file=config,
@@ -33,5 +35,6 @@ def command(
         seed=seed,
         baseline=True,
         overrides=set_ or (),
+        registry=registry,
     )
-    start(resolved, out, dry_run)
+    start(resolved, registry, out, dry_run)

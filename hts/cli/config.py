@@ -32,6 +32,7 @@ def show(
     from hts.config_loading import check_names, dump_config, load_config, with_plugin_defaults
     from hts.plugins import load
 
+    registry = load()
     resolved = load_config(
         preset=preset,
         file=config,
@@ -42,8 +43,8 @@ def show(
         executor=executor,
         seed=seed,
         overrides=set_ or (),
+        registry=registry,
     )
-    registry = load()
     check_names(resolved, registry)
     typer.echo(dump_config(with_plugin_defaults(resolved, registry)), nl=False)
 

@@ -194,7 +194,7 @@ def _statistics(recording: Recording) -> dict[str, dict[str, Any]]:
 
 
 def _listed(row: dict[str, Any]) -> tuple[str, ...]:
-    speeds = list(dict.fromkeys(f"{command['vx']:g}" for command in row["schedule"]["commands"]))
+    speeds = list(dict.fromkeys(_commanded(command) for command in row["schedule"]["commands"]))
     shown = " ".join(speeds[:4]) + (" …" if len(speeds) > 4 else "")
     seconds = f"{row['samples'] / row['rate_hz']:.1f}" + (" fell" if row["fell"] else "")
     place = (str(row["iteration"]), row["role"], row["session"], str(row["block"]))
@@ -210,11 +210,22 @@ def _listed(row: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
+def _commanded(command: dict[str, Any]) -> str:
+    """A forward velocity, m/s; the set-point of another task, in its unit; a dash for nothing."""
+    point = command.get("vx", command.get("set_point"))
+    return "–" if point is None else f"{point:g}"
+
+
+def _stretch(command: dict[str, Any]) -> str:
+    if "vx" not in command:
+        return f"{command['seconds']:g} s at set-point {_commanded(command)}"
+    velocity = f"({command['vx']:g}, {command['vy']:g}) m/s, {command['yaw_rate']:g} rad/s"
+    return f"{command['seconds']:g} s at {velocity}"
+
+
 def _schedule(attributes: dict[str, Any]) -> str:
     commands = attributes["schedule"]["commands"]
-    text = ", ".join(
-        f"{c['seconds']:g} s at ({c['vx']:g}, {c['vy']:g}) m/s, {c['yaw_rate']:g} rad/s" for c in commands[:6]
-    )
+    text = ", ".join(_stretch(command) for command in commands[:6])
     return text + (f", … {len(commands) - 6} more" if len(commands) > 6 else "")
 
 

@@ -18,12 +18,12 @@ def command(
         Path, typer.Option(metavar="M.yaml", help="Which column is which channel (docs/recordings.md).")
     ],
     to: Annotated[Path, typer.Option(metavar="STORE", help="The store, such as data.zarr. Made if it is not there.")],
+    drop: Annotated[
+        list[str] | None, typer.Option(metavar="CHANNEL", help="Import without this channel. May be repeated.")
+    ] = None,
     objective: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="Refuse logs that lack what this objective needs. May be repeated."),
-    ] = None,
-    drop: Annotated[
-        list[str] | None, typer.Option(metavar="CHANNEL", help="Import without this channel. May be repeated.")
     ] = None,
 ) -> None:
     """Import logs of a real robot into a recording store.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 import textwrap
@@ -49,7 +50,7 @@ def _data(registry: Registry, kind: str, name: str) -> Data:
         data["settings"] = None
         if model is not None:
             data["settings"] = [
-                {"key": one.key, "default": one.default, "needed": one.needed, "description": one.description}
+                {field.name: getattr(one, field.name) for field in dataclasses.fields(one)}
                 for one in settings_of(model)
             ]
     try:
@@ -173,7 +174,13 @@ def _setting_lines(page: Data, width: int) -> Iterable[str]:
     yield f"settings, --set {key}KEY=VALUE" if key else "settings"
     for row in page["settings"]:
         default = "needed" if row["needed"] else _yaml(row["default"])
-        yield f"  {row['key']}: {default}"
+        head = f"  {row['key']}: {default}"
+        kind = ", ".join(filter(None, [row["type"], row["bounds"]]))
+        if len(head) + len(kind) + 4 <= width:
+            yield f"{head}  ({kind})"
+        else:
+            yield head
+            yield from textwrap.wrap(f"({kind})", width, initial_indent="      ", subsequent_indent="      ")
         yield from textwrap.wrap(row["description"], width, initial_indent="      ", subsequent_indent="      ")
 
 

@@ -9,6 +9,7 @@ from hts.cli import options
 
 if TYPE_CHECKING:
     from hts.config import RunConfig
+    from hts.plugins import Registry
 
 
 def command(
@@ -27,7 +28,9 @@ def command(
 ) -> None:
     """Improve a robot's policy on an objective: measure, model, fine-tune, test, repeat."""
     from hts.config_loading import load_config
+    from hts.plugins import load
 
+    registry = load()
     resolved = load_config(
         preset=preset,
         file=config,
@@ -39,17 +42,16 @@ def command(
         seed=seed,
         reward_source=reward,
         overrides=set_ or (),
+        registry=registry,
     )
-    start(resolved, out, dry_run)
+    start(resolved, registry, out, dry_run)
 
 
-def start(config: RunConfig, out: Path | None, dry_run: bool) -> None:
+def start(config: RunConfig, registry: Registry, out: Path | None, dry_run: bool) -> None:
     """Check everything that can be checked for nothing, then run into a folder of its own."""
     from hts.cli.one_line import resumable
     from hts.config_loading import check_names
-    from hts.plugins import load
 
-    registry = load()
     check_names(config, registry)
     folder = out or default_folder(config)
     if not dry_run:

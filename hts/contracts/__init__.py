@@ -1,4 +1,4 @@
-"""What a plugin implements: Robot, Objective, MeasurementModel, Instrument, World, Selector, LogReader.
+"""What a plugin implements: Robot, Task, Objective, MeasurementModel, Instrument, World, Selector, LogReader.
 
 Interfaces only, one file each, a handful of methods each. Nothing here imports torch or mujoco, so that a
 plugin's module loads in milliseconds; heavy imports belong inside the methods.
@@ -22,13 +22,16 @@ from hts.contracts.parameter import parameter, parameters, structural
 from hts.contracts.robot import JointMotors, Robot, RobotSpec
 from hts.contracts.selector import FineTuning, RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
+from hts.contracts.task import VELOCITY, FollowVelocity, Task
 from hts.contracts.world import HoldSpeed, World, WorldContext
 
 __all__ = [
     "MODEL",
+    "VELOCITY",
     "Comparison",
     "Fact",
     "FineTuning",
+    "FollowVelocity",
     "HoldSpeed",
     "Installed",
     "Instrument",
@@ -47,6 +50,7 @@ __all__ = [
     "Settings",
     "Signals",
     "SimulatedCandidate",
+    "Task",
     "TestedCandidate",
     "World",
     "WorldContext",

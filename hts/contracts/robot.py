@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from hts.contracts.task import VELOCITY, Task
 from hts.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -91,6 +92,11 @@ class Robot(ABC):
     def pretrained_policy(self) -> Path | None:
         """Path of the starting policy's `.safetensors` (its `.json` lies beside it); None if log-only."""
 
+    def task(self) -> Task:
+        """What it is asked to do, and what counts as doing it. By default to follow a commanded velocity; a robot with
+        an env of its own may have another."""
+        return VELOCITY
+
     def make_env(
         self,
         engine: str,
@@ -103,7 +109,9 @@ class Robot(ABC):
         """A TorchRL env of batch size [num_candidates, num_envs] that writes ("channels", name).
 
         channels: names to write, all if empty; seeds: one per candidate, so that a candidate's random numbers
-        do not depend on its neighbours. `hts.envs.folded` helps to bring an env of another library. The env has `dt`,
+        do not depend on its neighbours. config.commands.fixed: the set-points at which candidates are judged, env
+        instance n at fixed[n mod len]; empty in training. `hts.envs.folded` helps to bring an env of another library.
+        The env has `dt`,
         s per control step, and may have `observation_layout` (for the card of a policy that is pretrained in it),
         `full_state` and `load_full_state` (to go on from a checkpoint), and `engine`.
 

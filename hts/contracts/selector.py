@@ -33,10 +33,10 @@ class SimulatedCandidate:
     """A candidate after fine-tuning, judged in simulation by its mean action.
 
     score: unweighted mean r_real, larger is better, summed over objectives; falls: worlds that fell; tracked: whether
-    it keeps the speed; scores: the parts of `score`, objective -> mean r_real, in the order of the run's objectives;
-    made: how; a run always says, made-up candidates may leave it out; predicted: objective -> the selection score that
-    a head-to-head should find, mean over the speeds of the trial, in the objective's unit; without those that no model
-    predicts.
+    it keeps the speed, or does whatever else its task is; scores: the parts of `score`, objective -> mean r_real, in
+    the order of the run's objectives; made: how; a run always says, made-up candidates may leave it out; predicted:
+    objective -> the selection score that a head-to-head should find, mean over the speeds of the trial, in the
+    objective's unit; without those that no model predicts.
     """
 
     id: str

@@ -75,7 +75,8 @@ class World(ABC):
 
     def hold_speed(self, hold: HoldSpeed | None) -> bool:
         """From now on head-to-heads hold the speed (None: send the asked speed as the command, as in the beginning).
-        Returns whether it is held from now on; by default a world cannot.
+        Returns whether it is held from now on; by default a world cannot. Only asked of a robot whose task can hold
+        (`Task.can_hold`).
 
         Held: before its blocks at a speed each policy, the reference too, walks `hold.seconds` in which the command is
         trimmed until `base_velocity`, as the robot's sensors give it, is the asked speed on average. Then the command

@@ -11,6 +11,8 @@ import torch
 from hts.config import CommandConfig
 from hts.rl.tracing import any_or_tracing
 
+SETTLING_SECONDS = 1.0  # after standing up
+LEAST_SPEED = 0.3  # m/s; of slower commands no share can be told
 DRAWS = 7  # uniform numbers an env instance needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
 
 
@@ -38,6 +40,16 @@ class Commands:
             self.fixed = speeds[torch.arange(shape[1], device=device) % len(config.fixed)].expand(shape)
         else:
             self.fixed = None
+
+    def speed_error(self, forward: torch.Tensor, seconds: torch.Tensor) -> torch.Tensor:
+        """Channel `speed_error`, [P, N]: robots that have just been stood up are still getting going.
+
+        forward: velocity, m/s; seconds: since it was stood up; both [P, N].
+        """
+        asked = self.value[..., 0]
+        counts = (asked.abs() >= LEAST_SPEED) & (seconds > SETTLING_SECONDS)
+        error = forward / torch.where(counts, asked, 1.0) - 1.0
+        return torch.where(counts, error, 0.0)
 
     def resample(self, mask: torch.Tensor, draws: torch.Tensor, yaw: torch.Tensor) -> None:
         """New commands where mask [P, N]; draws [P, N, DRAWS] uniform in [0, 1); yaw [P, N] rad now."""

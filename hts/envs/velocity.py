@@ -38,10 +38,6 @@ CHANNEL_FIELDS = {
 }
 
 
-SETTLING_SECONDS = 1.0  # after standing up
-LEAST_SPEED = 0.3  # m/s; of slower commands no share can be told
-
-
 class VelocityEnv(SplitStepEnv, WalksAsTold):
     """Follow a commanded velocity; see `hts.envs.rewards` for r_sim.
 
@@ -106,8 +102,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self._make_specs(joints, feet)
 
     def __setattr__(self, name: str, value: object) -> None:
-        # A step replaces some twenty tensors; for each of them EnvBase looks at length whether it is a submodule
-        # or a spec.
+        # A step replaces some twenty tensors; EnvBase looks at length whether each is a submodule or a spec.
         if isinstance(value, torch.Tensor):
             object.__setattr__(self, name, value)
         else:
@@ -202,8 +197,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
     def _prepare_next(self, seen: RewardInputs) -> dict[str, torch.Tensor]:
         """Make the next command and observation, and say whose episode is over."""
         self.action, self.last_joint_velocity = seen.action, seen.joint_velocity
-        terminated = seen.fell
-        truncated = (self.steps >= self.max_steps) & ~terminated
+        terminated, truncated = seen.fell, (self.steps >= self.max_steps) & ~seen.fell
         self.falls = self.falls + terminated
         self.commands.advance(self._draws[..., :DRAWS], self._yaw)
         self._observe(self._draws[..., self._fixed_draws :])
@@ -226,10 +220,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         values = {name: self._channel_value(name) for name in self.channel_specs}
         if values and not self.engine.finite_when_diverged:
             broken = self.engine.diverged.view(self.shape2)
-            values = {
-                name: value.masked_fill(broken.unsqueeze(-1) if value.ndim > 2 else broken, 0.0)
-                for name, value in values.items()
-            }
+            wide = broken.unsqueeze(-1)
+            values = {name: v.masked_fill(wide if v.ndim > 2 else broken, 0.0) for name, v in values.items()}
         return values
 
     def observations(self) -> dict[str, torch.Tensor]:
@@ -352,15 +344,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         if name == "command":
             return self.commands.value
         if name == SPEED_ERROR.name:
-            return self._speed_error()
+            return self.commands.speed_error(self._velocity[..., 0], self.steps * self.dt)
         return getattr(self, CHANNEL_FIELDS[name])
-
-    def _speed_error(self) -> torch.Tensor:
-        """Channel `speed_error`, [P, N]: robots that have just been stood up are still getting going."""
-        asked = self.commands.value[..., 0]
-        counts = (asked.abs() >= LEAST_SPEED) & (self.steps * self.dt > SETTLING_SECONDS)
-        error = self._velocity[..., 0] / torch.where(counts, asked, 1.0) - 1.0
-        return torch.where(counts, error, 0.0)
 
     # ------------------------------------------------------------------------------------- saving the whole state
 
@@ -392,9 +377,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
 
     def full_state(self) -> TensorDict:
         """Physics, commands, buffers and random generators: everything to go on exactly from here."""
-        buffers = {name: getattr(self, name).clone() for name in self.STATE}
         parts = {
-            "buffers": buffers,
+            "buffers": {name: getattr(self, name).clone() for name in self.STATE},
             "engine": self.engine.state_dict(),
             "commands": self.commands.state_dict(),
             "random": self.random.state_dict(),

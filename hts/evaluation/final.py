@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
 from hts.config import EvaluationConfig, Named
-from hts.contracts import Objective, TestedCandidate, WorldContext
+from hts.contracts import VELOCITY, FollowVelocity, Objective, Task, TestedCandidate, WorldContext
 from hts.errors import PolicyError, RunError
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
@@ -35,21 +35,30 @@ def speed_key(speed: float) -> str:
 
 
 def head_to_heads(
-    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+    task: Task = VELOCITY,
 ) -> Results:
     """One `HeadToHead` per commanded speed, slowest first. Raises EvaluationError as `compare` does."""
-    return {speed: compare(objective, group, config, seed) for speed, group in by_speed(recordings).items()}
+    groups = by_speed(recordings, task)
+    return {speed: compare(objective, group, config, seed, task) for speed, group in groups.items()}
 
 
 def walked_speeds(
-    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+    task: Task = VELOCITY,
 ) -> tuple[Results, dict[str, str]]:
     """`head_to_heads`, but a speed that the policy does not keep is refused alone: results, and speed key -> why.
 
     A run ends with what it measured: a policy chosen at one speed may walk too slowly at another. Raises
     EvaluationError if no speed is left, or if the reference itself cannot be judged.
     """
-    results, refusals = judged_speeds(objective, recordings, config, seed)
+    results, refusals = judged_speeds(objective, recordings, config, seed, task)
     for error in refusals.values():
         if error.role == "reference":
             raise error
@@ -59,14 +68,18 @@ def walked_speeds(
 
 
 def judged_speeds(
-    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+    task: Task = VELOCITY,
 ) -> tuple[Results, dict[str, NotComparable]]:
     """Results of the speeds at which the two can be compared, and speed key -> why not at the others."""
     results: Results = {}
     refusals: dict[str, NotComparable] = {}
-    for speed, group in by_speed(recordings).items():
+    for speed, group in by_speed(recordings, task).items():
         try:
-            results[speed] = compare(objective, group, config, seed)
+            results[speed] = compare(objective, group, config, seed, task)
         except NotComparable as error:
             refusals[speed_key(speed)] = error
     return results, refusals
@@ -78,14 +91,15 @@ def entry_both_ways(
     open_loop: Sequence[Recording],
     config: EvaluationConfig,
     seed: int = 0,
+    task: Task = VELOCITY,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """An objective's entry and `segment_scores` of a policy that was tried at held speed and at equal commands.
 
     The entry's `speeds` (and `refused`) are the held ones; `open_loop`: {"speeds", "refused"}, as the paper has them.
     A speed that cannot be judged in one way may be in the other. Raises EvaluationError if there is none in either.
     """
-    results, refusals = judged_speeds(objective, held, config, seed)
-    beside, refusals_beside = judged_speeds(objective, open_loop, config, seed)
+    results, refusals = judged_speeds(objective, held, config, seed, task)
+    beside, refusals_beside = judged_speeds(objective, open_loop, config, seed, task)
     if not results and not beside:
         raise next(iter(refusals.values()))
     entry = entry_of(objective, results)
@@ -146,6 +160,7 @@ def candidate_result(
     recordings: Sequence[Recording],
     config: EvaluationConfig,
     seed: int = 0,
+    task: Task = VELOCITY,
 ) -> CandidateResult:
     """Compare a candidate on every objective. A candidate that cannot walk is a result, not a failure of the run.
 
@@ -157,7 +172,7 @@ def candidate_result(
     fell = False
     for name, objective in objectives.items():
         try:
-            results = head_to_heads(objective, recordings, config, seed)
+            results = head_to_heads(objective, recordings, config, seed, task)
         except NotComparable as error:
             if error.role == "reference" and isinstance(error, TooFewSegments):
                 raise
@@ -180,8 +195,9 @@ def evaluate_run(
 ) -> dict[str, Any]:
     """Head-to-head of a policy against the run's pretrained one, written to `folder`/evaluation.json and returned.
 
-    speeds: m/s, by default those of the run's configuration; policy: "best" (default), "pretrained", a candidate's
-    id or an ONNX file; world: a name, by default the run's own world with its settings; seed: by default the run's.
+    speeds: m/s (or set-points of another task), by default those of the run's configuration; policy: "best" (default),
+    "pretrained", a candidate's id or an ONNX file; world: a name, by default the run's own world with its settings;
+    seed: by default the run's.
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
     head-to-head is refused (EvaluationError).
     """
@@ -192,6 +208,8 @@ def evaluate_run(
     folder = Path(folder)
     config = read_config(folder / "config.yaml")
     registry = registry or load()
+    task = registry.make_robot(config.robot.name, config.robot.settings).task()
+    task.check(speeds or (), "--speed")
     speeds = tuple(speeds or config.evaluation.speeds)
     seed = config.seed if seed is None else seed
     tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
@@ -209,6 +227,8 @@ def evaluate_run(
     place.mkdir(exist_ok=True)
     where = registry.make_world(named.name, named.settings, context)
     hold = hold_of(config)
+    if hold is not None:
+        task.check_hold("evaluation.hold_speed")
     held: list[Recording] = []
     try:
         if hold is not None:
@@ -223,21 +243,34 @@ def evaluate_run(
     entries, segments = {}, {}
     for name, objective in objectives.items():
         if hold is not None:
-            entries[name], segments[name] = entry_both_ways(objective, held, recordings, config.evaluation, seed)
+            both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
+            entries[name], segments[name] = both
         else:
-            found = head_to_heads(objective, recordings, config.evaluation, seed)
+            found = head_to_heads(objective, recordings, config.evaluation, seed, task)
             entries[name], segments[name] = entry_of(objective, found), segment_scores(found)
     result = {
         "world": named.name,
         "world_simulated": where.simulated,
         "policy": str(policy or "best"),
         "seed": seed,
+        "task": task_entry(task),
         "recordings": ids,
         "objectives": entries,
         "segments": segments,
     }
     _write(folder / RESULT, result)
     return result
+
+
+def task_entry(task: Task) -> dict[str, Any]:
+    """`task` of `summary.json` and `evaluation.json`: how its set-points and what it achieves are called. `commanded`:
+    whether anything is; if not, the one set-point, 0, is no number to show."""
+    return {
+        "velocity": isinstance(task, FollowVelocity),
+        "quantity": task.quantity,
+        "unit": task.unit,
+        "commanded": task.set_points != (),
+    }
 
 
 def policy_file(folder: Path, policy: str | Path) -> Path:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from hts.config import EvaluationConfig
-from hts.contracts import Comparison, Objective
+from hts.contracts import VELOCITY, Comparison, Objective, Task
 from hts.evaluation.across_speeds import mean_by_objective
 from hts.evaluation.head_to_head import TooFewSegments, by_speed, point
 
@@ -21,7 +21,10 @@ Half = Mapping[str, Comparison]
 
 
 def halves(
-    objectives: Mapping[str, Objective], recordings: Sequence[Recording], config: EvaluationConfig
+    objectives: Mapping[str, Objective],
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    task: Task = VELOCITY,
 ) -> list[Half | None]:
     """One comparison per objective for each half of one round, in order of time.
 
@@ -30,16 +33,16 @@ def halves(
     either one's segments are valid at any speed. Raises EvaluationError as `head_to_head.compare` does otherwise.
     """
     few = config.model_copy(update={"min_segments": 1})
-    speeds = [_at_one_speed(objectives, blocks, few) for blocks in by_speed(recordings).values()]
+    speeds = [_at_one_speed(objectives, blocks, few, task) for blocks in by_speed(recordings, task).values()]
     return [_over_speeds(found) for found in zip(*speeds, strict=True)]
 
 
 def _at_one_speed(
-    objectives: Mapping[str, Objective], recordings: Sequence[Recording], config: EvaluationConfig
+    objectives: Mapping[str, Objective], recordings: Sequence[Recording], config: EvaluationConfig, task: Task
 ) -> list[Half | None]:
     ordered = sorted(recordings, key=lambda recording: recording.block)
     policy, reference = ([r for r in ordered if r.role == role] for role in ("policy", "reference"))
-    return [_half(objectives, pair, config) for pair in zip(policy, reference, strict=True)]
+    return [_half(objectives, pair, config, task) for pair in zip(policy, reference, strict=True)]
 
 
 def _over_speeds(found: Sequence[Half | None]) -> Half | None:
@@ -47,8 +50,10 @@ def _over_speeds(found: Sequence[Half | None]) -> Half | None:
     return mean_by_objective(known) if len(known) == len(found) else None
 
 
-def _half(objectives: Mapping[str, Objective], pair: Sequence[Recording], config: EvaluationConfig) -> Half | None:
+def _half(
+    objectives: Mapping[str, Objective], pair: Sequence[Recording], config: EvaluationConfig, task: Task
+) -> Half | None:
     try:
-        return {name: point(objective, pair, config) for name, objective in objectives.items()}
+        return {name: point(objective, pair, config, task) for name, objective in objectives.items()}
     except TooFewSegments:
         return None

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hts.config import EvaluationConfig
-from hts.contracts import Comparison, Objective
+from hts.contracts import VELOCITY, Comparison, FollowVelocity, Objective, Task
 from hts.errors import EvaluationError
 from hts.evaluation.held import NAMES, Commanded, NotComparable, check_apart, check_range, commanded, refusal
 from hts.evaluation.intervals import interval
@@ -33,7 +33,7 @@ class TooFewSegments(NotComparable):
 
 @dataclass(frozen=True)
 class HeadToHead:
-    """A policy against its reference at one asked speed.
+    """A policy against its reference at one asked speed, or one set-point of another task.
 
     comparison: improvement, selection score and metrics by the objective; improvement_ci95: 95 % interval, None if
     a single segment leaves nothing to tell it from; metrics_ci95: the same for each metric;
@@ -64,7 +64,7 @@ class HeadToHead:
 
     @property
     def mean_speed(self) -> float:
-        """Of the policy over its valid segments, m/s."""
+        """Of the policy over its valid segments, m/s; of another task what was achieved, in its unit."""
         return float(self.policy_segments.speed.mean())
 
     @property
@@ -96,7 +96,11 @@ class HeadToHead:
 
 
 def compare(
-    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int = 0
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+    task: Task = VELOCITY,
 ) -> HeadToHead:
     """One head-to-head, or several of the same two policies, at one commanded speed.
 
@@ -105,8 +109,8 @@ def compare(
     speeds, fewer than `config.min_valid` of the segments valid, fewer than `config.min_segments` of either policy, a
     quantity that is not a finite number, or a held speed that was not held (`SpeedNotHeld`).
     """
-    sent = commanded({role: [r for r in recordings if r.role == role] for role in ROLES}, _one_speed(recordings))
-    measured = _measure(objective, recordings, config, sent, seed)
+    sent = commanded({role: [r for r in recordings if r.role == role] for role in ROLES}, _one_speed(recordings, task))
+    measured = _measure(objective, recordings, config, task, sent, seed)
     segments, scores, compared = measured.segments, measured.scores, measured.compared
     comparison = measured.comparison()
     blocks = {role: _by_block(_table(scores[role]), segments[role].block) for role in ("policy", "reference")}
@@ -139,10 +143,12 @@ def compare(
     )
 
 
-def point(objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig) -> Comparison:
+def point(
+    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, task: Task = VELOCITY
+) -> Comparison:
     """What `compare` finds, without intervals. Raises EvaluationError as it does; whether held speeds are apart is not
     looked at, since that takes more than a piece of a test."""
-    return _measure(objective, recordings, config).comparison()
+    return _measure(objective, recordings, config, task).comparison()
 
 
 @dataclass(frozen=True)
@@ -177,6 +183,7 @@ def _measure(
     objective: Objective,
     recordings: Sequence[Recording],
     config: EvaluationConfig,
+    task: Task,
     sent: Commanded | None = None,
     seed: int = 0,
 ) -> _Measured:
@@ -184,13 +191,13 @@ def _measure(
 
     sent: what was commanded; None: nothing is asked about held speeds. seed: of the interval of their difference.
     """
-    speed = _one_speed(recordings)
+    speed = _one_speed(recordings, task)
     ordered = sorted(recordings, key=lambda recording: (recording.session, recording.block))
-    segments = {role: cut([r for r in ordered if r.role == role], config.speed_tolerance) for role in ROLES}
+    segments = {role: cut([r for r in ordered if r.role == role], config.speed_tolerance, task=task) for role in ROLES}
     if sent is not None:
         check_range(segments, speed, sent)  # the reason of all that follows from it
     for role in ROLES:
-        _check_enough(segments[role], role, speed, config)
+        _check_enough(segments[role], role, speed, config, task)
     if sent is not None:
         check_apart(segments, speed, sent, config, seed)
     scores = {role: _scores(objective, segments[role], role) for role in ROLES}
@@ -202,38 +209,44 @@ def _measure(
     return _Measured(objective, speed, segments, scores, names)
 
 
-def by_speed(recordings: Sequence[Recording]) -> dict[float, list[Recording]]:
-    """Recordings of head-to-heads, grouped by the one speed each commands, slowest first."""
+def by_speed(recordings: Sequence[Recording], task: Task = VELOCITY) -> dict[float, list[Recording]]:
+    """Recordings of head-to-heads, grouped by the one speed (or set-point) each commands, slowest first."""
     groups: dict[float, list[Recording]] = {}
     for recording in recordings:
-        groups.setdefault(_one_speed([recording]), []).append(recording)
+        groups.setdefault(_one_speed([recording], task), []).append(recording)
     return dict(sorted(groups.items()))
 
 
-def _one_speed(recordings: Sequence[Recording]) -> float:
-    speeds = sorted({command.vx for recording in recordings for command in recording.schedule.commands})
+def _one_speed(recordings: Sequence[Recording], task: Task) -> float:
+    speeds = sorted({command.commanded for recording in recordings for command in recording.schedule.commands})
     if len(speeds) != 1:
         found = ", ".join(f"{speed:g}" for speed in speeds) or "none"
         raise EvaluationError(
             f"A head-to-head compares two policies at one commanded speed; these {len(recordings)} recordings command "
-            f"{found} m/s."
+            f"{found} {task.unit}."
         )
     return speeds[0]
 
 
-def _check_enough(segments: Segments, role: str, speed: float, config: EvaluationConfig) -> None:
-    name = NAMES[role]
+def _check_enough(segments: Segments, role: str, speed: float, config: EvaluationConfig, task: Task) -> None:
+    where, name = f"Head-to-head{task.at(speed)}", NAMES[role]
     if not segments.recordings:
-        raise EvaluationError(f"Head-to-head at {speed:g} m/s: no recording has the role '{role}'. Record {name} too.")
+        raise EvaluationError(f"{where}: no recording has the role '{role}'. Record {name} too.")
     if segments.valid >= config.min_valid and len(segments) >= config.min_segments:
         return
     fell = f", with {segments.falls} falls" if segments.falls else ""
-    walked = "" if math.isnan(segments.walked) else f"; it went {segments.walked:.2f} m/s on average"
+    if isinstance(task, FollowVelocity):
+        walked = "" if math.isnan(segments.walked) else f"; it went {segments.walked:.2f} m/s on average"
+        rule = f"within ±{config.speed_tolerance:.0%} of the commanded speed{fell}{walked}"
+        remedy = "check that it walks and that base_velocity is right."
+    else:
+        mean = "" if math.isnan(segments.walked) else f"; {task.quantity} {segments.walked:.3g} {task.unit} on average"
+        rule = f"the task was done in them{fell}{mean}"
+        remedy = f"check that it does its task and that {', '.join(task.channels)} are right."
     raise TooFewSegments(
-        f"Head-to-head at {speed:g} m/s: {len(segments)} of {segments.total} segments of {name} are valid "
-        f"(within ±{config.speed_tolerance:.0%} of the commanded speed{fell}{walked}); at "
-        f"least {config.min_segments} and "
-        f"{config.min_valid:.0%} are needed. Nothing is reported: check that it walks and that base_velocity is right.",
+        f"{where}: {len(segments)} of {segments.total} segments of {name} are valid "
+        f"({rule}); at least {config.min_segments} and {config.min_valid:.0%} are needed. "
+        f"Nothing is reported: {remedy}",
         role,
         refusal(segments, speed),
     )

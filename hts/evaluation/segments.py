@@ -1,6 +1,7 @@
 """Segments: the 1 s pieces of recordings that every real-world number is made of.
 
-A piece counts if its mean forward speed lies within ±10 % of the commanded one (the paper's protocol).
+A piece counts if the task was done in it; for a robot that follows a commanded velocity: if its mean forward speed lies
+within ±10 % of the commanded one (the paper's protocol).
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hts.errors import RecordingError, unknown_name
+from hts.contracts import VELOCITY, Task
+from hts.errors import PluginError, RecordingError, unknown_name
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -25,11 +27,12 @@ class Segments:
     """Valid 1 s pieces of several recordings, S of them, in the order of the recordings and of time.
 
     samples: n, control steps per piece; recording (S,): index into `recordings`; start (S,): first sample;
-    speed, commanded (S,): mean forward speed and commanded one, m/s; block (S,): numbers each block of each
+    speed, commanded (S,): mean forward speed and commanded one, m/s, or of another task what `Task.achieved` says and
+    the set-point, both in its unit; block (S,): numbers each block of each
     session, so that pieces with one number were recorded without interruption;
     total: pieces cut before the validity test; falls: times the trunk tipped over, or as many as a recording's note
-    `falls` says, at least one per recording that says it fell; walked: mean forward speed of all pieces, near
-    falls and gaps left out, whether it was kept or not, m/s; NaN without any.
+    `falls` says, at least one per recording that says it fell; walked: mean `speed` of all pieces, near
+    falls and gaps left out, whether they count or not; NaN without any.
     """
 
     recordings: tuple[Recording, ...]
@@ -100,15 +103,15 @@ def cut(
     speed_tolerance: float = 0.1,
     settle_seconds: float = 2.0,
     segment_seconds: float = 1.0,
+    task: Task = VELOCITY,
 ) -> Segments:
     """Cut recordings into pieces that do not overlap, and keep the valid ones.
 
     The first `settle_seconds` of a recording and of every command are dropped and not counted (a world that knows
     better says so in the recording's note `unsteady_seconds`). A piece is valid if
-    its mean forward speed is within ±speed_tolerance of the commanded one, no samples are missing in it, and it is
+    the task was done in it (see `Task.done`), no samples are missing in it, and it is
     not near a fall (from 1 s before the trunk tilts over to settle_seconds after it stands again).
-    A command of 0 m/s has no valid pieces: ±10 % of nothing is nothing.
-    Raises RecordingError if rates differ or `base_velocity` is missing.
+    Raises RecordingError if rates differ or a channel that the task is judged by is missing.
     """
     rates = sorted({recording.rate_hz for recording in recordings})
     if len(rates) > 1:
@@ -126,17 +129,17 @@ def cut(
         settle = _seconds(recording.notes.get("unsteady_seconds"), settle_seconds)
         near_fall, count = _near_falls(recording, settle)
         falls += count
-        forward = Segments._series(recording, "base_velocity")[:, 0]
+        achieved = _achieved(recording, task)
         for start, commanded in _starts(recording, settle, samples):
             total += 1
             piece = slice(start, start + samples)
-            speed = float(forward[piece].mean())
+            speed = float(achieved[piece].mean())
             elapsed = recording.time[piece][-1] - recording.time[piece][0]
             whole = elapsed < 1.2 * segment_seconds  # a gap in the log stretches the piece
             if not whole or near_fall[piece].any():
                 continue
             walked.append(speed)
-            if abs(speed - commanded) < speed_tolerance * abs(commanded):
+            if task.done(speed, commanded, speed_tolerance):
                 columns.append((index, start, speed, commanded, block))
     table = np.array(columns, dtype=float).reshape(-1, 5).T
     return Segments(
@@ -153,6 +156,18 @@ def cut(
     )
 
 
+def _achieved(recording: Recording, task: Task) -> np.ndarray:
+    """What the task says of each sample, (T,). Raises RecordingError for a missing channel, PluginError if it says
+    something else."""
+    found = np.asarray(task.achieved({name: Segments._series(recording, name) for name in task.channels}))
+    if found.shape != (recording.num_samples,):
+        raise PluginError(
+            f"{type(task).__name__}.achieved gives shape {found.shape} for {recording.num_samples} samples; expected "
+            "one number per sample."
+        )
+    return found
+
+
 def _seconds(noted: str | None, otherwise: float) -> float:
     """A duration from a recording's notes, s. Raises RecordingError if it is not one."""
     if noted is None:
@@ -166,25 +181,25 @@ def _seconds(noted: str | None, otherwise: float) -> float:
 
 
 def _starts(recording: Recording, settle_seconds: float, samples: int) -> list[tuple[int, float]]:
-    """First sample and commanded vx of each piece, in order."""
+    """First sample and set-point of each piece, in order."""
     elapsed = recording.time - recording.time[0]
     half = 0.5 / recording.rate_hz  # clocks jitter: compare halfway between samples
     starts: list[tuple[int, float]] = []
     begin = 0.0
-    for vx, seconds in _merged(recording):
+    for set_point, seconds in _merged(recording):
         end = begin + seconds
         first = int(np.searchsorted(elapsed, begin + settle_seconds - half))
         stop = int(np.searchsorted(elapsed, end - half))
-        starts += [(start, vx) for start in range(first, stop - samples + 1, samples)]
+        starts += [(start, set_point) for start in range(first, stop - samples + 1, samples)]
         begin = end
     return starts
 
 
 def _merged(recording: Recording) -> list[tuple[float, float]]:
-    """(vx, seconds) of the schedule, equal commands in a row taken as one."""
+    """(set-point, seconds) of the schedule, equal commands in a row taken as one."""
     merged: list[tuple[tuple[float, float, float], float]] = []
     for command in recording.schedule.commands:
-        velocity = (command.vx, command.vy, command.yaw_rate)
+        velocity = (command.commanded, command.vy, command.yaw_rate)
         if merged and merged[-1][0] == velocity:
             merged[-1] = (velocity, merged[-1][1] + command.seconds)
         else:

@@ -1,5 +1,5 @@
-"""How policies do in the training simulation: mean action, straight walks at fixed speeds,
-one whole trial per env instance."""
+"""How policies do in the training simulation: mean action, straight walks at fixed speeds (or the set-points of another
+task), one whole trial per env instance."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from hts.config import EnvConfig, SimulationTestConfig
-from hts.contracts import HoldSpeed
-from hts.errors import ConfigError
+from hts.contracts import VELOCITY, HoldSpeed, Task
+from hts.errors import ConfigError, PluginError
 from hts.evaluation.simulated_trimming import SECONDS, trim
 from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
@@ -26,12 +26,13 @@ SETTLE_SECONDS = 2.0  # the start of a trial is not judged
 class SimulatedTrial:
     """One policy at one asked speed over its env instances.
 
-    falls: instances that fell at least once; mean_speed m/s over those that did not; valid: share of their 1 s segments
-    within the tolerance of the asked speed; rewards: mean r_real per objective, task_reward: mean of the task's
+    speed, mean_speed: m/s, or of another task its set-point and what was achieved, in its unit; falls: instances that
+    fell at least once; mean_speed is over those that did not; valid: share of the 1 s segments in which the task was
+    done; rewards: mean r_real per objective, task_reward: mean of the task's
     own, both per second, after settling, over instances that did not fall;
     pieces: what was predicted of each target in the 1 s pieces of those instances, (S, n) as the model gives it, not
-    yet in the target's unit; piece_speed: mean forward speed of each, m/s (S,); commanded: what was sent, m/s,
-    the asked speed where none was held (NaN if not known).
+    yet in the target's unit; piece_speed: mean of what was achieved in each, as mean_speed (S,); commanded: what was
+    sent, the asked speed or set-point where none was held (NaN if not known).
     """
 
     speed: float
@@ -47,7 +48,7 @@ class SimulatedTrial:
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
-    """The training env with straight walks at `speeds`, no pushes, no time-out within the trial;
+    """The training env with straight walks at `speeds` (or other set-points), no pushes, no time-out within the trial;
     its noise and variants stay."""
     commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
     calm = base.randomisation.model_copy(update={"push_speed": 0.0})
@@ -80,24 +81,27 @@ def simulate(
     speeds: Sequence[float],
     seconds: float,
     tolerance: float,
+    task: Task = VELOCITY,
     hold: HoldSpeed | None = None,
 ) -> list[list[SimulatedTrial]]:
     """Trials of every policy (outer) at every speed (inner); env instance n walks at speeds[n mod len(speeds)].
 
-    env: of batch size [P, N], made with `test_config`, writing the channel base_velocity;
-    tolerance: relative speed error of a valid segment; hold: trim each policy's command at each speed first, in trials
-    of their own.
+    env: of batch size [P, N], made with `test_config`, writing the channels that the task is judged by;
+    tolerance: relative speed error of a valid segment, see `Task.done`; hold: trim each policy's command at each speed
+    first, in trials of their own. Raises ConfigError where a speed is to be held of a task that follows none.
     """
     if seconds < SETTLE_SECONDS + 1.0:
         raise ConfigError(
             f"A trial of {seconds} s has no segment to judge: {SETTLE_SECONDS} s to settle and 1 s at least. Make it "
             "longer."
         )
+    if hold is not None:
+        task.check_hold("simulation_test.hold_speed")
     act = PopulationActor(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
     sent = torch.tensor(speeds, device=env.device).expand(shape[0], -1)  # [P, S]
     if hold is not None:
-        sent = trim(env, act, speeds, hold, lambda after: _forward_speed(env, after))
+        sent = trim(env, act, speeds, hold, lambda after: _achieved(task, after, shape))
     state = env.reset()
     fallen = torch.zeros(shape, dtype=torch.bool, device=env.device)
     segments: list[torch.Tensor] = []
@@ -113,7 +117,7 @@ def simulate(
         if step * env.dt < SETTLE_SECONDS - 1e-6:
             continue
         counted += 1
-        speed_sum += _forward_speed(env, after)
+        speed_sum += _achieved(task, after, shape)
         task_sum += after["reward"].squeeze(-1)
         if counted % per_segment == 0:
             segments.append(speed_sum / per_segment)
@@ -126,7 +130,7 @@ def simulate(
                 predicted.setdefault(name, []).append(value.squeeze(-1))
     commanded = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
     pieces = torch.stack(segments)  # (S, P, N)
-    good = ((pieces - commanded).abs() <= tolerance * commanded).float().mean(0)
+    good = torch.as_tensor(task.done(pieces, commanded, tolerance), device=env.device).float().mean(0)
     mean_speed = pieces.mean(0)
     whole = {
         name: torch.stack(steps[: len(pieces) * per_segment]).unflatten(0, (len(pieces), per_segment)).cpu()
@@ -163,6 +167,12 @@ def simulate(
     return results
 
 
-def _forward_speed(env: EnvBase, after: TensorDictBase) -> torch.Tensor:
-    """Trunk speed forward, m/s, [P, N]: the channel of any env that writes it."""
-    return after["channels", "base_velocity"][..., 0]
+def _achieved(task: Task, after: TensorDictBase, shape: torch.Size) -> torch.Tensor:
+    """What the task says of this step, [P, N], from the channels of any env that writes them."""
+    found = torch.as_tensor(task.achieved({name: after["channels", name] for name in task.channels}))
+    if found.shape != shape:
+        raise PluginError(
+            f"{type(task).__name__}.achieved gives shape {tuple(found.shape)} for [P, N] = {list(shape)}; expected one "
+            "number per world."
+        )
+    return found

@@ -87,9 +87,9 @@ def policy_costs(traces: Sequence[Trace]) -> list[PolicyCost]:
 
 
 def commanded_speed(recording: Recording) -> np.ndarray:
-    """Commanded forward speed at each sample, m/s rounded to 0.01, shape (T,)."""
+    """Commanded forward speed at each sample, m/s rounded to 0.01, or the set-point of another task, shape (T,)."""
     ends = np.cumsum([command.seconds for command in recording.schedule.commands])
-    speeds = np.array([round(command.vx, 2) for command in recording.schedule.commands])
+    speeds = np.array([round(command.commanded, 2) for command in recording.schedule.commands])
     elapsed = recording.time - recording.time[0]
     return speeds[np.minimum(np.searchsorted(ends, elapsed, side="right"), len(speeds) - 1)]
 

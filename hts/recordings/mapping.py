@@ -77,7 +77,9 @@ class RecordingFacts(Config):
     mass_kg: float | None = Field(None, gt=0, description="of the robot as it walked, kg")
     session: str = Field("", description="head-to-head it belongs to")
     block: int = Field(0, ge=0, description="position in the session")
-    role: Literal["collection", "policy", "reference"] = "collection"
+    role: Literal["collection", "policy", "reference"] = Field(
+        "collection", description="first data, or a block of the policy or of its reference in a head-to-head"
+    )
     fell: bool = Field(False, description="whether the robot fell")
     kp: tuple[float, ...] | None = Field(None, description="gains, N*m/rad; left out: the robot's own")
     kd: tuple[float, ...] | None = Field(None, description="gains, N*m*s/rad; left out: the robot's own")
@@ -93,7 +95,7 @@ class LogMapping(Config):
     files: dict[str, str] | None = Field(
         None, description="name -> pattern of the file name, where one recording is spread over several files"
     )
-    time: TimeMapping
+    time: TimeMapping = Field(description="the column of time stamps")
     rate_hz: float = Field(gt=0, description="of the recording, Hz; the log is resampled to it")
     max_gap_seconds: float = Field(0.1, gt=0, description="longest gap that is filled by interpolation, s")
     joints: dict[str, str] | None = Field(None, description="robot's joint -> its name in the log, for {joint}")
@@ -101,7 +103,7 @@ class LogMapping(Config):
         None, description="robot's joint names in the order of the log's columns; left out: the robot's order"
     )
     channels: dict[str, ChannelMapping] = Field(min_length=1, description="by channel name")
-    recording: RecordingFacts = Field(default_factory=RecordingFacts)
+    recording: RecordingFacts = Field(default_factory=RecordingFacts, description="what the log cannot say of itself")
 
     @model_validator(mode="after")
     def _files_are_known(self) -> LogMapping:

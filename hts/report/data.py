@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from hts.errors import RunError
+from hts.report.task_words import TaskWords
 
 Json = dict[str, Any]
 
@@ -41,6 +42,11 @@ class RunData:
     def world_simulated(self) -> bool | None:
         """Whether its world computes physics; None if it does not say. Runs of before worlds said so: by its name."""
         return self.summary.get("world_simulated", {"twin": True, "field": False}.get(self.world))
+
+    @property
+    def task(self) -> TaskWords:
+        """How its set-points are called."""
+        return TaskWords.of(self.summary)
 
     @property
     def objectives(self) -> list[str]:

@@ -59,7 +59,7 @@ def improvement(run: RunData, objective: str) -> Figure | None:
                     linestyle="none",
                     label=None if position else wording.label(name).lower(),
                 )
-    panel.set_xticks(range(len(keys)), [f"{key} m/s" for key in keys])
+    panel.set_xticks(range(len(keys)), [run.task.point(key) for key in keys])
     panel.set_xlim(-0.6, len(keys) - 0.4)
     panel.grid(axis="x", visible=False)
     panel.set_ylabel(f"against the pretrained policy, {unit}")
@@ -90,7 +90,7 @@ def distribution(run: RunData, objective: str) -> Figure | None:
         panel.set_xticks([0, 1], ["pretrained", "final"])
         panel.set_xlim(-0.6, 1.6)
         panel.grid(axis="x", visible=False)
-        panel.set_title(f"{key} m/s")
+        panel.set_title(run.task.at([key]).removeprefix(" at "))
     name = wording.label(quantity)
     axes[0, 0].set_ylabel(f"{name} / pretrained mean" if fraction else f"{name} − pretrained mean")
     return drawing
@@ -262,7 +262,7 @@ def _measured(
             linewidth=1.2,
         )
         name = f"λ {wording.weights(candidate['weights'])} · c {wording.bound(candidate['kl_bound'])}"
-        names.append(name + (f" · {speed} m/s" if len(speeds) > 1 else ""))
+        names.append(name + (f" · {run.task.point(speed)}" if len(speeds) > 1 else ""))
     panel.set_yticks(range(len(tested)), names)
     panel.set_ylim(-0.7, max(len(tested) - 0.3, 0.7))
     panel.grid(axis="y", visible=False)

@@ -54,7 +54,7 @@ def _speeds(run: RunData) -> str:
     """Where the head-to-heads of the iterations were walked."""
     name = run.objectives[0]
     speeds = {speed for iteration in run.iterations for _, speed, _ in run.tested(iteration, name)}
-    return f" at {' and '.join(sorted(speeds, key=float))} m/s" if speeds else ""
+    return run.task.at(speeds)
 
 
 def front_rows(run: RunData) -> list[dict[str, Any]]:

@@ -29,11 +29,18 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         "Segment",
         (
             "One second of walking whose mean forward speed is within the allowed deviation (10 % by default) of the "
-            "commanded speed. The first two seconds after each change and everything near a fall are left out. The "
+            "commanded speed; for a robot with another task, one second in "
+            "which it did that. The first two seconds after each change and everything near a fall are left out. The "
             "share in brackets is the valid part of all seconds."
         ),
     ),
-    ("Mean speed", "Over the valid segments; in brackets that of the pretrained policy. Walking slower is not saving."),
+    (
+        "Mean speed",
+        (
+            "Over the valid segments; in brackets that of the pretrained policy. Walking slower is not saving. Of "
+            "another task: what was achieved."
+        ),
+    ),
     (
         "Held speed, equal commands",
         (
@@ -65,7 +72,7 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
             "the bound that fine-tuning keeps it under (∞: none)."
         ),
     ),
-    ("λ", "Weight of the measured objective against the walking task in the reward."),
+    ("λ", "Weight of the measured objective against the task in the reward."),
     (
         "Score in simulation",
         (

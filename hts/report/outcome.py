@@ -9,68 +9,78 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
+from hts.report.task_words import VELOCITY, TaskWords
+
 Row = Mapping[str, Any]
 
 SEVERAL = 3
 """So many iterations in a row that choose nobody are worth a sentence of their own."""
 
-ADVICE = (
-    "Who is refused walks too unlike the command to be compared: try smaller λ (sweep.weights) or KL bounds "
-    "(sweep.kl_bounds), or allow more (evaluation.speed_tolerance)."
-)
+SMALLER = "try smaller λ (sweep.weights) or KL bounds (sweep.kl_bounds)"
 
 
-def fates(rows: Sequence[Row]) -> str:
+def _advice(task: TaskWords) -> str:
+    if task.velocity:
+        return (
+            f"Who is refused walks too unlike the command to be compared: {SMALLER}, or allow more "
+            "(evaluation.speed_tolerance)."
+        )
+    return f"Who is refused does its task too little of the time to be compared: {SMALLER}."
+
+
+def fates(rows: Sequence[Row], task: TaskWords = VELOCITY) -> str:
     """Of so many elites: "2 of 3 refused (they went 0.55 and 0.61 m/s on average, 0.8 was commanded), 1 no better"."""
     refused = [row for row in rows if row.get("refused")]
     fell = [row for row in rows if not row.get("refused") and _fell(row)]
     rest = len(rows) - len(refused) - len(fell)
-    parts = [f"{len(refused)} of {len(rows)} refused{_walked(refused)}"] if refused else []
+    parts = [f"{len(refused)} of {len(rows)} refused{_walked(refused, task)}"] if refused else []
     parts += [f"{len(fell)} fell"] if fell else []
     parts += [f"{rest} measured no better"] if rest else []
     return ", ".join(parts)
 
 
-def nobody_chosen(rows: Sequence[Row]) -> str:
+def nobody_chosen(rows: Sequence[Row], task: TaskWords = VELOCITY) -> str:
     """Of an iteration whose tests chose nobody: one sentence."""
     if not rows:
         return "nobody was tested: every candidate fell or was stopped in simulation"
-    return f"nobody was chosen: {fates(rows)}"
+    return f"nobody was chosen: {fates(rows, task)}"
 
 
 def closing(summary: Mapping[str, Any]) -> list[str]:
-    """Sentences for the end of a run in which nobody, or for long nobody, was chosen;
+    """Sentences for the end of a run in which nobody, or for long nobody, was chosen, or elites gave up their task;
     empty if there is nothing to say."""
     iterations = [
         (one.get("index", number), one.get("best"), [row for row in one.get("candidates") or () if row.get("elite")])
         for number, one in enumerate(summary.get("iterations") or ())
     ]
-    sentences = []
+    sentences, task = [], TaskWords.of(summary)
     if (summary.get("final") or {}).get("policy") == "pretrained":
-        sentences.append(_no_final([row for _, _, rows in iterations for row in rows], bool(iterations)))
+        sentences.append(_no_final([row for _, _, rows in iterations for row in rows], bool(iterations), task))
+    for number, one in enumerate(summary.get("iterations") or ()):
+        sentences += [f"Iteration {one.get('index', number):02d}: {line}" for line in one.get("warnings") or ()]
     for nobody, group in groupby(iterations, key=lambda one: one[1] is None):
         streak = list(group)
         if nobody and SEVERAL <= len(streak) < len(iterations):  # if it is all of them, that is said above
             rows = [row for _, _, tried in streak for row in tried]
-            about = fates(rows) or "nobody was tested"
+            about = fates(rows, task) or "nobody was tested"
             sentences.append(f"Iterations {streak[0][0]:02d} to {streak[-1][0]:02d} chose nobody: {about}.")
     return sentences
 
 
-def _no_final(rows: Sequence[Row], known: bool) -> str:
+def _no_final(rows: Sequence[Row], known: bool, task: TaskWords) -> str:
     text = "No final head-to-head: "
     if rows and all(row.get("refused") for row in rows):
         text += "every elite was refused, so nothing could be compared; the pretrained policy stays the best."
-        return f"{text} {_capital(fates(rows))}. {ADVICE}"
+        return f"{text} {_capital(fates(rows, task))}. {_advice(task)}"
     if known and not rows:
         text += "no candidate was tested, since all fell or were stopped in simulation; "
         return f"{text}the pretrained policy stays the best."
     text += "no candidate measured better than the pretrained policy, which stays the best."
-    return f"{text} {_capital(fates(rows))}." if rows else text
+    return f"{text} {_capital(fates(rows, task))}." if rows else text
 
 
-def _walked(rows: Sequence[Row]) -> str:
-    """How fast refused elites went, where that was written down."""
+def _walked(rows: Sequence[Row], task: TaskWords) -> str:
+    """How fast refused elites went, or what else they achieved, where that was written down."""
     found = [row["refusal"] for row in rows if row.get("refusal")]
     speeds = [f"{one['walked']:.2f}" for one in found if one.get("walked") is not None]
     if not speeds:
@@ -79,6 +89,9 @@ def _walked(rows: Sequence[Row]) -> str:
     falls = sum(one.get("falls") or 0 for one in found)
     fell = f"; {falls} fall{'' if falls == 1 else 's'}" if falls else ""
     who = "it" if len(rows) == 1 else "they"
+    if not task.velocity:
+        asked = f", {commanded} was commanded" if task.commanded else ""
+        return f" ({task.quantity} {_listed(speeds)}{task.unit_after} on average{asked}{fell})"
     return f" ({who} went {_listed(speeds)} m/s on average, {commanded} m/s was commanded{fell})"
 
 

@@ -18,6 +18,7 @@ from hts.report.front import front_part
 from hts.report.glossary import GLOSSARY
 from hts.report.measurement_figure import proxy_r2
 from hts.report.outcome import closing
+from hts.report.task_words import TaskWords
 from hts.report.wording import HELD
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def _facts(run: RunData) -> list[str]:
 
 def _objective(run: RunData, name: str) -> dict[str, Any]:
     result = run.final.get(name) or {"unit": "1", "speeds": {}}
-    shown = result_rows(name, result)
+    shown = result_rows(name, result, run.task)
     return {
         **shown,
         "headline": _headline(run, name, result),
@@ -137,16 +138,26 @@ def _objective(run: RunData, name: str) -> dict[str, Any]:
     }
 
 
-def result_rows(name: str, result: Json) -> dict[str, Any]:
+def result_rows(name: str, result: Json, task: TaskWords) -> dict[str, Any]:
     """The result tables of one objective: one, or one at held speed and one at equal commands."""
     tables = [
-        {**_result_table(result["unit"], part["speeds"]), "words": words.removeprefix(", "), "held": words == HELD}
+        {
+            **_result_table(result["unit"], part["speeds"], task),
+            "words": words.removeprefix(", "),
+            "held": words == HELD,
+        }
         for part, words in wording.ways(result)
     ]
-    return {"name": name, "tables": tables, "rows": tables[0]["rows"]}
+    return {
+        "name": name,
+        "tables": tables,
+        "rows": tables[0]["rows"],
+        "set_point": task.heading,
+        "achieved": task.achieved,
+    }
 
 
-def _result_table(unit: str, speeds: Json) -> dict[str, Any]:
+def _result_table(unit: str, speeds: Json, task: TaskWords) -> dict[str, Any]:
     """Columns and rows of one table."""
     metrics = list(dict.fromkeys(metric for speed in speeds.values() for metric in speed.get("metrics") or {}))
     rows = []
@@ -157,13 +168,14 @@ def _result_table(unit: str, speeds: Json) -> dict[str, Any]:
         valid = speed.get("valid")
         rows.append(
             {
-                "speed": key,
+                "speed": task.point(key),
+                "at": task.at([key]).strip() or "against the pretrained policy",
                 "improvement": wording.quantity(speed["improvement"], unit),
                 "interval": wording.interval(bounds, unit),
                 "above_zero": bool(bounds) and bounds[0] > 0,
                 "metrics": [wording.metric(metric, (speed.get("metrics") or {}).get(metric)) for metric in metrics],
-                "mean_speed": _pair(speed.get("mean_speed"), reference.get("mean_speed")),
-                "commanded": _pair(speed.get("commanded"), reference.get("commanded")),
+                "mean_speed": _pair(speed.get("mean_speed"), reference.get("mean_speed"), task),
+                "commanded": _pair(speed.get("commanded"), reference.get("commanded"), task),
                 "falls": wording.count(speed.get("falls")),
                 "fell": bool(speed.get("falls")),
                 "segments": wording.count(speed.get("segments"))
@@ -173,9 +185,9 @@ def _result_table(unit: str, speeds: Json) -> dict[str, Any]:
     return {"metrics": [wording.label(metric) for metric in metrics], "rows": rows}
 
 
-def _pair(policy: float | None, reference: float | None) -> str:
-    """Speeds of the policy and, in brackets, of the reference."""
-    return f"{wording.number(policy)} m/s" + (f" ({wording.number(reference)})" if reference is not None else "")
+def _pair(policy: float | None, reference: float | None, task: TaskWords) -> str:
+    """What the policy achieved, or what it was sent, and, in brackets, the same of the reference."""
+    return task.amount(policy) + (f" ({wording.number(reference)})" if reference is not None else "")
 
 
 def _headline(run: RunData, name: str, result: Json) -> str:
@@ -195,38 +207,35 @@ def _headline(run: RunData, name: str, result: Json) -> str:
         spread = (
             wording.interval((values[0], values[-1]), unit) if len(values) > 1 else wording.quantity(values[0], unit)
         )
-        text = f"Against the pretrained policy, {policy} improves {name} by {spread}, at every speed tested."
+        text = f"Against the pretrained policy, {policy} improves {name} by {spread}{run.task.everywhere}."
     else:
         parts = [
             (better, "better"),
             (worse, "worse"),
             ([k for k in speeds if k not in better + worse], "not clearly either"),
         ]
-        found = ", ".join(f"{word} at {_speeds(keys)}" for keys, word in parts if keys)
+        found = ", ".join(f"{word}{run.task.at(keys)}" for keys, word in parts if keys)
         text = f"Against the pretrained policy, {policy} is, for {name}, {found}."
     if refused:
         held = "open_loop" in result
-        why = "the two could not be held at one speed" if held else "it does not keep the commanded speed"
-        text += f" At {_speeds(refused)} it is not judged: {why}."
+        why = "the two could not be held at one speed" if held else f"it does not {run.task.done}"
+        text += f" At{run.task.at(refused).removeprefix(' at')} it is not judged: {why}."
     if "open_loop" in result:
         text += " Both walked at held speed: their commands were trimmed by the measured speed, then frozen."
     fell = "It did not fall." if not falls else f"It fell {falls} time{'' if falls == 1 else 's'}."
     return f"{text} {fell}"
 
 
-def _speeds(keys: Iterable[str]) -> str:
-    return " and ".join(sorted(keys, key=float)) + " m/s"
-
-
 def _later(run: RunData) -> dict[str, Any] | None:
     evaluation = run.evaluation
     if not evaluation.get("objectives"):
         return None
+    task = TaskWords.of(evaluation)
     return {
         "text": f"`hts evaluate`: policy {evaluation.get('policy', 'best')} against pretrained on world "
         f"{evaluation.get('world', 'unknown')}{' (simulated)' if evaluation.get('world_simulated') else ''}, seed "
         f"{evaluation.get('seed', 'unknown')}.",
-        "objectives": [result_rows(name, result) for name, result in evaluation["objectives"].items()],
+        "objectives": [result_rows(name, result, task) for name, result in evaluation["objectives"].items()],
     }
 
 
@@ -326,7 +335,8 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
                 "fell": bool(candidate.get("falls")),
                 "kind": "best" if best else "elite" if candidate.get("elite") else "",
                 "improvement": [
-                    (f"{speed} m/s: " if several else "") + wording.quantity(result.get("improvement"), run.unit(name))
+                    (f"{run.task.point(speed)}: " if several else "")
+                    + wording.quantity(result.get("improvement"), run.unit(name))
                     for name, speed, result in measured
                 ]
                 or ["refused" if candidate.get("refused") else "–"],
@@ -339,7 +349,17 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
                 or ["–"],
             }
         )
-    return {"index": iteration["index"], "rows": rows}
+    return {
+        "index": iteration["index"],
+        "rows": rows,
+        "warnings": iteration.get("warnings") or [],
+        "scale": [
+            f"Rewards of the task and of {name} spread by {wording.number(found['task_spread'])} and "
+            f"{wording.number(found['measured_spread'])} per second in the first batch: they weigh the same at λ = "
+            f"{found['equal_weight']:.2g}."
+            for name, found in (iteration.get("reward_scale") or {}).items()
+        ],
+    }
 
 
 # ------------------------------------------------------------------------------------------- provenance

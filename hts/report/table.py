@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from hts.report import wording
 from hts.report.outcome import closing
+from hts.report.task_words import VELOCITY, TaskWords
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,7 +23,8 @@ def print_table(summary: Mapping[str, Any], console: Console | None = None) -> N
         (console or Console()).print(line, soft_wrap=True, markup=False, highlight=False)
     if final.get("policy") == "pretrained":
         return
-    _print(final.get("objectives") or {}, f"{final.get('policy') or 'final'} policy against pretrained", console)
+    title = f"{final.get('policy') or 'final'} policy against pretrained"
+    _print(final.get("objectives") or {}, title, console, TaskWords.of(summary))
     if len(summary.get("objectives") or ()) > 1 and (summary.get("front") or {}).get("real"):
         from rich.console import Console
 
@@ -32,16 +34,16 @@ def print_table(summary: Mapping[str, Any], console: Console | None = None) -> N
 def print_evaluation(evaluation: Mapping[str, Any], console: Console | None = None) -> None:
     """Print an evaluation.json, one table per objective."""
     title = f"{evaluation.get('policy', 'policy')} against pretrained, world {evaluation.get('world', 'unknown')}"
-    _print(evaluation.get("objectives") or {}, title, console)
+    _print(evaluation.get("objectives") or {}, title, console, TaskWords.of(evaluation))
 
 
-def _print(objectives: Mapping[str, Any], title: str, console: Console | None) -> None:
+def _print(objectives: Mapping[str, Any], title: str, console: Console | None, task: TaskWords) -> None:
     from rich.console import Console
 
     console = console or Console()
     for name, result in objectives.items():
         for part, words in wording.ways(result):
-            for table in fitting({"unit": result["unit"], **part}, f"{name}: {title}{words}", console):
+            for table in fitting({"unit": result["unit"], **part}, f"{name}: {title}{words}", console, task):
                 console.print(table)
             for line in (part.get("refused") or {}).values():
                 console.print(f"{name}{words}: {line}", style="red", markup=False)
@@ -70,19 +72,21 @@ def _front_table(summary: Mapping[str, Any]) -> Table:
     return table
 
 
-def fitting(result: Mapping[str, Any], title: str, console: Console) -> list[Table]:
+def fitting(result: Mapping[str, Any], title: str, console: Console, task: TaskWords = VELOCITY) -> list[Table]:
     """One table if the console is wide enough for all of it, else the metrics in tables of their own below.
 
     A heading may break between words, never inside one. One metric a table is as narrow as it gets.
     """
     metrics = _metrics(result)
-    whole = _table(result, title, metrics, numbers=True)
+    whole = _table(result, title, metrics, task, numbers=True)
     if not metrics or _fits(whole, console):
         return [whole]
-    tables, waiting = [_table(result, title, [], numbers=True)], metrics
+    tables, waiting = [_table(result, title, [], task, numbers=True)], metrics
     while waiting:
-        count = next((n for n in range(len(waiting), 1, -1) if _fits(_table(result, "", waiting[:n]), console)), 1)
-        tables.append(_table(result, "", waiting[:count]))
+        count = next(
+            (n for n in range(len(waiting), 1, -1) if _fits(_table(result, "", waiting[:n], task), console)), 1
+        )
+        tables.append(_table(result, "", waiting[:count], task))
         waiting = waiting[count:]
     return tables
 
@@ -102,19 +106,21 @@ def _metrics(result: Mapping[str, Any]) -> list[str]:
     return [name for name in names if any(metrics.get(name) != row["improvement"] for row, metrics in rows)]
 
 
-def _table(result: Mapping[str, Any], title: str, metrics: Sequence[str], numbers: bool = False) -> Table:
-    """One row a speed. numbers: improvement, speed, falls and segments too."""
+def _table(
+    result: Mapping[str, Any], title: str, metrics: Sequence[str], task: TaskWords, numbers: bool = False
+) -> Table:
+    """One row a speed, or set-point. numbers: improvement, speed, falls and segments too."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     unit, speeds = result["unit"], result["speeds"]
     table = Table(title=title or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=0)
-    table.add_column("speed", justify="right", no_wrap=True)
+    table.add_column(task.column, justify="right", no_wrap=True)
     for column in ("improvement", "95 % interval") if numbers else ():
         table.add_column(column, justify="right", no_wrap=True)
     for name in metrics:
         table.add_column(wording.label(name).lower(), justify="right")
-    for column in ("mean m/s", "falls", "segments") if numbers else ():
+    for column in (task.achieved_column, "falls", "segments") if numbers else ():
         table.add_column(column, justify="right")
     for key in sorted(speeds, key=float):
         row = speeds[key]
@@ -126,5 +132,5 @@ def _table(result: Mapping[str, Any], title: str, metrics: Sequence[str], number
             wording.count(row.get("segments")),
         ]
         shown = [wording.metric(name, found.get(name)) for name in metrics]
-        table.add_row(f"{key} m/s", *(first if numbers else ()), *shown, *(last if numbers else ()))
+        table.add_row(task.point(key), *(first if numbers else ()), *shown, *(last if numbers else ()))
     return table

@@ -16,6 +16,13 @@ def row_mean(x: torch.Tensor) -> torch.Tensor:
     return x.flatten(1).mean(1)
 
 
+def row_std(x: torch.Tensor) -> torch.Tensor:
+    """Standard deviation over everything but the first dimension: [P, ...] -> [P]."""
+    if x.device.type == "cpu":
+        return torch.stack([row.std() for row in x.unbind(0)])
+    return x.flatten(1).std(1)
+
+
 def row_standardised(x: torch.Tensor) -> torch.Tensor:
     """[P, S] -> each row minus its mean, over its standard deviation."""
     if x.device.type == "cpu":

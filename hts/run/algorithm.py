@@ -17,10 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig
+from hts.evaluation.final import task_entry
 from hts.plugins import Registry
 from hts.report import write_report
 from hts.report.outcome import nobody_chosen
 from hts.report.table import print_table
+from hts.report.task_words import TaskWords
 from hts.run.job import Job
 from hts.run.learning import finetune, fit, simulate
 from hts.run.progress import Progress
@@ -69,7 +71,9 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         trying = f"{about}: try elites in world '{config.world.name}'"
         tested = job.do(f"{name}/test", trying, partial(test, job, i, best))
         if tested["best"] is None:
-            job.stages.progress.say(f"{about}: {nobody_chosen([tested['results'][one] for one in tested['elites']])}")
+            rows = [tested["results"][one] for one in tested["elites"]]
+            task = TaskWords(**task_entry(job.robot.task()))
+            job.stages.progress.say(f"{about}: {nobody_chosen(rows, task)}")
         best = tested["best_so_far"]
     job.do("final", f"final head-to-head in world '{config.world.name}'", partial(final, job, best))
     return finish(job)

@@ -14,7 +14,7 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
-from hts.contracts import FineTuning, HoldSpeed, Objective, SimulatedCandidate
+from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, SimulatedCandidate, Task
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, longest_walk, test_config, trial_seconds
@@ -28,6 +28,7 @@ from hts.recordings.recording import Recording
 from hts.rl.population import Population
 from hts.run.front import PRETRAINED, real_front
 from hts.run.job import Job
+from hts.run.task_watch import gave_up, gave_up_line, reward_scale, scale_lines
 from hts.run.trust_region import scaled
 from hts.selection.fronts import towards
 from hts.training.finetune import finetune as finetune_candidates
@@ -177,7 +178,10 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
             }
         )
     _remove_checkpoints(checkpoint)
-    return {"candidates": rows, "steps": steps}
+    scale = reward_scale(rows, list(job.objectives))
+    for line in scale_lines(scale, rows):
+        job.stages.progress.say(line)
+    return {"candidates": rows, "steps": steps, "reward_scale": scale}
 
 
 def _remove_checkpoints(checkpoint: Path) -> None:
@@ -193,13 +197,15 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     """Judge candidates by their mean action in the training simulation; Π_{i+1} <- top K."""
     config = job.config
     test = config.simulation_test
-    rows = job.read(f"iterations/{iteration:02d}/finetune")["candidates"]
+    tuned = job.read(f"iterations/{iteration:02d}/finetune")
+    rows = tuned["candidates"]
     names = ["pretrained", *(row["id"] for row in rows)]
     policies = [job.policy(name) for name in names]
     worlds = test.num_envs * len(test.speeds)
     seed = job.seed("simulate")  # the same worlds in every iteration
     env_config = test_config(config.finetune.env, test.speeds, longest_walk(test), seed)
-    channels = tuple(dict.fromkeys((*inputs(job), "base_velocity")))
+    task = job.robot.task()
+    channels = tuple(dict.fromkeys((*inputs(job), *task.channels)))
     bare = job.robot.make_env(
         config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
     )
@@ -208,14 +214,14 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device
     )
     hold = HoldSpeed(config.finetune.env.commands.vx) if test.hold_speed else None
-    found = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, hold)
-    results = dict(zip(names, found, strict=True))
+    walks = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, task, hold)
+    results = dict(zip(names, walks, strict=True))
     env.close()
     promised = _promised(job, iteration, results)
     task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
     judged = [
         replace(
-            _judge(row, results[row["id"]], test.speed_tolerance),
+            _judge(row, results[row["id"]], test.speed_tolerance, task),
             made=fine_tuning(row, task_rewards),
             predicted=_gain(promised.get(row["id"], {})),
         )
@@ -230,17 +236,22 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         name: [{key: value for key, value in vars(trial).items() if key not in NOT_WRITTEN} for trial in row]
         for name, row in results.items()
     }
-    return {
+    found = {
         "scores": {c.id: c.score for c in judged},
         "objective_scores": {name: _scores(row) for name, row in results.items()},  # of the pretrained policy too
         "task_rewards": task_rewards,  # likewise, per second
         "falls": {c.id: c.falls for c in judged},
         "tracked": {c.id: c.tracked for c in judged},
+        "pretrained_tracked": does_it(task, results["pretrained"], test.speed_tolerance),
         "elites": elites,
         "trials": details,
         "predicted": promised,
         "steps": round(trial_seconds(test) * job.robot.spec.control_rate_hz) * worlds * len(names),
     }
+    line = gave_up_line(elites, found, tuned.get("reward_scale") or {}, task.quantity, task.unit)
+    if line is not None:
+        job.stages.progress.say(f"iteration {iteration:02d}: {line}")
+    return {**found, "gave_up": {"elites": gave_up(elites, found), "line": line}}
 
 
 def _promised(
@@ -321,14 +332,21 @@ def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]
     )
 
 
-def _judge(row: dict[str, Any], results: Sequence[SimulatedTrial], tolerance: float) -> SimulatedCandidate:
+def _judge(
+    row: Mapping[str, Any], results: Sequence[SimulatedTrial], tolerance: float, task: Task = VELOCITY
+) -> SimulatedCandidate:
     """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations)."""
     falls = sum(trial.falls for trial in results)
-    tracked = all(abs(trial.mean_speed - trial.speed) <= tolerance * trial.speed for trial in results)
+    tracked = does_it(task, results, tolerance)
     scores = _scores(results)
     if row["stopped"] is not None:
         scores, tracked = dict.fromkeys(scores, float("-inf")), False
     return SimulatedCandidate(row["id"], sum(scores.values()), falls, tracked, scores)
+
+
+def does_it(task: Task, results: Sequence[SimulatedTrial], tolerance: float) -> bool:
+    """Whether a policy does the task at every set-point."""
+    return all(task.does_it(trial.mean_speed, trial.valid, trial.speed, tolerance) for trial in results)
 
 
 def _scores(results: Sequence[SimulatedTrial]) -> dict[str, float]:

@@ -45,13 +45,14 @@ def final(job: Job, best: str, report: Report) -> dict[str, Any]:
         job.watch(report)
     recordings = _head_to_head(job)
     ids = job.keep([*held, *recordings], config.iterations + 1)
-    entries, scores = {}, {}
+    entries, scores, task = {}, {}, job.robot.task()
     for name, objective in job.objectives.items():
         seed = job.seed("interval", "final")
         if job.hold is not None:
-            entries[name], scores[name] = entry_both_ways(objective, held, recordings, config.evaluation, seed)
+            both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
+            entries[name], scores[name] = both
             continue
-        results, refused = walked_speeds(objective, recordings, config.evaluation, seed)
+        results, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
         entries[name], scores[name] = entry_of(objective, results), segment_scores(results)
         if refused:
             entries[name]["refused"] = refused

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hts.evaluation.final import task_entry
 from hts.measurement.scoring import spearman
 from hts.run.front import PRETRAINED, front_entry
 from hts.run.job import Job
+from hts.run.task_watch import scale_lines
 
 
 def summarise(job: Job) -> dict[str, Any]:
@@ -33,7 +35,7 @@ def summarise(job: Job) -> dict[str, Any]:
                 },
                 **({"trust_region": tested["trust_region"]} if "trust_region" in tested else {}),
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
-                "pretrained_task_reward": (simulated.get("task_rewards") or {}).get(PRETRAINED),
+                **_task(tuned, simulated),
                 "candidates": [_candidate(row, simulated, tested) for row in tuned["candidates"]],
             }
         )
@@ -47,6 +49,7 @@ def summarise(job: Job) -> dict[str, Any]:
     return {
         "objectives": list(config.objectives),
         "robot": config.robot.name,
+        "task": task_entry(job.robot.task()),
         "world": config.world.name,
         "world_simulated": job.world.simulated,
         "world_identity": dict(job.world.identity()),
@@ -99,6 +102,20 @@ def _model(report: dict[str, Any], checked: dict[str, Any] | None) -> dict[str, 
     }
 
 
+def _task(tuned: Mapping[str, Any], simulated: Mapping[str, Any]) -> dict[str, Any]:
+    """What became of the task in an iteration; nothing of runs from before it was written down."""
+    if "task_rewards" not in simulated:
+        return {}
+    scale, left = tuned.get("reward_scale") or {}, simulated.get("gave_up") or {}
+    lines = [*scale_lines(scale, tuned["candidates"]), left.get("line")]
+    return {
+        "pretrained_task_reward": simulated["task_rewards"].get(PRETRAINED),
+        "reward_scale": scale,
+        "gave_up": left.get("elites") or [],
+        "warnings": [line for line in lines if line],
+    }
+
+
 def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str, Any]) -> dict[str, Any]:
     name = row["id"]
     result = tested["results"].get(name, {})
@@ -113,7 +130,6 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
         "sim_score": simulated["scores"][name],
         "sim_scores": (simulated.get("objective_scores") or {}).get(name, {}),
         "tracked": simulated["tracked"][name],
-        "task_reward": (simulated.get("task_rewards") or {}).get(name),
         "elite": name in tested["elites"],
         "falls": simulated["falls"][name],
         "predicted": (simulated.get("predicted") or {}).get(name, {}),
@@ -124,6 +140,8 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
     if result.get("refused"):
         entry["refused"] = result["refused"]
         entry["refusal"] = result.get("refusal")  # of runs from before it was written: none
+    if "task_rewards" in simulated:
+        entry["task_reward"] = simulated["task_rewards"].get(name)
     if row["stopped"]:
         entry["stopped"] = row["stopped"]
     return entry

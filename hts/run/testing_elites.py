@@ -102,7 +102,10 @@ def in_rounds(
     def judge(elite: str, recordings: Sequence[Recording]) -> CandidateResult:
         return _result(job, iteration, elite, recordings)
 
-    tests = race(elites, selector, rounds, ask, judge, lambda row: halves(job.objectives, row, job.config.evaluation))
+    def split(row: Sequence[Recording]) -> Sequence[Half | None]:
+        return halves(job.objectives, row, job.config.evaluation, job.robot.task())
+
+    tests = race(elites, selector, rounds, ask, judge, split)
     if tests is None:
         world = job.config.world.name
         job.stages.progress.say(f"World '{world}' knows no rounds: each elite gets a whole head-to-head.")
@@ -147,7 +150,8 @@ def race(
 
 
 def _result(job: Job, iteration: int, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
-    found = candidate_result(elite, job.objectives, recordings, job.config.evaluation, job.seed("interval", elite))
+    seed, task = job.seed("interval", elite), job.robot.task()
+    found = candidate_result(elite, job.objectives, recordings, job.config.evaluation, seed, task)
     if found.tested is None:
         return found
     return replace(found, tested=replace(found.tested, made=_made(job, iteration, elite)))

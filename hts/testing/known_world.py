@@ -18,9 +18,10 @@ from pydantic import Field
 
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import HoldSpeed, Objective, Robot, World, WorldContext
+from hts.contracts import FollowVelocity, HoldSpeed, Objective, Robot, World, WorldContext
+from hts.errors import UnfitWorldError
 from hts.recordings.recording import Recording, Series
-from hts.worlds.base import ORDER, commands, file_hash, request_id, seed_sequence, walking
+from hts.worlds.base import ORDER, commands, file_hash, request_id, seed_sequence
 
 
 class Settings(Config):
@@ -59,6 +60,13 @@ class KnownWorld(World):
     def idle(self) -> Mapping[str, float]:
         return dict(self._idle)
 
+    def check(self) -> None:
+        if not isinstance(self.robot.task(), FollowVelocity):
+            raise UnfitWorldError(
+                f"World 'known' makes up walks at commanded velocities; robot '{self.robot.spec.name}' has another "
+                "task. Try it in a world of its own."
+            )
+
     def collect(self, policies: Sequence[Path], schedule: ScheduleConfig) -> list[Recording]:
         request = request_id("collect", self.seed, [file_hash(policy) for policy in policies], schedule.model_dump())
         return [
@@ -68,8 +76,8 @@ class KnownWorld(World):
 
     def hold_speed(self, hold: HoldSpeed | None) -> bool:
         """Whoever walks slower gets as much more of a command, at once; nothing is walked for it."""
-        self._hold = hold
-        return hold is not None
+        self._hold = hold if self.robot.task().can_hold else None
+        return self._hold is not None
 
     def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
         return self._head_to_head(policy, reference, speeds, self.settings.block_seconds)
@@ -90,7 +98,7 @@ class KnownWorld(World):
         recordings = []
         for speed in speeds:
             session = request_id(request, float(speed))
-            schedule = walking(float(speed), seconds)
+            schedule = self.robot.task().schedule(float(speed), seconds)
             recordings += [
                 self._recording(paths[role], schedule, session, block, role, factor[role], pace=pace.get(role, 1.0))
                 for block, role in enumerate(ORDER)

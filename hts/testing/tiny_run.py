@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hts.api import Run, load, run
+from hts.plugins import load as load_plugins
 
 SETTINGS: dict[str, Any] = {
     "engine": "mujoco",
@@ -44,6 +45,9 @@ def tiny_run(
     """
     names = [objective] if isinstance(objective, str) else list(objective)
     chosen: dict[str, Any] = {**SETTINGS, **(TWIN if world == "twin" else {})}
+    if (task := load_plugins().make_robot(robot).task()).defaults:  # the robot's own, instead of speeds
+        commands = [task.command(point, 4.0).model_dump() for point in task.defaults]
+        chosen["collection.schedule"] = {"commands": commands}
     chosen |= {f"sweep.weights.{name}": [1.0] for name in names}
     if selector is not None:
         chosen["selection.selector.name"] = selector

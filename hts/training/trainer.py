@@ -21,7 +21,7 @@ from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier
 from hts.rl.population import Population
 from hts.rl.precision import tf32
 from hts.rl.random import PopulationRandom
-from hts.rl.rows import row_mean
+from hts.rl.rows import row_mean, row_std
 from hts.rl.samples import Samples, kl_of_batch, samples_of
 from hts.rl.settings import UpdateSettings
 from hts.rl.task_env import TaskEnv
@@ -172,10 +172,14 @@ class PopulationTrainer:
 
         lambda's unit: task reward per second, for one standard deviation of the measured channel (the model's
         prediction is z-scored by its data), so that r_sim's weights, also rates per second, are on the same scale.
+        The first batch also says how far both spread over its steps and worlds, per second: see `hts.run.task_watch`.
         """
         simulated = data["next", "reward"].squeeze(-1)
         self._stop_if_bad({"r_sim": simulated})
         stats = {"r_sim": row_mean(simulated) / self.dt}
+        first = self.batches == 0 and bool(self.measured)  # here everybody still acts as its anchor
+        if first:
+            stats["spread/task"] = row_std(simulated) / self.dt
         total = simulated
         strength = torch.ones_like(self.kl)
         for name, measured in self.measured.items():
@@ -184,6 +188,8 @@ class PopulationTrainer:
             measured.centring.update(real)
             total = total + measured.added(real)
             stats[f"r_real/{name}"] = row_mean(real)
+            if first:
+                stats[f"spread/{name}"] = row_std(real)
             spread = row_mean((real - row_mean(real).view(-1, 1, 1)).square()).sqrt()
             strength = strength + measured.weight * spread
         for name, multiplier in self.held.items():

@@ -17,13 +17,13 @@ from pydantic import Field
 from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import HoldSpeed, Installed, Settings, World, WorldContext
+from hts.contracts import HoldSpeed, Installed, Robot, Settings, World, WorldContext
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
 from hts.recordings.needs import check_mapping
 from hts.recordings.recording import Recording
 from hts.worlds import field_holding
-from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out, walking
+from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
 
 
@@ -87,9 +87,9 @@ class FieldWorld(World):
         return self._recordings(request, orders)
 
     def hold_speed(self, hold: HoldSpeed | None) -> bool:
-        """The person trims; needs a speed sensor, see `field_holding.SENSOR`."""
-        self._hold = hold
-        return hold is not None
+        """The person trims; needs a speed sensor, see `field_holding.SENSOR`, and a task that follows a velocity."""
+        self._hold = hold if self._robot.task().can_hold else None
+        return self._hold is not None
 
     def head_to_head_seconds(self) -> float:
         return self.head_to_head_session_seconds(1, None)
@@ -165,7 +165,8 @@ class FieldWorld(World):
         first: int,
     ) -> list[Order]:
         """Blocks of one session; held: who has not walked in it is trimmed first."""
-        schedule, seen, orders = walking(speed, float(seconds)), set[tuple[Path, bool]](), []
+        schedule = self._robot.task().schedule(speed, float(seconds))
+        seen, orders = set[tuple[Path, bool]](), []
         for block, walker in enumerate(zip(walkers, is_reference, strict=True)):
             role = "reference" if walker[1] else "policy"
             trim = self._hold is not None and walker not in seen
@@ -187,7 +188,7 @@ class FieldWorld(World):
             self._folder.mkdir(parents=True, exist_ok=True)
             self._mapping()
             hold = field_holding.instructions(self._hold) if self._hold is not None and held else ()
-            write_bundle(bundle, orders, self._mapping_path(), self._command(), hold)
+            write_bundle(bundle, orders, self._mapping_path(), self._command(), self._robot.task(), hold)
         except OSError as error:
             raise WorldError(f"{bundle}: the deploy bundle cannot be written ({error.strerror}).") from error
         files = {order.name: _log_files(bundle / "logs", order.name) for order in orders}
@@ -216,9 +217,8 @@ class FieldWorld(World):
             "block": order.block,
             "role": order.role,
         }
-        robot = registry.make_robot(self._context.robot, self._context.robot_settings)
         try:
-            recording = read_log(registry, files, {**mapping, "recording": facts}, robot)
+            recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)
         except ConfigError as error:
             raise ConfigError(f"{self._mapping_path()}: {error}") from error
         if abs(recording.seconds - order.schedule.seconds) > 0.1 * order.schedule.seconds:
@@ -233,6 +233,10 @@ class FieldWorld(World):
     @cached_property
     def _registry(self) -> Installed:
         return self._context.registry or load()
+
+    @cached_property
+    def _robot(self) -> Robot:
+        return self._registry.make_robot(self._context.robot, self._context.robot_settings)
 
     def _mapping_path(self) -> Path:
         return self.settings.mapping or self._folder / "mapping.yaml"
@@ -249,7 +253,7 @@ class FieldWorld(World):
     def _template(self) -> str:
         """A mapping to fill in: the robot's channels, and what only the robot gives for the objectives."""
         registry = self._registry
-        robot = registry.make_robot(self._context.robot, self._context.robot_settings)
+        robot = self._robot
         real: dict[str, Channel] = {}
         for name, settings in self._context.objectives.items():
             objective = registry.make_objective(name, settings)

@@ -12,8 +12,8 @@ from typing import Any
 import yaml
 
 from hts.channels import Channel
-from hts.config import ScheduleConfig
-from hts.contracts import RobotSpec
+from hts.config import Command, ScheduleConfig
+from hts.contracts import VELOCITY, FollowVelocity, RobotSpec, Task
 from hts.policies.deploy import DeployedPolicy
 
 UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
@@ -62,20 +62,25 @@ def mapping_template(spec: RobotSpec, sim: Mapping[str, Channel], real: Sequence
     return head + yaml.safe_dump(content, sort_keys=False, width=110)
 
 
-def instructions(orders: Sequence[Order], mapping: Path, command: str, hold: Sequence[str] = ()) -> str:
+def instructions(
+    orders: Sequence[Order], mapping: Path, command: str, task: Task = VELOCITY, hold: Sequence[str] = ()
+) -> str:
     """README of the bundle. hold: lines about holding the speed, where it is to be held."""
     rows = [
         f"| {order.name} | {order.session} | {order.block} | {order.role} | policies/{order.policy.name} | "
-        + ", then ".join(f"{c.vx:g} m/s for {c.seconds:g} s" for c in order.schedule.commands)
+        + ", then ".join(_asked(task, one) for one in order.schedule.commands)
         + (", *trim first*" if order.trim else "")
         + " |"
         for order in orders
     ]
+    walks = isinstance(task, FollowVelocity)
+    asked = ("speed" if hold else "commanded speed") if walks else "set-point"
     session = (
         "Logs of one session are recorded on one robot, one after the other, without a pause: swap the policy "
-        "while it walks, or as fast as you can. Warm the robot up first, by walking for ten minutes; the "
-        f"first {UNSTEADY_SECONDS:g} s after a swap are left out later. Keep the heading by hand. If it falls, "
-        "stand it up and go on."
+        f"while it {'walks' if walks else 'moves'}, or as fast as you can. Warm the robot up first, by "
+        f"{'walking' if walks else 'letting it do its task'} for ten minutes; the "
+        f"first {UNSTEADY_SECONDS:g} s after a swap are left out later. "
+        + ("Keep the heading by hand. If it falls, stand it up and go on." if walks else "If it fails, begin it again.")
     )
     policies = (
         "Each policy is an ONNX file: input `observation`, output `action`; joint target = default_pose + "
@@ -88,7 +93,7 @@ def instructions(orders: Sequence[Order], mapping: Path, command: str, hold: Seq
         "",
         session,
         "",
-        f"| log | session | block | role | policy | {'speed' if hold else 'commanded speed'} |",
+        f"| log | session | block | role | policy | {asked} |",
         "|---|---|---|---|---|---|",
         *rows,
         "",
@@ -104,7 +109,20 @@ def instructions(orders: Sequence[Order], mapping: Path, command: str, hold: Seq
     return "\n".join(lines)
 
 
-def write_bundle(folder: Path, orders: Sequence[Order], mapping: Path, command: str, hold: Sequence[str] = ()) -> None:
+def _asked(task: Task, command: Command) -> str:
+    """What is commanded in a stretch, and for how long."""
+    what = f"{command.commanded:g} {task.unit}" if task.at(command.commanded) else "the task"
+    return f"{what} for {command.seconds:g} s"
+
+
+def write_bundle(
+    folder: Path,
+    orders: Sequence[Order],
+    mapping: Path,
+    command: str,
+    task: Task = VELOCITY,
+    hold: Sequence[str] = (),
+) -> None:
     """Write policies, cards, plan and instructions; complete or not at all. A bundle that is there stays as it is."""
     if folder.exists():
         return
@@ -134,5 +152,5 @@ def write_bundle(folder: Path, orders: Sequence[Order], mapping: Path, command: 
         for o in shown
     ]
     (temporary / "plan.json").write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
-    (temporary / "README.md").write_text(instructions(shown, mapping, command, hold), encoding="utf-8")
+    (temporary / "README.md").write_text(instructions(shown, mapping, command, task, hold), encoding="utf-8")
     temporary.rename(folder)

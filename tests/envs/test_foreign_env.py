@@ -19,7 +19,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 from hts.channels import Channel
-from hts.config import Command, CommandConfig, EnvConfig, ScheduleConfig
+from hts.config import EnvConfig
 from hts.contracts import WorldContext
 from hts.envs.folded import FoldedEnv
 from hts.errors import ConfigError, WorldError
@@ -120,10 +120,12 @@ def test_a_world_that_times_out_begins_again_and_the_others_go_on(robot):
     env.close()
 
 
-def test_a_speed_that_the_task_does_not_know_is_refused_in_one_line(robot):
-    config = EnvConfig(commands=CommandConfig(fixed=(0.8,)))
-    with pytest.raises(ConfigError, match=r"walk at \(0.8,\) m/s.*no command but 1.8.*walker.yaml"):
-        robot.make_env("mujoco", 1, 1, config)
+def test_a_second_counts_where_the_walker_is_about_as_fast_as_the_suite_wants(robot):
+    task = robot.task()
+    assert task.set_points == () and not any(
+        key in (EXAMPLE / "walker.yaml").read_text() for key in ("speed:", "speeds:", "vx:")
+    )
+    assert task.done(np.array([0.5, 0.95, 3.0]), 0.0, 0.1).tolist() == [False, True, True]
 
 
 def test_the_fast_task_of_the_pretraining_is_the_suites_task(robot):
@@ -250,16 +252,16 @@ def exported(robot, tmp_path) -> Path:
     return to_onnx(load_policy(robot.pretrained_policy(), robot.spec), tmp_path / "pretrained.onnx")
 
 
-def test_the_shipped_policy_walks_in_the_lab(exported):
+def test_the_shipped_policy_walks_in_the_lab(robot, exported):
     world = lab({"warmup_seconds": 2.0})
-    (recording,) = world.collect([exported], ScheduleConfig(commands=(Command(seconds=5.0, vx=1.8),)))
+    (recording,) = world.collect([exported], robot.task().schedule(0.0, 5.0))
     speed = recording.values("base_velocity")[:, 0].reshape(5, 40).mean(1)
     assert np.all((speed > 0.9) & (speed < 2.7))
     assert recording.values("projected_gravity")[:, 2].max() < -0.5
 
 
-def test_the_lab_repeats_itself(exported):
-    schedule = ScheduleConfig(commands=(Command(seconds=1.0, vx=1.8),))
+def test_the_lab_repeats_itself(robot, exported):
+    schedule = robot.task().schedule(0.0, 1.0)
     first, second = (lab({"warmup_seconds": 0.5}).collect([exported], schedule)[0] for _ in range(2))
     assert np.array_equal(first.values("motor_power"), second.values("motor_power"))
 
@@ -307,11 +309,19 @@ def test_the_example_runs_from_command_to_report(hts, installed, tmp_path):
     assert all(0.0 <= row["kl"] <= 0.55 for row in iteration["candidates"])
     (tested,) = [row for row in iteration["candidates"] if row["elite"]]
     (numbers,) = tested["real"]["effort"].values()
+    assert summary["task"] == {"velocity": False, "quantity": "forward speed", "unit": "m/s", "commanded": False}
+    assert list(tested["real"]["effort"]) == ["0.0"] and numbers["mean_speed"] > 0.9
     assert math.isfinite(numbers["improvement"]) and numbers["falls"] == 0
     assert set(numbers["metrics"]) == {"joule_per_metre"}
     assert (folder / "report.html").is_file()
     card = json.loads((folder / "iterations/00/candidates/00-00.json").read_text())
     assert [part["name"] for part in card["observation"]] == ["orientations", "height", "velocity"]
+
+
+@pytest.mark.slow
+def test_the_example_keeps_every_demand_of_the_kit(hts, installed):
+    done = hts("check", "hts-example-walker", path=installed)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from hts.channels import Channel
 from hts.config import Command, CommandConfig, EvaluationConfig, ScheduleConfig
 from hts.config_loading import load_config
-from hts.contracts import Comparison, HoldSpeed
+from hts.contracts import VELOCITY, Comparison, HoldSpeed
 from hts.errors import ConfigError, EvaluationError
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import candidate_result, entry_both_ways, walked_speeds
@@ -211,7 +211,12 @@ def test_a_world_that_cannot_hold_a_speed_is_named():
         ask_to_hold(Plain(), HoldSpeed((0.4, 1.2)))
 
 
-@pytest.mark.parametrize("speeds", ["[0.5, 0.5]", "[0.0]", "[.nan]"])
-def test_speeds_of_selection_are_positive_and_differ(speeds):
+@pytest.mark.parametrize("speeds", ["[0.5, 0.5]", "[.nan]"])
+def test_speeds_of_selection_are_finite_and_differ(speeds):
     with pytest.raises(ConfigError, match="speeds"):
         run_config(f"selection.speeds={speeds}")
+
+
+def test_speeds_of_selection_are_above_zero():
+    with pytest.raises(ConfigError, match=r"selection.speeds: expected a number greater than 0, found 0\."):
+        VELOCITY.check(run_config("selection.speeds=[0.0]").selection.tested_speeds, "selection.speeds")

@@ -16,6 +16,7 @@ from hts.evaluation.head_to_head import TooFewSegments, compare
 from hts.evaluation.intervals import interval, lag_one_correlation, variance_of_mean
 from hts.plugins import Entry, Registry
 from hts.recordings.store import RecordingStore
+from hts.testing.examples.robot.robot import Tiny
 from hts.testing.made_up_recordings import CostObjective, known_head_to_head, known_recording
 
 OBJECTIVE = CostObjective()
@@ -271,6 +272,7 @@ def registry(walks: bool = True) -> Registry:
     world.walks = walks
     return Registry(
         objectives={"cost": Entry("cost", lambda settings: CostObjective(), "tests")},
+        robots={"example": Entry("example", lambda settings: Tiny(), "tests")},
         worlds={"known": Entry("known", lambda settings, context: world, "tests")},
     )
 

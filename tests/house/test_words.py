@@ -49,6 +49,7 @@ PHRASES = (
     re.compile(r"hts_(noise|power|go1)"),
     re.compile(r"(battery|supply|phase|bus)[ _-]current", re.IGNORECASE),
     re.compile(r"calibrate[ _-]twin"),
+    re.compile(r"drive_train"),
 )
 AMBIGUOUS = {"noise"}
 """Ordinary words that are also the name of an objective: they name it where plugins are looked up or compared."""

@@ -37,8 +37,8 @@ def test_who_fell_or_was_stopped_in_simulation_is_no_elite_for_a_machine(falls, 
 def test_a_run_on_a_machine_whose_candidates_all_fell_tests_nobody_and_says_so(tmp_path, monkeypatch, capsys, selector):
     judge = learning._judge
 
-    def all_fall(row, results, tolerance):
-        return dataclasses.replace(judge(row, results, tolerance), falls=1)
+    def all_fall(*given):
+        return dataclasses.replace(judge(*given), falls=1)
 
     monkeypatch.setattr(learning, "_judge", all_fall)
     monkeypatch.setattr(KnownWorld, "simulated", False)

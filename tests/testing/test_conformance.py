@@ -142,7 +142,7 @@ def test_a_world_of_one_machine_needs_no_objective_in_its_package(install, tmp_p
         ),
         (
             ["made.head_to_head = lambda p, r, v: [x.replace(session='one') for x in head_to_head(p, r, v)]"],
-            "two speeds are 1 session(s)",
+            "2 speeds are 1 session(s)",
         ),
         (["made.settings = made.settings.model_copy(update={'level': float('nan')})"], "fake_level"),
         (

@@ -6,10 +6,14 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from hts import units
 from hts.channels import standard_channels
 from hts.config import EnvConfig, RandomisationConfig
-from hts.contracts import Robot
+from hts.contracts import FollowVelocity, Robot, Task
 from hts.envs.velocity_robot import VelocityRobot
+from hts.errors import unknown_name
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import ensure, listed, same
 
@@ -65,7 +69,8 @@ def channels_are_standard(entry: Entry, registry: Registry) -> None:
 
 
 def model_matches(entry: Entry, registry: Registry) -> None:
-    """Its model, if any, compiles, is fresh each time, has the spec's names, and a twin can be made of it."""
+    """Its model, if any, compiles, is fresh each time, has the spec's names, and, if it follows a commanded velocity,
+    a twin can be made of it."""
     robot = entry.factory({})
     root = robot.mjcf()
     if root is None:
@@ -86,7 +91,37 @@ def model_matches(entry: Entry, registry: Registry) -> None:
         number = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
         for name in names:
             ensure(mujoco.mj_name2id(model, number, name) >= 0, f"its model has no {kind} '{name}'")
-    build(robot, DynamicsParameters())
+    if isinstance(robot.task(), FollowVelocity):  # a twin knows no other
+        build(robot, DynamicsParameters())
+
+
+def task_is_seen_in_channels(entry: Entry, registry: Registry) -> None:
+    """Its task reads channels that it gives, says one number a sample and whether a second counts, and has a unit."""
+    import torch
+
+    robot = entry.factory({})
+    task, known = robot.task(), robot.channels()
+    ensure(isinstance(task, Task), f"task() gives a {type(task).__name__}, not a hts.contracts.Task")
+    if type(task) is FollowVelocity:
+        return
+    ensure(units.known(task.unit), units.unknown(task.unit))
+    ensure(bool(task.quantity.strip()), "its task does not say what is achieved: quantity is empty")
+    for name in task.channels:
+        ensure(name in known, "its task: " + unknown_name("channel", name, known))
+    generator = torch.Generator().manual_seed(SEED)
+    shape = (2, 3, STEPS)
+    made_up = {name: torch.rand(*shape, *known[name].shape, generator=generator) for name in task.channels}
+    achieved = torch.as_tensor(task.achieved(made_up))
+    ensure(tuple(achieved.shape) == shape, f"achieved gives shape {tuple(achieved.shape)} for samples of shape {shape}")
+    series = {name: value[0, 0].numpy() for name, value in made_up.items()}
+    there = np.asarray(task.achieved(series))
+    ensure(same(there, achieved[0, 0].numpy(), 1e-5), "achieved says something else of numpy's arrays than of torch's")
+    for point in task.defaults or (0.8,):
+        several = np.asarray(task.done(there, point, 0.1))
+        ensure(several.shape == there.shape, f"done gives shape {several.shape} for {there.shape} means")
+        one_by_one = [bool(task.done(float(mean), point, 0.1)) for mean in there]
+        ensure(several.astype(bool).tolist() == one_by_one, "done says something else of a number than of an array")
+        ensure(not bool(task.done(math.nan, point, 0.1)), "done takes a mean that is NaN for the task done")
 
 
 def policy_fits(entry: Entry, registry: Registry) -> None:
@@ -189,6 +224,7 @@ CHECKS = (
     times_fit,
     channels_are_standard,
     model_matches,
+    task_is_seen_in_channels,
     policy_fits,
     env_gives_what_was_asked,
     env_does_not_depend_on_neighbours,

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hts.config import Command, ScheduleConfig
+from hts.config import ScheduleConfig
 from hts.contracts import HoldSpeed, World, WorldContext
 from hts.errors import ConfigError, WaitingForRobot
 from hts.plugins import Entry, Registry
@@ -22,7 +22,8 @@ from hts.testing.checks.ensure import ensure, listed, same
 from hts.testing.checks.made_up import Case, case_for
 from hts.testing.packages import kit_installed
 
-SCHEDULE = ScheduleConfig(commands=(Command(seconds=1.5, vx=0.5), Command(seconds=1.5, vx=0.8)))
+SPEEDS = (0.5, 0.8)
+"""m/s, for a robot that follows a velocity; another task is tried at its own set-points."""
 ORDERS = [["reference", "policy", "policy", "reference"], ["policy", "reference", "reference", "policy"]]
 SHORT = {"block_seconds": 2.0, "warmup_seconds": 1.0}
 """Settings that many worlds have; given to those that take them, so that a check is short."""
@@ -55,8 +56,10 @@ def costs_nothing_yet(entry: Entry, registry: Registry) -> None:
 def gives_recordings(entry: Entry, registry: Registry) -> None:
     """collect gives one whole recording per policy, in order, the same again; or it waits for a person in one line."""
     with _world(entry, registry) as (world, case, policy, folder):
+        task = case.robot.task()
+        schedule = ScheduleConfig(commands=tuple(task.command(point, 1.5) for point in _set_points(case)))
         try:
-            recordings = world.collect([policy, policy], SCHEDULE)
+            recordings = world.collect([policy, policy], schedule)
         except WaitingForRobot as waiting:
             ensure("\n" not in str(waiting), f"waits in several lines: {waiting}")
             return
@@ -64,40 +67,54 @@ def gives_recordings(entry: Entry, registry: Registry) -> None:
         idle = world.idle()
         ensure(all(math.isfinite(level) for level in idle.values()), f"idle levels are {dict(idle)}")
         for recording in recordings:
-            _whole(recording, case, entry.name, SCHEDULE.seconds, folder)
+            _whole(recording, case, entry.name, schedule.seconds, folder)
             target = case.objective.target.name
             ensure(target in recording.idle, f"recordings have no idle level of '{target}'")
-        again = world.collect([policy, policy], SCHEDULE)
+        again = world.collect([policy, policy], schedule)
         for first, second in zip(recordings, again, strict=True):
             for name in first.channels:
                 ensure(same(first.values(name), second.values(name)), f"'{name}' is another one when asked again")
 
 
 def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
-    """head_to_head gives blocks A-B-B-A, of one session per speed, with their roles; or waits for a person."""
+    """head_to_head gives blocks A-B-B-A, of one session per speed or set-point, with their roles; or it waits."""
     with _world(entry, registry) as (world, case, policy, folder):
+        points = _set_points(case)
         try:
-            recordings = world.head_to_head(policy, policy, (0.5, 0.8))
+            recordings = world.head_to_head(policy, policy, points)
         except WaitingForRobot:
             return
-        ensure(len(recordings) == 8, f"gives {len(recordings)} recordings for 2 speeds, not 4 blocks each")
-        for blocks in (recordings[:4], recordings[4:]):
+        wanted = 4 * len(points)
+        ensure(
+            len(recordings) == wanted, f"gives {len(recordings)} recordings for {len(points)} speeds, not 4 blocks each"
+        )
+        for blocks in (recordings[first : first + 4] for first in range(0, wanted, 4)):
             roles = [recording.role for recording in blocks]
             ensure(roles in ORDERS, f"roles of its blocks are {roles}")
             ensure(len({recording.session for recording in blocks}) == 1, "blocks of one speed are of several sessions")
-            speeds = {command.vx for recording in blocks for command in recording.schedule.commands}
-            ensure(len(speeds) == 1, f"blocks of one session have commanded speeds of {sorted(speeds)} m/s")
+            speeds = {command.commanded for recording in blocks for command in recording.schedule.commands}
+            ensure(len(speeds) == 1, f"blocks of one session have commanded speeds of {sorted(speeds)}")
             for recording in blocks:
                 _whole(recording, case, entry.name, recording.schedule.seconds, folder)
         sessions = {recording.session for recording in recordings}
-        ensure(len(sessions) == 2, f"two speeds are {len(sessions)} session(s), so their blocks would be mixed")
+        ensure(
+            len(sessions) == len(points),
+            f"{len(points)} speeds are {len(sessions)} session(s), so their blocks would be mixed",
+        )
+
+
+def _set_points(case: Case) -> tuple[float, ...]:
+    """What it is tried at: two at most."""
+    return case.robot.task().defaults[:2] or SPEEDS
 
 
 def holds_the_speed_that_it_says(entry: Entry, registry: Registry) -> None:
     """A world that holds a speed freezes one command per policy, sends it, and writes it down; others say that they
     cannot."""
     hold = HoldSpeed((0.1, 1.5), seconds=4.0)
-    with _world(entry, registry) as (world, _, policy, _):
+    with _world(entry, registry) as (world, case, policy, _):
+        if not case.robot.task().can_hold:
+            return
         if not world.hold_speed(hold):
             return
         try:

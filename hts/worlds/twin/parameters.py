@@ -210,9 +210,9 @@ class TwinSettings(Config):
         None, description="a drawn twin: its name (`hts realities list`) or file; null: the twin of the settings below"
     )
     reality_sha256: str | None = Field(None, description="of the reality's file, filled in; another file is refused")
-    dynamics: DynamicsParameters = Field(default_factory=DynamicsParameters)
-    sensors: SensorParameters = Field(default_factory=SensorParameters)
-    sessions: SessionParameters = Field(default_factory=SessionParameters)
+    dynamics: DynamicsParameters = Field(default_factory=DynamicsParameters, description="body and drives")
+    sensors: SensorParameters = Field(default_factory=SensorParameters, description="what the robot sees of itself")
+    sessions: SessionParameters = Field(default_factory=SessionParameters, description="how each session differs")
     instruments: dict[str, dict[str, Any]] = Field(
         default_factory=dict, description="name of an instrument -> its settings, validated by its own plugin"
     )

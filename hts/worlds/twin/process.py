@@ -29,6 +29,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
+from hts.contracts import FollowVelocity
 from hts.errors import HtsError, UnfitWorldError
 from hts.worlds.base import seed_sequence
 from hts.worlds.twin.parameters import TwinSettings, resolved_settings
@@ -71,6 +72,11 @@ class Twin:
         """A twin of this robot can be made, and its instruments measure what every objective wants."""
         from hts.worlds.twin.model import build
 
+        if not isinstance(self.robot.task(), FollowVelocity):
+            raise UnfitWorldError(
+                f"A twin walks at commanded velocities; robot '{self.robot.spec.name}' has another task. Start a run "
+                "in another world: --world field, or one that a plugin brings."
+            )
         shown = {channel.name for instrument in self._make().values() for channel in instrument.channels}
         for name, target in ((name, one) for name, wanted in self.wanted.items() for one in wanted):
             if target not in shown:

@@ -19,13 +19,15 @@ class Block(Config):
     """A stretch with one policy under one schedule."""
 
     policy: str | None = Field(description="path of its ONNX file; null: stand in the default pose")
-    schedule: ScheduleConfig
+    schedule: ScheduleConfig = Field(description="what is commanded, and for how long")
     recorded: bool = Field(True, description="whether it becomes a recording")
     settle: bool = Field(
         False, description="when it ends, bring the instruments' heat to the steady state of what went before"
     )
     index: int = Field(0, ge=0, description="number of a recorded block in its session")
-    role: Literal["collection", "policy", "reference"] = "collection"
+    role: Literal["collection", "policy", "reference"] = Field(
+        "collection", description="first data, or a block of the policy or of its reference in a head-to-head"
+    )
     session: str | None = Field(None, description="name of its recording's session; null: that of the robot's session")
     speed: Literal["open", "trim", "held"] = Field(
         "open",
@@ -37,19 +39,19 @@ class Block(Config):
 class Kept(Config):
     """A command that was found before this session: of a policy at an asked speed, both in m/s."""
 
-    policy: str
-    asked: float
-    command: float
-    saturated: bool
+    policy: str = Field(description="path of its ONNX file")
+    asked: float = Field(description="speed to be held, m/s")
+    command: float = Field(description="what was found to hold it, m/s")
+    saturated: bool = Field(description="whether that lies at the end of the allowed commands")
 
 
 class Session(Config):
     """All that happens on one robot, from switching it on."""
 
-    id: str
-    blocks: tuple[Block, ...]
+    id: str = Field(description="what its recordings are marked with")
+    blocks: tuple[Block, ...] = Field(description="one after the other, without a pause")
     hold: HoldSpeed | None = Field(None, description="how blocks trim; null: none does")
-    kept: tuple[Kept, ...] = ()
+    kept: tuple[Kept, ...] = Field((), description="commands that were found before")
 
     @property
     def seconds(self) -> float:

@@ -26,24 +26,24 @@ FOLDER, SUFFIX = "realities", ".json"
 class Measured(Config):
     """A public fact that was checked when the reality was drawn."""
 
-    name: str
-    value: float
-    low: float
-    high: float
-    unit: str
+    name: str = Field(description="of the fact, as the robot calls it")
+    value: float = Field(description="what this reality shows, in `unit`")
+    low: float = Field(description="lowest value that agrees with the source")
+    high: float = Field(description="highest value that agrees with the source")
+    unit: str = Field(description="of all three")
 
 
 class Reality(Config):
     """What is in the file."""
 
-    format: int = Field(1, ge=1, le=1)
-    name: str
-    robot: str
+    format: int = Field(1, ge=1, le=1, description="of the file")
+    name: str = Field(description="of the reality, and of its file without the ending")
+    robot: str = Field(description="as registered")
     seed: str = Field(description="text that it was drawn from")
     index: int = Field(ge=0, description="of the draw")
     switches: tuple[str, ...] = Field(description="structures that are on")
     parameters: dict[str, dict[str, Any]] = Field(description="dynamics, sensors, sessions, instruments, in full")
-    facts: tuple[Measured, ...] = ()
+    facts: tuple[Measured, ...] = Field((), description="public facts that it was checked by")
 
 
 def known_names() -> dict[str, Path]:

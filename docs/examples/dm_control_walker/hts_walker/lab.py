@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from hts.config import Command, Config, ScheduleConfig
+from hts.config import Config, ScheduleConfig
 from hts.contracts import World, WorldContext
 from hts.errors import WorldError
 from hts.policies.deploy import DeployedPolicy
 from hts.recordings.recording import Recording, Series
 from hts_walker.channels import channel_values
 from hts_walker.objective import POWER
-from hts_walker.robot import CHANNELS, OBSERVATION, SPEC, SPEED
+from hts_walker.robot import CHANNELS, OBSERVATION, SPEC, WalkForward
 
 RATE = SPEC.control_rate_hz
 ORDER = ("reference", "policy", "policy", "reference")  # A-B-B-A cancels a drift that is linear in time
@@ -66,7 +66,7 @@ class WalkerLab(World):
         machine.walk(policies["reference"], self.settings.warmup_seconds)
         recordings = []
         for speed in speeds:
-            schedule = ScheduleConfig(commands=(Command(seconds=self.settings.block_seconds, vx=speed),))
+            schedule = WalkForward().schedule(speed, self.settings.block_seconds)
             for block, role in enumerate(ORDER):
                 session = f"{policies['policy'].card.policy_hash[:12]}-{speed:g}"
                 recordings.append(self._recording(machine, policies[role], schedule, session, role, block))
@@ -79,11 +79,6 @@ class WalkerLab(World):
         return {"robot_minutes": robot_seconds / 60.0, "wall_seconds": robot_seconds * RATE / 1000.0}
 
     def _recording(self, machine, policy, schedule, session, role="collection", block=0) -> Recording:
-        if any(command.vx != SPEED for command in schedule.commands):
-            raise WorldError(
-                f"World 'walker_lab' was commanded {[command.vx for command in schedule.commands]} m/s, its task "
-                f"has no command but {SPEED}. Use the settings in walker.yaml: --config walker.yaml"
-            )
         time, values = machine.walk(policy, schedule.seconds)
         channels = {channel.name: channel for channel in (*CHANNELS, POWER)}
         return Recording(

@@ -1,0 +1,65 @@
+"""What a robot's task means for a configuration: the set-points that presets cannot know, and which ones it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from hts.config import RunConfig
+from hts.errors import ConfigError, HtsError
+from hts.guarded import guarded
+
+if TYPE_CHECKING:
+    from hts.contracts import Robot, Task
+    from hts.plugins import Registry
+
+
+def task_layer(registry: Registry, robot: Any, preset: Mapping[str, Any]) -> dict[str, Any]:
+    """What is laid over a preset for a robot whose task names its own set-points, or has none to command.
+
+    robot: as it stands in the configuration; preset: its schedule says for how long. Where presets hold the
+    speed, it does not: only a velocity can be held. Empty for a robot that follows commanded velocities, as presets do,
+    and for one that cannot be made: that is said when names are checked.
+    """
+    if not isinstance(robot, Mapping) or not isinstance(robot.get("name"), str):
+        return {}
+    try:
+        made = registry.make_robot(robot["name"], {key: value for key, value in robot.items() if key != "name"})
+    except HtsError:
+        return {}
+    task = guarded(f"Robot '{robot['name']}': task()", made.task)
+    equal_commands = {} if task.can_hold else {"hold_speed": False}
+    points = list(task.defaults)
+    if not points:
+        return {"simulation_test": equal_commands, "evaluation": equal_commands} if equal_commands else {}
+    seconds = sum(command["seconds"] for command in preset["collection"]["schedule"]["commands"]) / len(points)
+    commands = [task.command(point, seconds).model_dump() for point in points]
+    return {
+        "collection": {"schedule": {"commands": commands}},
+        "simulation_test": {"speeds": points, **equal_commands},
+        "selection": {"speed": points[0], "speeds": []},
+        "evaluation": {"speeds": points, **equal_commands},
+    }
+
+
+def check_task(config: RunConfig, robot: Robot) -> None:
+    """Every set-point of the configuration is one of the robot's task, whose channels it gives. Raises ConfigError."""
+    task: Task = robot.task()
+    known = robot.channels()
+    for name in task.channels:
+        if name not in known and known:
+            raise ConfigError(
+                f"Robot '{robot.spec.name}': its task is judged by the channel '{name}', which it does not give "
+                f"({', '.join(sorted(known))}). Add it to the robot's channels, or let Robot.task() name another task."
+            )
+    task.check(config.simulation_test.speeds, "simulation_test.speeds")
+    if config.selection.speeds:
+        task.check(config.selection.speeds, "selection.speeds")
+    else:
+        task.check((config.selection.speed,), "selection.speed")
+    task.check(config.evaluation.speeds, "evaluation.speeds")
+    task.check_schedule(config.collection.schedule, "collection.schedule")
+    if config.evaluation.hold_speed:
+        task.check_hold("evaluation.hold_speed")
+    if config.simulation_test.hold_speed:
+        task.check_hold("simulation_test.hold_speed")
