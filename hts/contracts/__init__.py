@@ -18,7 +18,7 @@ from hts.contracts.measurement_model import (
     robot_signals,
 )
 from hts.contracts.objective import Comparison, Objective
-from hts.contracts.robot import JointMotors, Robot, RobotSpec
+from hts.contracts.robot import JointMotors, LogOnlyRobot, Robot, RobotSpec
 from hts.contracts.selector import RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
 from hts.contracts.world import World, WorldContext
@@ -29,6 +29,7 @@ __all__ = [
     "Installed",
     "Instrument",
     "JointMotors",
+    "LogOnlyRobot",
     "LogReader",
     "MeasurementModel",
     "ModelContext",
