@@ -18,7 +18,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "fit": ("hts.cli.fit", "Fit one measurement model on a recording store, with its checks"),
     "pretrain": ("hts.cli.pretrain", "Train the policy to start from"),
     "plugins": ("hts.cli.plugins", "What is installed, and what could not be loaded"),
-    "new": ("hts.cli.new", "A package to start from: objective, robot or selector"),
+    "new": ("hts.cli.new", "A package to start from: objective, robot, world, reader, …"),
     "check": ("hts.cli.check", "Test a plugin package against the conformance kit"),
     "bench": ("hts.cli.bench", "Speed against bare physics: env, train, sweep, fit"),
     "config": ("hts.cli.config", "The resolved configuration, or its JSON schema"),
