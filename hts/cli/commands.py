@@ -13,6 +13,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("hts.cli.report", "Write a run's report.html and figures again"),
     "play": ("hts.cli.play", "See a policy walk, in a window or as a video"),
     "export": ("hts.cli.export", "A policy as ONNX or TorchScript, for the robot"),
+    "policy": ("hts.cli.policy", "Policies made elsewhere, to start from: import"),
     "import": ("hts.cli.import_", "Real logs into a recording store"),
     "data": ("hts.cli.data", "What a recording store holds: ls, show, compare, validate"),
     "fit": ("hts.cli.fit", "Fit one measurement model on a recording store, with its checks"),
