@@ -35,7 +35,8 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
     )
     parsing = csv.ParseOptions(delimiter=log.delimiter)
     try:
-        with csv.open_csv(path, read_options=reading, parse_options=parsing) as opened:
+        # Opened here: pyarrow cannot take the name of a file that is no text.
+        with path.open("rb") as file, csv.open_csv(file, read_options=reading, parse_options=parsing) as opened:
             names = opened.schema.names
         time_name = _column(path, time, names, log.header)
         by_column = {column: _column(path, column, names, log.header) for column in wanted}
@@ -48,7 +49,8 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
             strings_can_be_null=True,
             decimal_point=log.decimal,
         )
-        table = csv.read_csv(path, read_options=reading, parse_options=parsing, convert_options=converting)
+        with path.open("rb") as file:
+            table = csv.read_csv(file, read_options=reading, parse_options=parsing, convert_options=converting)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:

@@ -12,6 +12,7 @@ the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limi
 from __future__ import annotations
 
 import fnmatch
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,9 @@ __all__ = [
     "samples_of",
     "table_of",
 ]
+
+MOST_DROPPED = 0.01
+"""Share of rows that limits may drop; more is no outlier."""
 
 Columns = Mapping[str, Any]
 """Name -> (rows,) numbers, None or NaN where the log has none."""
@@ -98,22 +102,52 @@ def recording_from_tables(
     tables = _tables(_assign(files, log), log, columns, read)
     origin = min(table.stamps[0] for table in tables.values())
     scale = SECONDS[log.time.unit]
-    samples = {}
+    samples, dropped = {}, {}
     for name, one in log.channels.items():
         table = tables[one.file]
         values = np.stack([table.columns[column] for column in columns[name]], axis=1)
         times = (table.stamps - origin) * scale
-        samples[name] = samples_of(name, times, values, str(table.path), _listed(columns[name]))
+        kept = _within(times, log, table)
+        values, dropped[name] = _without_outliers(name, values[kept], one, table.path)
+        samples[name] = samples_of(name, times[kept], values, str(table.path), _listed(columns[name]))
     where = ", ".join(str(path) for path in files)
     grid = common_grid(samples, log.rate_hz, log.max_gap_seconds)
     channels = {name: _series(one, log, robot, grid) for name, one in samples.items()}
-    recording = _recording(channels, grid, log, robot, _notes(files, tables, samples, grid, log))
+    recording = _recording(channels, grid, log, robot, _notes(files, tables, samples, grid, log, dropped))
     per_joint = {name for name, one in log.channels.items() if follows_joints(name, one)}
     stated = _stated_limits(channels, log)
     check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
     check(recording, where)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
     return recording
+
+
+def _within(times: np.ndarray, log: LogMapping, table: Table) -> np.ndarray:
+    """Rows (rows,) bool of the stretch that the mapping takes."""
+    if log.cut is None:
+        return np.ones(len(times), dtype=np.bool_)
+    kept = (times >= log.cut[0]) & (times <= log.cut[1])
+    if kept.sum() < 2:
+        raise RecordingError(
+            f"{table.path}: nothing is left between {log.cut[0]:g} and {log.cut[1]:g} s after the first stamp; it "
+            f"lasts {times[-1]:.4g} s. Correct `cut`, or the unit of the stamps."
+        )
+    return kept
+
+
+def _without_outliers(name: str, values: np.ndarray, one: ChannelMapping, path: Path) -> tuple[np.ndarray, int]:
+    """Values (rows, k), NaN where the mapping drops what lies outside its limits, and how many rows that were."""
+    if one.limits is None or one.outside == "refuse":
+        return values, 0
+    low, high = one.limits
+    given = one.sign * one.scale * values + one.offset
+    wrong = ((given < low) | (given > high)).any(axis=1)
+    if wrong.mean() > MOST_DROPPED:
+        raise RecordingError(
+            f"{path}: '{name}' lies outside {low:g} to {high:g} {one.unit} in {wrong.sum()} of {len(wrong)} rows; at "
+            f"most {MOST_DROPPED:.0%} are dropped. Correct the limits, or the column."
+        )
+    return np.where(wrong[:, None], np.nan, values), int(wrong.sum())
 
 
 def _assign(files: Sequence[Path], log: LogMapping) -> dict[str | None, Path]:
@@ -207,13 +241,20 @@ def _notes(
     samples: Mapping[str, Samples],
     grid: np.ndarray,
     log: LogMapping,
+    dropped: Mapping[str, int],
 ) -> dict[str, str]:
     """What was done to the log on the way in."""
-    notes = {"source": ", ".join(path.name for path in files)}
+    names = [os.fsencode(path.name).decode("utf-8", "backslashreplace") for path in files]  # a name may be no text
+    notes = {"source": ", ".join(names)}
+    if log.cut is not None:
+        notes["cut"] = f"{log.cut[0]:g} to {log.cut[1]:g} s"
     empty = sum(table.empty_rows for table in tables.values())
     if empty:
         notes["empty_rows_dropped"] = str(empty)
-    filled = [f"{name} {one.missing}" for name, one in samples.items() if one.missing]
+    if any(dropped.values()):
+        notes["rows_outside_limits_dropped"] = ", ".join(f"{name} {count}" for name, count in dropped.items() if count)
+    missing = {name: one.missing - dropped[name] for name, one in samples.items()}
+    filled = [f"{name} {count}" for name, count in missing.items() if count]
     if filled:
         notes["incomplete_rows_filled"] = ", ".join(filled)
     lines = {name: interpolated(one, grid, log.rate_hz) for name, one in samples.items()}

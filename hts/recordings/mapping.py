@@ -56,7 +56,10 @@ class ChannelMapping(Config):
     per_joint: bool | None = Field(None, description="columns follow the joints; default: the name begins with joint_")
     idle: float | None = Field(None, description="level with electronics on and motors idle; makes it a real channel")
     real: bool = Field(True, description="false: a channel that the robot does not list, yet not one to learn")
-    limits: tuple[float, float] | None = Field(None, description="refuse the log where values lie outside")
+    limits: tuple[float, float] | None = Field(None, description="in the unit above, outside of which nothing may lie")
+    outside: Literal["refuse", "drop"] = Field(
+        "refuse", description="the log whose values lie outside the limits, or drop such rows, at most 1 in 100"
+    )
     may_be_constant: bool = Field(False, description="for a quantity that may honestly stand still")
     description: str = Field("", description="for the reader of the store")
 
@@ -96,12 +99,24 @@ class LogMapping(Config):
     time: TimeMapping
     rate_hz: float = Field(gt=0, description="of the recording, Hz; the log is resampled to it")
     max_gap_seconds: float = Field(0.1, gt=0, description="longest gap that is filled by interpolation, s")
+    cut: tuple[float, float] | None = Field(None, description="take only this stretch, s after the first stamp")
     joints: dict[str, str] | None = Field(None, description="robot's joint -> its name in the log, for {joint}")
     joint_order: tuple[str, ...] | None = Field(
         None, description="robot's joint names in the order of the log's columns; left out: the robot's order"
     )
     channels: dict[str, ChannelMapping] = Field(min_length=1, description="by channel name")
     recording: RecordingFacts = Field(default_factory=RecordingFacts)
+
+    @model_validator(mode="after")
+    def _cut_and_limits_are_whole(self) -> LogMapping:
+        if self.cut is not None and not self.cut[0] < self.cut[1]:
+            raise ValueError(f"cut is {list(self.cut)}; its end must come after its beginning")
+        for name, channel in self.channels.items():
+            if channel.outside == "drop" and channel.limits is None:
+                raise ValueError(f"channel '{name}': `outside: drop` needs `limits`")
+            if channel.limits is not None and not channel.limits[0] < channel.limits[1]:
+                raise ValueError(f"channel '{name}': limits are {list(channel.limits)}; the lower one comes first")
+        return self
 
     @model_validator(mode="after")
     def _files_are_known(self) -> LogMapping:

@@ -155,6 +155,7 @@ def _absurd(
     return [
         (
             f"'{name}' of {joint_names[column]} is {shown[row, column]:g} {unit} in sample {row} ({count} such "
-            f"sample{'s' if count > 1 else ''}), its limit is {limits[column]:g}: empty these cells of the log"
+            f"sample{'s' if count > 1 else ''}), its limit is {limits[column]:g}: broken rows are "
+            "left out by `limits` and `outside: drop`"
         )
     ]
