@@ -39,6 +39,7 @@ def hts_selectors(register: Register) -> None:
 @hookimpl
 def hts_log_readers(register: Register) -> None:
     register("csv", make_csv)
+    register("parquet", make_parquet)
 
 
 def make_lstm(settings: Settings, context: ModelContext) -> MeasurementModel:
@@ -100,5 +101,12 @@ def make_racing(settings: Settings) -> Selector:
 def make_csv(settings: Settings) -> LogReader:
     """Comma-separated files; a mapping says which column is which channel."""
     from hts.recordings.csv_reader import make
+
+    return make(settings)
+
+
+def make_parquet(settings: Settings) -> LogReader:
+    """Parquet files; a mapping says which column is which channel."""
+    from hts.recordings.parquet_reader import make
 
     return make(settings)

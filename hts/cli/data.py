@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hts.cli.printable import printable
+
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
     from hts.recordings.store import RecordingStore
@@ -22,6 +24,11 @@ app = typer.Typer(
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The store, such as RUN/data.zarr.")]
 AsJson = Annotated[bool, typer.Option("--json", help="As JSON, for programs.")]
+
+
+def _say(line: str) -> None:
+    """One line, of which parts come from logs."""
+    typer.echo(printable(line))
 
 
 @app.command()
@@ -83,10 +90,10 @@ def show(
     typer.echo(f"recording {recording_id}")
     for key, value in attributes.items():
         if key not in ("arrays", "joint_names", "kp", "kd", "schedule"):
-            typer.echo(f"  {key}: {value if not isinstance(value, dict) else _pairs(value)}")
-    typer.echo(f"  schedule: {_schedule(attributes)}")
+            _say(f"  {key}: {value if not isinstance(value, dict) else _pairs(value)}")
+    _say(f"  schedule: {_schedule(attributes)}")
     for joint, kp, kd in zip(attributes["joint_names"], attributes["kp"], attributes["kd"], strict=True):
-        typer.echo(f"  joint {joint}: kp {kp:g} N*m/rad, kd {kd:g} N*m*s/rad")
+        _say(f"  joint {joint}: kp {kp:g} N*m/rad, kd {kd:g} N*m*s/rad")
     rows = [
         (
             name,
@@ -117,7 +124,7 @@ def compare(
     only = {ids[i]: [name for name in statistics[i] if name not in both] for i in (0, 1)}
     if as_json:
         channels = {name: [one[name] for one in statistics] for name in both}
-        typer.echo(json.dumps({"ids": ids, "attributes": different, "channels": channels, "only_in": only}, indent=2))
+        _say(json.dumps({"ids": ids, "attributes": different, "channels": channels, "only_in": only}, indent=2))
         return
     _table(("attribute", *ids), [(key, str(left), str(right)) for key, (left, right) in different.items()])
     rows = []
@@ -129,7 +136,7 @@ def compare(
     _table(("channel", "unit", "mean 1", "mean 2", "std 1", "std 2", "rms 1", "rms 2"), rows)
     for recording_id, names in only.items():
         if names:
-            typer.echo(f"only in {recording_id}: {', '.join(names)}")
+            _say(f"only in {recording_id}: {', '.join(names)}")
 
 
 @app.command()
@@ -237,4 +244,4 @@ def _table(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
     """Columns as wide as they need to be, whatever the terminal, so that output can be searched and cut."""
     widths = [max(len(row[i]) for row in [titles, *rows]) for i in range(len(titles))]
     for row in [titles, *rows]:
-        typer.echo("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        _say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

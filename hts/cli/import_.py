@@ -28,8 +28,9 @@ def command(
 ) -> None:
     """Import logs of a real robot into a recording store.
 
-    All files are read and checked first; if one is refused, none is stored.
+    All files are read and checked first; if one is refused, all that are refused are named and none is stored.
     """
+    from hts.cli.printable import printable
     from hts.errors import ConfigError, RecordingError, unknown_name
     from hts.plugins import load
     from hts.recordings.mapping import load_mapping
@@ -49,12 +50,20 @@ def command(
     for name in objective or []:
         check_mapping(registry.make_objective(name), given, mapping)
     groups = [files] if given.get("files") else [[file] for file in files]
-    try:
-        recordings = [read_log(registry, group, given, machine) for group in groups]
-    except ConfigError as error:
-        raise ConfigError(f"{mapping}: {error}") from error
-    except RecordingError as error:
-        raise RecordingError(f"{error} Nothing was stored.") from error
+    recordings, refused = [], []
+    for group in groups:
+        try:
+            recordings.append(read_log(registry, group, given, machine))
+        except ConfigError as error:
+            raise ConfigError(f"{mapping}: {error}") from error
+        except RecordingError as error:
+            refused.append(error)
+    if len(refused) > 1:
+        for why in refused:
+            typer.echo(printable(f"refused: {why}"), err=True)
+        raise RecordingError(f"{len(refused)} of {len(groups)} logs are refused, see above. Nothing was stored.")
+    if refused:
+        raise RecordingError(f"{refused[0]} Nothing was stored.") from refused[0]
     store = RecordingStore(to, create=True)
     before = set(store.ids())
     for group, recording in zip(groups, recordings, strict=True):
@@ -62,7 +71,6 @@ def command(
         again = " (was there already)" if recording_id in before else ""
         notes = "; ".join(f"{key} {text}" for key, text in recording.notes.items() if key != "source")
         names = ", ".join(path.name for path in group)
-        typer.echo(
-            f"{recording_id}  {names}: {recording.seconds:.2f} s at {recording.rate_hz:g} Hz, "
-            f"{', '.join(recording.channels)}{again}" + (f" [{notes}]" if notes else "")
-        )
+        line = f"{recording_id}  {names}: {recording.seconds:.2f} s at {recording.rate_hz:g} Hz, "
+        line += f"{', '.join(recording.channels)}{again}" + (f" [{notes}]" if notes else "")
+        typer.echo(printable(line))

@@ -23,6 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")
     from hts.cli.group import hts_group
     from hts.cli.one_line import one_line
+    from hts.cli.printable import printable
 
     try:
         status = hts_group().main(args=arguments or ["--help"], prog_name="hts", standalone_mode=False)
@@ -33,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if explained is None or os.environ.get("HTS_DEBUG") == "1":
             raise
         line, code = explained
-        print(line, file=sys.stderr)
+        print(printable(line), file=sys.stderr)
         return code
     return status if isinstance(status, int) else 0
 

@@ -19,7 +19,7 @@ from hts.contracts.measurement_model import (
 )
 from hts.contracts.objective import Comparison, Objective
 from hts.contracts.parameter import parameter, parameters, structural
-from hts.contracts.robot import JointMotors, Robot, RobotSpec
+from hts.contracts.robot import JointMotors, LogOnlyRobot, Robot, RobotSpec
 from hts.contracts.selector import FineTuning, RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
 from hts.contracts.task import VELOCITY, FollowVelocity, Task
@@ -36,6 +36,7 @@ __all__ = [
     "Installed",
     "Instrument",
     "JointMotors",
+    "LogOnlyRobot",
     "LogReader",
     "MeasurementModel",
     "ModelContext",

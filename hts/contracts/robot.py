@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -65,6 +65,41 @@ class RobotSpec:
     def num_joints(self) -> int:
         return len(self.joint_names)
 
+    @classmethod
+    def log_only(
+        cls,
+        name: str,
+        joint_names: Sequence[str],
+        *,
+        torque_limit: Sequence[float],
+        velocity_limit: Sequence[float],
+        position_limit: Sequence[tuple[float, float]],
+        rate_hz: float,
+        kp: Sequence[float] | None = None,
+        kd: Sequence[float] | None = None,
+    ) -> RobotSpec:
+        """What is known of a machine that is known by its logs: joints, limits (N·m, rad/s, rad) and rate, Hz.
+
+        kp N·m/rad, kd N·m·s/rad: of its joint controllers; None, not known, is kept as 0. What only a simulation asks
+        for is filled in: the default pose is the middle of the range, an action unit is 1 rad.
+        """
+        count = len(joint_names)
+        return cls(
+            name=name,
+            joint_names=tuple(joint_names),
+            default_pose=tuple((low + high) / 2 for low, high in position_limit),
+            kp=tuple(kp) if kp is not None else (0.0,) * count,
+            kd=tuple(kd) if kd is not None else (0.0,) * count,
+            action_scale=(1.0,) * count,
+            torque_limit=tuple(torque_limit),
+            velocity_limit=tuple(velocity_limit),
+            position_limit=tuple((low, high) for low, high in position_limit),
+            control_rate_hz=rate_hz,
+            physics_dt=1.0 / rate_hz,
+            substeps=1,
+            base_height=0.0,
+        )
+
 
 class Robot(ABC):
     """A machine: its model, its numbers, its channels, its first policy.
@@ -123,3 +158,25 @@ class Robot(ABC):
             "was in version 1 of the hooks); else give it a make_env. A log-only robot is for `hts import` and `hts "
             "fit`."
         )
+
+
+class LogOnlyRobot(Robot):
+    """A machine known by its logs alone: enough for `hts import` and `hts fit`.
+
+    spec: see `RobotSpec.log_only`; channels: the sim channels that its logs hold, those that a model will read.
+    """
+
+    def __init__(self, spec: RobotSpec, channels: Iterable[Channel]) -> None:
+        self.spec = spec
+        self._channels = {channel.name: channel for channel in channels}
+
+    def mjcf(self) -> None:
+        """It has no model."""
+        return
+
+    def channels(self) -> Mapping[str, Channel]:
+        return dict(self._channels)
+
+    def pretrained_policy(self) -> None:
+        """It has no policy."""
+        return

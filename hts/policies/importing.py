@@ -1,66 +1,61 @@
 """Policies made elsewhere, or exported by us, as a `Policy` to start from. Loading never runs code.
 
     .safetensors + .json   one of our own
+    .safetensors alone     plain layers and examples, written at home from another library's actor (`layers`)
     .onnx                  exported by us (`hts export`): its weights are read, its graph is only compared
     .pt                    an rsl_rl checkpoint, through torch.load(weights_only=True)
     TorchScript            refused: it is a program, and loading it runs it
 
 rsl_rl does not clip normalised observations, we do, at 10: beyond ten standard deviations an imported actor may differ.
 
-ONNX files and rsl_rl checkpoints bring an actor. The critic of this task sees other things than theirs, so it starts
-anew; give fine-tuning a few `warmup_batches`, in which only the critic learns.
+Layers, ONNX files and rsl_rl checkpoints bring an actor. The critic of this task sees other things than theirs, so it
+starts anew; give fine-tuning a few `warmup_batches`, in which only the critic learns.
 """
 
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from hts.contracts import RobotSpec
-from hts.errors import PolicyError, unknown_name
+from hts.errors import PolicyError
 from hts.policies.export import CARD_KEY, CLIP, graph_nodes
 from hts.policies.files import Policy, check_robot, hash_tensors, load_policy, make_card, parse_card
-from hts.rl.population import Population, Sizes
+from hts.policies.layers import from_layers, holds_layers
+from hts.policies.layout import Layout, Seen, order, seen_in_velocity_task
+from hts.policies.with_critic import NEW_CRITIC, with_new_critic
+from hts.rl.population import Sizes
 
 # rsl_rl's EmpiricalNormalization divides by std + 0.01 (rsl_rl/modules/normalization.py).
 RSL_RL_EPSILON = 0.01
 # Without a normaliser, ours would clip raw observations at 10.
 # This factor, exact in binary, moves that to 80 and changes no result.
 HEADROOM = 8.0
-NEW_CRITIC = "new"
 
 
-@dataclass(frozen=True)
-class Layout:
-    """What a checkpoint without a card cannot say of itself.
+def import_policy(
+    path: Path, robot: RobotSpec, layout: Layout | None = None, std: float = 0.2, seen: Seen | None = None
+) -> Policy:
+    """The policy in a file, for a robot.
 
-    observation: parts in the checkpoint's order, [{name, size, scale}]; names as in our own observation; the network
-    was given scale x value (1 if missing). joint_names: the checkpoint's joint order; none: the robot's.
-    Default pose, action scale, gains and control rate must be the robot's, and the hidden layers' activation ELU.
+    layout: of a file of layers or an rsl_rl checkpoint; none: our own observation, unscaled. std: sigma of exploration,
+    action units, where the file has none. seen: what policies see in the robot's env; none: the velocity task. Raises
+    PolicyError for a file of another kind, a damaged one, or one made for another robot.
     """
-
-    observation: tuple[Mapping[str, Any], ...]
-    joint_names: tuple[str, ...] | None = None
-
-
-def import_policy(path: Path, robot: RobotSpec, layout: Layout | None = None, std: float = 0.2) -> Policy:
-    """The policy in a file, for a robot of the velocity task.
-
-    layout: of an rsl_rl checkpoint; none: our own observation, unscaled. std: sigma of exploration, action units, where
-    the file has none. Raises PolicyError for a file of another kind, a damaged one, or one made for another robot.
-    """
-    path = Path(path)
+    path, seen = Path(path), seen or seen_in_velocity_task(robot)
+    if path.suffix == ".safetensors" and not path.with_suffix(".json").exists() and holds_layers(path):
+        return from_layers(path, robot, layout, seen, std)
     if path.suffix in (".safetensors", ".json"):
         return load_policy(path, robot)
     if path.suffix == ".onnx":
         return _from_onnx(path, robot, std)
     if path.suffix in (".pt", ".pth", ".jit", ".ts", ".torchscript"):
-        return _from_rsl_rl(path, robot, layout, std)
+        return _from_rsl_rl(path, robot, layout, seen, std)
     raise PolicyError(
         f"{path}: policies are read from .safetensors (with its .json), .onnx and .pt (rsl_rl), not '{path.suffix}'."
     )
@@ -107,7 +102,7 @@ def _from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy:
             f"{path}: it clips observations to {limits}, this version to {(-CLIP, CLIP)}. Export the policy again."
         )
     actor = {name: torch.from_numpy(value).float() for name, value in tensors.items()}
-    whole = _with_new_critic(path, actor, card.sizes(), std)
+    whole = with_new_critic(path, actor, card.sizes(), std)
     made = {**card.made, "imported_from": path.name, "imported_hash": card.policy_hash, "critic": NEW_CRITIC}
     return Policy(whole, replace(card, policy_hash=hash_tensors(whole), made=made))
 
@@ -144,11 +139,8 @@ def _attributes(node: Any) -> dict[str, bytes]:
 # ---------------------------------------------------------------------------------------------------- rsl_rl
 
 
-def _from_rsl_rl(path: Path, robot: RobotSpec, layout: Layout | None, std: float) -> Policy:
-    from hts.envs.observation import critic_observation_size, observation_layout
-
-    ours = observation_layout(robot.num_joints)
-    layout = layout or Layout(tuple(ours))
+def _from_rsl_rl(path: Path, robot: RobotSpec, layout: Layout | None, seen: Seen, std: float) -> Policy:
+    layout = layout or Layout(tuple(seen.parts))
     data = _weights(path)
     actor, normaliser, log_std = _rsl_rl_parts(path, data)
     layers = _layers(path, actor)
@@ -160,7 +152,7 @@ def _from_rsl_rl(path: Path, robot: RobotSpec, layout: Layout | None, std: float
             f"{robot.num_joints} for robot '{robot.name}'. Say with a Layout what it observes, or use a policy of this "
             "robot."
         )
-    columns, scale, joints = _order(path, robot, layout, ours)
+    columns, scale, joints = order(path, robot, layout, seen.parts)
     if normaliser is None:
         mean, spread, gain = torch.zeros(inputs), torch.full((inputs,), HEADROOM), HEADROOM
     else:
@@ -177,16 +169,15 @@ def _from_rsl_rl(path: Path, robot: RobotSpec, layout: Layout | None, std: float
     if log_std is not None and log_std.shape == (outputs,):
         tensors["log_std"] = log_std[joints]
     hidden = tuple(weight.shape[0] for weight, _ in layers[:-1])
-    critic_size = critic_observation_size(robot.num_joints, len(robot.foot_sites))
-    sizes = Sizes(len(columns), critic_size, outputs, hidden)
-    whole = _with_new_critic(path, tensors, sizes, std)
+    sizes = Sizes(len(columns), seen.critic, outputs, hidden)
+    whole = with_new_critic(path, tensors, sizes, std)
     made = {
         "imported_from": path.name,
         "kind": "rsl_rl",
         "iteration": int(data.get("iter", 0) or 0),
         "critic": NEW_CRITIC,
     }
-    return Policy(whole, make_card(robot, whole, ours, sizes, **made))
+    return Policy(whole, make_card(robot, whole, [dict(part) for part in seen.parts], sizes, **made))
 
 
 def _weights(path: Path) -> Mapping[str, Any]:
@@ -266,53 +257,3 @@ def _layers(path: Path, state: Mapping[str, torch.Tensor]) -> list[tuple[torch.T
     if any(weight.ndim != 2 for weight, _ in layers) or count < 2:
         raise PolicyError(f"{path}: its actor is not a plain network with at least one hidden layer.")
     return layers
-
-
-def _order(
-    path: Path, robot: RobotSpec, layout: Layout, ours: Sequence[Mapping[str, Any]]
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """For each of our observation entries the checkpoint's column and scale, and for each of our joints its index."""
-    names = layout.joint_names or robot.joint_names
-    if sorted(names) != sorted(robot.joint_names):
-        raise PolicyError(f"{path}: its joints {sorted(names)} are not those of robot '{robot.name}'.")
-    joints = torch.tensor([names.index(name) for name in robot.joint_names])
-    starts, start = {}, 0
-    for part in layout.observation:
-        starts[part["name"]] = (start, part)
-        start += int(part["size"])
-    known = {str(part["name"]) for part in ours}
-    for name in starts:
-        if name not in known:
-            raise PolicyError(
-                f"{path}: it observes what this task does not give. " + unknown_name("observation", name, known)
-            )
-    columns, scales = [], []
-    for part in ours:
-        if part["name"] not in starts or int(starts[part["name"]][1]["size"]) != part["size"]:
-            raise PolicyError(f"{path}: its layout has no part '{part['name']}' of size {part['size']}.")
-        first, theirs = starts[part["name"]]
-        inside = joints if part["size"] == robot.num_joints else torch.arange(int(part["size"]))
-        columns.append(first + inside)
-        scales.append(torch.full((int(part["size"]),), float(theirs.get("scale", 1.0))))
-    return torch.cat(columns), torch.cat(scales), joints
-
-
-# ---------------------------------------------------------------------------------------------------- common
-
-
-def _with_new_critic(
-    path: Path, actor: Mapping[str, torch.Tensor], sizes: Sizes, std: float
-) -> dict[str, torch.Tensor]:
-    """All tensors of a policy: those given, the rest new. The critic's observation begins with the actor's, so it
-    starts with the actor's normaliser there."""
-    whole = Population(sizes, 1, init_std=std).candidate(0)
-    for name, value in actor.items():
-        if name not in whole or whole[name].shape != value.shape:
-            expected = tuple(whole[name].shape) if name in whole else None
-            raise PolicyError(f"{path}: '{name}' has shape {tuple(value.shape)}, expected {expected}.")
-        if not bool(torch.isfinite(value).all()):
-            raise PolicyError(f"{path}: '{name}' holds numbers that are not finite. Use an earlier checkpoint.")
-        whole[name] = value.clone()
-    for what in ("mean", "std"):
-        whole[f"critic_observation_{what}"][: sizes.observation] = whole[f"observation_{what}"]
-    return whole

@@ -11,9 +11,10 @@ channels:
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
@@ -21,25 +22,26 @@ from hts import units
 from hts.config import Config, ScheduleConfig
 from hts.errors import ConfigError, unknown_name
 from hts.explain import explain
+from hts.recordings.table import DATES, ColumnName
 from hts.yaml_text import load_mapping_file
 
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-
-ColumnName = str | int
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, DATES: 1e-9}
+"""Unit of stamps -> s; dates are read as whole nanoseconds."""
 
 
 class TimeMapping(Config):
     """Where the time stamps are."""
 
     column: ColumnName = Field(description="name, or number from 0 where the file has no header line")
-    unit: Literal["s", "ms", "us", "ns"] = Field(description="unit of the stamps")
+    unit: Literal["s", "ms", "us", "ns", "iso"] = Field(description="unit of the stamps; iso: dates and times")
 
 
 class ChannelMapping(Config):
     """One channel from one or more columns: value = sign * scale * column + offset."""
 
     columns: ColumnName | tuple[ColumnName, ...] = Field(
-        description="a column; a list of them; a range of numbers '13..24'; or a pattern with {joint}"
+        description="a column; a list of them; a range of numbers '13..24' or of entries 'q[0..11]'; or a pattern "
+        "with {joint}"
     )
     unit: str = Field(
         description="of the value after sign, scale and offset, see hts.units; converted to that of the robot's channel"
@@ -54,7 +56,10 @@ class ChannelMapping(Config):
     per_joint: bool | None = Field(None, description="columns follow the joints; default: the name begins with joint_")
     idle: float | None = Field(None, description="level with electronics on and motors idle; makes it a real channel")
     real: bool = Field(True, description="false: a channel that the robot does not list, yet not one to learn")
-    limits: tuple[float, float] | None = Field(None, description="refuse the log where values lie outside")
+    limits: tuple[float, float] | None = Field(None, description="in the unit above, outside of which nothing may lie")
+    outside: Literal["refuse", "drop"] = Field(
+        "refuse", description="the log whose values lie outside the limits, or drop such rows, at most 1 in 100"
+    )
     may_be_constant: bool = Field(False, description="for a quantity that may honestly stand still")
     description: str = Field("", description="for the reader of the store")
 
@@ -87,23 +92,33 @@ class RecordingFacts(Config):
 
 
 class LogMapping(Config):
-    """A whole mapping."""
+    """A whole mapping. A reader of tables that needs to be told more derives from it."""
 
     reader: str = Field("csv", description="log reader, by name")
-    header: bool = Field(True, description="whether the first line names the columns")
-    delimiter: str = Field(",", min_length=1, max_length=1, description="between columns")
     files: dict[str, str] | None = Field(
         None, description="name -> pattern of the file name, where one recording is spread over several files"
     )
     time: TimeMapping = Field(description="the column of time stamps")
     rate_hz: float = Field(gt=0, description="of the recording, Hz; the log is resampled to it")
     max_gap_seconds: float = Field(0.1, gt=0, description="longest gap that is filled by interpolation, s")
+    cut: tuple[float, float] | None = Field(None, description="take only this stretch, s after the first stamp")
     joints: dict[str, str] | None = Field(None, description="robot's joint -> its name in the log, for {joint}")
     joint_order: tuple[str, ...] | None = Field(
         None, description="robot's joint names in the order of the log's columns; left out: the robot's order"
     )
     channels: dict[str, ChannelMapping] = Field(min_length=1, description="by channel name")
     recording: RecordingFacts = Field(default_factory=RecordingFacts, description="what the log cannot say of itself")
+
+    @model_validator(mode="after")
+    def _cut_and_limits_are_whole(self) -> LogMapping:
+        if self.cut is not None and not self.cut[0] < self.cut[1]:
+            raise ValueError(f"cut is {list(self.cut)}; its end must come after its beginning")
+        for name, channel in self.channels.items():
+            if channel.outside == "drop" and channel.limits is None:
+                raise ValueError(f"channel '{name}': `outside: drop` needs `limits`")
+            if channel.limits is not None and not channel.limits[0] < channel.limits[1]:
+                raise ValueError(f"channel '{name}': limits are {list(channel.limits)}; the lower one comes first")
+        return self
 
     @model_validator(mode="after")
     def _files_are_known(self) -> LogMapping:
@@ -115,6 +130,9 @@ class LogMapping(Config):
         return self
 
 
+Mapped = TypeVar("Mapped", bound=LogMapping)
+
+
 def load_mapping(path: Path) -> dict[str, Any]:
     """The YAML of a mapping, not yet validated. Raises ConfigError if it cannot be read."""
     mapping = load_mapping_file(path, "mapping of the log")
@@ -123,12 +141,12 @@ def load_mapping(path: Path) -> dict[str, Any]:
     return mapping
 
 
-def parse_mapping(mapping: Mapping[str, Any]) -> LogMapping:
+def parse_mapping(mapping: Mapping[str, Any], kind: type[Mapped] = LogMapping) -> Mapped:  # type: ignore[assignment]
     """A validated mapping. Raises ConfigError with the key and the closest right one."""
     try:
-        return LogMapping.model_validate(dict(mapping))
+        return kind.model_validate(dict(mapping))
     except ValidationError as error:
-        raise ConfigError(f"Mapping: {explain(error, LogMapping)}") from error
+        raise ConfigError(f"Mapping: {explain(error, kind)}") from error
 
 
 def follows_joints(name: str, channel: ChannelMapping) -> bool:
@@ -153,10 +171,7 @@ def column_names(
         _same_joints("joints", mapping.joints, joint_names)
         return tuple(columns.replace("{joint}", mapping.joints[joint]) for joint in joint_names)
     if isinstance(columns, str) and ".." in columns:
-        first, _, last = columns.partition("..")
-        if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
-            raise ConfigError(f"Mapping: columns '{columns}' of '{name}' are no range of numbers such as '13..24'.")
-        listed: tuple[ColumnName, ...] = tuple(range(int(first), int(last) + 1))
+        listed = _range(name, columns)
     else:
         listed = columns if isinstance(columns, tuple) else (columns,)
     if per_joint and len(listed) != len(joint_names):
@@ -168,6 +183,17 @@ def column_names(
         _same_joints("joint_order", mapping.joint_order, joint_names)
         return tuple(listed[mapping.joint_order.index(joint)] for joint in joint_names)
     return listed
+
+
+def _range(name: str, columns: str) -> tuple[ColumnName, ...]:
+    """The columns that '13..24' or 'q[0..11]' stands for."""
+    found = re.fullmatch(r"(?:(?P<list>.+)\[)?(?P<first>\d{1,6})\.\.(?P<last>\d{1,6})(?(list)\])", columns)
+    numbers = range(int(found["first"]), int(found["last"]) + 1) if found else range(0)
+    if found is None or not numbers:
+        raise ConfigError(
+            f"Mapping: columns '{columns}' of '{name}' are no range of numbers such as '13..24' or 'q[0..11]'."
+        )
+    return tuple(f"{found['list']}[{number}]" for number in numbers) if found["list"] else tuple(numbers)
 
 
 def _same_joints(key: str, given: Any, joint_names: tuple[str, ...]) -> None:

@@ -1,15 +1,16 @@
-"""Whether columns can be what a mapping says they are, judged by the robot's limits.
+"""Whether columns can be what a mapping says they are, judged by the robot's limits and by the idle level.
 
 Logs exist whose header says torque over columns that hold motor temperatures. Units do not show that; limits do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
 from hts.contracts import RobotSpec
+from hts.errors import RecordingError
 from hts.recordings.recording import Series
 
 # A log may overshoot a limit for a moment (estimates, impacts). It may not do so typically, nor by half in 1 % of it.
@@ -17,6 +18,68 @@ PEAK_FACTOR = 1.5
 PEAK_SHARE = 0.01
 # Encoder zeros and soft stops: a position may lie this far outside its range, rad.
 POSITION_MARGIN = 0.35
+# Not even a single sample: an impact reads a few times a limit, a broken packet thousands of times.
+ABSURD_FACTOR = 20.0
+# A robot at work takes several times what it takes idle. A thousandfold is another unit.
+IDLE_FACTOR = 100.0
+
+
+def check_limits(
+    channels: Mapping[str, Series],
+    spec: RobotSpec,
+    where: str,
+    *,
+    per_joint: Collection[str] | None = None,
+    stated: Mapping[str, tuple[float, float]] | None = None,
+    real: Collection[str] = (),
+) -> None:
+    """Raise RecordingError, one line with all the evidence, for channels that cannot be what they are said to be.
+
+    Torques, speeds and positions of joints are held against the limits of `spec`. where: begins the message, such as
+    the file; per_joint: names of channels with a component per joint, by default those that begin with joint_;
+    stated: name -> (low, high) in the channel's unit, outside of which nothing may lie; real: names of real channels,
+    which must not stand still.
+    """
+    if per_joint is None:
+        per_joint = {name for name in channels if name.startswith("joint_")}
+    evidence = implausible(channels, {name: name in per_joint for name in channels}, spec)
+    for name, limits in (stated or {}).items():
+        evidence += outside(name, channels[name], limits)
+    if not evidence:
+        return
+    for name in real:
+        series = channels[name]
+        if np.ptp(series.values) == 0 and not series.channel.may_be_constant:
+            evidence.append(f"'{name}' is {series.values.flat[0]:g} {series.channel.unit} all the time")
+    raise RecordingError(
+        f"{where}: the columns are not what the mapping says: {'; '.join(evidence)}. "
+        "Look at the columns and correct the mapping; if the log itself is wrong, do not use it."
+    )
+
+
+def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where: str) -> None:
+    """Raise RecordingError for a real channel that its idle level shows to have another sign or unit.
+
+    idle: name -> level with electronics on and motors idle, in the channel's unit; 0 says nothing. where: begins the
+    message. The median is compared: of the other sign it was counted the other way, a hundred times larger or smaller
+    it is in another unit.
+    """
+    for name, level in idle.items():
+        series = channels[name]
+        if level == 0 or series.channel.may_be_constant:
+            continue
+        unit, median = series.channel.unit, float(np.median(series.values))
+        ratio = median / level
+        hint = ""
+        if ratio < -1 / IDLE_FACTOR:
+            hint = "The log probably counts the other way: say sign: -1"
+        elif abs(ratio) > IDLE_FACTOR or abs(ratio) < 1 / IDLE_FACTOR:
+            hint = "One of them is probably in another unit (mA are no A): correct unit or scale, or the idle level"
+        if hint:
+            raise RecordingError(
+                f"{where}: '{name}' is {median:.4g} {unit} at the median, its idle level {level:g} {unit}. {hint}; if "
+                "it is right, say so with `limits`."
+            )
 
 
 def implausible(channels: Mapping[str, Series], per_joint: Mapping[str, bool], spec: RobotSpec) -> list[str]:
@@ -65,7 +128,7 @@ def _beyond(
     peaks = (size > PEAK_FACTOR * limits).mean(axis=0) > PEAK_SHARE
     bad = np.flatnonzero(typical | peaks)
     if not len(bad):
-        return []
+        return _absurd(name, unit, shown, size, limits, joint_names)
     worst = int(bad[np.argmax((np.median(size, axis=0) / limits)[bad])])
     column = shown[:, worst]
     phrase = (
@@ -78,3 +141,21 @@ def _beyond(
     if (shown == np.round(shown)).mean() > 0.9 and np.all(np.ptp(shown, axis=0) <= 5) and np.all(shown >= 0):
         phrase += "; whole numbers that hardly change, as temperatures do"
     return [phrase]
+
+
+def _absurd(
+    name: str, unit: str, shown: np.ndarray, size: np.ndarray, limits: np.ndarray, joint_names: tuple[str, ...]
+) -> list[str]:
+    """A phrase for single samples that no machine makes: one of them would rule a whole fit."""
+    wrong = size > ABSURD_FACTOR * limits
+    if not wrong.any():
+        return []
+    row, column = np.unravel_index(int(np.argmax(size / limits)), size.shape)
+    count = int(wrong.any(axis=1).sum())
+    return [
+        (
+            f"'{name}' of {joint_names[column]} is {shown[row, column]:g} {unit} in sample {row} ({count} such "
+            f"sample{'s' if count > 1 else ''}), its limit is {limits[column]:g}: broken rows are "
+            "left out by `limits` and `outside: drop`"
+        )
+    ]

@@ -32,6 +32,9 @@ def read_log(registry: Installed, files: Sequence[Path], mapping: Mapping[str, A
     """
     name = reader_name(mapping)
     where = ", ".join(str(file) for file in files)
+    for file in files:
+        if file.exists() and not (file.is_file() or file.is_dir()):  # a reader would wait for it for ever
+            raise RecordingError(f"{file}: a pipe or a device, expected a file. Write the log to a file first.")
     reader = registry.make_log_reader(name)
     try:
         recording = reader.read(files, mapping, robot)

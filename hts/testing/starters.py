@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import keyword
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 
@@ -17,31 +18,66 @@ from hts.testing.packages import kit_installed
 
 HERE = Path(__file__).parent
 
-EXAMPLES = {"objective": "fake", "measurement-model": "fading", "robot": "tiny", "selector": "plain"}
-"""Kind -> what the example of that kind is called in its own code."""
 
-RUN = {
-    "objective": "hts run --objective $name --robot ROBOT --preset smoke",
-    "measurement-model": "hts run --objective OBJECTIVE --set objectives.OBJECTIVE.model=$name --robot ROBOT "
-    "--preset smoke",
-    "robot": "hts run --objective OBJECTIVE --robot $name --preset smoke",
-    "selector": "hts run --objective OBJECTIVE --robot ROBOT --preset smoke --set selection.selector.name=$name",
+@dataclass(frozen=True)
+class Starter:
+    """What `hts new` writes for a kind. own: what the example is called in its own code; offered: the kind under which
+    the registry has it; run: the first command to try, words in capitals are to be filled in (`hts plugins` lists what
+    may stand there), FOLDER is the package's."""
+
+    own: str
+    offered: str
+    run: str
+
+
+LOG_ONLY = "log-only-robot"
+
+STARTERS = {
+    "objective": Starter("fake", "objectives", "hts run --objective $name --robot ROBOT --preset smoke"),
+    "measurement-model": Starter(
+        "fading",
+        "measurement_models",
+        "hts run --objective OBJECTIVE --set objectives.OBJECTIVE.model=$name --robot ROBOT --preset smoke",
+    ),
+    "robot": Starter("tiny", "robots", "hts run --objective OBJECTIVE --robot $name --preset smoke"),
+    LOG_ONLY: Starter(
+        "logged",
+        "robots",
+        "hts import FOLDER/walk.csv --robot $name --mapping FOLDER/mapping.yaml --to data.zarr",
+    ),
+    "world": Starter("hoist", "worlds", "hts run --objective OBJECTIVE --robot ROBOT --world $name --preset smoke"),
+    "instrument": Starter(
+        "warmth",
+        "instruments",
+        "hts run --objective OBJECTIVE --robot ROBOT --preset smoke --set world.instruments.$name.noise=0.1",
+    ),
+    "selector": Starter(
+        "plain",
+        "selectors",
+        "hts run --objective OBJECTIVE --robot ROBOT --preset smoke --set selection.selector.name=$name",
+    ),
+    "reader": Starter(
+        "jsonl",
+        "log_readers",
+        "hts import FOLDER/walk.jsonl --robot ROBOT --mapping FOLDER/mapping.yaml --to data.zarr",
+    ),
 }
-"""Kind -> the first run to try; `hts plugins` lists what may stand in place of the capitals."""
+KINDS = tuple(kind for kind in STARTERS if kind != LOG_ONLY)
+"""As they are typed; a log-only robot is a robot with an option."""
 
 
-def write_starter(kind: str, name: str, parent: Path) -> Path:
-    """Write a package for one objective, measurement model, robot or selector into `parent`/hts-NAME; the folder.
+def write_starter(kind: str, name: str, parent: Path, log_only: bool = False) -> Path:
+    """Write a package for one thing of a kind (`KINDS`) into `parent`/hts-NAME; the folder.
 
-    Raises ConfigError for a kind or name that cannot be, RunError if the folder exists or cannot be written.
+    log_only: a robot that is known by its logs, without a model. Raises ConfigError for a kind or name that cannot be,
+    RunError if the folder exists or cannot be written.
     """
-    if kind not in EXAMPLES:
-        raise ConfigError(unknown_name("kind of package", kind, EXAMPLES))
+    kind = _checked_kind(kind, log_only)
     if not re.fullmatch(r"[a-z][a-z0-9]*([-_][a-z0-9]+)*", name) or keyword.iskeyword(name):
-        article = "an" if kind[0] in "aeiou" else "a"
+        article = "an" if _word(kind)[0] in "aeiou" else "a"
         raise ConfigError(
-            f"'{name}' cannot name {article} {kind}: lower-case letters, digits and single - or _ between them, a "
-            "letter first, no Python keyword."
+            f"'{name}' cannot name {article} {_word(kind)}: lower-case letters, digits and single - or _ between "
+            "them, a letter first, no Python keyword."
         )
     _refuse_taken(kind, name)
     module = f"hts_{_field(name)}"
@@ -53,10 +89,10 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
         "Name": _class_name(name),
         "module": module,
         "package": folder.name,
-        "kind": kind.replace("-", " "),
+        "kind": _word(kind),
         "Names": ", ".join(sorted([_class_name(name), "Settings"])),
         "version": __version__,
-        "run": first_run(kind, name),
+        "run": first_run(kind, name, Path(".")),
     }
     files = {
         f"{module}/{file.name}": _renamed(file, kind, words) for file in (HERE / "examples" / _field(kind)).glob("*.py")
@@ -68,6 +104,7 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
     ):
         text = (HERE / "templates" / f"{template}.tmpl").read_text(encoding="utf-8")
         files[file] = Template(text).substitute(words)
+    files |= _log_to_try(kind, name)
     try:
         for file, text in files.items():
             path = folder / file
@@ -84,22 +121,48 @@ def write_starter(kind: str, name: str, parent: Path) -> Path:
     return folder
 
 
-def first_run(kind: str, name: str) -> str:
-    """The command of the first run to try; words in capitals are to be filled in."""
-    return Template(RUN[kind]).substitute(name=name)
+def first_run(kind: str, name: str, folder: Path, log_only: bool = False) -> str:
+    """The command of the first run to try; words in capitals are to be filled in. folder: of the package."""
+    run = STARTERS[_checked_kind(kind, log_only)].run.replace("FOLDER/", "" if folder == Path(".") else f"{folder}/")
+    return Template(run).substitute(name=name)
+
+
+def _checked_kind(kind: str, log_only: bool) -> str:
+    """The key in STARTERS. Raises ConfigError for a kind that is none, or that cannot be log-only."""
+    if kind not in STARTERS:
+        raise ConfigError(unknown_name("kind of package", kind, KINDS))
+    if log_only and kind not in ("robot", LOG_ONLY):
+        raise ConfigError(f"--log-only is for robots, found 'hts new {kind}'. Leave it out.")
+    return LOG_ONLY if log_only else kind
+
+
+def _word(kind: str) -> str:
+    """The kind as a sentence has it."""
+    return {LOG_ONLY: "robot", "reader": "log reader"}.get(kind, kind.replace("-", " "))
+
+
+def _log_to_try(kind: str, name: str) -> dict[str, str]:
+    """A log and its mapping, for what reads logs: file -> text."""
+    from hts.testing.made_up_logs import as_csv, as_json_lines, walk_columns
+
+    if kind not in (LOG_ONLY, "reader"):
+        return {}
+    template = (HERE / "templates" / "mapping.yaml.tmpl").read_text(encoding="utf-8")
+    mapping = Template(template).substitute(reader="csv" if kind == LOG_ONLY else name)
+    log = {"walk.csv": as_csv} if kind == LOG_ONLY else {"walk.jsonl": as_json_lines}
+    return {"mapping.yaml": mapping, **{file: write(walk_columns()) for file, write in log.items()}}
 
 
 def _refuse_taken(kind: str, name: str) -> None:
     """Two things of one kind and name would stop every command, so that name is refused now."""
     with kit_installed():  # whose names tests of the package need
-        entry = load().offered(f"{_field(kind)}s").get(name)
+        entry = load().offered(STARTERS[kind].offered).get(name)
     if entry is not None:
-        raise ConfigError(f"'{name}' is taken: {entry.package} offers the {kind} of that name. Choose another one.")
+        raise ConfigError(f"'{name}' is taken: {entry.package} offers the {_word(kind)} of that name. Choose another.")
 
 
 def _field(kind: str) -> str:
-    """A kind or a name as Python names it: folder of the example, module, and without the s the field of the
-    registry."""
+    """A kind or a name as Python names it: folder of the example, and module."""
     return kind.replace("-", "_")
 
 
@@ -109,7 +172,7 @@ def _class_name(name: str) -> str:
 
 def _renamed(file: Path, kind: str, words: dict[str, str]) -> str:
     """The example's source with the new name in place of its own."""
-    own = EXAMPLES[kind]
+    own = STARTERS[kind].own
     text = file.read_text(encoding="utf-8").replace(f"hts.testing.examples.{_field(kind)}", words["module"])
     text = re.sub(rf"\b{own.capitalize()}\b", words["Name"], text)
     text = re.sub(rf"\b{own}(?=_)", _field(words["name"]), text)  # part of a channel's name, which is an identifier

@@ -12,11 +12,21 @@ import numpy as np
 import pytest
 
 from hts import hookspecs
+from hts.channels import Channel
 from hts.config import Named
-from hts.contracts import Comparison, ModelContext, PhysicsSample, SimulatedCandidate, TestedCandidate
+from hts.contracts import (
+    Comparison,
+    LogOnlyRobot,
+    ModelContext,
+    PhysicsSample,
+    RobotSpec,
+    SimulatedCandidate,
+    TestedCandidate,
+)
 from hts.errors import ConfigError, RecordingError, WorldError
 from hts.measurement.data import input_tensor
 from hts.plugins import KINDS, Registry, load
+from hts.testing.conformance import check_package
 from hts.testing.known_signals import SIGNALS, known_heat
 from hts.testing.made_up_recordings import known_head_to_head
 
@@ -158,6 +168,7 @@ def test_hook_robots(example):
     robot = example("hts_robots").make_robot("pendulum")
     assert robot.spec.num_joints == 1 and robot.mjcf() is None
     assert robot.channels()["joint_torque"].shape == (1,)
+    assert [one.line() for one in check_package(load(), "hts-example") if one.fault] == []
 
 
 def test_hook_worlds(example, tmp_path):
@@ -203,17 +214,29 @@ def test_hook_selectors(example):
 
 
 def test_hook_log_readers(example, tmp_path):
-    reader = example("hts_log_readers").make_log_reader("jsonl")
-    robot = SimpleNamespace(spec=SimpleNamespace(name="one", num_joints=1, joint_names=("j",), kp=(1.0,), kd=(0.1,)))
+    registry = example("hts_log_readers")
+    reader = registry.make_log_reader("jsonl")
+    robot = LogOnlyRobot(
+        RobotSpec.log_only(
+            "one", ("j",), torque_limit=(5,), velocity_limit=(9,), position_limit=((-1, 1),), rate_hz=100.0
+        ),
+        [Channel("joint_torque", "N*m", (1,))],
+    )
     log = tmp_path / "walk.jsonl"
-    rows = [{"t": 0.01 * i, "tau": [0.1 * i], "current": 2.0 + i} for i in range(5)]
+    rows = [{"t": 0.01 * i, "tau": 0.1 * i, "current": 2.0 + i} for i in range(5)]
     log.write_text("\n".join(map(json.dumps, rows)))
-    recording = reader.read([log], {"rate_hz": 100.0, "idle_amps": 1.9}, robot)
+    channels = {
+        "joint_torque": {"columns": "tau", "unit": "N*m"},
+        "supply_current": {"columns": "current", "unit": "A", "idle": 1.9},
+    }
+    mapping = {"reader": "jsonl", "time": {"column": "t", "unit": "s"}, "rate_hz": 100.0, "channels": channels}
+    recording = reader.read([log], mapping, robot)
     assert recording.values("supply_current").tolist() == [2.0, 3.0, 4.0, 5.0, 6.0]
     assert recording.idle == {"supply_current": 1.9}
     log.write_text("t,tau\n")
-    with pytest.raises(RecordingError, match="walk.jsonl: expected lines of JSON"):
-        reader.read([log], {}, robot)
+    with pytest.raises(RecordingError, match="walk.jsonl: not a log that the reader 'jsonl' knows"):
+        reader.read([log], mapping, robot)
+    assert [one.line() for one in check_package(registry, "hts-example") if one.fault] == []
 
 
 def test_hook_commands(example, tmp_path):

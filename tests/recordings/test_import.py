@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -327,6 +328,7 @@ class OneRobot:
 
 @pytest.fixture
 def commands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    importlib.import_module("hts.cli.group")  # it keeps the `load` that it finds when it is imported
     monkeypatch.setattr("hts.plugins.load", OneRobot)
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(a_mapping()))
     return tmp_path
@@ -354,6 +356,86 @@ def test_import_stores_nothing_if_one_of_the_files_is_refused(commands: Path) ->
     with pytest.raises(RecordingError, match="bad.csv: 'draw' is -0.058 A in all 10 samples.*Nothing was stored"):
         hts_import(commands, a_log(commands), bad)
     assert not (commands / "data.zarr").exists()
+
+
+def test_every_refused_file_of_a_batch_is_named(commands: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = a_log(commands, [f"{20 * i},{i},{i},58" for i in range(10)], name="bad.csv")
+    short = a_log(commands, ["0,1,1,1"], name="short.csv")
+    with pytest.raises(RecordingError, match=r"^2 of 3 logs are refused, see above\. Nothing was stored"):
+        hts_import(commands, bad, a_log(commands), short)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2 and "bad.csv: 'draw' is" in lines[0] and "short.csv: 1 rows with data" in lines[1]
+    assert not (commands / "data.zarr").exists()
+
+
+def test_a_pipe_is_refused_and_not_waited_for(commands: Path) -> None:
+    os.mkfifo(commands / "pipe.csv")
+    with pytest.raises(RecordingError, match=r"pipe.csv: a pipe or a device, expected a file"):
+        hts_import(commands, commands / "pipe.csv")
+
+
+def test_what_a_terminal_would_obey_is_written_as_escapes(commands: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [f"{20 * i},{i},{i},{-500 * i}" for i in range(10)]
+    hts_import(commands, a_log(commands, rows, name="a\x1b[2J\udcff.csv"))
+    shown = capsys.readouterr().out
+    assert r"a\x1b[2J\udcff.csv: 0.20 s" in shown and "\x1b" not in shown
+    store = commands / "data.zarr"
+    assert main(["data", "show", str(store), RecordingStore(store).ids()[0][:8]]) == 0
+    assert "\x1b" not in capsys.readouterr().out
+    bad = a_log(commands, [*rows[:4], "80,4,\x1b]0;mine\x07high,3"], name="b.csv")
+    assert main(["import", str(bad), "--robot", "logger", "--mapping", str(commands / "m.yaml"), "--to", "x"]) == 2
+    said = capsys.readouterr().err
+    assert r"\x1b]0;mine\x07high" in said and "\x1b" not in said
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("rate_hz: 50\nrate_hz: 100\n", "m.yaml:2: not YAML: the key 'rate_hz' was written before, in line 1"),
+        ("a: " + "[" * 20_000, "more than 30 levels"),
+        ("a: " + "{b: " * 20_000, "more than 30 levels"),
+    ],
+)
+def test_a_mapping_with_a_key_twice_or_bottomless_nesting_is_refused(tmp_path: Path, text: str, expected: str) -> None:
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(ConfigError) as refused:
+        load_mapping(tmp_path / "m.yaml")
+    assert expected in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_stretch_is_cut_out(tmp_path: Path) -> None:
+    """0.06 to 0.14 s after the first stamp: samples 3 to 7."""
+    recording = read(a_log(tmp_path), a_mapping(cut=[0.06, 0.14]))
+    np.testing.assert_allclose(recording.values("draw"), np.arange(3, 8), atol=1e-5)
+    assert recording.notes["cut"] == "0.06 to 0.14 s"
+    with pytest.raises(
+        RecordingError, match="nothing is left between 5 and 9 s after the first stamp; it lasts 0.18 s"
+    ):
+        read(a_log(tmp_path), a_mapping(cut=[5, 9]))
+    with pytest.raises(ConfigError, match="its end must come after its beginning"):
+        read(a_log(tmp_path), a_mapping(cut=[9, 5]))
+
+
+def test_single_broken_rows_are_dropped_where_limits_say_so_and_counted(tmp_path: Path) -> None:
+    rows = [f"{20 * i},{i / 10},{-i / 10},{-1000 * i}" for i in range(200)]
+    rows[70] = "1400,7.0,-7.0,9e9"
+    draw = {"columns": "amps", "unit": "A", "sign": -1, "scale": 0.001, "idle": 1.5, "limits": [-1, 500]}
+    torque = {"columns": "{joint}_tau", "unit": "N*m"}
+    mapping = a_mapping(channels={"joint_torque": torque, "draw": draw})
+    file = a_log(tmp_path, rows)
+    with pytest.raises(RecordingError, match="the mapping allows -1 to 500"):
+        read(file, mapping)
+    draw["outside"] = "drop"
+    recording = read(file, mapping)
+    np.testing.assert_allclose(recording.values("draw"), np.arange(200), atol=1e-4)
+    assert recording.notes["rows_outside_limits_dropped"] == "draw 1"
+    assert "incomplete_rows_filled" not in recording.notes
+    draw["limits"] = [-1, 100]
+    with pytest.raises(RecordingError, match=r"'draw' lies outside -1 to 100 A in 100 of 200 rows; at most 1% are"):
+        read(file, mapping)
+    del draw["limits"]
+    with pytest.raises(ConfigError, match="`outside: drop` needs `limits`"):
+        read(file, mapping)
 
 
 def test_a_channel_can_be_dropped_and_a_misspelt_one_is_named(commands: Path) -> None:

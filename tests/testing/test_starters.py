@@ -12,15 +12,26 @@ from pathlib import Path
 import pytest
 
 from hts.errors import ConfigError, RunError
-from hts.testing.starters import write_starter
+from hts.recordings import RecordingStore
+from hts.testing.starters import STARTERS, write_starter
 
-NAMES = {"objective": "heat", "measurement-model": "thermal", "robot": "hopper", "selector": "steady"}
+NAMES = {
+    "objective": "heat",
+    "measurement-model": "thermal",
+    "robot": "hopper",
+    "log-only-robot": "rover",
+    "world": "cellar",
+    "instrument": "thermometer",
+    "selector": "steady",
+    "reader": "diary",
+}
 
 
 def python(
     *arguments: str | Path, path: Sequence[Path] = (), cwd: Path | None = None
 ) -> subprocess.CompletedProcess[str]:
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path))}
+    searched = [*map(str, path), os.environ.get("PYTHONPATH", "")]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, searched))}
     return subprocess.run(
         [sys.executable, *map(str, arguments)], capture_output=True, text=True, check=False, cwd=cwd, env=env
     )
@@ -42,10 +53,16 @@ def test_pip_installs_everything_that_is_needed(site):
     code = (
         "import json; from hts.plugins import load; r = load(); print(json.dumps("
         "[r.objectives['heat'].package, r.instruments['heat_meter'].package, r.robots['hopper'].package,"
-        " r.measurement_models['thermal'].package, r.selectors['steady'].package, [b.package for b in r.broken]]))"
+        " r.measurement_models['thermal'].package, r.selectors['steady'].package, r.robots['rover'].package,"
+        " r.worlds['cellar'].package, r.instruments['thermometer'].package, r.log_readers['diary'].package,"
+        " [b.package for b in r.broken]]))"
     )
     done = python("-c", code, path=[site])
-    assert json.loads(done.stdout) == ["hts-heat", "hts-heat", "hts-hopper", "hts-thermal", "hts-steady", []]
+    assert json.loads(done.stdout) == [
+        *("hts-heat", "hts-heat", "hts-hopper", "hts-thermal", "hts-steady"),
+        *("hts-rover", "hts-cellar", "hts-thermometer", "hts-diary"),
+        [],
+    ]
 
 
 @pytest.mark.parametrize("kind", NAMES)
@@ -79,6 +96,41 @@ def test_all_of_them_run_smoke_together(site, hts, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_world_and_an_instrument_as_written_run_smoke(site, hts, tmp_path):
+    """The world carries the objective's instrument, the twin also the one that its settings name."""
+    command = ["run", "--objective", "heat", "--robot", "hopper", "--preset", "smoke"]
+    done = hts(*command, "--world", "cellar", "--out", tmp_path / "cellar", path=[site], timeout=280)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "cellar" / "summary.json").read_text())
+    assert summary["world"] == "cellar"
+    tested = [candidate["real"] for candidate in summary["iterations"][0]["candidates"] if candidate["elite"]]
+    assert tested and all(real is not None and real["heat"]["0.8"]["segments"] > 0 for real in tested)
+    chosen = ("--set", "world.instruments.thermometer.noise=0.1", "--out", tmp_path / "twin")
+    done = hts(*command, *chosen, path=[site], timeout=280)
+    assert done.returncode == 0, done.stderr
+    store = RecordingStore(tmp_path / "twin" / "data.zarr")
+    assert all("thermometer_reading" in store.attributes(name)["idle"] for name in store.ids())
+
+
+@pytest.mark.parametrize(
+    ("package", "log", "robot"), [("rover", "walk.csv", "rover"), ("diary", "walk.jsonl", "rover")]
+)
+def test_logs_are_imported_and_a_model_is_fitted_by_the_commands(package, log, robot, site, hts, tmp_path):
+    folder = next(site.parent.glob(f"empty*/hts-{package}"))
+    mapping = (folder / "mapping.yaml").read_text().replace("supply: ", "heat_level: ").replace("unit: A,", "unit: W,")
+    (tmp_path / "mapping.yaml").write_text(mapping)
+    store = tmp_path / "data.zarr"
+    words = ("--robot", robot, "--mapping", tmp_path / "mapping.yaml", "--to", store)
+    done = hts("import", folder / log, *words, path=[site])
+    assert done.returncode == 0, done.stderr
+    assert "20.00 s at 50 Hz, joint_torque, joint_velocity, heat_level" in done.stdout
+    quick = ("--set", "measurement.epochs=2")
+    done = hts("fit", "--objective", "heat", "--data", store, "--out", tmp_path / "fit", *quick, path=[site])
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "fit" / "fit.json").read_text())["target"] == "heat_level"
+
+
+@pytest.mark.slow
 def test_a_measurement_model_as_written_runs_smoke_with_our_own_objective_and_robot(site, hts, tmp_path):
     pytest.importorskip("hts_go1", reason="the robot of this run is not installed")
     pytest.importorskip("hts_power", reason="the objective of this run is not installed")
@@ -100,8 +152,8 @@ def test_it_is_formatted_and_linted_by_its_own_settings(kind, name, tmp_path):
 
 
 def test_the_objective_is_short_and_nothing_of_the_example_is_left(tmp_path):
-    for kind, own in (("objective", "fake"), ("measurement-model", "fading"), ("robot", "tiny"), ("selector", "plain")):
-        folder = write_starter(kind, NAMES[kind], tmp_path)
+    for kind, starter in STARTERS.items():
+        folder, own = write_starter(kind, NAMES[kind], tmp_path), starter.own
         for path in folder.glob("hts_*/*.py"):
             text = path.read_text()
             assert own not in text.lower() and "hts.testing" not in text, path
@@ -141,6 +193,19 @@ def test_a_name_that_is_taken_is_refused(kind, name, tmp_path):
     with pytest.raises(ConfigError, match=f"'{name}' is taken"):
         write_starter(kind, name, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_robot_known_by_its_logs_is_an_option_of_robots(tmp_path, hts):
+    done = hts("new", "robot", "rover", "--log-only", "--to", "there", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == (
+        "then: hts import there/hts-rover/walk.csv --robot rover --mapping there/hts-rover/mapping.yaml --to data.zarr"
+    )
+    assert "LogOnlyRobot" in (tmp_path / "there/hts-rover/hts_rover/plugin.py").read_text()
+    with pytest.raises(ConfigError, match="--log-only is for robots"):
+        write_starter("world", "cellar", tmp_path, log_only=True)
+    with pytest.raises(ConfigError, match="'tiny' is taken: .* offers the robot"):
+        write_starter("robot", "tiny", tmp_path, log_only=True)
 
 
 def test_an_objective_gets_its_article(tmp_path):

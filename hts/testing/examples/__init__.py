@@ -1,1 +1,1 @@
-"""Three small plugin packages: the kit tests with them, and `hts new` writes them under another name."""
+"""Small plugin packages: the kit tests with them, and `hts new` writes them under another name."""

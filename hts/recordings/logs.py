@@ -1,0 +1,302 @@
+"""For those who write a log reader: from columns of a file, and a mapping, to a recording.
+
+    class Reader(LogReader):
+        def read(self, files, mapping, robot):
+            return recording_from_columns(files, mapping, robot, columns_of)
+
+`columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
+holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
+the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits` and `check_idle` for values.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hts import units
+from hts.channels import Channel
+from hts.config import Command, ScheduleConfig
+from hts.contracts import Robot
+from hts.errors import ConfigError, HtsError, RecordingError
+from hts.recordings.checks import check
+from hts.recordings.mapping import (
+    SECONDS,
+    ChannelMapping,
+    LogMapping,
+    Mapped,
+    column_names,
+    follows_joints,
+    parse_mapping,
+)
+from hts.recordings.plausible import check_idle, check_limits
+from hts.recordings.recording import Recording, Series
+from hts.recordings.samples import Samples, common_grid, interpolated, resampled, samples_of
+from hts.recordings.table import ColumnName, Table, table_of
+
+__all__ = [
+    "LogMapping",
+    "Samples",
+    "Table",
+    "check_idle",
+    "check_limits",
+    "common_grid",
+    "recording_from_columns",
+    "recording_from_tables",
+    "resampled",
+    "samples_of",
+    "table_of",
+]
+
+MOST_DROPPED = 0.01
+"""Share of rows that limits may drop; more is no outlier."""
+
+Columns = Mapping[str, Any]
+"""Name -> (rows,) numbers, None or NaN where the log has none."""
+
+
+def recording_from_columns(
+    files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot, columns_of: Callable[[Path], Columns]
+) -> Recording:
+    """One recording from tables that `columns_of` reads: a file -> all its columns by name, each (rows,) numbers.
+
+    Files, mapping and robot are those that a log reader gets. What `columns_of` raises (no such file, no such format)
+    becomes a RecordingError that names the file. Raises ConfigError for a wrong mapping, RecordingError naming file,
+    column and what to do for a wrong log.
+    """
+
+    def read(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Table:
+        try:
+            columns = columns_of(path)
+        except HtsError:
+            raise
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
+        except (ValueError, LookupError, TypeError, EOFError) as error:
+            what = " ".join(f"{type(error).__name__}: {error}".split())
+            raise RecordingError(
+                f"{path}: not a log that the reader '{log.reader}' knows ({what:.160}). Repair the file, or name its "
+                "reader in the mapping."
+            ) from error
+        return table_of(path, log.time.column, log.time.unit, wanted, columns)
+
+    return recording_from_tables(files, parse_mapping(mapping), robot, read)
+
+
+def recording_from_tables(
+    files: Sequence[Path],
+    log: Mapped,
+    robot: Robot,
+    read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
+) -> Recording:
+    """The same from tables of which only the wanted columns are read: read(file, wanted, mapping) -> Table.
+
+    log: the mapping, parsed: a LogMapping or what the reader derives from it.
+    """
+    columns = {name: column_names(name, one, log, robot.spec.joint_names) for name, one in log.channels.items()}
+    tables = _tables(_assign(files, log), log, columns, read)
+    origin = min(table.stamps[0] for table in tables.values())
+    scale = SECONDS[log.time.unit]
+    samples, dropped = {}, {}
+    for name, one in log.channels.items():
+        table = tables[one.file]
+        values = np.stack([table.columns[column] for column in columns[name]], axis=1)
+        times = (table.stamps - origin) * scale
+        kept = _within(times, log, table)
+        values, dropped[name] = _without_outliers(name, values[kept], one, table.path)
+        samples[name] = samples_of(name, times[kept], values, str(table.path), _listed(columns[name]))
+    where = ", ".join(str(path) for path in files)
+    grid = common_grid(samples, log.rate_hz, log.max_gap_seconds)
+    channels = {name: _series(one, log, robot, grid) for name, one in samples.items()}
+    recording = _recording(channels, grid, log, robot, _notes(files, tables, samples, grid, log, dropped))
+    per_joint = {name for name, one in log.channels.items() if follows_joints(name, one)}
+    stated = _stated_limits(channels, log)
+    check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
+    check(recording, where)
+    check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
+    return recording
+
+
+def _within(times: np.ndarray, log: LogMapping, table: Table) -> np.ndarray:
+    """Rows (rows,) bool of the stretch that the mapping takes."""
+    if log.cut is None:
+        return np.ones(len(times), dtype=np.bool_)
+    kept = (times >= log.cut[0]) & (times <= log.cut[1])
+    if kept.sum() < 2:
+        raise RecordingError(
+            f"{table.path}: nothing is left between {log.cut[0]:g} and {log.cut[1]:g} s after the first stamp; it "
+            f"lasts {times[-1]:.4g} s. Correct `cut`, or the unit of the stamps."
+        )
+    return kept
+
+
+def _without_outliers(name: str, values: np.ndarray, one: ChannelMapping, path: Path) -> tuple[np.ndarray, int]:
+    """Values (rows, k), NaN where the mapping drops what lies outside its limits, and how many rows that were."""
+    if one.limits is None or one.outside == "refuse":
+        return values, 0
+    low, high = one.limits
+    given = one.sign * one.scale * values + one.offset
+    wrong: np.ndarray = np.any((given < low) | (given > high), axis=1)
+    if wrong.mean() > MOST_DROPPED:
+        raise RecordingError(
+            f"{path}: '{name}' lies outside {low:g} to {high:g} {one.unit} in {wrong.sum()} of {len(wrong)} rows; at "
+            f"most {MOST_DROPPED:.0%} are dropped. Correct the limits, or the column."
+        )
+    return np.where(wrong[:, None], np.nan, values), int(wrong.sum())
+
+
+def _assign(files: Sequence[Path], log: LogMapping) -> dict[str | None, Path]:
+    """Which file is which of the mapping's `files`; {None: the file} where the mapping has none."""
+    if log.files is None:
+        if len(files) != 1:
+            raise ConfigError(
+                f"Mapping: {len(files)} files for one recording; name them under `files`, or import one by one."
+            )
+        return {None: files[0]}
+    assigned: dict[str | None, Path] = {}
+    for name, pattern in log.files.items():
+        matching = [path for path in files if fnmatch.fnmatch(path.name, pattern)]
+        if len(matching) != 1:
+            given = ", ".join(path.name for path in files)
+            raise ConfigError(
+                f"Mapping: files.{name}: pattern '{pattern}' fits {len(matching)} of the files ({given}), not one."
+            )
+        assigned[name] = matching[0]
+    unused = [str(path) for path in files if path not in assigned.values()]
+    if unused:
+        raise ConfigError(f"Mapping: no pattern under `files` fits {', '.join(unused)}. Add one or leave the file out.")
+    return assigned
+
+
+def _tables(
+    assigned: Mapping[str | None, Path],
+    log: Mapped,
+    columns: Mapping[str, tuple[ColumnName, ...]],
+    read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
+) -> dict[str | None, Table]:
+    tables = {}
+    for key, path in assigned.items():
+        wanted = {column: None for name, one in log.channels.items() if one.file == key for column in columns[name]}
+        if wanted:
+            tables[key] = read(path, tuple(wanted), log)
+    return tables
+
+
+def _series(samples: Samples, log: LogMapping, robot: Robot, grid: np.ndarray) -> Series:
+    one = log.channels[samples.name]
+    values = resampled(samples, grid, log.rate_hz, one.resample)
+    channel = _channel(samples.name, one, samples.values.shape[1], robot)
+    values = one.sign * one.scale * values + one.offset
+    scale, offset = units.conversion(one.unit, channel.unit)
+    if (scale, offset) != (1.0, 0.0):
+        values = scale * values + offset
+    return Series(channel, values.reshape(len(grid), *channel.shape))
+
+
+def _channel(name: str, one: ChannelMapping, components: int, robot: Robot) -> Channel:
+    """The robot's own channel if it has one of that name, else a new one. Raises ConfigError if they disagree."""
+    own = robot.channels().get(name)
+    if own is None:
+        if one.real and one.idle is None:
+            raise ConfigError(
+                f"Mapping: '{name}' is no channel of robot '{robot.spec.name}' "
+                f"({', '.join(sorted(robot.channels()))}). If only the real robot measures it, give its `idle` level "
+                "(electronics on, motors idle); if not, say real: false."
+            )
+        shape = () if components == 1 else (components,)
+        return Channel(name, one.unit, shape, one.description, one.may_be_constant)
+    try:
+        units.conversion(one.unit, own.unit)
+    except RecordingError as error:
+        raise ConfigError(
+            f"Mapping: '{name}' is in {own.unit} on robot '{robot.spec.name}', not {one.unit}: {error} Correct the "
+            "unit, or the column."
+        ) from error
+    if int(np.prod(own.shape)) != components:
+        raise ConfigError(
+            f"Mapping: '{name}' has {components} columns, robot '{robot.spec.name}' gives it shape {own.shape}."
+        )
+    return own
+
+
+def _stated_limits(channels: Mapping[str, Series], log: LogMapping) -> dict[str, tuple[float, float]]:
+    """Limits that the mapping gives, in the unit of the channel."""
+    stated = {}
+    for name, one in log.channels.items():
+        if one.limits is not None:
+            scale, offset = units.conversion(one.unit, channels[name].channel.unit)
+            low, high = one.limits
+            stated[name] = (scale * low + offset, scale * high + offset)
+    return stated
+
+
+def _notes(
+    files: Sequence[Path],
+    tables: Mapping[str | None, Table],
+    samples: Mapping[str, Samples],
+    grid: np.ndarray,
+    log: LogMapping,
+    dropped: Mapping[str, int],
+) -> dict[str, str]:
+    """What was done to the log on the way in."""
+    names = [os.fsencode(path.name).decode("utf-8", "backslashreplace") for path in files]  # a name may be no text
+    notes = {"source": ", ".join(names)}
+    if log.cut is not None:
+        notes["cut"] = f"{log.cut[0]:g} to {log.cut[1]:g} s"
+    empty = sum(table.empty_rows for table in tables.values())
+    if empty:
+        notes["empty_rows_dropped"] = str(empty)
+    if any(dropped.values()):
+        notes["rows_outside_limits_dropped"] = ", ".join(f"{name} {count}" for name, count in dropped.items() if count)
+    missing = {name: one.missing - dropped[name] for name, one in samples.items()}
+    filled = [f"{name} {count}" for name, count in missing.items() if count]
+    if filled:
+        notes["incomplete_rows_filled"] = ", ".join(filled)
+    lines = {name: interpolated(one, grid, log.rate_hz) for name, one in samples.items()}
+    if any(lines.values()):
+        notes["samples_interpolated_in_gaps"] = ", ".join(f"{name} {count}" for name, count in lines.items() if count)
+    if grid[0] > 0:
+        notes["starts_after_first_stamp"] = f"{grid[0]:.6f} s"
+    return notes
+
+
+def _recording(
+    channels: dict[str, Series], grid: np.ndarray, log: LogMapping, robot: Robot, notes: dict[str, str]
+) -> Recording:
+    facts, spec = log.recording, robot.spec
+    notes = {**facts.notes, **notes}
+    schedule = facts.schedule
+    if schedule is None:
+        schedule = ScheduleConfig(commands=(Command(seconds=len(grid) / log.rate_hz, vx=0.0),))
+        notes["schedule"] = "not stated in the mapping"
+    return Recording(
+        robot=spec.name,
+        world=facts.world,
+        policy_hash=facts.policy_hash,
+        iteration=facts.iteration,
+        joint_names=spec.joint_names,
+        kp=facts.kp or spec.kp,
+        kd=facts.kd or spec.kd,
+        rate_hz=log.rate_hz,
+        schedule=schedule,
+        idle={name: one.idle for name, one in log.channels.items() if one.idle is not None},
+        clock=facts.clock,
+        time=np.arange(len(grid)) / log.rate_hz,
+        channels=channels,
+        mass_kg=facts.mass_kg,
+        session=facts.session,
+        block=facts.block,
+        role=facts.role,
+        fell=facts.fell,
+        notes=notes,
+    )
+
+
+def _listed(columns: tuple[ColumnName, ...]) -> str:
+    text = ", ".join(f"column {column}" if isinstance(column, int) else column for column in columns[:3])
+    return text + (", …" if len(columns) > 3 else "")

@@ -1,0 +1,97 @@
+"""Parquet logs, read by a mapping (mapping.py) into a recording. Entries of a list column are `q[0]`, `q[1]`, …"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hts.config import Config
+from hts.contracts import LogReader, Robot
+from hts.errors import RecordingError
+from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
+from hts.recordings.logs import LogMapping, Table, recording_from_tables
+from hts.recordings.mapping import parse_mapping
+from hts.recordings.recording import Recording
+from hts.recordings.table import ColumnName, no_column, whole_rows
+
+if TYPE_CHECKING:
+    from hts.contracts import Settings
+
+
+class ParquetSettings(Config):
+    """The reader has no settings; everything is in the mapping."""
+
+
+def make(settings: Settings) -> LogReader:
+    """Factory of the log reader `parquet`."""
+    ParquetSettings.model_validate(dict(settings))
+    return ParquetReader()
+
+
+class ParquetReader(LogReader):
+    """Columns to channels, as the reader `csv` does it; only the columns that the mapping names are read."""
+
+    def read(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
+        """One recording from one file, or from several that the mapping's `files` tells apart.
+
+        Raises ConfigError for a wrong mapping, RecordingError naming file, column and what to do for a wrong log.
+        """
+        return recording_from_tables(files, parse_mapping(mapping), robot, read_table)
+
+
+def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Table:
+    """The time column and those wanted. Raises RecordingError naming file, column and row."""
+    needs_pyarrow(path)
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    time = str(log.time.column)
+    try:
+        with path.open("rb") as opened, parquet.ParquetFile(opened) as file:
+            names = file.schema_arrow.names
+            found = {column: _column(path, str(column), file.schema_arrow) for column in (time, *wanted)}
+            table = file.read(columns=sorted({name for name, _ in found.values()}), use_threads=False)
+    except (pa.ArrowException, OSError) as error:
+        if isinstance(error, OSError) and error.errno is not None:  # pyarrow raises OSError for damaged files, too
+            raise RecordingError(f"{path}: cannot be read ({error.strerror}). Correct the path.") from error
+        what = " ".join(str(error).split())
+        raise RecordingError(
+            f"{path}: not a whole Parquet file ({what:.200}). Copy it again, or name its reader in the mapping."
+        ) from error
+    if len(set(names)) != len(names):
+        raise RecordingError(f"{path}: two of its columns have one name. Rename one.")
+    picked = {column: _picked(path, column, table.column(name), entry) for column, (name, entry) in found.items()}
+    stamps, there = stamps_of(path, time, log.time.unit, picked[time])
+    columns = {column: numbers_of(path, column, picked[column]) for column in wanted}
+    return whole_rows(path, time, stamps, there, columns)
+
+
+def _column(path: Path, name: str, schema: Any) -> tuple[str, int | None]:
+    """The file's own column, and which entry of its lists is meant: `q[3]` is the fourth of `q`."""
+    if name in schema.names:
+        return name, None
+    entry = re.fullmatch(r"(.+)\[(\d{1,6})\]", name)
+    if entry is not None and entry[1] in schema.names:
+        return entry[1], int(entry[2])
+    raise RecordingError(f"{path}: {no_column(name, schema.names)}")
+
+
+def _picked(path: Path, column: ColumnName, chunked: Any, entry: int | None) -> Any:
+    """The column, or one entry of the lists in it; nothing where a row has no list."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    kind = chunked.type
+    lists = pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
+    if entry is None:
+        if lists:
+            raise RecordingError(f"{path}: column '{column}' holds lists. Name their entries: '{column}[0..11]'.")
+        return chunked
+    if not lists:
+        raise RecordingError(f"{path}: '{column}' is an entry of a list, but the column holds {kind}. Name it alone.")
+    try:
+        return compute.list_element(chunked, entry)
+    except (pa.ArrowInvalid, IndexError) as error:
+        raise RecordingError(f"{path}: '{column}' is not in every row: some lists are shorter. Name others.") from error

@@ -1,0 +1,121 @@
+"""What a log holds of one channel, and how it comes to an even rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hts.errors import RecordingError
+from hts.recordings.resample import interpolate, window_mean
+
+# A log that is this much faster than wanted is one whose stamps were read in the wrong unit.
+TOO_FAST = 500.0
+# A step longer than so many sample periods is a gap.
+GAP = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """What a log holds of one channel, rows that hold no whole sample left out.
+
+    times: (rows,) s, increasing; values: (rows, k), as in the log; where: begins every message, such as the file;
+    columns: where in it the channel is, for messages; missing: how many rows were left out.
+    Made by `samples_of`, which checks them.
+    """
+
+    name: str
+    times: np.ndarray
+    values: np.ndarray
+    where: str
+    columns: str = ""
+    missing: int = 0
+
+    @property
+    def rate_hz(self) -> float:
+        """Of the log: one over the median step."""
+        return 1.0 / float(np.median(np.diff(self.times)))
+
+
+def samples_of(name: str, times: np.ndarray, values: np.ndarray, where: str, columns: str = "") -> Samples:
+    """The samples of channel `name`: times (rows,) s, values (rows,) or (rows, k), NaN where the log has nothing.
+
+    Raises RecordingError for times that do not increase, other lengths, infinite values, less than two samples.
+    """
+    times, values = np.asarray(times, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    values = values.reshape(len(values), -1) if values.size else values.reshape(len(values), 1)
+    if times.shape != (len(values),):
+        raise RecordingError(f"{where}: '{name}' has {len(values)} rows for times of shape {times.shape}.")
+    if np.isinf(values).any() or not np.isfinite(times).all():
+        raise RecordingError(f"{where}: '{name}' has infinite values or no times. Repair the log or cut it there.")
+    back = np.flatnonzero(~(np.diff(times) > 0))
+    if len(back):
+        raise RecordingError(
+            f"{where}: time does not increase at row {back[0] + 2} of '{name}': {times[back[0]]:.6f} s, then "
+            f"{times[back[0] + 1]:.6f} s. Sort or repair the log."
+        )
+    there = np.isfinite(values).all(axis=1)
+    if there.sum() < 2:
+        listed = f" ({columns})" if columns else ""
+        raise RecordingError(
+            f"{where}: columns of '{name}'{listed} hold no numbers. "
+            f"Correct the mapping, or import without it: --drop {name}"
+        )
+    return Samples(name, times[there], values[there], where, columns, int((~there).sum()))
+
+
+def common_grid(samples: Mapping[str, Samples], rate_hz: float, max_gap_seconds: float = 0.1) -> np.ndarray:
+    """Even sample times, s, over the stretch where every channel has data.
+
+    Raises RecordingError for channels that share no stretch, a gap longer than `max_gap_seconds`, a log slower than
+    `rate_hz` (samples cannot be invented) or so much faster that the unit of its stamps must be wrong.
+    """
+    start = max(one.times[0] for one in samples.values())
+    end = min(one.times[-1] for one in samples.values())
+    for name, one in samples.items():
+        rate = one.rate_hz
+        if rate < 0.9 * rate_hz:
+            slow = TOO_FAST * rate < rate_hz
+            hint = " That is so much less that the unit of the stamps is probably another." if slow else ""
+            raise RecordingError(
+                f"{one.where}: '{name}' was logged at {rate:.4g} Hz, the mapping wants {rate_hz:g}. "
+                f"Set rate_hz to {rate:.4g} or less; samples cannot be invented.{hint}"
+            )
+        if rate > TOO_FAST * rate_hz:
+            raise RecordingError(
+                f"{one.where}: by its stamps '{name}' was logged at {rate:.4g} Hz and lasts "
+                f"{one.times[-1] - one.times[0]:.4g} s, the mapping wants {rate_hz:g} Hz. The unit of the stamps is "
+                "probably another (time.unit); if not, thin the log out first."
+            )
+        steps = np.diff(one.times)
+        widths = np.where((one.times[1:] > start) & (one.times[:-1] < end), steps, 0.0)
+        longest = int(np.argmax(widths))
+        if widths[longest] > max_gap_seconds:
+            listed = f" ({one.columns})" if one.columns else ""
+            raise RecordingError(
+                f"{one.where}: '{name}'{listed} has nothing for {widths[longest]:.3g} s, "
+                f"from {one.times[longest]:.3f} s on; gaps up to {max_gap_seconds:g} s are filled. "
+                "Cut the log there, or raise max_gap_seconds if that is harmless."
+            )
+    count = int(np.floor((end - start) * rate_hz + 1e-6)) + 1 if end > start else 0
+    if count < 2:
+        where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
+        raise RecordingError(f"{where}: the channels share no stretch of time. Check the time column and its unit.")
+    return np.minimum(start + np.arange(count) / rate_hz, end)
+
+
+def resampled(samples: Samples, grid: np.ndarray, rate_hz: float, how: str = "interpolate") -> np.ndarray:
+    """Values (T, k) on the grid (T,), s. how: "interpolate", the value at each instant; "mean", over one period."""
+    if how == "mean":
+        return window_mean(samples.times, samples.values, grid, 1.0 / rate_hz)
+    return interpolate(samples.times, samples.values, grid)
+
+
+def interpolated(samples: Samples, grid: np.ndarray, rate_hz: float) -> int:
+    """How many instants of the grid lie inside a gap of the log, where only a straight line says what was."""
+    after = np.clip(np.searchsorted(samples.times, grid, side="left"), 1, len(samples.times) - 1)
+    low, high = samples.times[after - 1], samples.times[after]
+    slack = 1e-6 / rate_hz
+    inside = (grid > low + slack) & (grid < high - slack) & (high - low > GAP / rate_hz)
+    return int(inside.sum())

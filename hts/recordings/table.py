@@ -1,0 +1,139 @@
+"""Columns of one log file with their time stamps: whole rows, increasing time, nothing infinite."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hts.errors import RecordingError, unknown_name
+
+ColumnName = str | int
+
+DATES = "iso"
+"""The unit of stamps that are dates and times instead of numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """stamps: (rows,) as in the file, increasing, integers kept exact; columns: (rows,) float64, NaN where empty;
+    empty_rows: how many were left out because nothing but their time was in them."""
+
+    path: Path
+    stamps: np.ndarray
+    columns: dict[ColumnName, np.ndarray]
+    empty_rows: int
+
+
+def table_of(
+    path: Path, time: ColumnName, unit: str, wanted: Sequence[ColumnName], columns: Mapping[Any, Any]
+) -> Table:
+    """The time column and those wanted, out of all columns of a file.
+
+    columns: name -> (rows,) numbers, None or NaN where there is none; integers of the time column are kept exact.
+    unit: of the stamps; "iso" for numpy's datetime64, which become whole nanoseconds.
+    Raises RecordingError naming file, column and row (the first row of data is row 1).
+    """
+    for column in (time, *wanted):
+        if column not in columns:
+            raise RecordingError(f"{path}: {no_column(str(column), [str(name) for name in columns])}")
+    stamps, there = _stamps(path, time, unit, np.asarray(columns[time]))
+    values = {column: _numbers(path, column, columns[column], len(there)) for column in wanted}
+    return whole_rows(path, time, stamps, there, values)
+
+
+def whole_rows(
+    path: Path, time: ColumnName, stamps: np.ndarray, there: np.ndarray, columns: dict[ColumnName, np.ndarray]
+) -> Table:
+    """A table without the rows in which there is nothing but a time.
+
+    stamps: those that are there, in order; there: (rows,) bool, which rows have one; columns: (rows,) float64.
+    Raises RecordingError for infinite numbers, data without a time, time that does not increase, less than two rows.
+    """
+    if not there.any():
+        raise RecordingError(f"{path}: no row has a time in column '{time}'. Expected a log; correct the mapping.")
+    filled = np.zeros(len(there), dtype=np.bool_)
+    for column, values in columns.items():
+        infinite = np.isinf(values)
+        if infinite.any():
+            raise RecordingError(
+                f"{path}: column '{column}' is infinite in row {int(np.argmax(infinite)) + 1}. "
+                "Repair the log or cut it there."
+            )
+        filled |= ~np.isnan(values)
+    if (filled & ~there).any():
+        row = int(np.argmax(filled & ~there)) + 1
+        raise RecordingError(
+            f"{path}: row {row} has data but no time in column '{time}'. Repair the log or remove the row."
+        )
+    rows = np.flatnonzero(filled)
+    if len(rows) < 2:
+        raise RecordingError(
+            f"{path}: {len(rows)} rows with data in the mapped columns. Expected a log; correct the mapping."
+        )
+    kept = stamps[filled[there]]
+    back = np.flatnonzero(~(kept[1:] > kept[:-1]))
+    if len(back):
+        at = int(back[0])
+        raise RecordingError(
+            f"{path}: time does not increase in row {rows[at + 1] + 1}: column '{time}' reads {kept[at]}, "
+            f"then {kept[at + 1]}. Sort or repair the log, or name another time column."
+        )
+    return Table(path, kept, {column: values[rows] for column, values in columns.items()}, len(there) - len(rows))
+
+
+def no_column(name: str, names: Sequence[str]) -> str:
+    """What to say of a column that is not there: the closest, and the first forty that are."""
+    shown = list(names) if len(names) <= 40 else [*names[:40], f"… {len(names) - 40} more"]
+    hint = unknown_name("column", name, names).split(" Known: ", maxsplit=1)[0]
+    return f"{hint} The file has: {', '.join(shown)}."
+
+
+def not_a_time(path: Path, time: ColumnName, unit: str, first: object) -> RecordingError:
+    """The error for stamps that are not what the mapping says."""
+    if unit == DATES:
+        return RecordingError(
+            f"{path}: time column '{time}' does not hold dates and times such as 2026-03-01T12:00:00.020 (it "
+            f"begins with {first!r:.60}), but time.unit says {DATES}. Say s, ms, us or ns for numbers."
+        )
+    return RecordingError(
+        f"{path}: time column '{time}' does not hold numbers (it begins with {first!r:.60}). "
+        f"Name the column with stamps in s, ms, us or ns, or say unit: {DATES} for dates and times."
+    )
+
+
+def _stamps(path: Path, time: ColumnName, unit: str, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps that are there, integers as integers, and (rows,) bool which rows have one."""
+    if values.dtype.kind == "M" and unit == DATES:
+        there = ~np.isnat(values)
+        return values[there].astype("datetime64[ns]").astype(np.int64), there
+    if values.ndim != 1 or values.dtype.kind not in "iufO" or unit == DATES:
+        raise not_a_time(path, time, unit, values.flat[0] if values.size else "")
+    if values.dtype.kind in "iu":
+        return values, np.ones(len(values), dtype=np.bool_)
+    if values.dtype.kind == "O":
+        there = np.array([value is not None for value in values], dtype=np.bool_)
+        present = np.array([value for value in values if value is not None])
+        if present.dtype.kind not in "iuf":
+            raise not_a_time(path, time, unit, values[int(np.argmax(there))])
+        if present.dtype.kind in "iu":
+            return present, there
+    numbers = _numbers(path, time, values, len(values))
+    there = ~np.isnan(numbers)
+    return numbers[there], there
+
+
+def _numbers(path: Path, column: ColumnName, values: Any, rows: int) -> np.ndarray:
+    try:
+        numbers = np.asarray(values, dtype=np.float64)  # None becomes NaN
+    except (TypeError, ValueError) as error:
+        text = " ".join(str(error).split())
+        raise RecordingError(f"{path}: column '{column}' does not hold numbers ({text:.80}). Name another.") from error
+    if numbers.shape != (rows,):
+        raise RecordingError(
+            f"{path}: column '{column}' has shape {numbers.shape} for {rows} rows. Expected one number a row."
+        )
+    return numbers

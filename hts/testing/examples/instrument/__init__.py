@@ -1,0 +1,1 @@
+"""The instrument `warmth`, for hts."""

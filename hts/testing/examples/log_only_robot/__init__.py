@@ -1,0 +1,1 @@
+"""The robot `logged`, known by its logs, for hts."""

@@ -1,0 +1,1 @@
+"""The log reader `jsonl`, for hts."""

@@ -1,0 +1,1 @@
+"""The world `hoist`, for hts."""

@@ -1,0 +1,223 @@
+"""What log readers are made of: a reader in a few lines, and its parts one by one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hts.channels import Channel
+from hts.errors import ConfigError, RecordingError
+from hts.recordings.csv_reader import make
+from hts.recordings.logs import (
+    check_idle,
+    check_limits,
+    common_grid,
+    recording_from_columns,
+    resampled,
+    samples_of,
+    table_of,
+)
+from hts.recordings.recording import Series
+from hts.recordings.samples import interpolated
+
+
+def json_columns(path: Path) -> dict[str, list]:
+    """One JSON object a line."""
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    return {name: [row.get(name) for row in rows] for name in rows[0]}
+
+
+def json_log(path: Path, count: int = 20) -> Path:
+    rows = [{"t": 1000 + 20 * i, "H_tau": -i / 2, "K_tau": i / 2, "amps": 2.0 + i / 10} for i in range(count)]
+    path.write_text("\n".join(map(json.dumps, rows)))
+    return path
+
+
+# ---------------------------------------------------------------------------------------------- a reader in a few lines
+
+
+def test_columns_and_a_mapping_are_a_reader(tmp_path, two_joints, mapping):
+    log = json_log(tmp_path / "walk.jsonl")
+    recording = recording_from_columns([log], mapping, two_joints, json_columns)
+    steps = np.arange(20)
+    np.testing.assert_allclose(recording.time, steps / 50)
+    np.testing.assert_allclose(recording.values("joint_torque"), np.stack([-steps, steps], 1) / 2)
+    np.testing.assert_allclose(recording.values("draw"), 2 + steps / 10, rtol=1e-6)
+    assert recording.idle == {"draw": 1.5} and recording.notes["source"] == "walk.jsonl"
+
+
+def test_such_a_reader_and_ours_for_csv_give_the_same(tmp_path, two_joints, mapping):
+    log = json_log(tmp_path / "walk.jsonl")
+    columns = json_columns(log)
+    columns["amps"][7] = None
+    csv = tmp_path / "walk.csv"
+    rows = zip(*columns.values(), strict=True)
+    csv.write_text(
+        "\n".join([",".join(columns), *(",".join("" if v is None else repr(v) for v in row) for row in rows)])
+    )
+    mine = recording_from_columns([log], mapping, two_joints, lambda path: columns)
+    ours = make({}).read([csv], mapping, two_joints)
+    for name in ("joint_torque", "draw"):
+        assert np.array_equal(mine.values(name), ours.values(name))
+    assert mine.notes | {"source": ""} == ours.notes | {"source": ""}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("t,tau\n", "not a log that the reader 'jsonl' knows (JSONDecodeError"),
+        ("", "not a log that the reader 'jsonl' knows (IndexError"),
+        ('{"t": 1}\n{"t": 2}', "No column named 'H_tau'"),
+        ('{"t": 1, "H_tau": "a", "K_tau": 0, "amps": 1}', "column 'H_tau' does not hold numbers"),
+        ('{"t": "noon", "H_tau": 1, "K_tau": 0, "amps": 1}', "time column 't' does not hold numbers"),
+        ('{"t": [1], "H_tau": 1, "K_tau": 0, "amps": 1}', "time column 't' does not hold numbers"),
+    ],
+)
+def test_what_such_a_reader_cannot_read_is_one_line_with_the_file(tmp_path, two_joints, mapping, text, expected):
+    log = tmp_path / "walk.jsonl"
+    log.write_text(text)
+    with pytest.raises(RecordingError) as refused:
+        recording_from_columns([log], {**mapping, "reader": "jsonl"}, two_joints, json_columns)
+    assert str(refused.value).startswith(f"{log}: ") and expected in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_missing_file_and_a_wrong_mapping_are_told_apart(tmp_path, two_joints, mapping):
+    with pytest.raises(RecordingError, match=r"none.jsonl: cannot be read \(No such file"):
+        recording_from_columns([tmp_path / "none.jsonl"], mapping, two_joints, json_columns)
+    with pytest.raises(ConfigError, match="there is no key 'rate'"):
+        recording_from_columns([tmp_path / "none.jsonl"], {**mapping, "rate": 3}, two_joints, json_columns)
+
+
+def test_dates_are_stamps_in_nanoseconds():
+    start = np.datetime64("2026-03-01T12:00:00", "ns")
+    columns = {"t": start + np.arange(3) * np.timedelta64(20_000_001, "ns"), "x": [1.0, 2.0, 3.0]}
+    table = table_of(Path("log"), "t", "iso", ["x"], columns)
+    assert np.diff(table.stamps).tolist() == [20_000_001, 20_000_001]
+    with pytest.raises(RecordingError, match="say unit: iso for dates and times"):
+        table_of(Path("log"), "t", "ms", ["x"], columns)
+    with pytest.raises(RecordingError, match="does not hold dates and times"):
+        table_of(Path("log"), "x", "iso", ["x"], columns)
+
+
+# -------------------------------------------------------------------------------------------------------- the parts
+
+
+def test_irregular_times_come_to_an_even_grid_where_all_have_data():
+    slow = samples_of("a", [0.0, 0.1, 0.2, 0.3], [0.0, 1.0, 2.0, 3.0], "log")
+    late = samples_of("b", np.arange(0.05, 0.30, 0.01), np.arange(25.0), "log")
+    grid = common_grid({"a": slow, "b": late}, 10.0, 0.2)
+    np.testing.assert_allclose(grid, [0.05, 0.15, 0.25])
+    np.testing.assert_allclose(resampled(slow, grid, 10.0)[:, 0], [0.5, 1.5, 2.5])
+    # over one period around each instant, cut at the first sample: a straight line's mean is its middle
+    np.testing.assert_allclose(resampled(late, grid, 10.0, "mean")[:, 0], [2.5, 10.0, 19.5 - 0.5 * 0.0], atol=0.6)
+
+
+def test_instants_within_a_gap_are_counted_and_noted(tmp_path, two_joints, mapping):
+    times = np.delete(np.arange(20) * 0.02, [5, 6, 11])  # 0.10, 0.12 and 0.22 s are lost
+    gappy = samples_of("a", times, times, "log")
+    assert interpolated(gappy, np.arange(20) * 0.02, 50.0) == 3
+    assert interpolated(gappy, times, 50.0) == 0
+    columns = {"t": times * 1000, "H_tau": times, "K_tau": times, "amps": 2 + times}
+    recording = recording_from_columns([tmp_path], mapping, two_joints, lambda path: columns)
+    assert recording.notes["samples_interpolated_in_gaps"] == "joint_torque 3, draw 3"
+
+
+@pytest.mark.parametrize(
+    ("times", "values", "expected"),
+    [
+        ([0.0, 0.1, 0.1], [1, 2, 3], "time does not increase at row 3 of 'a'"),
+        ([0.0, 0.1], [1, 2, 3], "'a' has 3 rows for times of shape"),
+        ([0.0, 0.1, 0.2], [1, np.inf, 3], "infinite values"),
+        ([0.0, 0.1, 0.2], [1, np.nan, np.nan], "columns of 'a' hold no numbers"),
+    ],
+)
+def test_samples_that_are_none_are_refused(times, values, expected):
+    with pytest.raises(RecordingError, match=expected):
+        samples_of("a", np.array(times), np.array(values), "log")
+
+
+def test_seconds_read_as_milliseconds_are_noticed():
+    """120 s at 50 Hz, said to be in ms: 0.12 s at 50 kHz."""
+    squeezed = samples_of("a", np.arange(6000) * 2e-5, np.arange(6000), "log")
+    with pytest.raises(RecordingError, match=r"logged at 5e\+04 Hz and lasts 0.12 s.*probably another \(time.unit\)"):
+        common_grid({"a": squeezed}, 50.0)
+    stretched = samples_of("a", np.arange(100) * 20.0, np.arange(100), "log")
+    with pytest.raises(RecordingError, match="logged at 0.05 Hz.*unit of the stamps is probably another"):
+        common_grid({"a": stretched}, 50.0)
+
+
+def current(median: float) -> dict[str, Series]:
+    return {"draw": Series(Channel("draw", "A"), median + np.array([-0.1, 0.0, 0.1]) * abs(median))}
+
+
+@pytest.mark.parametrize("median", [1.9, 0.5, 40.0])
+def test_an_idle_level_of_the_same_size_passes(median):
+    check_idle(current(median), {"draw": 1.9}, "log")
+
+
+@pytest.mark.parametrize(
+    ("median", "expected"),
+    [(-6.0, "say sign: -1"), (6000.0, "mA are no A"), (0.006, "mA are no A")],
+)
+def test_an_idle_level_of_another_sign_or_unit_is_refused(median, expected):
+    with pytest.raises(RecordingError, match=f"log: 'draw' is .* A at the median, its idle level 1.9 A.*{expected}"):
+        check_idle(current(median), {"draw": 1.9}, "log")
+
+
+def test_milliamperes_in_a_csv_are_noticed_unless_limits_say_they_are_right(tmp_path, two_joints, mapping):
+    log = json_log(tmp_path / "walk.jsonl")
+    columns = json_columns(log)
+    columns["amps"] = [1000 * value for value in columns["amps"]]
+    with pytest.raises(RecordingError, match="'draw' is 2950 A at the median"):
+        recording_from_columns([log], mapping, two_joints, lambda path: columns)
+    mapping["channels"]["draw"]["limits"] = [0, 1e4]
+    assert recording_from_columns([log], mapping, two_joints, lambda path: columns).num_samples == 20
+
+
+def test_a_single_sample_that_no_machine_makes_is_refused(two_joints):
+    values = np.random.default_rng(0).normal(size=(155_000, 2))
+    velocity = Channel("joint_velocity", "rad/s", (2,))
+    check_limits({"joint_velocity": Series(velocity, values)}, two_joints.spec, "log")
+    values[77, 1] = 292_000
+    with pytest.raises(
+        RecordingError, match=r"of knee is 292000 rad/s in sample 77 \(1 such sample\), its limit is 30"
+    ):
+        check_limits({"joint_velocity": Series(velocity, values)}, two_joints.spec, "log")
+
+
+# ------------------------------------------------------------------------------------------------------ csv dialects
+
+
+def test_a_spreadsheets_csv_is_read(tmp_path, two_joints, mapping):
+    """Text before the table, units below the names, semicolons, decimal commas, dates."""
+    rows = [f"2026-03-01 12:00:00.{20 * i:03d};{-i / 2};{i / 2};{2 + i / 10}".replace(".", ",") for i in range(20)]
+    rows = [row.replace(",", ".", 1) for row in rows]  # the date's own point
+    text = ["Robot log", "made by a spreadsheet; v2", "t;H_tau;K_tau;amps", "-;N*m;N*m;A", *rows]
+    log = tmp_path / "walk.csv"
+    log.write_text("\n".join(text))
+    mapping |= {"preamble": 2, "units_row": True, "delimiter": ";", "decimal": ","}
+    mapping["time"]["unit"] = "iso"
+    recording = make({}).read([log], mapping, two_joints)
+    np.testing.assert_allclose(recording.values("draw"), 2 + np.arange(20) / 10, rtol=1e-6)
+    np.testing.assert_allclose(recording.values("joint_torque")[:, 1], np.arange(20) / 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "delimiter", "hint"),
+    [
+        ("t,H_tau,K_tau,amps\nms,N*m,N*m,A\n0,1,2,3\n20,1,2,4\n", ",", "say units_row: true"),
+        ("t;H_tau;K_tau;amps\n0;1,5;2;3\n20;1,5;2;4\n", ";", 'say decimal: ","'),
+        ("made by me\nt,H_tau,K_tau,amps\n0,1,2,3\n20,1,2,4\n", ",", "say preamble: "),
+        ("t,H_tau,K_tau,amps\n2026-03-01 12:00:00,1,2,3\n2026-03-01 12:00:01,1,2,4\n", ",", "say unit: iso"),
+    ],
+)
+def test_a_dialect_that_the_mapping_does_not_state_is_named(tmp_path, two_joints, mapping, text, delimiter, hint):
+    log = tmp_path / "walk.csv"
+    log.write_text(text)
+    with pytest.raises(RecordingError) as refused:
+        make({}).read([log], {**mapping, "delimiter": delimiter}, two_joints)
+    assert hint in str(refused.value) and "\n" not in str(refused.value)
