@@ -252,6 +252,13 @@ class SelectionConfig(Config):
     speeds: tuple[float, ...] = Field(
         (), description="several speeds of it, m/s: a candidate counts by its mean over them; empty: `speed` alone"
     )
+    held_tolerance: float = Field(
+        0.03,
+        gt=0,
+        lt=1,
+        description="refuse an elite at held speeds further apart than this share; blocks are short here, and the "
+        "final is stricter (evaluation.held_tolerance)",
+    )
     block_seconds: float | None = Field(
         None, gt=0, description="length of each of its blocks, s; null: that of the world"
     )

@@ -39,21 +39,45 @@ SMOKE: dict[str, Any] = {
 # Commands of fine-tuning: mostly straight ahead at the measured speeds, some turning so that it is not forgotten.
 FORWARD: dict[str, Any] = {"vx": [0.4, 1.2], "vy": [-0.2, 0.2], "straight": 0.8, "stand": 0.0}
 
+# A wider range than FORWARD: at a held speed the command is trimmed, and must stay inside what was trained.
+HELD: dict[str, Any] = {**FORWARD, "vx": [0.2, 1.5]}
+
+# Machines differ more than pretraining thought: softer and stiffer, later, on worse floors, pushed about.
+VARIED: dict[str, Any] = {"strength": [0.8, 1.2], "friction": [0.3, 1.3], "push_speed": 0.8, "push_interval": 4.0}
+
+# Speed is held on both sides; selection and final are at the speeds that are reported; exploration is gentle enough for
+# a machine; the bounds follow how well promises are kept. docs/decisions.md says what each was chosen by.
+OURS: dict[str, Any] = {
+    "sweep": {"kl_bounds": [2.0, 6.0], "anchors": ["best"], "trust_region": {"enabled": True}},
+    "simulation_test": {"speeds": [0.5, 0.8, 1.1], "hold_speed": True},
+    "selection": {
+        "selector": {"name": "hierarchical", "each_bound": True, "at_random": 1},
+        "elites": 3,
+        "speeds": [0.5, 0.8, 1.1],
+        "block_seconds": 20.0,
+    },
+    "evaluation": {"speeds": [0.5, 0.8, 1.1], "hold_speed": True, "trim_seconds": 20.0},
+}
+
 QUICK: dict[str, Any] = {
+    **OURS,
     "world": {"name": "twin", "block_seconds": 80.0},
     "iterations": 2,
-    "collection": {"schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0), "repeats": 2, "exploring": 6},
+    "collection": {
+        "schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0),
+        "repeats": 2,
+        "exploring": 6,
+        "exploration": 0.3,
+    },
     "measurement": {"epochs": 12},
-    "sweep": {"kl_bounds": [1.0], "anchors": ["best"]},
     "finetune": {
         "num_envs": 128,
         "steps": 240_000,
+        "hold": True,
         "ppo": {"horizon": 24, "epochs": 5, "minibatches": 2, "learning_rate": 1e-4},
-        "env": {"commands": FORWARD},
+        "env": {"commands": HELD, "randomisation": VARIED},
     },
-    "simulation_test": {"num_envs": 16, "seconds": 8.0, "speeds": [0.8]},
-    "selection": {"selector": {"name": "hierarchical"}, "elites": 3},
-    "evaluation": {"speeds": [0.5, 0.8, 1.1]},
+    "simulation_test": {**OURS["simulation_test"], "num_envs": 24, "seconds": 8.0},
 }
 
 # The paper's protocol: sweep λ {0.5, 1, 5} × c {0.2, 0.5, 1} from two anchors, 6 elites, 4 iterations, 160 s of

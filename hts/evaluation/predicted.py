@@ -59,10 +59,17 @@ class PredictedSegments:
 
 
 def pieces(
-    objective: Objective, target: np.ndarray, speed: np.ndarray, commanded: float, known: Sequence[Recording]
+    objective: Objective,
+    target: np.ndarray,
+    speed: np.ndarray,
+    commanded: float,
+    known: Sequence[Recording],
+    tolerance: float = 0.1,
 ) -> PredictedSegments:
     """target: of one policy at one speed, in the target's unit, (S, n); speed: of each piece, m/s (S,); known: the
-    recordings that the model was fitted to."""
+    recordings that the model was fitted to. As on a robot, a piece counts within `tolerance` of the asked speed."""
+    counts = np.abs(speed - commanded) < tolerance * abs(commanded)
+    target, speed = target[counts], speed[counts]
     names = {name for recording in known for name in recording.idle}
     levels = {name: float(np.mean([r.idle[name] for r in known if name in r.idle])) for name in names}
     weights = [recording.mass_kg for recording in known if recording.mass_kg is not None]

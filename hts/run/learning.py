@@ -257,7 +257,8 @@ def _promised(
 
         def seen(trial: SimulatedTrial, objective: Objective = objective, in_unit: InUnit = in_unit) -> Any:
             target = in_unit(trial.pieces[objective.target.name])
-            return pieces(objective, target, trial.piece_speed, trial.speed, known)
+            tolerance = job.config.evaluation.speed_tolerance
+            return pieces(objective, target, trial.piece_speed, trial.speed, known, tolerance)
 
         references = [seen(trial) for trial in results[PRETRAINED]]
         for name, row in found.items():

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from hts.config import EvaluationConfig
 from hts.contracts import Comparison, FineTuning, RacedCandidate, Rounds, Selector, TestedCandidate
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import CandidateResult, candidate_result
@@ -102,7 +103,7 @@ def in_rounds(
     def judge(elite: str, recordings: Sequence[Recording]) -> CandidateResult:
         return _result(job, iteration, elite, recordings)
 
-    tests = race(elites, selector, rounds, ask, judge, lambda row: halves(job.objectives, row, job.config.evaluation))
+    tests = race(elites, selector, rounds, ask, judge, lambda row: halves(job.objectives, row, _evaluation(job)))
     if tests is None:
         world = job.config.world.name
         job.stages.progress.say(f"World '{world}' knows no rounds: each elite gets a whole head-to-head.")
@@ -147,7 +148,7 @@ def race(
 
 
 def _result(job: Job, iteration: int, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
-    found = candidate_result(elite, job.objectives, recordings, job.config.evaluation, job.seed("interval", elite))
+    found = candidate_result(elite, job.objectives, recordings, _evaluation(job), job.seed("interval", elite))
     if found.tested is None:
         return found
     return replace(found, tested=replace(found.tested, made=_made(job, iteration, elite)))
@@ -188,6 +189,12 @@ def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
         speeds = [Comparison(one["improvement"], score, one["metrics"]) for one in row["real"][name].values()]
         comparisons[name] = mean_comparison(speeds)  # `score` is the mean over them already
     return [TestedCandidate(best, comparisons, row["tested"]["fell"], _made(job, iteration, best))]
+
+
+def _evaluation(job: Job) -> EvaluationConfig:
+    """How tests become numbers: as in the final, but for how far held speeds may be apart."""
+    changed = {"held_tolerance": job.config.selection.held_tolerance}
+    return job.config.evaluation.model_copy(update=changed)
 
 
 def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
