@@ -363,7 +363,9 @@ class _Drives:
         covariance = self._map @ np.linalg.solve(matrix, self._map.T) * noise
         values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
         kept = np.argsort(values)[::-1][:DIRECTIONS]
-        return vectors[:, kept] * np.sqrt(np.maximum(values[kept], 0.0))
+        root = np.zeros((len(values), DIRECTIONS))  # of a robot with fewer, the rest stays 0
+        root[:, : len(kept)] = vectors[:, kept] * np.sqrt(np.maximum(values[kept], 0.0))
+        return root
 
     def _solved(self, sums: _Sums, common: float, own: float) -> np.ndarray:
         """(w, b)."""
