@@ -36,7 +36,7 @@ class PowerSettings(Config):
         "transport (slower walking is no saving), or net power alone as in the paper",
     )
     weights: tuple[float, ...] = Field(
-        (0.5, 1.0, 5.0), min_length=1, description="λ swept, reward per second and standard deviation of current"
+        (2.0, 6.0), min_length=1, description="λ swept, reward per second and standard deviation of current"
     )
     baseline_weights: tuple[float, ...] = Field(
         (5e-5, 1e-4, 5e-4, 1e-3, 5e-3), min_length=1, description="λ swept with the analytic proxy, reward per joule"

@@ -23,7 +23,12 @@ def make_power(settings: Settings) -> Objective:
 
 # The paper's inputs, model and criterion; the rest of its protocol is the preset's own.
 make_power.presets = {  # type: ignore[attr-defined]
-    "paper-exact": {"products": False, "criterion": "net", "model": {"name": "battery_current", "products": False}}
+    "paper-exact": {
+        "weights": [0.5, 1.0, 5.0],
+        "products": False,
+        "criterion": "net",
+        "model": {"name": "battery_current", "products": False},
+    }
 }
 
 
