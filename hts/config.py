@@ -256,7 +256,7 @@ class SelectionConfig(Config):
         0.1,
         gt=0,
         lt=1,
-        description="refuse an elite at held speeds further apart than this share; blocks are short here, the slower one "
+        description="refuse an elite at held speeds further apart than this share; blocks are short here, a slower one "
         "counts by the way it goes, and the final is stricter (evaluation.held_tolerance)",
     )
     block_seconds: float | None = Field(

@@ -39,7 +39,7 @@ class PowerSettings(Config):
         (2.0, 6.0), min_length=1, description="λ swept, reward per second and standard deviation of current"
     )
     baseline_weights: tuple[float, ...] = Field(
-        (5e-5, 1e-4, 5e-4, 1e-3, 5e-3), min_length=1, description="λ swept with the analytic proxy, reward per joule"
+        (1e-3, 5e-3, 2e-2), min_length=1, description="λ swept with the analytic proxy, reward per joule"
     )
     joule_coefficient: float = Field(JOULE_COEFFICIENT, gt=0, description="r/k² of the analytic proxy, W/(N·m)²")
     hidden: int = Field(64, ge=1, description="units of the measurement model `battery_current`, which it chooses")
