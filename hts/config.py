@@ -254,6 +254,13 @@ class SelectionConfig(Config):
         description="several speeds of it, m/s, or set-points: a candidate counts by its mean over them; empty: "
         "`speed` alone",
     )
+    held_tolerance: float = Field(
+        0.1,
+        gt=0,
+        lt=1,
+        description="refuse an elite at held speeds further apart than this share; blocks are short here, a slower one "
+        "counts by the way it goes, and the final is stricter (evaluation.held_tolerance)",
+    )
     block_seconds: float | None = Field(
         None, gt=0, description="length of each of its blocks, s; null: that of the world"
     )
@@ -293,6 +300,11 @@ class EvaluationConfig(Config):
     trim_seconds: float = Field(12.0, ge=4, description="of each policy at each held speed, settling included, s")
     held_tolerance: float = Field(
         0.01, gt=0, lt=1, description="refuse held speeds whose means differ by more than this share"
+    )
+    trims_again: int = Field(
+        2,
+        ge=0,
+        description="how often the final repeats a speed whose means ended apart, trimmed twice as long each time",
     )
 
 

@@ -22,7 +22,9 @@ def _velocity_or_set_point(schema: dict[str, Any]) -> None:
 class Command(Config):
     """A stretch of a schedule: the commanded velocity, or the set-point of another task, held for so long."""
 
-    model_config = ConfigDict(json_schema_extra=_velocity_or_set_point, ser_json_inf_nan="constants")  # null is no infinity
+    model_config = ConfigDict(  # infinity is not written as null
+        json_schema_extra=_velocity_or_set_point, ser_json_inf_nan="constants"
+    )
 
     seconds: float = Field(gt=0, description="duration, s")
     vx: float = Field(description="commanded forward velocity, m/s")
@@ -69,9 +71,9 @@ class Command(Config):
 class ScheduleConfig(Config):
     """Commanded velocities, or set-points of another task, over time."""
 
-    model_config = ConfigDict(ser_json_inf_nan="constants")
-
-    commands: tuple[Command, ...] = Field(min_length=1, description="one after the other")
+    model_config = ConfigDict(  # infinity is not written as null
+        json_schema_extra=_velocity_or_set_point, ser_json_inf_nan="constants"
+    )
 
     @property
     def seconds(self) -> float:

@@ -51,8 +51,8 @@ def test_quick_is_where_a_run_starts_from():
     assert fake_config().preset == "quick"
 
 
-def test_the_paper_preset_has_the_numbers_of_the_paper():
-    config = fake_config(preset="paper")
+def test_paper_exact_has_the_numbers_of_the_paper():
+    config = fake_config(preset="paper-exact")
     assert config.iterations == 4
     assert config.selection.elites == 6
     assert config.sweep.kl_bounds == (0.2, 0.5, 1.0)
@@ -63,10 +63,26 @@ def test_the_paper_preset_has_the_numbers_of_the_paper():
 
 
 def test_the_baseline_of_the_paper_has_as_many_samples_and_tests_as_the_method():
-    method, baseline = fake_config(preset="paper"), fake_config(preset="paper", baseline=True)
+    method, baseline = (fake_config(preset="paper-exact", baseline=baseline) for baseline in (False, True))
     assert baseline.iterations * baseline.selection.elites == method.iterations * method.selection.elites == 24
     assert baseline.finetune.steps == method.iterations * method.finetune.steps
     assert baseline.sweep.kl_bounds == (0.1, 0.2, 0.5, 1.0, 5.0, math.inf)
+
+
+@pytest.mark.parametrize("preset", ["quick", "paper"])
+def test_the_baseline_is_measured_as_the_method_is_and_collects_nothing(preset):
+    method, baseline = (fake_config(preset=preset, baseline=baseline) for baseline in (False, True))
+    assert baseline.evaluation == method.evaluation and baseline.evaluation.hold_speed
+    assert baseline.selection.speeds == method.selection.speeds
+    assert method.records_first and not baseline.records_first
+    assert not baseline.finetune.hold and math.inf in baseline.sweep.kl_bounds
+
+
+def test_speeds_that_are_held_lie_well_inside_the_trained_commands():
+    for preset in ("quick", "paper"):
+        config = fake_config(preset=preset)
+        low, high = config.finetune.env.commands.vx
+        assert low <= 0.5 * min(config.evaluation.speeds) and high >= 1.3 * max(config.evaluation.speeds)
 
 
 def test_later_sources_win(tmp_path):

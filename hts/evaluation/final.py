@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from hts.atomic import atomic_write
 from hts.config import EvaluationConfig, Named
 from hts.contracts import VELOCITY, FollowVelocity, Objective, Task, TestedCandidate, WorldContext
-from hts.errors import PolicyError, RunError
+from hts.errors import EvaluationError, PolicyError, RunError
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
-from hts.evaluation.held import NotComparable, ask_to_hold, hold_of
+from hts.evaluation.held import CommandAtLimit, NotComparable, SpeedNotHeld, ask_to_hold, hold_of
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
@@ -127,6 +127,27 @@ def entry_of(objective: Objective, results: Mapping[float, HeadToHead]) -> dict[
         "unit": objective.unit,
         "speeds": {speed_key(speed): result.entry() for speed, result in sorted(results.items())},
     }
+
+
+def speeds_apart(
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+    task: Task = VELOCITY,
+) -> list[float]:
+    """Held speeds at which the policy and its reference ended apart, m/s, slowest first."""
+    found = []
+    for speed, group in by_speed(recordings, task).items():
+        try:
+            compare(objective, group, config, seed, task)
+        except CommandAtLimit:
+            continue
+        except SpeedNotHeld:
+            found.append(speed)
+        except EvaluationError:  # for another reason, which trimming does not mend
+            continue
+    return found
 
 
 def segment_scores(results: Mapping[float, HeadToHead]) -> dict[str, Any]:

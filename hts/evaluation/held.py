@@ -42,6 +42,10 @@ class SpeedNotHeld(NotComparable):
     """The two did not walk at one speed, though it was to be held."""
 
 
+class CommandAtLimit(SpeedNotHeld):
+    """A command was held back by the end of its range: trimming longer does not help."""
+
+
 @dataclass(frozen=True)
 class Commanded:
     """Mean commands sent to policy and reference, m/s; held: whether trimmed and frozen, or simply the asked speed."""
@@ -108,7 +112,7 @@ def check_range(segments: Mapping[str, Segments], speed: float, sent: Commanded)
     """Raise SpeedNotHeld if a command was held back by the end of its range."""
     for role, name in NAMES.items() if sent.held else ():
         if any(recording.notes.get("held_saturated") == "true" for recording in segments[role].recordings):
-            raise SpeedNotHeld(
+            raise CommandAtLimit(
                 f"Head-to-head at {speed:g} m/s: {name} cannot be held there, its command reached the end of the range "
                 f"({getattr(sent, role):.2f} m/s{_walked(segments[role])}). Nothing is reported: ask for a speed that "
                 "it reaches, or widen finetune.env.commands.vx.",

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hts.contracts import VELOCITY, Task
 from hts.errors import EvaluationError, unknown_name
 
 if TYPE_CHECKING:
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
 class PredictedSegments:
     """Predicted 1 s pieces, S of them, with what an objective asks of measured ones (`segments.Segments`).
 
-    channels: name -> (S, n), n samples a piece; speed, commanded: (S,), m/s; levels: idle level of each real channel;
+    channels: name -> (S, n), n samples a piece; speed, commanded: (S,), m/s, or as the task has it;
+    levels: idle level of each real channel;
     mass: kg, None if no recording says it.
     """
 
@@ -59,10 +61,19 @@ class PredictedSegments:
 
 
 def pieces(
-    objective: Objective, target: np.ndarray, speed: np.ndarray, commanded: float, known: Sequence[Recording]
+    objective: Objective,
+    target: np.ndarray,
+    speed: np.ndarray,
+    commanded: float,
+    known: Sequence[Recording],
+    tolerance: float = 0.1,
+    task: Task = VELOCITY,
 ) -> PredictedSegments:
-    """target: of one policy at one speed, in the target's unit, (S, n); speed: of each piece, m/s (S,); known: the
-    recordings that the model was fitted to."""
+    """target: of one policy at one speed, in the target's unit, (S, n); speed: of each piece, m/s, or what else the
+    task achieves (S,); known: the recordings that the model was fitted to. As on a robot, a piece counts if the task
+    was done in it: within `tolerance` of the asked speed."""
+    counts = np.asarray(task.done(speed, commanded, tolerance), dtype=bool)
+    target, speed = target[counts], speed[counts]
     names = {name for recording in known for name in recording.idle}
     levels = {name: float(np.mean([r.idle[name] for r in known if name in r.idle])) for name in names}
     weights = [recording.mass_kg for recording in known if recording.mass_kg is not None]

@@ -261,14 +261,15 @@ def _promised(
     metrics that a head-to-head will have. A speed at which nothing can be predicted is left out."""
     if not job.config.records_first:
         return {}
-    known = job.recordings(job.known(iteration))
+    known, task = job.recordings(job.known(iteration)), job.robot.task()
     found: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in results if name != PRETRAINED}
     for key, objective in job.objectives.items():
         in_unit = _in_unit(job, iteration, key, objective, known)
 
         def seen(trial: SimulatedTrial, objective: Objective = objective, in_unit: InUnit = in_unit) -> Any:
             target = in_unit(trial.pieces[objective.target.name])
-            return pieces(objective, target, trial.piece_speed, trial.speed, known)
+            tolerance = job.config.evaluation.speed_tolerance
+            return pieces(objective, target, trial.piece_speed, trial.speed, known, tolerance, task)
 
         references = [seen(trial) for trial in results[PRETRAINED]]
         for name, row in found.items():

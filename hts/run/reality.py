@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
-from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, walked_speeds
+from hts.contracts import HoldSpeed
+from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, speeds_apart, walked_speeds
 from hts.evaluation.held import ask_to_hold
 from hts.recordings.recording import Recording
 from hts.run.job import Job
@@ -35,16 +37,16 @@ def final(job: Job, best: str, report: Report) -> dict[str, Any]:
     if best == "pretrained":
         return {"policy": best, "objectives": {}, "recordings": [], "samples": 0}
     held: list[Recording] = []
+    again: list[Recording] = []
     if job.hold is not None:
         job.watch(lambda share: report(share / 2))
-        ask_to_hold(job.world, job.hold)
-        held = _head_to_head(job)
+        held, again = _held(job, job.hold)
         job.watch(lambda share: report((1 + share) / 2))
         ask_to_hold(job.world, None)  # the paper's figures beside: equal commands
     else:
         job.watch(report)
     recordings = _head_to_head(job)
-    ids = job.keep([*held, *recordings], config.iterations + 1)
+    ids = job.keep([*held, *again, *recordings], config.iterations + 1)
     entries, scores, task = {}, {}, job.robot.task()
     for name, objective in job.objectives.items():
         seed = job.seed("interval", "final")
@@ -57,10 +59,32 @@ def final(job: Job, best: str, report: Report) -> dict[str, Any]:
         if refused:
             entries[name]["refused"] = refused
     write_json(job.folder / "segments.json", scores)
-    samples = sum(recording.robot_samples for recording in [*held, *recordings])
+    samples = sum(recording.robot_samples for recording in [*held, *again, *recordings])
     return {"policy": best, "objectives": entries, "recordings": ids, "samples": samples}
 
 
-def _head_to_head(job: Job) -> list[Recording]:
-    """The best policy against the pretrained one, as the world does it now."""
-    return job.world.head_to_head(job.exported("best"), job.exported("pretrained"), job.config.evaluation.speeds)
+def _held(job: Job, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:
+    """The head-to-head with the speed held; and what was recorded in vain.
+
+    A speed at which the two ended apart is done again, trimmed twice as long each time: whether a command was found
+    well enough says nothing about what is saved with it.
+    """
+    config, task, objective = job.config.evaluation, job.robot.task(), next(iter(job.objectives.values()))
+    ask_to_hold(job.world, hold)
+    good, vain = _head_to_head(job), []
+    for _ in range(config.trims_again):
+        apart = speeds_apart(objective, good, config, job.seed("interval", "final"), task)
+        if not apart:
+            break
+        hold = replace(hold, seconds=2 * hold.seconds)
+        ask_to_hold(job.world, hold)
+        vain += [recording for recording in good if recording.schedule.commands[0].commanded in apart]
+        kept = [recording for recording in good if recording.schedule.commands[0].commanded not in apart]
+        good = [*kept, *_head_to_head(job, apart)]
+    return good, vain
+
+
+def _head_to_head(job: Job, speeds: Sequence[float] = ()) -> list[Recording]:
+    """The best policy against the pretrained one, as the world does it now; speeds: none, all."""
+    speeds = speeds or job.config.evaluation.speeds
+    return job.world.head_to_head(job.exported("best"), job.exported("pretrained"), speeds)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from hts.config import EvaluationConfig
 from hts.contracts import Comparison, FineTuning, RacedCandidate, Rounds, Selector, TestedCandidate
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import CandidateResult, candidate_result
@@ -103,7 +104,7 @@ def in_rounds(
         return _result(job, iteration, elite, recordings)
 
     def split(row: Sequence[Recording]) -> Sequence[Half | None]:
-        return halves(job.objectives, row, job.config.evaluation, job.robot.task())
+        return halves(job.objectives, row, _evaluation(job), job.robot.task())
 
     tests = race(elites, selector, rounds, ask, judge, split)
     if tests is None:
@@ -151,7 +152,7 @@ def race(
 
 def _result(job: Job, iteration: int, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
     seed, task = job.seed("interval", elite), job.robot.task()
-    found = candidate_result(elite, job.objectives, recordings, job.config.evaluation, seed, task)
+    found = candidate_result(elite, job.objectives, recordings, _evaluation(job), seed, task)
     if found.tested is None:
         return found
     return replace(found, tested=replace(found.tested, made=_made(job, iteration, elite)))
@@ -192,6 +193,12 @@ def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
         speeds = [Comparison(one["improvement"], score, one["metrics"]) for one in row["real"][name].values()]
         comparisons[name] = mean_comparison(speeds)  # `score` is the mean over them already
     return [TestedCandidate(best, comparisons, row["tested"]["fell"], _made(job, iteration, best))]
+
+
+def _evaluation(job: Job) -> EvaluationConfig:
+    """How tests become numbers: as in the final, but for how far held speeds may be apart."""
+    changed = {"held_tolerance": job.config.selection.held_tolerance}
+    return job.config.evaluation.model_copy(update=changed)
 
 
 def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

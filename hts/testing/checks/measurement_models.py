@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Check = Callable[[Entry, Registry], None]
 
 WORLDS, STEPS = 5, 12
+LONG = 500  # samples: longer than any sensor is late
 MEMBER = Named(name="linear", lags=2)  # stands for the objective's own model, for models that are made of others
 
 
@@ -190,6 +191,28 @@ def lets_nan_through(entry: Entry, registry: Registry) -> None:
         ensure(not bool(torch.isfinite(found[2])), f"makes {float(found[2]):g} of an input that is {value}")
         found[2] = clean.mean[2]
         ensure(_close(found, clean.mean), f"an input that is {value} in one world changes the prediction of others")
+
+
+@after(is_made_unfitted, predicts_for_each_world)
+def settles_at_what_it_shows(entry: Entry, registry: Registry) -> None:
+    """Where `settles` says so, `settled` gives what `sequence` comes to when the inputs stay, world by world."""
+    import torch
+
+    model = _fitted(entry, registry)
+    if not model.settles:
+        return
+    data = _inputs(entry, registry)[0]
+    found = model.settled(data)
+    ensure(tuple(found.mean.shape) == (WORLDS,), f"settled: mean has shape {tuple(found.mean.shape)}, not {(WORLDS,)}")
+    shown = model.sequence(data[:, None].expand(-1, LONG, -1).contiguous())[0].mean[:, -1]
+    off = float((shown - found.mean).abs().max())
+    ensure(bool(torch.allclose(shown, found.mean, atol=1e-3)), f"settled is {off:g} off from where sequence comes to")
+    dirty = data.clone()
+    dirty[2, 0] = torch.nan
+    broken = model.settled(dirty).mean
+    ensure(not bool(torch.isfinite(broken[2])), f"settled makes {float(broken[2]):g} of an input that is nan")
+    broken[2] = found.mean[2]
+    ensure(_close(broken, found.mean), "settled: an input of one world changes what another settles at")
 
 
 @after(is_made_unfitted, predicts_for_each_world)
@@ -379,6 +402,7 @@ CHECKS: Sequence[Check] = (
     forgets_only_who_begins,
     lets_nan_through,
     changes_nothing,
+    settles_at_what_it_shows,
     is_saved_and_loaded,
     refuses_foreign_files,
     refuses_recordings,

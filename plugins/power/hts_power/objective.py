@@ -36,15 +36,17 @@ class PowerSettings(Config):
         "transport (slower walking is no saving), or net power alone as in the paper",
     )
     weights: tuple[float, ...] = Field(
-        (0.5, 1.0, 5.0), min_length=1, description="λ swept, reward per second and standard deviation of current"
+        (3.0, 8.0), min_length=1, description="λ swept, reward per second and standard deviation of current"
     )
     baseline_weights: tuple[float, ...] = Field(
-        (5e-5, 1e-4, 5e-4, 1e-3, 5e-3), min_length=1, description="λ swept with the analytic proxy, reward per joule"
+        (1e-3, 5e-3, 2e-2), min_length=1, description="λ swept with the analytic proxy, reward per joule"
     )
     joule_coefficient: float = Field(JOULE_COEFFICIENT, gt=0, description="r/k² of the analytic proxy, W/(N·m)²")
-    hidden: int = Field(64, ge=1, description="units of the measurement model")
+    hidden: int = Field(64, ge=1, description="units of the measurement model `battery_current`, which it chooses")
     products: bool = Field(
-        True, description="give the model τ², τq̇ and q̇² beside τ and q̇; false: the paper's inputs alone"
+        True,
+        description="give the model `battery_current`, which it chooses, τ², τq̇ and q̇² beside τ and q̇; false: the "
+        "paper's inputs alone",
     )
 
 
@@ -70,7 +72,9 @@ class Power(Objective):
         self.baseline_weights = self.settings.baseline_weights
 
     def measurement_model(self) -> Named:
-        """`battery_current`, of the size that the settings ask for."""
+        """`drive_train`; `battery_current`, of the size that the settings ask for, where they do."""
+        if not {"hidden", "products"} & self.settings.model_fields_set:
+            return Named(name="drive_train")
         return Named(name="battery_current", hidden=self.settings.hidden, products=self.settings.products)
 
     def reward(self, prediction: torch.Tensor) -> torch.Tensor:

@@ -23,7 +23,14 @@ def make_power(settings: Settings) -> Objective:
 
 # The paper's inputs, model and criterion; the rest of its protocol is the preset's own.
 make_power.presets = {  # type: ignore[attr-defined]
-    "paper-exact": {"products": False, "criterion": "net", "model": {"name": "battery_current", "products": False}}
+    "paper": {"baseline_weights": [5e-5, 1e-4, 5e-4, 1e-3, 5e-3, 2e-2]},
+    "paper-exact": {
+        "weights": [0.5, 1.0, 5.0],
+        "baseline_weights": [5e-5, 1e-4, 5e-4, 1e-3, 5e-3],
+        "products": False,
+        "criterion": "net",
+        "model": {"name": "battery_current", "products": False},
+    },
 }
 
 

@@ -92,8 +92,9 @@ def test_the_proxy_adds_mechanical_power_and_copper_loss_and_clips_each_joint_at
 
 
 def test_the_sweeps_are_those_of_the_paper():
-    assert Power().weights == (0.5, 1.0, 5.0)
-    assert Power().baseline_weights == (5e-5, 1e-4, 5e-4, 1e-3, 5e-3)
+    exact = plugin.make_power.presets["paper-exact"]
+    assert exact["weights"] == [0.5, 1.0, 5.0] and exact["baseline_weights"] == [5e-5, 1e-4, 5e-4, 1e-3, 5e-3]
+    plugin.make_power({key: value for key, value in exact.items() if key != "model"})
 
 
 def test_settings_reach_the_measurement_model_and_wrong_ones_are_refused():
@@ -114,7 +115,7 @@ def test_the_plugin_offers_what_it_says():
     offered = {}
     for hook in (plugin.hts_objectives, plugin.hts_measurement_models, plugin.hts_instruments, plugin.hts_commands):
         hook(register=lambda name, factory: offered.update({name: factory}))
-    assert sorted(offered) == ["battery_current", "battery_gauge", "calibrate-twin", "power"]
+    assert sorted(offered) == ["battery_current", "battery_gauge", "calibrate-twin", "drive_train", "power"]
     objective = offered["power"]({})
     assert objective.instrument in offered and objective.measurement_model().name in offered
     assert objective.target.unit == "A"
