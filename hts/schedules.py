@@ -71,9 +71,9 @@ class Command(Config):
 class ScheduleConfig(Config):
     """Commanded velocities, or set-points of another task, over time."""
 
-    model_config = ConfigDict(  # infinity is not written as null
-        json_schema_extra=_velocity_or_set_point, ser_json_inf_nan="constants"
-    )
+    model_config = ConfigDict(ser_json_inf_nan="constants")
+
+    commands: tuple[Command, ...] = Field(min_length=1, description="one after the other")
 
     @property
     def seconds(self) -> float:

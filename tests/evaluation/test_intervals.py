@@ -259,7 +259,8 @@ class KnownWorld(World):
 
 @pytest.fixture
 def run_folder(tmp_path):
-    config = load_config(preset="quick", objectives=["cost"], robot="example", world="known")
+    plain = ["evaluation.hold_speed=false"]
+    config = load_config(preset="quick", objectives=["cost"], robot="example", world="known", overrides=plain)
     (tmp_path / "config.yaml").write_text(dump_config(config))
     (tmp_path / "policies").mkdir()
     for name in ("best", "pretrained"):

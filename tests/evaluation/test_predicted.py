@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hts.contracts import Comparison
+from hts.contracts import Comparison, FollowVelocity
 from hts.evaluation.predicted import pieces, predicted_comparison
 
 RATE = 50
@@ -40,9 +40,21 @@ def walk(level, speed, objective=None, count=4, recordings=None):
 
 
 def test_net_and_per_metre_are_those_of_a_head_to_head():
-    found = predicted_comparison(Effort(), walk(8.0, 0.72), walk(10.0, 0.8))
+    found = predicted_comparison(Effort(), walk(8.0, 0.76), walk(10.0, 0.8))
     assert found.improvement == pytest.approx(0.25)  # 6 for 8 above idle
-    assert found.metrics["per_metre"] == pytest.approx(1 - (6 / 0.72) / (8 / 0.8))
+    assert found.metrics["per_metre"] == pytest.approx(1 - (6 / 0.76) / (8 / 0.8))
+
+
+def test_pieces_in_which_the_task_was_not_done_promise_nothing():
+    assert predicted_comparison(Effort(), walk(8.0, 0.7), walk(10.0, 0.8)) is None  # 12 % slower than asked
+
+    class Anyhow(FollowVelocity):
+        def done(self, achieved, set_point, tolerance):
+            return achieved > 0
+
+    target = np.full((4, RATE), 8.0)
+    slow = pieces(Effort(), target, np.full(4, 0.7), 0.8, known(), 0.1, Anyhow())
+    assert predicted_comparison(Effort(), slow, walk(10.0, 0.8)).improvement == pytest.approx(0.25)
 
 
 def test_nothing_is_promised_where_nothing_can_be_said():
