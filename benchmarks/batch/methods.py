@@ -49,16 +49,30 @@ METHODS: dict[str, Method] = {
     "paper-exact": Method(
         presets={"paper": "paper-exact"},
         elsewhere=(
-            "objectives.power.model.products=false",
+            "objectives.power.model={name: battery_current, products: false}",
             "objectives.power.criterion=net",
             "collection.exploring=0",
             "collection.repeats=8",  # as many recordings as ours in `quick`
+            "finetune.hold=false",
+            "finetune.steps=71000",  # 9 and 18 candidates: as many steps in all
+            "sweep.trust_region.enabled=false",
+            "sweep.kl_bounds=[0.2, 0.5, 1.0]",
+            'sweep.anchors=["best", "pretrained"]',
+            "sweep.weights.power=[0.5, 1.0, 5.0]",
+            "selection.selector={name: hierarchical, each_bound: false, at_random: 0}",
+            "selection.speeds=[0.8]",
+            "simulation_test.hold_speed=false",
         ),
         about="the paper's own recipe",
     ),
     "oracle": Method(command="oracle", about="the twin's own dynamics and instrument: what was possible"),
     # Ablations: ours without one thing.
-    "no-products": Method(settings=("objectives.power.model.products=false",), about="inputs of the paper alone"),
+    "lstm": Method(settings=("objectives.power.model=battery_current",), about="the paper's kind of model"),
+    "linear": Method(settings=("objectives.power.model=linear",), about="a ridge on products and lags"),
+    "late-reward": Method(settings=("objectives.power.model.instant=false",), about="paid as the gauge shows it"),
+    "no-doubt": Method(settings=("objectives.power.model.beta=0",), about="no standard deviation in the reward"),
+    "no-hold": Method(settings=("finetune.hold=false",), about="speed not held in training"),
+    "fixed-bounds": Method(settings=("sweep.trust_region.enabled=false",), about="the same bounds in each iteration"),
     "no-exploring": Method(settings=("collection.exploring=0",), about="first data by the mean action alone"),
     "no-held-speed": Method(settings=("evaluation.hold_speed=false",), about="commands as asked, speed not held"),
     "one-speed": Method(settings=("selection.speeds=[0.8]",), about="elites tried at 0.8 m/s alone"),
