@@ -11,7 +11,7 @@ import pytest
 from hts import plugins
 from hts.contracts import Fact, WorldContext
 from hts.errors import ConfigError, RunError, UnfitWorldError
-from hts.worlds.base import walking
+from hts.worlds.base import request_id, walking
 from hts.worlds.realities import batch as batch_module
 from hts.worlds.realities.batch import Asked, draw_many, parameters_of
 from hts.worlds.realities.check import Verdict, check
@@ -376,6 +376,13 @@ def test_a_run_keeps_a_realitys_name_and_hash_and_none_of_its_parameters(tmp_pat
     assert world.identity() == {"reality": str(path), "reality_sha256": sha256(path)}
     assert make_twin({}, context(tmp_path)).identity() == {}
     assert world.settings.dynamics == TwinSettings().dynamics  # this side of it knows the default only
+
+
+def test_sessions_on_two_realities_are_drawn_apart_and_on_the_default_twin_as_ever(tmp_path, registry, parameters):
+    worlds = [make_twin({"reality": name}, context(tmp_path)) for name in ("dev-00", "dev-01", "dev-00")]
+    first, second, again = (world._request("collect", [None], 1) for world in worlds)
+    assert first == again != second
+    assert make_twin({}, context(tmp_path))._request("collect", [None], 1) == request_id("collect", 7, [None], 1)
 
 
 def test_the_twins_process_is_the_machine_that_the_file_says(tmp_path, registry, parameters):
