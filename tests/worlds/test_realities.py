@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +16,7 @@ import pytest
 from hts import plugins
 from hts.contracts import Fact, WorldContext
 from hts.errors import ConfigError, RunError, UnfitWorldError
-from hts.worlds.base import walking
+from hts.worlds.base import request_id, walking
 from hts.worlds.realities import batch as batch_module
 from hts.worlds.realities.batch import Asked, draw_many, parameters_of
 from hts.worlds.realities.check import Verdict, check
@@ -281,6 +286,24 @@ def test_draws_go_on_where_they_stopped(tmp_path, in_one_process):
     assert asked == []
 
 
+def test_killed_draws_leave_no_process_behind():
+    worker = (
+        "import os, time; from hts.worlds.realities.batch import end_with; "
+        "end_with(os.getppid()); print(os.getpid(), flush=True); time.sleep(60)"
+    )
+    code = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {worker!r}])"
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+        child = int(parent.stdout.readline())
+        parent.kill()
+    for _ in range(100):
+        state = Path(f"/proc/{child}/stat")
+        if not state.exists() or state.read_text().rsplit(")", 1)[1].split()[0] == "Z":
+            return
+        time.sleep(0.1)
+    os.kill(child, signal.SIGKILL)
+    pytest.fail("the worker was still there 10 s after its parent was killed")
+
+
 def test_draws_of_another_seed_do_not_mix(tmp_path, in_one_process):
     in_one_process({0, 1, 2})
     draw_many(ASKED, tmp_path / "out")
@@ -376,6 +399,13 @@ def test_a_run_keeps_a_realitys_name_and_hash_and_none_of_its_parameters(tmp_pat
     assert world.identity() == {"reality": str(path), "reality_sha256": sha256(path)}
     assert make_twin({}, context(tmp_path)).identity() == {}
     assert world.settings.dynamics == TwinSettings().dynamics  # this side of it knows the default only
+
+
+def test_sessions_on_two_realities_are_drawn_apart_and_on_the_default_twin_as_ever(tmp_path, registry, parameters):
+    worlds = [make_twin({"reality": name}, context(tmp_path)) for name in ("dev-00", "dev-01", "dev-00")]
+    first, second, again = (world._request("collect", [None], 1) for world in worlds)
+    assert first == again != second
+    assert make_twin({}, context(tmp_path))._request("collect", [None], 1) == request_id("collect", 7, [None], 1)
 
 
 def test_the_twins_process_is_the_machine_that_the_file_says(tmp_path, registry, parameters):

@@ -196,8 +196,9 @@ class TwinWorld(World):
         }
 
     def _request(self, what: str, policies: Sequence[str | None], rest: Any) -> str:
-        """A request's name, from its content."""
-        return request_id(what, self._context.seed, [path and file_hash(path) for path in policies], rest)
+        """A request's name, from its content; sessions on two realities are drawn apart, also from one seed."""
+        machine = [self.settings.reality_sha256] if self.settings.reality_sha256 else []
+        return request_id(what, self._context.seed, [path and file_hash(path) for path in policies], rest, *machine)
 
     def _processes(self) -> int:
         return self.settings.processes or available()
