@@ -94,14 +94,13 @@ def load_config(
 
 
 def _of_objectives(names: Sequence[str], preset: str, registry: Registry | None) -> dict[str, Mapping[str, Any]]:
-    """What the objectives' plugins say of themselves for a preset: the attribute `presets` of their factories."""
+    """What the objectives' plugins say of themselves for a preset, see `hts_objectives`."""
     if registry is None:
         from hts import plugins
 
         registry = plugins.load()
     offered = registry.offered("objectives")  # a name that is not among them is refused later, with the closest one
-    factories = {name: offered[name].factory for name in names if name in offered}
-    return {name: getattr(factory, "presets", {}).get(preset, {}) for name, factory in factories.items()}
+    return {name: offered[name].presets.get(preset, {}) for name in names if name in offered}
 
 
 def load_section(

@@ -39,7 +39,8 @@ def hts_objectives(register):
     """Offer objectives: a measured quantity to improve, and the model that predicts it.
 
     Called once, after plugins load and before the config is read.
-    Call ``register(name, factory)``; ``factory(settings)`` returns a ``hts.contracts.Objective``.
+    Call ``register(name, factory)``; ``factory(settings)`` returns a ``hts.contracts.Objective``. With
+    ``register(name, factory, presets={"paper-exact": {...}})`` it has settings of its own in a preset; a user's win.
     """
 
 

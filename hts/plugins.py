@@ -50,11 +50,13 @@ KINDS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One thing that a plugin offers: its name, what makes it, and the distribution it came from."""
+    """One thing that a plugin offers: its name, what makes it, the distribution it came from, and, of an objective,
+    the settings of its own that it has in a preset, by the preset's name."""
 
     name: str
     factory: Callable[..., Any]
     package: str
+    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, compare=False)
 
 
 @dataclass(frozen=True)
@@ -202,10 +204,15 @@ def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[st
     offered: list[tuple[str, Entry]] = []
     for kind in KINDS:
 
-        def register(name: str, factory: Callable[..., Any], kind: str = kind) -> None:
+        def register(
+            name: str,
+            factory: Callable[..., Any],
+            presets: Mapping[str, Mapping[str, Any]] | None = None,
+            kind: str = kind,
+        ) -> None:
             if not isinstance(name, str) or not name or not callable(factory):
                 raise PluginError(f"hts_{kind}: register({name!r}, {factory!r}) needs a name and something to call")
-            offered.append((kind, Entry(name, factory, package)))
+            offered.append((kind, Entry(name, factory, package, presets or {})))
 
         getattr(manager.hook, f"hts_{kind}")(register=register)
     return offered

@@ -132,7 +132,6 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
         "tracked": simulated["tracked"][name],
         "elite": name in tested["elites"],
         "falls": simulated["falls"][name],
-        "predicted": (simulated.get("predicted") or {}).get(name, {}),
         "real": result.get("real"),
     }
     if result.get("tested"):
@@ -142,6 +141,8 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
         entry["refusal"] = result.get("refusal")  # of runs from before it was written: none
     if "task_rewards" in simulated:
         entry["task_reward"] = simulated["task_rewards"].get(name)
+    if "predicted" in simulated:  # not in runs from before it was written
+        entry["predicted"] = simulated["predicted"].get(name, {})
     if row["stopped"]:
         entry["stopped"] = row["stopped"]
     return entry

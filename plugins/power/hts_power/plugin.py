@@ -22,7 +22,7 @@ def make_power(settings: Settings) -> Objective:
 
 
 # The paper's inputs, model and criterion; the rest of its protocol is the preset's own.
-make_power.presets = {  # type: ignore[attr-defined]
+PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"baseline_weights": [5e-5, 1e-4, 5e-4, 1e-3, 5e-3, 2e-2]},
     "paper-exact": {
         "weights": [0.5, 1.0, 5.0],
@@ -63,8 +63,8 @@ def make_calibrate_twin() -> Callable[..., Any]:
 
 
 @hookimpl
-def hts_objectives(register: Callable[[str, Callable[..., Objective]], None]) -> None:
-    register("power", make_power)
+def hts_objectives(register: Callable[..., None]) -> None:
+    register("power", make_power, presets=PRESETS)
 
 
 @hookimpl

@@ -92,7 +92,7 @@ def test_the_proxy_adds_mechanical_power_and_copper_loss_and_clips_each_joint_at
 
 
 def test_the_sweeps_are_those_of_the_paper():
-    exact = plugin.make_power.presets["paper-exact"]
+    exact = plugin.PRESETS["paper-exact"]
     assert exact["weights"] == [0.5, 1.0, 5.0] and exact["baseline_weights"] == [5e-5, 1e-4, 5e-4, 1e-3, 5e-3]
     plugin.make_power({key: value for key, value in exact.items() if key != "model"})
 
@@ -114,7 +114,7 @@ def test_importing_the_plugin_does_not_import_torch():
 def test_the_plugin_offers_what_it_says():
     offered = {}
     for hook in (plugin.hts_objectives, plugin.hts_measurement_models, plugin.hts_instruments, plugin.hts_commands):
-        hook(register=lambda name, factory: offered.update({name: factory}))
+        hook(register=lambda name, factory, **presets: offered.update({name: factory}))
     assert sorted(offered) == ["battery_current", "battery_gauge", "calibrate-twin", "drive_train", "power"]
     objective = offered["power"]({})
     assert objective.instrument in offered and objective.measurement_model().name in offered

@@ -1,0 +1,132 @@
+"""Weights of the drives' terms by hierarchical least squares; see `hts_power.drive_train_model`."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+COMMON = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # penalty on common weights, per sample
+OWN = (10.0, 100.0, 1000.0, 1e5)  # times that: on deviations of single joints
+DIRECTIONS = 16  # of the posterior covariance that are kept, the widest ones
+IDLE_SHARE = 0.02  # the idle level counts as so many samples, of all
+BLOCK_SECONDS = 2.0  # of residuals that are taken to be one: a stride is like the next
+TERMS = 7  # per joint
+
+
+def skipped(length: int, longest: int) -> int:
+    """How much of a recording's start is not used: what came before it is unknown."""
+    return min(longest, length // 2)
+
+
+class Drives:
+    """Weights of the drives' terms by hierarchical least squares.
+
+    Coefficients are common ones of each kind of joint (u), deviations of each joint (v), and the level b:
+    w = A u + v. Everything follows from sums of squares and products of each recording.
+    """
+
+    def __init__(self, kind: np.ndarray, rest: float | None) -> None:
+        joints, number = len(kind), int(kind.max()) + 1
+        self._rest = rest
+        spread = np.zeros((TERMS * joints, TERMS * number))
+        for term in range(TERMS):
+            for joint in range(joints):
+                spread[term * joints + joint, term * number + kind[joint]] = 1.0
+        size = TERMS * joints
+        self._map = np.zeros((size + 1, spread.shape[1] + size + 1))  # from (u, v, b) to (w, b)
+        self._map[:size, : spread.shape[1]], self._map[:size, spread.shape[1] : -1] = spread, np.eye(size)
+        self._map[-1, -1] = 1.0
+        self._common = spread.shape[1]
+        self.weight, self.bias, self.error = np.zeros(size), 0.0, math.inf
+        self.penalties = (COMMON[0], OWN[0])
+
+    def fit(self, shown: Sequence[np.ndarray], targets: Sequence[np.ndarray], folds: np.ndarray, longest: int) -> None:
+        """shown: terms as the sensor shows them, (T, TERMS · J) of each recording; folds: a number of each."""
+        sums = [Sums.of(terms, target, longest) for terms, target in zip(shown, targets, strict=True)]
+        whole = Sums.total(sums)
+        parts = [Sums.total([one for one, own in zip(sums, folds, strict=True) if own == fold]) for fold in set(folds)]
+        table: dict[tuple[float, float], np.ndarray] = {}
+        for penalties in itertools.product(COMMON, OWN):
+            rests = [(part, whole.minus(part)) for part in parts] if len(parts) > 1 else [(whole, whole)]
+            table[penalties] = np.array([part.error(self._solved(rest, *penalties)) for part, rest in rests])
+        best = min(table, key=lambda one: table[one].mean())
+        bar = table[best].mean() + table[best].std(ddof=min(1, len(table[best]) - 1)) / math.sqrt(len(table[best]))
+        # Those of deviations first: single joints are where a model of a few gaits goes wrong.
+        self.penalties = max((one for one in table if table[one].mean() <= bar), key=lambda one: (one[1], one[0]))
+        solution = self._solved(whole, *self.penalties)
+        self.weight, self.bias, self.error = solution[:-1], float(solution[-1]), float(table[self.penalties].mean())
+
+    def doubt(
+        self, shown: Sequence[np.ndarray], targets: Sequence[np.ndarray], longest: int, rate_hz: float
+    ) -> np.ndarray:
+        """Square root (TERMS · J + 1, DIRECTIONS) of the posterior covariance of weights and level.
+
+        Residuals are alike for a while, and one recording's differ from the next one's: the variance of their means
+        over blocks, and over recordings, times the length says how many samples are really one.
+        """
+        whole = Sums.total([Sums.of(terms, target, longest) for terms, target in zip(shown, targets, strict=True)])
+        residuals = []
+        for terms, target in zip(shown, targets, strict=True):
+            skip = skipped(len(target), longest)
+            residuals.append((target - terms @ self.weight - self.bias)[skip:])
+        block = max(1, round(BLOCK_SECONDS * rate_hz))
+        pieces = [r[i : i + block] for r in residuals for i in range(0, max(1, len(r) - block + 1), block)]
+        noise = max(
+            float(np.mean([len(piece) * piece.mean() ** 2 for piece in pieces])),
+            float(np.mean([len(piece) * piece.mean() ** 2 for piece in residuals])),
+            float(np.mean(np.concatenate(residuals) ** 2)),
+        )
+        matrix, _ = self._normal(whole, *self.penalties)
+        covariance = self._map @ np.linalg.solve(matrix, self._map.T) * noise
+        values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+        kept = np.argsort(values)[::-1][:DIRECTIONS]
+        root = np.zeros((len(values), DIRECTIONS))  # of a robot with fewer, the rest stays 0
+        root[:, : len(kept)] = vectors[:, kept] * np.sqrt(np.maximum(values[kept], 0.0))
+        return root
+
+    def _solved(self, sums: Sums, common: float, own: float) -> np.ndarray:
+        """(w, b)."""
+        matrix, right = self._normal(sums, common, own)
+        return self._map @ np.linalg.solve(matrix, right)
+
+    def _normal(self, sums: Sums, common: float, own: float) -> tuple[np.ndarray, np.ndarray]:
+        """Normal equations of (u, v, b)."""
+        matrix = self._map.T @ sums.xx @ self._map
+        right = self._map.T @ sums.xy
+        penalty = np.full(len(matrix), common * own * sums.count)
+        penalty[: self._common] = common * sums.count
+        penalty[-1] = 1e-9 * sums.count
+        if self._rest is not None:
+            penalty[-1] = IDLE_SHARE * sums.count
+            right[-1] += penalty[-1] * self._rest
+        matrix[np.diag_indices_from(matrix)] += penalty
+        return matrix, right
+
+
+class Sums:
+    """XᵀX, Xᵀy, yᵀy of (terms, 1) and target."""
+
+    def __init__(self, count: int, xx: np.ndarray, xy: np.ndarray, yy: float) -> None:
+        self.count, self.xx, self.xy, self.yy = count, xx, xy, yy
+
+    @classmethod
+    def of(cls, terms: np.ndarray, target: np.ndarray, longest: int) -> Sums:
+        skip = skipped(len(target), longest)
+        x, y = np.concatenate((terms[skip:], np.ones((len(terms) - skip, 1))), 1), target[skip:]
+        return cls(len(y), x.T @ x, x.T @ y, float(y @ y))
+
+    @classmethod
+    def total(cls, sums: Sequence[Sums]) -> Sums:
+        none = np.zeros(())
+        xx, xy = sum((s.xx for s in sums), none), sum((s.xy for s in sums), none)
+        return cls(sum(s.count for s in sums), xx, xy, sum(s.yy for s in sums))
+
+    def minus(self, other: Sums) -> Sums:
+        return Sums(self.count - other.count, self.xx - other.xx, self.xy - other.xy, self.yy - other.yy)
+
+    def error(self, solution: np.ndarray) -> float:
+        """Mean squared error of (w, b)."""
+        return float(self.yy - 2 * solution @ self.xy + solution @ self.xx @ solution) / max(1, self.count)
