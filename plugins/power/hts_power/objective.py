@@ -36,7 +36,7 @@ class PowerSettings(Config):
         "transport (slower walking is no saving), or net power alone as in the paper",
     )
     weights: tuple[float, ...] = Field(
-        (3.0, 8.0), min_length=1, description="λ swept, reward per second and standard deviation of current"
+        (6.0,), min_length=1, description="λ swept, reward per second and standard deviation of current"
     )
     baseline_weights: tuple[float, ...] = Field(
         (1e-3, 5e-3, 2e-2), min_length=1, description="λ swept with the analytic proxy, reward per joule"
