@@ -5,43 +5,32 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache, wraps
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hts.config import Named
-from hts.contracts import MeasurementModel, ModelContext
+from hts.contracts import MeasurementModel
 from hts.errors import HtsError, PolicyError
 from hts.plugins import Entry, Registry
-from hts.recordings.recording import Recording, Series
+from hts.recordings.recording import Series
 from hts.testing.checks.ensure import ensure
-from hts.testing.checks.made_up import walk
-from hts.testing.known_signals import SIGNALS, known_heat
-
-if TYPE_CHECKING:
-    import torch
+from hts.testing.checks.fitted_models import (
+    STEPS,
+    WORLDS,
+    OtherTensors,
+    context_for,
+    fitted_anew,
+    fitted_model,
+    nearly_equal,
+    samples_of_worlds,
+    step_by_step,
+    with_series,
+)
 
 Check = Callable[[Entry, Registry], None]
 
-WORLDS, STEPS = 5, 12
 LONG = 500  # samples: longer than any sensor is late
-MEMBER = Named(name="linear", lags=2)  # stands for the objective's own model, for models that are made of others
-
-
-def context_for(entry: Entry, registry: Registry) -> tuple[ModelContext, list[Recording]]:
-    """What to try a model on: channels and walks of the objective whose own model it is, else the kit's signals."""
-    from hts.measurement.data import recorded_signals
-
-    for one in registry.objectives.values():
-        if one.package == entry.package:
-            objective = registry.make_objective(one.name)
-            if objective.measurement_model().name == entry.name:
-                recordings = [walk(objective, registry, seed=seed) for seed in range(3)]
-                return ModelContext(recorded_signals(objective, recordings[0]), MEMBER, registry), recordings
-    return ModelContext(SIGNALS, MEMBER, registry), [known_heat(seed, seconds=6.0) for seed in range(3)]
 
 
 def is_made_unfitted(entry: Entry, registry: Registry) -> None:
@@ -82,10 +71,10 @@ def is_fitted_the_same_again(entry: Entry, registry: Registry) -> None:
     import torch
 
     before = torch.random.get_rng_state(), str(np.random.get_state())  # noqa: NPY002 - global on purpose
-    first, report = _fitted_anew(entry, registry)
+    first, report = fitted_anew(entry, registry)
     after = torch.random.get_rng_state(), str(np.random.get_state())  # noqa: NPY002
     json.dumps(report, allow_nan=False)
-    second, _ = _fitted_anew(entry, registry)
+    second, _ = fitted_anew(entry, registry)
     for name, value in first.tensors().items():
         ensure(bool(torch.equal(value, second.tensors()[name])), f"fitting it twice gives two '{name}'")
     ensure(bool(torch.equal(before[0], after[0])) and before[1] == after[1], "fit draws from a global random generator")
@@ -95,7 +84,7 @@ def is_fitted_the_same_again(entry: Entry, registry: Registry) -> None:
 def counts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None:
     """target_mean and target_std are those of the recordings, in the target's unit: rewards count in them."""
     context, recordings = context_for(entry, registry)
-    model = _fitted(entry, registry)
+    model = fitted_model(entry, registry)
     target = np.concatenate([one.values(context.signals.target.name).reshape(-1) for one in recordings])
     for name, found, wanted in (("mean", model.target_mean, target.mean()), ("std", model.target_std, target.std())):
         ensure(
@@ -109,8 +98,8 @@ def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
     """step and sequence give a finite float32 each, a deviation of at least 0 or none; state leads with worlds."""
     import torch
 
-    model = _fitted(entry, registry)
-    data = _inputs(entry, registry)
+    model = fitted_model(entry, registry)
+    data = samples_of_worlds(entry, registry)
     found, after = model.step(data[0], model.initial_state(WORLDS))
     along, last = model.sequence(data.movedim(0, 1))
     for what, prediction, shape in (("step", found, (WORLDS,)), ("sequence", along, (WORLDS, STEPS))):
@@ -132,30 +121,33 @@ def step_and_sequence_agree(entry: Entry, registry: Registry) -> None:
     """Step by step, along a whole recording, and with `steps`, it predicts the same."""
     import torch
 
-    model = _fitted(entry, registry)
-    data = _inputs(entry, registry)
-    walked, state = _stepped(model, data)
+    model = fitted_model(entry, registry)
+    data = samples_of_worlds(entry, registry)
+    walked, state = step_by_step(model, data)
     along, last = model.sequence(data.movedim(0, 1))
     together, end = model.steps(data, model.initial_state(WORLDS), torch.zeros(STEPS, WORLDS, dtype=torch.bool))
     for what, mean, after in (("sequence", along.mean.t(), last), ("steps", together.mean, end)):
         off = float((mean - walked).abs().max())
-        ensure(_close(mean, walked), f"{what} is off from step after step by up to {off:g} standard deviations")
-        ensure(_close(after, state), f"{what} leaves another state than step after step")
+        ensure(nearly_equal(mean, walked), f"{what} is off from step after step by up to {off:g} standard deviations")
+        ensure(nearly_equal(after, state), f"{what} leaves another state than step after step")
 
 
 @after(is_made_unfitted, predicts_for_each_world)
 def keeps_worlds_apart(entry: Entry, registry: Registry) -> None:
     """A world's prediction does not depend on the worlds beside it, now or before: the state is per world."""
-    model = _fitted(entry, registry)
-    data = _inputs(entry, registry)
-    crowd, _ = _stepped(model, data)
+    model = fitted_model(entry, registry)
+    data = samples_of_worlds(entry, registry)
+    crowd, _ = step_by_step(model, data)
     for world in range(WORLDS):
-        alone, _ = _stepped(model, data[:, world : world + 1])
-        ensure(_close(alone[:, 0], crowd[:, world]), f"the prediction of world {world} depends on the worlds beside it")
+        alone, _ = step_by_step(model, data[:, world : world + 1])
+        ensure(
+            nearly_equal(alone[:, 0], crowd[:, world]),
+            f"the prediction of world {world} depends on the worlds beside it",
+        )
     others = data.clone()
     others[:, 1:] *= 3.0
-    changed, _ = _stepped(model, others)
-    ensure(_close(changed[:, 0], crowd[:, 0]), "the prediction of world 0 depends on the worlds beside it")
+    changed, _ = step_by_step(model, others)
+    ensure(nearly_equal(changed[:, 0], crowd[:, 0]), "the prediction of world 0 depends on the worlds beside it")
 
 
 @after(is_made_unfitted, predicts_for_each_world)
@@ -163,9 +155,9 @@ def forgets_only_who_begins(entry: Entry, registry: Registry) -> None:
     """reset makes the memory of the worlds that begin that of initial_state; the others stay to the bit."""
     import torch
 
-    model = _fitted(entry, registry)
-    data = _inputs(entry, registry)
-    _, state = _stepped(model, data)
+    model = fitted_model(entry, registry)
+    data = samples_of_worlds(entry, registry)
+    _, state = step_by_step(model, data)
     begun = torch.zeros(WORLDS, dtype=torch.bool)
     begun[1] = True
     after, fresh = model.reset(state, begun), model.initial_state(WORLDS)
@@ -181,8 +173,8 @@ def lets_nan_through(entry: Entry, registry: Registry) -> None:
     """A NaN or infinite input makes its own world's prediction no finite number, and no other's."""
     import torch
 
-    model = _fitted(entry, registry)
-    data = _inputs(entry, registry)[0]
+    model = fitted_model(entry, registry)
+    data = samples_of_worlds(entry, registry)[0]
     clean, _ = model.step(data, model.initial_state(WORLDS))
     for value in (torch.nan, torch.inf, -torch.inf):
         dirty = data.clone()
@@ -190,7 +182,9 @@ def lets_nan_through(entry: Entry, registry: Registry) -> None:
         found = model.step(dirty, model.initial_state(WORLDS))[0].mean
         ensure(not bool(torch.isfinite(found[2])), f"makes {float(found[2]):g} of an input that is {value}")
         found[2] = clean.mean[2]
-        ensure(_close(found, clean.mean), f"an input that is {value} in one world changes the prediction of others")
+        ensure(
+            nearly_equal(found, clean.mean), f"an input that is {value} in one world changes the prediction of others"
+        )
 
 
 @after(is_made_unfitted, predicts_for_each_world)
@@ -198,10 +192,10 @@ def settles_at_what_it_shows(entry: Entry, registry: Registry) -> None:
     """Where `settles` says so, `settled` gives what `sequence` comes to when the inputs stay, world by world."""
     import torch
 
-    model = _fitted(entry, registry)
+    model = fitted_model(entry, registry)
     if not model.settles:
         return
-    data = _inputs(entry, registry)[0]
+    data = samples_of_worlds(entry, registry)[0]
     found = model.settled(data).mean
     ensure(tuple(found.shape) == (WORLDS,), f"settled: mean has shape {tuple(found.shape)}, not {(WORLDS,)}")
     shown = model.sequence(data[:, None].expand(-1, LONG, -1).contiguous())[0].mean[:, -1]
@@ -209,7 +203,7 @@ def settles_at_what_it_shows(entry: Entry, registry: Registry) -> None:
     data[2, 0] = torch.nan
     broken = model.settled(data).mean
     ensure(not bool(torch.isfinite(broken[2])), "settled makes a number of an input that is nan")
-    ensure(_close(broken[:2], found[:2]), "settled: an input of one world changes what another settles at")
+    ensure(nearly_equal(broken[:2], found[:2]), "settled: an input of one world changes what another settles at")
 
 
 @after(is_made_unfitted, predicts_for_each_world)
@@ -217,8 +211,8 @@ def changes_nothing(entry: Entry, registry: Registry) -> None:
     """step, steps and sequence only read the inputs and the state: the env goes on with them."""
     import torch
 
-    model = _fitted(entry, registry)
-    data, (_, state) = _inputs(entry, registry), _stepped(model, _inputs(entry, registry))
+    model = fitted_model(entry, registry)
+    data, (_, state) = samples_of_worlds(entry, registry), step_by_step(model, samples_of_worlds(entry, registry))
     given, before = data.clone(), state.clone()
     model.step(data[0], state)
     model.steps(data, state, torch.zeros(STEPS, WORLDS, dtype=torch.bool))
@@ -234,11 +228,11 @@ def is_saved_and_loaded(entry: Entry, registry: Registry) -> None:
 
     from hts.measurement import files
 
-    model = _fitted(entry, registry)
-    data = _inputs(entry, registry)
+    model = fitted_model(entry, registry)
+    data = samples_of_worlds(entry, registry)
     with tempfile.TemporaryDirectory() as folder:
         loaded = files.load(files.save(model, Path(folder) / "model"), registry=registry)
-    before, after = _stepped(model, data)[0], _stepped(loaded, data)[0]
+    before, after = step_by_step(model, data)[0], step_by_step(loaded, data)[0]
     ensure(bool(torch.equal(before, after)), "it predicts something else after it was saved and loaded")
     same = torch.equal(model.denormalise(before), loaded.denormalise(before))
     ensure(bool(same), "its z-scores mean something else after it was saved and loaded")
@@ -252,7 +246,7 @@ def refuses_foreign_files(entry: Entry, registry: Registry) -> None:
 
     from hts.measurement import files
 
-    model = _fitted(entry, registry)
+    model = fitted_model(entry, registry)
     own = dict(model.tensors())
     ensure(bool(own), "tensors() is empty: nothing that was fitted would be saved")
     name = min(own)
@@ -263,7 +257,7 @@ def refuses_foreign_files(entry: Entry, registry: Registry) -> None:
     }
     for what, tensors in wrong.items():
         with tempfile.TemporaryDirectory() as folder:
-            path = files.save(_Given(model, tensors), Path(folder) / "model")  # type: ignore[arg-type]
+            path = files.save(OtherTensors(model, tensors), Path(folder) / "model")  # type: ignore[arg-type]
             try:
                 files.load(path, registry=registry)
             except PolicyError as error:
@@ -283,10 +277,10 @@ def refuses_recordings(entry: Entry, registry: Registry) -> None:
     other = type(channel)(channel.name, "s" if channel.unit != "s" else "m", channel.shape)
     wrong = {
         "no recordings": [],
-        "a target that never varies": [_with(first, still)],
-        "an input that is NaN": [_with(first, Series(channel, lost))],
+        "a target that never varies": [with_series(first, still)],
+        "an input that is NaN": [with_series(first, Series(channel, lost))],
         f"'{channel.name}' in {other.unit}, not {channel.unit}": [
-            _with(first, Series(other, first.values(channel.name)))
+            with_series(first, Series(other, first.values(channel.name)))
         ],
     }
     for what, given in wrong.items():
@@ -306,8 +300,8 @@ def stays_on_its_device(entry: Entry, registry: Registry) -> None:
     import torch
 
     device = torch.device("cuda" if torch.cuda.is_available() else "meta")  # "meta" has shapes and no values to look at
-    model, _ = _fitted_anew(entry, registry)  # it is moved
-    data = _inputs(entry, registry)[0]
+    model, _ = fitted_anew(entry, registry)  # it is moved
+    data = samples_of_worlds(entry, registry)[0]
     moved = model.to(device)
     ensure(moved is model, "to() gives another object than the model itself")
     ensure(model.device.type == device.type, f"to('{device}') leaves it on {model.device}")
@@ -319,74 +313,6 @@ def stays_on_its_device(entry: Entry, registry: Registry) -> None:
         ensure(False, f"step leaves the device or looks at a value ({' '.join(str(error).split())[:100]})")
     for what, tensor in (("the prediction", found.mean), ("the state", state)):
         ensure(tensor.device.type == device.type, f"{what} is on {tensor.device}, the model on {device}")
-
-
-class _Given:
-    """The model, with other tensors: what `files.save` asks of one."""
-
-    def __init__(self, model: MeasurementModel, tensors: dict[str, torch.Tensor]) -> None:
-        self.name, self.settings, self.signals = model.name, model.settings, model.signals
-        self._tensors = tensors
-
-    def tensors(self) -> dict[str, Any]:
-        return self._tensors
-
-
-@dataclass(frozen=True)
-class _Key:
-    """What was fitted, so that it is not fitted again for every check."""
-
-    entry: Entry
-    registry: Registry = field(compare=False)
-
-
-@lru_cache(maxsize=1)
-def _once(key: _Key) -> MeasurementModel:
-    return _fitted_anew(key.entry, key.registry)[0]
-
-
-def _fitted(entry: Entry, registry: Registry) -> MeasurementModel:
-    """A fitted one, for checks that only read it."""
-    return _once(_Key(entry, registry))
-
-
-def _fitted_anew(entry: Entry, registry: Registry) -> tuple[MeasurementModel, dict[str, Any]]:
-    context, recordings = context_for(entry, registry)
-    model = registry.make_measurement_model(entry.name, {}, context)
-    return model, model.fit(recordings, epochs=1)
-
-
-def _inputs(entry: Entry, registry: Registry) -> torch.Tensor:
-    """Samples of different places of the recordings, (STEPS, WORLDS, F)."""
-    import torch
-
-    from hts.measurement.data import input_tensor
-
-    context, recordings = context_for(entry, registry)
-    whole = torch.cat([input_tensor(context.signals, one) for one in recordings])
-    places = [torch.arange(STEPS) + 37 * world for world in range(WORLDS)]
-    return torch.stack([whole[place] for place in places], 1)
-
-
-def _stepped(model: MeasurementModel, data: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Means (T, W) and the last state of step after step."""
-    import torch
-
-    state, means = model.initial_state(data.shape[1]), []
-    for inputs in data:
-        prediction, state = model.step(inputs, state)
-        means.append(prediction.mean)
-    return torch.stack(means), state
-
-
-def _with(recording: Recording, *series: Series) -> Recording:
-    return recording.replace(channels={**recording.channels, **{one.channel.name: one for one in series}})
-
-
-def _close(first: torch.Tensor, second: torch.Tensor) -> bool:
-    import torch
-
-    return bool(torch.allclose(first, second, rtol=1e-3, atol=1e-4))
 
 
 CHECKS: Sequence[Check] = (

@@ -1,0 +1,101 @@
+"""Fitted measurement models for the checks of them, and what they are run on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from hts.config import Named
+from hts.contracts import MeasurementModel, ModelContext
+from hts.plugins import Entry, Registry
+from hts.recordings.recording import Recording, Series
+from hts.testing.checks.made_up import walk
+from hts.testing.known_signals import SIGNALS, known_heat
+
+if TYPE_CHECKING:
+    import torch
+
+WORLDS, STEPS = 5, 12
+MEMBER = Named(name="linear", lags=2)  # stands for the objective's own model, for models that are made of others
+
+
+def context_for(entry: Entry, registry: Registry) -> tuple[ModelContext, list[Recording]]:
+    """What to try a model on: channels and walks of the objective whose own model it is, else the kit's signals."""
+    from hts.measurement.data import recorded_signals
+
+    for one in registry.objectives.values():
+        if one.package == entry.package:
+            objective = registry.make_objective(one.name)
+            if objective.measurement_model().name == entry.name:
+                recordings = [walk(objective, registry, seed=seed) for seed in range(3)]
+                return ModelContext(recorded_signals(objective, recordings[0]), MEMBER, registry), recordings
+    return ModelContext(SIGNALS, MEMBER, registry), [known_heat(seed, seconds=6.0) for seed in range(3)]
+
+
+class OtherTensors:
+    """The model, with other tensors: what `files.save` asks of one."""
+
+    def __init__(self, model: MeasurementModel, tensors: dict[str, torch.Tensor]) -> None:
+        self.name, self.settings, self.signals = model.name, model.settings, model.signals
+        self._tensors = tensors
+
+    def tensors(self) -> dict[str, Any]:
+        return self._tensors
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What was fitted, so that it is not fitted again for every check."""
+
+    entry: Entry
+    registry: Registry = field(compare=False)
+
+
+@lru_cache(maxsize=1)
+def _once(key: _Key) -> MeasurementModel:
+    return fitted_anew(key.entry, key.registry)[0]
+
+
+def fitted_model(entry: Entry, registry: Registry) -> MeasurementModel:
+    """A fitted one, for checks that only read it."""
+    return _once(_Key(entry, registry))
+
+
+def fitted_anew(entry: Entry, registry: Registry) -> tuple[MeasurementModel, dict[str, Any]]:
+    context, recordings = context_for(entry, registry)
+    model = registry.make_measurement_model(entry.name, {}, context)
+    return model, model.fit(recordings, epochs=1)
+
+
+def samples_of_worlds(entry: Entry, registry: Registry) -> torch.Tensor:
+    """Samples of different places of the recordings, (STEPS, WORLDS, F)."""
+    import torch
+
+    from hts.measurement.data import input_tensor
+
+    context, recordings = context_for(entry, registry)
+    whole = torch.cat([input_tensor(context.signals, one) for one in recordings])
+    places = [torch.arange(STEPS) + 37 * world for world in range(WORLDS)]
+    return torch.stack([whole[place] for place in places], 1)
+
+
+def step_by_step(model: MeasurementModel, data: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Means (T, W) and the last state of step after step."""
+    import torch
+
+    state, means = model.initial_state(data.shape[1]), []
+    for inputs in data:
+        prediction, state = model.step(inputs, state)
+        means.append(prediction.mean)
+    return torch.stack(means), state
+
+
+def with_series(recording: Recording, *series: Series) -> Recording:
+    return recording.replace(channels={**recording.channels, **{one.channel.name: one for one in series}})
+
+
+def nearly_equal(first: torch.Tensor, second: torch.Tensor) -> bool:
+    import torch
+
+    return bool(torch.allclose(first, second, rtol=1e-3, atol=1e-4))
