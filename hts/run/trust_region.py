@@ -18,6 +18,9 @@ from hts.config import TrustRegionConfig
 
 ACTIVE = 0.8  # of c: a candidate whose KL is larger was held back by its bound
 LEVEL = 0.95
+PRIOR_SCATTER, PRIOR_ELITES = 0.15, 4
+"""How far an elite's measured improvement lies from the common share of what was predicted for it, as a share of that,
+and how many elites this is worth: from runs on the default twin and development realities."""
 
 
 @dataclass(frozen=True)
@@ -52,20 +55,23 @@ class Agreement:
 
 
 def agreement(tried: Sequence[Tried]) -> Agreement:
-    """Ratio of sums over elites, with an interval from two sources that add: the scatter of elites around the common
-    ratio (Cochran 1977, "Sampling Techniques", section 6.3, with Student's t), and the measurement error of each."""
+    """Ratio of sums over elites (Cochran 1977, "Sampling Techniques", section 6.3), with an interval from the elites'
+    scatter around the common ratio and from the measurement error of each.
+
+    Two or three elites say little about scatter, so it has a prior worth PRIOR_ELITES of them, as a share of what was
+    predicted: variance by the scaled inverse chi-squared distribution, interval by Student's t (Gelman et al. 2013,
+    "Bayesian Data Analysis", section 2.6).
+    """
     total = sum(one.predicted for one in tried)
     if not tried or total <= 0:
         return Agreement(None, None)
     rho = sum(one.measured for one in tried) / total
-    measured = sum((one.half_width / stats.norm.ppf((1 + LEVEL) / 2)) ** 2 for one in tried)
-    degrees = len(tried) - 1
-    scatter = sum((one.measured - rho * one.predicted) ** 2 for one in tried) * len(tried) / max(1, degrees)
-    # What the elites scatter holds their measurement errors too: the larger of the two is the safe one.
-    quantile = (
-        stats.t.ppf((1 + LEVEL) / 2, degrees) if degrees and scatter > measured else stats.norm.ppf((1 + LEVEL) / 2)
-    )
-    half = float(quantile * math.sqrt(max(scatter if degrees else 0.0, measured)) / total)
+    squares = sum(one.predicted**2 for one in tried)
+    error = sum((one.half_width / stats.norm.ppf((1 + LEVEL) / 2)) ** 2 for one in tried)
+    degrees = PRIOR_ELITES + len(tried) - 1
+    misses = sum((one.measured - rho * one.predicted) ** 2 for one in tried) * len(tried) / squares
+    share = (PRIOR_ELITES * PRIOR_SCATTER**2 + misses) / degrees
+    half = float(stats.t.ppf((1 + LEVEL) / 2, degrees) * math.sqrt(share * squares + error) / total)
     return Agreement(rho, (rho - half, rho + half))
 
 

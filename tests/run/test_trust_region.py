@@ -20,8 +20,10 @@ def elite(predicted, measured, half=0.01, kl=1.0, bound=1.0, fell=False, name="0
 def test_kept_promises_widen_the_bound_and_broken_ones_narrow_it():
     kept = [elite(0.20, 0.19), elite(0.10, 0.095), elite(0.15, 0.14)]
     assert next_scale(1.0, kept, CONFIG)[0] == 4.0
-    half_kept = [elite(0.20, 0.13), elite(0.10, 0.065), elite(0.15, 0.0975)]
-    assert next_scale(1.0, half_kept, CONFIG)[0] == 2.0
+    mostly = [elite(0.20, 0.144), elite(0.10, 0.072), elite(0.15, 0.108)]
+    assert next_scale(1.0, mostly, CONFIG)[0] == 2.0
+    two = [elite(0.08, 0.083), elite(0.14, 0.18)]  # two say enough where promises are usually kept to some 15 %
+    assert next_scale(1.0, two, CONFIG)[0] == 4.0
     broken = [elite(0.20, 0.02), elite(0.10, 0.01), elite(0.15, 0.01)]
     assert next_scale(2.0, broken, CONFIG)[0] == 1.0
 
@@ -50,16 +52,18 @@ def test_bounds_stay_within_limits_and_infinity_stays():
     assert scaled((50.0,), 2.0, TrustRegionConfig()) == (50.0,)
 
 
-@pytest.mark.parametrize("scatter", [0.0, 0.03])
-def test_the_interval_of_rho_holds_the_truth_as_often_as_it_says(scatter):
-    """Elites keep 0.8 of their promise but for a scatter of their own; each is measured with an error of 0.01."""
+@pytest.mark.parametrize(
+    ("scatter", "count", "least"), [(0.0, 3, 0.97), (0.15, 2, 0.93), (0.15, 5, 0.93), (0.3, 6, 0.9)]
+)
+def test_the_interval_of_rho_holds_the_truth_as_often_as_it_says(scatter, count, least):
+    """Elites keep 0.8 of their promise but for a scatter, as a share of it; each is measured with an error of 0.01."""
     rng, hits, trials = np.random.default_rng(0), 0, 400
     for _ in range(trials):
-        promised = rng.uniform(0.1, 0.3, 5)
-        measured = 0.8 * promised + scatter * rng.standard_normal(5) + 0.01 * rng.standard_normal(5)
+        promised = rng.uniform(0.1, 0.3, count)
+        measured = promised * (0.8 + scatter * rng.standard_normal(count)) + 0.01 * rng.standard_normal(count)
         low, high = agreement([elite(p, m, half=1.96 * 0.01) for p, m in zip(promised, measured, strict=True)]).interval
         hits += low <= 0.8 <= high
-    assert 0.92 <= hits / trials <= 0.995
+    assert hits / trials >= least
 
 
 def entry(improvement, width=0.02):
