@@ -28,6 +28,7 @@ SMOKE: dict[str, Any] = {
     "finetune": {
         "num_envs": 8,
         "steps": 400,
+        "hold": True,
         "ppo": {"horizon": 24, "epochs": 2, "minibatches": 2},
         "env": {"randomisation": {"models": 4}},
     },

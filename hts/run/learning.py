@@ -179,9 +179,10 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
         )
     _remove_checkpoints(checkpoint)
     scale = reward_scale(rows, list(job.objectives))
-    for line in scale_lines(scale, rows):
+    held = bool(config.finetune.hold and job.robot.held_at_zero)  # then a large λ cannot buy less of the task
+    for line in () if held else scale_lines(scale, rows):
         job.stages.progress.say(line)
-    return {"candidates": rows, "steps": steps, "reward_scale": scale}
+    return {"candidates": rows, "steps": steps, "reward_scale": scale, "held": held}
 
 
 def _remove_checkpoints(checkpoint: Path) -> None:

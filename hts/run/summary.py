@@ -107,7 +107,7 @@ def _task(tuned: Mapping[str, Any], simulated: Mapping[str, Any]) -> dict[str, A
     if "task_rewards" not in simulated:
         return {}
     scale, left = tuned.get("reward_scale") or {}, simulated.get("gave_up") or {}
-    lines = [*scale_lines(scale, tuned["candidates"]), left.get("line")]
+    lines = [*([] if tuned.get("held") else scale_lines(scale, tuned["candidates"])), left.get("line")]
     return {
         "pretrained_task_reward": simulated["task_rewards"].get(PRETRAINED),
         "reward_scale": scale,
