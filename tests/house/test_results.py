@@ -9,7 +9,7 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 OLDER = REPOSITORY / "docs/results/older-numbers.json"
-MOST_OLDER = {"README.md": 7, "docs/results.md": 586}
+MOST_OLDER = {"README.md": 2, "docs/results.md": 586}
 """Numbers that stood in the pages before lines were kept. Only ever lower these."""
 
 
