@@ -35,3 +35,8 @@ Out = Annotated[Path | None, typer.Option(help="Run folder; default runs/OBJECTI
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the run will cost, and stop.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="A run folder.")]
+RunFolderOrNone = Annotated[
+    Path | None, typer.Argument(metavar="DIR", help="A run folder; none for a policy file that belongs to no run.")
+]
+POLICIES = "best, pretrained, a candidate's id"
+"""How policies of a run are called, for the help of --policy."""
