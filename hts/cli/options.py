@@ -16,7 +16,12 @@ RobotName = Annotated[
 ]
 Preset = Annotated[str | None, typer.Option(help="smoke, quick (default), paper or paper-exact.")]
 WorldName = Annotated[
-    str | None, typer.Option("--world", metavar="NAME", help='Where policies run "for real": twin or field.')
+    str | None,
+    typer.Option(
+        "--world",
+        metavar="NAME",
+        help='Where policies run "for real": twin, field, or a plugin\'s. `hts plugins` lists them.',
+    ),
 ]
 ConfigFile = Annotated[Path | None, typer.Option("--config", help="YAML file laid over the preset.")]
 Overrides = Annotated[
