@@ -1,4 +1,4 @@
-"""The commands from Python: `run`, `fit`, `evaluate`, and `load` for what a run left behind.
+"""The commands from Python: `run`, `fit`, `evaluate`, `load` for what a run left behind, `robot` for a robot by name.
 
     from hts import api
 
@@ -20,6 +20,7 @@ from hts.errors import RunError
 
 if TYPE_CHECKING:
     from hts.config import RunConfig
+    from hts.contracts import Robot
     from hts.policies.files import Policy
 
 
@@ -103,6 +104,18 @@ def evaluate(
     from hts.evaluation.final import evaluate_run
 
     return evaluate_run(_run_folder(folder), speeds=speeds, policy=policy, world=world, seed=seed)
+
+
+def robot(name: str, settings: Mapping[str, Any] | None = None) -> Robot:
+    """An installed robot: its numbers (`spec`), its env (`make_env`) and its starting policy (`pretrained_policy`).
+
+    settings: its own, by key. Raises ConfigError with the names there are, or with what is wrong in its settings.
+
+        api.robot("ROBOT").make_env("mujoco", num_candidates=1, num_envs=32, config=EnvConfig())
+    """
+    from hts.plugins import load as load_plugins
+
+    return load_plugins().make_robot(name, settings or {})
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes.util
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,15 +40,21 @@ class Played:
 
 
 def play(
-    folder: Path, policy: str | Path = "best", speed: float = 0.8, video: Path | None = None, seconds: float = 10.0
+    folder: Path | None,
+    policy: str | Path = "best",
+    speed: float = 0.8,
+    video: Path | None = None,
+    seconds: float = 10.0,
+    robot: str | None = None,
 ) -> Played:
     """Walk straight at `speed` with a policy's mean action in MuJoCo; shown in a window, or written to `video`.
 
-    folder: of a run; policy: "best", "pretrained", a candidate's id, or a policy file; speed: commanded, m/s;
-    video: a file that does not exist yet, such as walk.mp4; seconds: of the video (a window stays until it is closed).
-    Raises SimulationError where there is nothing to draw with, RunError if the video exists.
+    folder: of a run, or None: then policy is a file; policy: "best", "pretrained", a candidate's id, or a policy file;
+    speed: commanded, m/s; video: a file that does not exist yet, such as walk.mp4; seconds: of the video (a window
+    stays until it is closed); robot: by name, without a run only, by default that of the policy file.
+    Raises SimulationError where there is nothing to draw with, RunError if the video exists, ConfigError for a robot
+    that cannot be played here.
     """
-    folder = Path(folder)
     if video is not None:
         video = _free(Path(video))
         _prepare_drawing()
@@ -56,21 +63,39 @@ def play(
             "There is no display to open a window on (DISPLAY and WAYLAND_DISPLAY are not set). "
             "Write a video instead: --video walk.mp4"
         )
-    from hts.config_loading import read_config
-    from hts.evaluation.final import policy_file
-    from hts.plugins import load
-
-    config = read_config(folder / "config.yaml")
-    robot = load().make_robot(config.robot.name, config.robot.settings)
-    walk = Walk(robot, policy_file(folder, policy), speed)
-    print(
-        f"Simulation, not the real robot: '{robot.spec.name}', nominal training model, policy {policy}, {speed:g} m/s."
-    )
+    walk = _of_a_file(policy, robot, speed) if folder is None else _of_a_run(Path(folder), policy, robot, speed)
+    name = walk.robot.spec.name
+    print(f"Simulation, not the real robot: '{name}', nominal training model, policy {policy}, {speed:g} m/s.")
     played = _window(walk) if video is None else _film(walk, video, seconds)
     print(f"Walked {played.seconds:.1f} s at {played.mean_speed:.2f} m/s{', then fell' if played.fell else ''}.")
     if video is not None:
         print(video)
     return played
+
+
+def _of_a_run(folder: Path, policy: str | Path, robot: str | None, speed: float) -> Walk:
+    from hts.config_loading import read_config
+    from hts.evaluation.final import policy_file
+    from hts.plugins import load
+
+    config = read_config(folder / "config.yaml")
+    if robot not in (None, config.robot.name):
+        raise ConfigError(f"--robot {robot}: the robot of {folder} is '{config.robot.name}'. Leave it out.")
+    return Walk(load().make_robot(config.robot.name, config.robot.settings), policy_file(folder, policy), speed)
+
+
+def _of_a_file(policy: str | Path, robot: str | None, speed: float) -> Walk:
+    from hts.plugins import load
+    from hts.policies.deploy import DeployedPolicy
+    from hts.policies.export import to_onnx
+    from hts.policies.export_command import given_file
+    from hts.policies.files import load_policy
+
+    path = given_file(policy, (".safetensors", ".onnx"))
+    with tempfile.TemporaryDirectory() as place:
+        if path.suffix == ".safetensors":
+            path = to_onnx(load_policy(path), Path(place) / f"{path.stem}.onnx")
+        return Walk(load().make_robot(robot or DeployedPolicy(path).card.robot), path, speed)
 
 
 class Walk:
@@ -91,7 +116,7 @@ class Walk:
         self.policy = DeployedPolicy(policy)
         made_for = self.policy.card.robot
         if made_for != robot.spec.name:
-            raise ConfigError(f"{policy}: made for robot '{made_for}', this run's robot is '{robot.spec.name}'.")
+            raise ConfigError(f"{policy}: made for robot '{made_for}', this robot is '{robot.spec.name}'.")
         self._step = mujoco.mj_step
         joints = robot.spec.num_joints
         self.data.qpos[:3] = 0.0, 0.0, robot.spec.base_height

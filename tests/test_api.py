@@ -101,3 +101,14 @@ def test_load_refuses_a_folder_without_a_run(tmp_path):
 def test_a_run_gives_its_policies_by_name(folder):
     with pytest.raises(PolicyError, match="No policy named 'best'"):
         api.load(folder).policy()
+
+
+def test_a_robot_is_made_by_name_with_its_settings(monkeypatch):
+    from hts import plugins
+    from hts.plugins import Entry, Registry
+
+    made = Entry("wheels", dict, "hts-wheels")
+    monkeypatch.setattr(plugins, "load", lambda: Registry(robots={"wheels": made}))
+    assert api.robot("wheels") == {} and api.robot("wheels", {"size": 2}) == {"size": 2}
+    with pytest.raises(ConfigError, match="No robot named 'wheel'. Did you mean 'wheels'?"):
+        api.robot("wheel")

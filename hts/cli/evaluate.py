@@ -14,7 +14,7 @@ def command(
     speed: Annotated[
         list[float] | None, typer.Option(help="m/s; repeat for several. Default: those of the run.")
     ] = None,
-    policy: Annotated[str, typer.Option(help="best, pretrained, a candidate's id, or an ONNX file.")] = "best",
+    policy: Annotated[str, typer.Option(help=f"{options.POLICIES}, or a file: .onnx or .safetensors.")] = "best",
     world: Annotated[str | None, typer.Option(metavar="NAME", help="Another world than that of the run.")] = None,
     seed: options.Seed = None,
 ) -> None:

@@ -14,17 +14,25 @@ FORMATS = ("onnx", "torchscript")
 
 
 def command(
-    folder: options.RunFolder,
     to: Annotated[Path, typer.Option(help="File to write.")],
-    policy: Annotated[str, typer.Option(help="best, pretrained, or a candidate's id.")] = "best",
+    folder: options.RunFolderOrNone = None,
+    policy: Annotated[str | None, typer.Option(help=f"Of a run {options.POLICIES}; or a .safetensors file.")] = None,
+    robot: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Whose it must be; another robot's policy is refused.")
+    ] = None,
     format_: Annotated[str, typer.Option("--format", help="onnx or torchscript.")] = "onnx",
 ) -> None:
-    """Write a policy as ONNX or TorchScript, with all that the robot's computer must know about it."""
-    from hts.cli.run_folder import existing_run
+    """Write a policy as ONNX or TorchScript, with all that the robot's computer must know about it.
+
+    Of a run: hts export DIR --to best.onnx. Of a file: hts export --policy mine.safetensors --to mine.onnx.
+    """
+    from hts.cli.run_folder import run_or_policy_file
 
     if format_ not in FORMATS:
         raise ConfigError("--format: " + unknown_name("format", format_, FORMATS))
-    existing_run(folder)
+    chosen = run_or_policy_file(folder, policy)
+    from hts.plugins import load
     from hts.policies.export_command import export_policy
 
-    typer.echo(str(export_policy(folder, policy=policy, format=format_, to=to)))
+    spec = None if robot is None else load().make_robot(robot).spec
+    typer.echo(str(export_policy(folder, policy=chosen, format=format_, to=to, robot=spec)))

@@ -16,7 +16,12 @@ RobotName = Annotated[
 ]
 Preset = Annotated[str | None, typer.Option(help="smoke, quick (default), paper or paper-exact.")]
 WorldName = Annotated[
-    str | None, typer.Option("--world", metavar="NAME", help='Where policies run "for real": twin or field.')
+    str | None,
+    typer.Option(
+        "--world",
+        metavar="NAME",
+        help='Where policies run "for real": twin, field, or a plugin\'s. `hts plugins` lists them.',
+    ),
 ]
 ConfigFile = Annotated[Path | None, typer.Option("--config", help="YAML file laid over the preset.")]
 Overrides = Annotated[
@@ -35,3 +40,8 @@ Out = Annotated[Path | None, typer.Option(help="Run folder; default runs/OBJECTI
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the run will cost, and stop.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="A run folder.")]
+RunFolderOrNone = Annotated[
+    Path | None, typer.Argument(metavar="DIR", help="A run folder; none for a policy file that belongs to no run.")
+]
+POLICIES = "best, pretrained, a candidate's id"
+"""How policies of a run are called, for the help of --policy."""

@@ -11,15 +11,23 @@ from hts.cli import options
 
 
 def command(
-    folder: options.RunFolder,
-    policy: Annotated[str, typer.Option(help="best, pretrained, a candidate's id, or a policy file.")] = "best",
+    folder: options.RunFolderOrNone = None,
+    policy: Annotated[
+        str | None, typer.Option(help=f"Of a run {options.POLICIES}; or a file, .onnx or .safetensors.")
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Without a run: the machine; default: that of the policy file.")
+    ] = None,
     speed: Annotated[float, typer.Option(help="Commanded forward speed, m/s.")] = 0.8,
     video: Annotated[Path | None, typer.Option(help="Write a video file instead of opening a window.")] = None,
 ) -> None:
-    """See a policy walk, in a window or as a video."""
-    from hts.cli.run_folder import existing_run
+    """See a policy walk, in a window or as a video.
 
-    existing_run(folder)
+    Of a run: hts play DIR. Of a file: hts play --policy mine.safetensors.
+    """
+    from hts.cli.run_folder import run_or_policy_file
+
+    chosen = run_or_policy_file(folder, policy)
     from hts.play import play
 
-    play(folder, policy=policy, speed=speed, video=video)
+    play(folder, policy=chosen, speed=speed, video=video, robot=robot)

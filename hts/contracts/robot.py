@@ -112,8 +112,12 @@ class Robot(ABC):
 
     spec: RobotSpec
     held_at_zero: Mapping[str, float] = MappingProxyType({})
-    """Sim channels, each of a single number, that fine-tuning holds at zero on average (`finetune.hold`), and an error
-    of each that matters: how well the task is done, so that less of it is no saving. By default there is none."""
+    """Sim channels, each of a single number, that fine-tuning holds at zero on average (`finetune.hold`): how well the
+    task is done, so that less of it is no saving. By default there is none.
+
+    The value is an error that matters, above 0, in the channel's unit: a mean that far from zero is answered at once
+    (`hts.rl.EqualityMultiplier`). The velocity task holds `speed_error`, a share of the command, with 0.02: 2 % of the
+    speed. `make_env` is asked for such a channel like for any other; recordings need not have it."""
 
     @abstractmethod
     def mjcf(self) -> Any | None:

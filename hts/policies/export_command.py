@@ -1,25 +1,41 @@
-"""`hts export`: a policy of a run, written for the robot's computer."""
+"""`hts export`: a policy of a run, or of a file, written for the robot's computer."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from hts.contracts import RobotSpec
 from hts.errors import PolicyError, RunError, unknown_name
 
 
-def export_policy(folder: Path, policy: str, format: str, to: Path) -> Path:
+def export_policy(folder: Path | None, policy: str, format: str, to: Path, robot: RobotSpec | None = None) -> Path:
     """Write a policy of the run in `folder` to the file `to`; that path.
 
-    policy: "best", "pretrained" or a candidate's id; format: "onnx" or "torchscript".
-    Raises PolicyError for a policy that is not there or is damaged, RunError if `to` exists: nothing is overwritten.
+    policy: "best", "pretrained", a candidate's id or a .safetensors file, without a folder always a file; format:
+    "onnx" or "torchscript"; robot: whose the policy must be, None for any.
+    Raises PolicyError for a policy that is not there, is damaged or another robot's, RunError if `to` exists: nothing
+    is overwritten.
     """
     from hts.policies import export
     from hts.policies.files import load_policy
 
     if to.exists():
         raise RunError(f"{to}: exists already. Choose another file with --to.")
-    found = load_policy(find_policy(folder, policy))
+    if folder is None or Path(policy).suffix == ".safetensors":
+        path = given_file(policy, (".safetensors",))
+    else:
+        path = find_policy(folder, policy)
+    found = load_policy(path, robot)
     return export.to_onnx(found, to) if format == "onnx" else export.to_torchscript(found, to)
+
+
+def given_file(policy: str | Path, endings: Sequence[str]) -> Path:
+    """The file that was named instead of a run's policy. Raises PolicyError if it is none."""
+    path = Path(policy)
+    if path.suffix not in endings or not path.is_file():
+        raise PolicyError(f"{policy}: expected a policy file that exists, ending in {' or '.join(endings)}.")
+    return path
 
 
 def find_policy(folder: Path, policy: str) -> Path:

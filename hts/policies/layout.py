@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from pydantic import Field, ValidationError
@@ -18,6 +18,9 @@ from hts.errors import ConfigError, PolicyError, unknown_name
 from hts.explain import explain
 from hts.rl.task_env import TaskEnv
 from hts.yaml_text import load_mapping_file
+
+if TYPE_CHECKING:
+    from torchrl.envs import EnvBase
 
 
 @dataclass(frozen=True)
@@ -78,15 +81,29 @@ def seen_by(robot: Robot) -> Seen:
         return seen_in_velocity_task(robot.spec)
     env = robot.make_env("mujoco", 1, 1, EnvConfig(), seeds=[0])
     try:
-        parts = env.observation_layout if isinstance(env, TaskEnv) else None
-        if parts is None:
-            raise ConfigError(
-                f"The env of robot '{robot.spec.name}' does not say what a policy sees in it, so none can be read for "
-                "it. Derive it from hts.rl.TaskEnv and give it observation_layout = [{'name': …, 'size': …}, …]."
-            )
+        parts = layout_of(env, robot.spec.name)
         return Seen(tuple(parts), int(env.observation_spec["critic_observation"].shape[-1]))
     finally:
         env.close()
+
+
+def layout_of(env: EnvBase, robot: str) -> list[dict[str, Any]]:
+    """What a policy sees in an env, [{name, size}], for its card. robot: its name, for the message.
+
+    Raises ConfigError for an env that does not derive from `hts.rl.TaskEnv`, or does and has no layout.
+    """
+    if not isinstance(env, TaskEnv):
+        raise ConfigError(
+            f"The env of robot '{robot}', a {type(env).__name__}, does not derive from hts.rl.TaskEnv, so what a "
+            "policy sees in it is not asked for. Derive it from hts.rl.TaskEnv instead of EnvBase "
+            "(hts.envs.folded.FoldedEnv is one already) and keep its observation_layout."
+        )
+    if env.observation_layout is None:
+        raise ConfigError(
+            f"The env of robot '{robot}', a {type(env).__name__}, does not say what a policy sees in it, which the "
+            "policy's card must hold. Give it observation_layout = [{'name': …, 'size': …}, …]."
+        )
+    return env.observation_layout
 
 
 def order(

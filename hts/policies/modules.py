@@ -78,6 +78,8 @@ def critic_of(policy: Policy) -> ValueOperator:
 def with_parameters(policy: Policy, actor: nn.Module, critic: nn.Module | None = None) -> Policy:
     """The policy with the numbers of modules that `actor_of` and `critic_of` made, trained since: ready to be saved.
 
+    How the policy was made that this one started from stands in the new card under `made.start`, beside its hash: the
+    card cannot know what was done since. Numbers that are the same are the same policy, with the card that it had.
     Raises ValueError for modules of another shape.
     """
     tensors = {name: value.clone() for name, value in policy.tensors.items()}
@@ -85,7 +87,12 @@ def with_parameters(policy: Policy, actor: nn.Module, critic: nn.Module | None =
     tensors["log_std"] = _single(actor, GaussianMean).log_std.detach().cpu().clone()
     if critic is not None:
         _take(tensors, "critic", critic)
-    return Policy(tensors, dataclasses.replace(policy.card, policy_hash=hash_tensors(tensors)))
+    own = hash_tensors(tensors)
+    if own == policy.card.policy_hash:
+        return Policy(tensors, policy.card)
+    start = {"policy_hash": policy.card.policy_hash, "made": dict(policy.card.made)}
+    made = {"by": "hts.policies.modules.with_parameters", "start": start}
+    return Policy(tensors, dataclasses.replace(policy.card, policy_hash=own, made=made))
 
 
 def _take(tensors: dict[str, torch.Tensor], part: str, module: nn.Module) -> None:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hts.config import EvaluationConfig
-from hts.contracts import Comparison, FineTuning, RacedCandidate, Rounds, Selector, TestedCandidate
+from hts.contracts import Comparison, FineTuning, RacedCandidate, Rounds, Selector, Task, TestedCandidate
+from hts.contracts.task import FollowVelocity
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import CandidateResult, candidate_result
 from hts.evaluation.halves import Half, halves
@@ -80,12 +81,19 @@ def whole(job: Job, iteration: int, elites: Sequence[str], report: Report) -> Te
         )
         if sessions is None:
             world = job.config.world.name
-            job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: each speed gets one of its own.")
+            job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: {one_for_each(job.robot.task())}")
     if sessions is None:
         sessions = job.world.head_to_heads(policies, reference, selection.tested_speeds)
     of = {elite: list(session) for elite, session in zip(elites, sessions, strict=True)}
     results = {elite: _result(job, iteration, elite, recordings) for elite, recordings in of.items()}
     return Tests(of, [recording for session in of.values() for recording in session], results)
+
+
+def one_for_each(task: Task) -> str:
+    """The end of a sentence about head-to-heads that are not shared, in the task's words."""
+    if task.set_points == ():  # nothing is commanded, so there is one of them
+        return "each elite gets one."
+    return f"each {'speed' if isinstance(task, FollowVelocity) else 'set-point'} gets one of its own."
 
 
 def in_rounds(

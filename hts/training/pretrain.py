@@ -11,10 +11,9 @@ from typing import Any
 from hts.atomic import atomic_write
 from hts.config import PretrainConfig
 from hts.contracts import Robot
-from hts.errors import ConfigError
 from hts.policies.files import Policy, make_card, save_policy
+from hts.policies.layout import layout_of
 from hts.rl.population import Population, Sizes
-from hts.rl.task_env import TaskEnv
 from hts.training.finetune import check_env
 from hts.training.trainer import PopulationTrainer
 
@@ -25,18 +24,13 @@ def pretrain_policy(
     """Train from scratch; writes out/pretrained.safetensors, .json and curve.json (a row per 20 batches).
     Returns the policy's path.
 
-    progress: called with each row. Raises SimulationError if training goes non-finite.
+    progress: called with each row. Raises SimulationError if training goes non-finite, ConfigError for an env that
+    does not say what a policy sees in it.
     """
     started = time.perf_counter()
     env_config = config.env.model_copy(update={"seed": config.seed})
     env = robot.make_env(config.engine, 1, config.num_envs, env_config, channels=("joint_torque",), seeds=[config.seed])
-    layout = env.observation_layout if isinstance(env, TaskEnv) else None
-    if layout is None:
-        raise ConfigError(
-            f"The env of robot '{robot.spec.name}' does not say what a policy sees in it, which the policy's card must "
-            "hold. "
-            'Derive it from hts.rl.TaskEnv and give it observation_layout = [{"name": ..., "size": ...}, ...].'
-        )
+    layout = layout_of(env, robot.spec.name)
     spaces = env.observation_spec
     sizes = Sizes(
         spaces["observation"].shape[-1], spaces["critic_observation"].shape[-1], robot.spec.num_joints, config.hidden

@@ -330,3 +330,14 @@ def test_the_table_of_commands_and_the_modules_agree():
     for name, (module, _) in COMMANDS.items():
         loaded = importlib.import_module(module)
         assert isinstance(getattr(loaded, "app", None), typer.Typer) or loaded.command.__doc__, name
+
+
+@pytest.mark.parametrize("command", [["export", "--to", "new.onnx"], ["play", "--video", "new.mp4"]])
+def test_without_a_run_a_policy_file_must_be_named(command, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("hts.play._prepare_drawing", lambda: None)
+    assert main(command) == 2
+    assert "Give one: DIR, or --policy FILE.safetensors." in one_line_of(capsys)
+    assert main([*command, "--policy", "best"]) == 2
+    assert "best: expected a policy file that exists" in one_line_of(capsys)
+    assert list(tmp_path.iterdir()) == []

@@ -9,7 +9,7 @@ import pytest
 
 from hts import play as module
 from hts.config_loading import dump_config, load_config
-from hts.errors import ConfigError, RunError, SimulationError
+from hts.errors import ConfigError, PolicyError, RunError, SimulationError
 
 pytest.importorskip("hts_go1", reason="the walk needs an installed robot with a model")
 
@@ -62,7 +62,7 @@ def test_a_policy_of_another_robot_is_refused_by_name(walk, run_folder, monkeypa
 
     robot = walk.robot
     monkeypatch.setattr(robot, "spec", replace(robot.spec, name="other"), raising=False)
-    with pytest.raises(ConfigError, match="made for robot 'go1', this run's robot is 'other'"):
+    with pytest.raises(ConfigError, match="made for robot 'go1', this robot is 'other'"):
         module.Walk(robot, run_folder / "policies" / "pretrained.onnx", 0.8)
 
 
@@ -107,6 +107,43 @@ def test_an_existing_video_is_not_overwritten(run_folder, tmp_path):
 def test_a_video_of_another_kind_is_refused(run_folder, tmp_path):
     with pytest.raises(ConfigError, match="ends in .mp4"):
         module.play(run_folder, policy="pretrained", video=tmp_path / "walk.png")
+
+
+@pytest.mark.parametrize("ending", [".safetensors", ".onnx"])
+def test_a_policy_file_walks_without_a_run_as_the_robot_it_was_made_for(run_folder, ending):
+    from hts.plugins import load
+
+    source = load().make_robot("go1").pretrained_policy()
+    file = source if ending == ".safetensors" else run_folder / "policies" / "pretrained.onnx"
+    walk = module._of_a_file(file, None, 0.8)
+    walk.step()
+    assert walk.robot.spec.name == "go1" and walk.seconds == pytest.approx(0.02)
+
+
+def test_without_a_run_a_policy_must_be_a_file_and_with_one_the_robot_is_the_runs(run_folder, tmp_path):
+    with pytest.raises(PolicyError, match="best: expected a policy file that exists, ending in .safetensors or .onnx"):
+        module._of_a_file("best", None, 0.8)
+    with pytest.raises(ConfigError, match="--robot other: the robot of .* is 'go1'. Leave it out."):
+        module._of_a_run(run_folder, "pretrained", "other", 0.8)
+
+
+def test_a_robot_with_an_env_of_its_own_and_no_model_is_not_advised_about_logs(run_folder):
+    from hts.contracts import LogOnlyRobot, Robot
+    from hts.plugins import load
+
+    spec = load().make_robot("go1").spec
+
+    class Own(LogOnlyRobot):
+        def make_env(self, *given, **named):
+            raise AssertionError("not asked here")
+
+    def said(robot: Robot) -> str:
+        with pytest.raises(ConfigError, match="has no model") as caught:
+            module.Walk(robot, run_folder / "policies" / "pretrained.onnx", 0.8)
+        return str(caught.value)
+
+    assert "hts import" in said(LogOnlyRobot(spec, []))
+    assert "env of its own" in said(Own(spec, [])) and "log" not in said(Own(spec, []))
 
 
 def test_a_film_has_25_frames_a_second_and_is_said_to_be_simulation(run_folder, tmp_path, monkeypatch, capsys):

@@ -23,6 +23,8 @@ from hts.config import EnvConfig
 from hts.contracts import WorldContext
 from hts.envs.folded import FoldedEnv
 from hts.errors import ConfigError, WorldError
+from hts.policies.files import load_policy
+from hts.policies.layout import layout_of
 from hts.testing.packages import write_package
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs/examples/dm_control_walker"
@@ -150,6 +152,15 @@ def test_the_fast_task_of_the_pretraining_is_the_suites_task(robot):
     fast.close()
 
 
+def test_the_script_that_made_the_policy_still_makes_one(robot, tmp_path, capsys):
+    importlib.import_module("make_policy").main(tmp_path, steps=64, num_envs=2)
+    made = load_policy(tmp_path / "pretrained", robot.spec).card
+    shipped = load_policy(robot.pretrained_policy(), robot.spec).card
+    assert made.observation == shipped.observation and made.hidden == shipped.hidden
+    assert made.made["command"] == "python make_policy.py OUT" and made.made["steps"] == 64
+    assert str(tmp_path / "pretrained.safetensors") in capsys.readouterr().out
+
+
 class Counting(EnvBase):
     """A task of no library: world w counts its steps from 10 w, and ends when it has counted far enough."""
 
@@ -236,6 +247,17 @@ def test_worlds_that_cannot_be_shared_out_are_refused_in_one_line():
         FoldedEnv(Counting(6), 4, dt=0.5, observation=["actor"], channels={}, values=lambda after, action: {})
 
 
+def test_an_env_without_a_layout_and_one_that_is_not_asked_for_it_are_told_apart():
+    plain, silent = Counting(2), folded()
+    plain.observation_layout = [{"name": "actor", "size": 2}]
+    with pytest.raises(ConfigError, match="'own', a Counting, does not derive from hts.rl.TaskEnv"):
+        layout_of(plain, "own")
+    silent.observation_layout = None
+    with pytest.raises(ConfigError, match="'own', a FoldedEnv, does not say what a policy sees.*Give it observation_l"):
+        layout_of(silent, "own")
+    assert layout_of(folded(), "own") == [{"name": "actor", "size": 2}]
+
+
 # ------------------------------------------------------------------------------------------------------- the lab
 
 
@@ -247,7 +269,6 @@ def lab(settings: dict, robot: str = "dm_walker"):
 @pytest.fixture
 def exported(robot, tmp_path) -> Path:
     from hts.policies.export import to_onnx
-    from hts.policies.files import load_policy
 
     return to_onnx(load_policy(robot.pretrained_policy(), robot.spec), tmp_path / "pretrained.onnx")
 
@@ -327,7 +348,6 @@ def test_the_example_keeps_every_demand_of_the_kit(hts, installed):
 @pytest.mark.slow
 def test_an_env_that_cannot_save_its_state_is_trained_in_without_checkpoints(robot, tmp_path, monkeypatch):
     from hts.config import FinetuneConfig, PPOConfig
-    from hts.policies.files import load_policy
     from hts.training import finetune
     from hts.training.sweep import Candidate
 
@@ -352,7 +372,6 @@ def test_an_env_that_cannot_save_its_state_is_trained_in_without_checkpoints(rob
 @pytest.mark.slow
 def test_a_policy_can_be_pretrained_in_somebody_elses_env(robot, tmp_path):
     from hts.config import PPOConfig, PretrainConfig
-    from hts.policies.files import load_policy
     from hts.training.pretrain import pretrain_policy
 
     config = PretrainConfig(

@@ -185,3 +185,15 @@ def test_a_policy_of_a_run_is_exported_by_name_and_nothing_is_overwritten(policy
         export_policy(tmp_path / "run", "best", "onnx", target)
     with pytest.raises(PolicyError, match="No policy named 'bst'. Did you mean 'best'?"):
         export_policy(tmp_path / "run", "bst", "onnx", tmp_path / "other.onnx")
+
+
+def test_a_policy_file_that_belongs_to_no_run_is_exported_for_its_own_robot_only(policy, tmp_path):
+    file = save_policy(tmp_path / "mine", policy)
+    target = export_policy(None, str(file), "onnx", tmp_path / "mine.onnx", robot=SPEC)
+    assert DeployedPolicy(target).card.policy_hash == policy.card.policy_hash
+    with pytest.raises(PolicyError, match="other"):
+        export_policy(None, str(file), "onnx", tmp_path / "new.onnx", robot=dataclasses.replace(SPEC, name="other"))
+    for wrong in ("best", str(target), str(tmp_path / "nothing.safetensors")):
+        with pytest.raises(PolicyError, match="expected a policy file that exists, ending in .safetensors"):
+            export_policy(None, wrong, "onnx", tmp_path / "new.onnx")
+    assert not (tmp_path / "new.onnx").exists()

@@ -41,9 +41,9 @@ def population() -> Population:
     return made
 
 
-def policy() -> Policy:
+def policy(**made) -> Policy:
     tensors = population().candidate(0)
-    return Policy(tensors, make_card(SPEC, tensors, observation_layout(2), SIZES))
+    return Policy(tensors, make_card(SPEC, tensors, observation_layout(2), SIZES, **made))
 
 
 def test_a_policy_file_opens_as_an_ordinary_actor_and_critic(tmp_path):
@@ -75,6 +75,21 @@ def test_what_was_trained_goes_back_into_a_policy_file(tmp_path):
     for name in ("actor.0.weight", "critic.2.bias", "log_std"):
         torch.testing.assert_close(changed.tensors[name], start.tensors[name] + 0.1)
     assert torch.equal(changed.tensors["observation_mean"], start.tensors["observation_mean"])
+
+
+def test_what_was_trained_since_does_not_claim_to_have_been_made_as_its_start_was(tmp_path):
+    start = policy(command="hts pretrain --robot cart")
+    actor = actor_of(start)
+    assert with_parameters(start, actor).card == start.card
+    with torch.no_grad():
+        next(actor.parameters()).add_(0.1)
+    once = load_policy(save_policy(tmp_path / "once", with_parameters(start, actor)))
+    assert "command" not in once.card.made
+    assert once.card.made["start"] == {"policy_hash": start.card.policy_hash, "made": start.card.made}
+    with torch.no_grad():
+        next(actor.parameters()).add_(0.1)
+    twice = with_parameters(once, actor).card.made["start"]
+    assert twice["policy_hash"] == once.card.policy_hash and twice["made"] == once.card.made
 
 
 def test_a_module_of_another_shape_is_refused():

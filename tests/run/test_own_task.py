@@ -272,6 +272,29 @@ def test_the_field_asks_for_the_set_point_and_not_for_a_speed(tmp_path, policy):
     assert '"set_point": 0.8' in (bundle / "plan.json").read_text()
 
 
+@pytest.mark.parametrize(
+    ("set_points", "words"),
+    [((), "each elite gets one."), ((0.4, 0.8), "each set-point gets one of its own.")],
+)
+def test_head_to_heads_that_are_not_shared_are_told_in_the_words_of_the_task(set_points, words):
+    from hts.contracts import Task
+    from hts.contracts.task import VELOCITY
+    from hts.run.testing_elites import one_for_each
+
+    class Own(Task):
+        quantity, unit, channels = "hook height", "m", ("hook_height",)
+
+        def achieved(self, channels):
+            return channels["hook_height"]
+
+        def done(self, achieved, set_point, tolerance):
+            return True
+
+    Own.set_points = set_points
+    assert one_for_each(Own()) == words
+    assert one_for_each(VELOCITY) == "each speed gets one of its own."
+
+
 def test_a_twin_refuses_it(tmp_path):
     from hts.worlds.twin.process import Twin
 

@@ -85,7 +85,9 @@ def test_a_reward_that_cannot_be_computed_is_told(broken):
 def test_an_objective_without_an_instrument_has_no_twin(broken):
     broken("instrument = None")
     text = refusal(UnfitWorldError, "broken", "twin")
-    assert "names no instrument" in text and "start a run in another world" in text
+    assert "names no instrument" in text and "start a run in another world: --world " in text
+    offered = text.split("--world ")[1].rstrip(".").split(" or ")
+    assert offered == sorted(set(load().worlds) - {"twin"}) and "field" in offered
 
 
 def test_an_instrument_that_measures_something_else_is_told(broken):

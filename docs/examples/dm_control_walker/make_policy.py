@@ -17,10 +17,10 @@ import mujoco
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import EnvBase
 
 from hts.config import PPOConfig, PretrainConfig
 from hts.rl.random import PopulationRandom
+from hts.rl.task_env import TaskEnv
 from hts.sim.selection import make_engine
 from hts.training.pretrain import pretrain_policy
 from hts_walker.robot import OBSERVATION, SPEC, Settings, Walker
@@ -61,7 +61,7 @@ def task_reward(qpos: torch.Tensor, speed: torch.Tensor) -> torch.Tensor:
     return stand * (5 * move + 1) / 6
 
 
-class FastWalkerEnv(EnvBase):
+class FastWalkerEnv(TaskEnv):
     """The task on the batched engine, [P, N] env instances."""
 
     batch_locked = True

@@ -22,7 +22,8 @@ def instrument_names(registry: Registry, objectives: Mapping[str, Settings]) -> 
         if instrument is None:
             raise UnfitWorldError(
                 f"Objective '{name}' names no instrument, so a twin cannot measure it. "
-                "Set `instrument` in the objective's class, or start a run in another world: --world field."
+                "Set `instrument` in the objective's class, or start a run in another world: --world "
+                f"{' or '.join(sorted(set(registry.worlds) - {'twin'}))}."
             )
         names[instrument] = None
     return list(names)
