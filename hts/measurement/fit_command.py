@@ -188,7 +188,7 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
         lines.append(
             f"{target}: held-out R² {_number(found)} is below 0: the mean of the data predicts better. Either the "
             "inputs do not explain it, or it remembers more than about a second (a temperature does): make a target of "
-            "the loss or the power instead, or record more."
+            "the loss that heats instead, or record more."
         )
     elif found is not None and linear is not None and linear - found >= WORSE_THAN_LINEAR:
         lines.append(

@@ -8,8 +8,8 @@ import importlib
 import inspect
 import re
 import textwrap
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, ForwardRef
 
 HEAD = ("| field | type | default | meaning |", "|---|---|---|---|")
 NAMES = re.compile(r"`*(\w+(?:`*(?:, | and )`*\w+)*)`*:? +(.*)")
@@ -32,7 +32,7 @@ def without_meaning(made: type) -> list[str]:
 
 def has_fields(one: Any) -> bool:
     """Whether it is a dataclass or a NamedTuple."""
-    return isinstance(one, type) and (dataclasses.is_dataclass(one) or hasattr(one, "_field_defaults"))
+    return isinstance(one, type) and (dataclasses.is_dataclass(one) or "_field_defaults" in vars(one))
 
 
 def signature_list(module_name: str) -> str:
@@ -48,14 +48,12 @@ def cell(text: str) -> str:
 
 def _public(module: Any) -> Iterator[tuple[str, Any]]:
     """By `__all__`; of a module without one, what is defined there."""
-    names: Iterable[str] = getattr(module, "__all__", None) or (
-        name
-        for name, one in vars(module).items()
-        if not name.startswith("_") and getattr(one, "__module__", "") == module.__name__
-    )
-    for name in names:
+    named = vars(module).get("__all__")
+    for name in named or vars(module):
         one = getattr(module, name)
-        if inspect.isclass(one) or inspect.isfunction(one):
+        if not (inspect.isclass(one) or inspect.isfunction(one)):
+            continue
+        if named or (one.__module__ == module.__name__ and not name.startswith("_")):
             yield name, one
 
 
@@ -96,12 +94,14 @@ def _text(kind: Any) -> str:
     """A type as it is written; a NamedTuple holds forward references."""
     if isinstance(kind, str):
         return kind
-    return str(getattr(kind, "__forward_arg__", None) or getattr(kind, "__name__", kind))
+    if isinstance(kind, ForwardRef):
+        return kind.__forward_arg__
+    return kind.__name__ if isinstance(kind, type) else str(kind)
 
 
 def _defaults(made: type) -> dict[str, str]:
     if not dataclasses.is_dataclass(made):
-        return {name: repr(value) for name, value in getattr(made, "_field_defaults", {}).items()}
+        return {name: repr(value) for name, value in vars(made)["_field_defaults"].items()}
     found = {}
     for one in dataclasses.fields(made):
         if one.default is not dataclasses.MISSING:
