@@ -120,7 +120,10 @@ def robot(name: str, settings: Mapping[str, Any] | None = None) -> Robot:
 
 @dataclass(frozen=True)
 class Run:
-    """What a run left behind: its folder, resolved configuration, and `summary.json` (None if it is not finished)."""
+    """What a run left behind.
+
+    folder: where it lies; config: as it was resolved; summary: what `summary.json` holds, None if it is not finished.
+    """
 
     folder: Path
     config: RunConfig

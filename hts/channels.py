@@ -10,10 +10,13 @@ from hts.errors import RecordingError
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One named time series: its unit, and the shape of a single sample (``()`` for a scalar).
+    """One named time series.
 
-    ``may_be_constant`` is for quantities that may honestly stand still during a recording,
-    such as a temperature or a state of charge. unit: see `hts.units`; raises RecordingError for one that nobody knows.
+    name: as recordings and models ask for it; unit: of every number, see `hts.units`; shape: of a single sample, ()
+    for a scalar; description: for the reader of a table; may_be_constant: for quantities that may honestly stand still
+    during a recording, such as a temperature or a state of charge.
+
+    Raises RecordingError for a unit that nobody knows.
     """
 
     name: str

@@ -25,7 +25,7 @@ from hts.layers import in_full as written_out
 from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
 from hts.presets import ASKS_OBJECTIVES, BASELINES, DEFAULT, PRESETS, SEVERAL
-from hts.task_settings import check_task, task_layer
+from hts.task_settings import check_simulated, check_task, task_layer
 from hts.yaml_text import load_mapping_file
 
 if TYPE_CHECKING:
@@ -158,6 +158,7 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     for name, settings in config.objectives.items():
         registry.make_objective(name, settings)
     robot = registry.make_robot(config.robot.name, config.robot.settings)
+    check_simulated(robot)
     check_task(config, robot)
     registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     with tempfile.TemporaryDirectory() as nowhere:

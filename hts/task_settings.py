@@ -42,6 +42,18 @@ def task_layer(registry: Registry, robot: Any, preset: Mapping[str, Any]) -> dic
     }
 
 
+def check_simulated(robot: Robot) -> None:
+    """There is something to train in. Raises ConfigError for a log-only robot."""
+    from hts.contracts import Robot
+
+    without_env = type(robot).make_env is Robot.make_env
+    if without_env and robot.mjcf() is None and robot.pretrained_policy() is None:
+        raise ConfigError(
+            f"Robot '{robot.spec.name}' is log-only: it has no simulation; `hts import` and `hts fit` are for it. To "
+            "train a policy it needs an env and a policy to start from (docs/authors/robot.md)."
+        )
+
+
 def check_task(config: RunConfig, robot: Robot) -> None:
     """Every set-point of the configuration is one of the robot's task, whose channels it gives. Raises ConfigError."""
     task: Task = robot.task()

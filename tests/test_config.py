@@ -16,6 +16,7 @@ from hts.errors import ConfigError
 from hts.layers import laid
 from hts.plugins import Entry, Registry, load
 from hts.presets import BASELINES, PRESETS
+from hts.testing.examples.log_only_robot.plugin import make_robot
 from hts.testing.examples.objective.objective import Fake
 from hts.testing.examples.robot.robot import Tiny
 
@@ -231,6 +232,14 @@ def test_a_misspelt_name_is_answered_with_the_closest(given, message):
     with pytest.raises(ConfigError) as caught:
         check_names(fake_config(**given), registry())
     assert message in str(caught.value)
+
+
+def test_a_log_only_robot_is_told_what_it_is_for_and_not_what_its_task_lacks():
+    logged = {"logged": Entry("logged", make_robot, "lab")}
+    with pytest.raises(ConfigError) as caught:
+        check_names(fake_config(robot="logged"), replace(registry(), robots=logged))
+    assert str(caught.value).startswith("Robot 'logged' is log-only: it has no simulation; `hts import` and `hts fit`")
+    assert "base_velocity" not in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_file_may_name_objectives_robot_and_world_by_name_alone(tmp_path):

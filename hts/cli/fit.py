@@ -16,11 +16,16 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder for the model and fit.json.")],
     set_: options.Overrides = None,
 ) -> None:
-    """Fit one measurement model, with its checks: OUT/fit.json says how well it predicts."""
+    """Fit one measurement model, with its checks: OUT/fit.json says how well it predicts.
+
+    No robot is named: joints, channels, units and rate are those of the recordings in the store.
+    """
     import json
 
-    from hts.measurement.fit_command import fit_store, summary_line
+    from hts.measurement.fit_command import doubts, fit_store, summary_line
 
-    report = fit_store(objective, data, out, overrides=set_ or ())
-    typer.echo(summary_line(json.loads(report.read_text(encoding="utf-8"))))
-    typer.echo(str(report))
+    written = fit_store(objective, data, out, overrides=set_ or ())
+    report = json.loads(written.read_text(encoding="utf-8"))
+    for line in (summary_line(report), *doubts(report)):
+        typer.echo(line)
+    typer.echo(str(written))

@@ -33,7 +33,7 @@ def command(
     from hts.cli.printable import printable
     from hts.errors import ConfigError, RecordingError, unknown_name
     from hts.plugins import load
-    from hts.recordings.mapping import load_mapping
+    from hts.recordings.mapping import assumed_order, load_mapping
     from hts.recordings.needs import check_mapping
     from hts.recordings.reading import read_log
     from hts.recordings.store import RecordingStore
@@ -70,6 +70,7 @@ def command(
         recording_id = store.write(recording, ", ".join(str(path) for path in group))
         again = " (was there already)" if recording_id in before else ""
         notes = "; ".join(f"{key} {text}" for key, text in recording.notes.items() if key != "source")
+        notes = "; ".join(filter(None, (notes, assumed_order(given, machine.spec.joint_names))))
         names = ", ".join(path.name for path in group)
         line = f"{recording_id}  {names}: {recording.seconds:.2f} s at {recording.rate_hz:g} Hz, "
         line += f"{', '.join(recording.channels)}{again}" + (f" [{notes}]" if notes else "")

@@ -141,7 +141,9 @@ def _lines(page: Data, width: int) -> Iterable[str]:
     yield from _channel_lines(
         "channels" if "real_channels" not in page else "channels of simulation and robot", page.get("channels"), width
     )
-    yield from _channel_lines("channels of the robot alone", page.get("real_channels"), width)
+    yield from _channel_lines(
+        "channels of the robot alone, which installed objectives want measured", page.get("real_channels"), width
+    )
     if "settings" in page:
         yield from _setting_lines(page, width)
 

@@ -37,6 +37,7 @@ class PhysicsSample:
 class Fact:
     """A public fact about the real machine: something that the instrument shows lies between two bounds.
 
+    name: for tables; low, high: the bounds, in `unit`; unit: of the bounds and of what `reading` gives;
     speed: that the robot's own policy is commanded, m/s; 0: standing. reading: its value from what was recorded, warm
     and at that speed (channel -> (T, *shape)), and from the idle level of each channel. source: where it is published.
     """

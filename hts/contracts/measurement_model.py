@@ -40,9 +40,12 @@ class Prediction(NamedTuple):
 
 @dataclass(frozen=True)
 class Signals:
-    """What a model reads and predicts: sim channels in order, the real channel, and the rate of both, Hz.
+    """What a model reads and predicts.
+
+    inputs: sim channels, in order; target: the real channel; rate_hz: of both, Hz.
 
     F, below, is the count of numbers per sample over all inputs, side by side in this order.
+
     units_known: False for a file of format 1, which holds no units: all of them are then "1".
     """
 

@@ -36,11 +36,12 @@ class JointMotors:
 class RobotSpec:
     """Everything a controller must know of a machine. Tuples of length J follow `joint_names`.
 
-    default_pose rad; kp N·m/rad; kd N·m·s/rad; action_scale rad per action unit
-    (joint target = default_pose + action_scale · action); torque_limit N·m; velocity_limit rad/s;
-    position_limit (low, high) rad; control_rate_hz: policy rate; physics_dt s and substeps: training
-    simulation (physics_dt · substeps = 1 / control_rate_hz); base_height m: of the trunk in the default pose.
-    trunk_body and foot_sites (length F) name things in the MJCF.
+    name: as registered; joint_names: in the robot's own order, J of them; default_pose rad; kp N·m/rad; kd N·m·s/rad;
+    action_scale rad per action unit (joint target = default_pose + action_scale · action); torque_limit N·m;
+    velocity_limit rad/s; position_limit (low, high) rad; control_rate_hz: policy rate; physics_dt: step of the training
+    simulation, s; substeps: of them per control step, physics_dt · substeps = 1 / control_rate_hz; base_height m: of
+    the trunk in the default pose. trunk_body, foot_sites: names in the MJCF, of a body and of F sites; motors: motor
+    constants, for who reads them.
     """
 
     name: str

@@ -32,11 +32,11 @@ class FineTuning:
 class SimulatedCandidate:
     """A candidate after fine-tuning, judged in simulation by its mean action.
 
-    score: unweighted mean r_real, larger is better, summed over objectives; falls: worlds that fell; tracked: whether
-    it keeps the speed, or does whatever else its task is; scores: the parts of `score`, objective -> mean r_real, in
-    the order of the run's objectives; made: how; a run always says, made-up candidates may leave it out; predicted:
-    objective -> the selection score that a head-to-head should find, mean over the speeds of the trial, in the
-    objective's unit; without those that no model predicts.
+    id: its name in this run; score: unweighted mean r_real, larger is better, summed over objectives; falls: worlds
+    that fell; tracked: whether it keeps the speed, or does whatever else its task is; scores: the parts of `score`,
+    objective -> mean r_real, in the order of the run's objectives; made: how; a run always says, made-up candidates may
+    leave it out; predicted: objective -> the selection score that a head-to-head should find, mean over the speeds of
+    the trial, in the objective's unit; without those that no model predicts.
     """
 
     id: str
@@ -50,7 +50,11 @@ class SimulatedCandidate:
 
 @dataclass(frozen=True)
 class TestedCandidate:
-    """An elite after its head-to-head: one Comparison per objective, whether it fell, and how it was made."""
+    """An elite after its head-to-head.
+
+    id: of the candidate; comparisons: objective -> what was measured against the reference; fell: whether it fell;
+    made: how, None in made-up ones.
+    """
 
     id: str
     comparisons: Mapping[str, Comparison]
@@ -62,7 +66,10 @@ class TestedCandidate:
 
 @dataclass(frozen=True)
 class Rounds:
-    """How a selector wants tests in rounds: length of each block of a round, s, and how many rounds at most."""
+    """How a selector wants tests in rounds.
+
+    block_seconds: length of each block of a round, s; most: how many rounds at most.
+    """
 
     block_seconds: float
     most: int
@@ -72,9 +79,10 @@ class Rounds:
 class RacedCandidate:
     """An elite after the rounds so far.
 
-    tested: all its rounds together, None if nothing could be reported; racing: whether it was in the last round;
-    halves: two a round, in order, each one block of the policy against one of the reference, as one Comparison per
-    objective (None if it could not be compared). Half n of one candidate was recorded beside half n of the others.
+    id: of the candidate; tested: all its rounds together, None if nothing could be reported; racing: whether it was in
+    the last round; halves: two a round, in order, each one block of the policy against one of the reference, as one
+    Comparison per objective (None if it could not be compared). Half n of one candidate was recorded beside half n of
+    the others.
     """
 
     id: str

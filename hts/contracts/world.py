@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 class WorldContext:
     """What a world is given when it is made.
 
-    robot: name as registered; robot_settings: its settings; objectives: name -> settings; seed; folder: where it may
-    write; registry: all that is installed, as the run loaded it; None: the world loads it itself if it needs it.
+    robot: name as registered; robot_settings: its settings; objectives: name -> settings; seed: of everything random in
+    it; folder: where it may write; registry: all that is installed, as the run loaded it; None: the world loads it
+    itself if it needs it.
     """
 
     robot: str

@@ -30,6 +30,11 @@ if TYPE_CHECKING:
     from hts.plugins import Registry
     from hts.recordings.recording import Recording
 
+WORSE_THAN_LINEAR = 0.1
+"""By so much less variance explained a model is not worth its training."""
+POOR_SPREAD = 2.0
+"""Errors that are more than so many times as large as a model says are worth a line."""
+
 
 @dataclass
 class FitResult:
@@ -169,6 +174,35 @@ def summary_line(report: Mapping[str, Any]) -> str:
         f"recordings{against}; rank correlation across {len(held['policies'])} policies "
         f"{_number(report['rank_correlation'])}"
     )
+
+
+def doubts(report: Mapping[str, Any]) -> list[str]:
+    """What a person should know before a model is trusted, one line each; empty where nothing is wrong.
+
+    report: that of `fit_and_check`.
+    """
+    held, target = report["held_out"], report["target"]
+    found, linear = held["r2"], (held.get("linear") or {}).get("r2")
+    lines = []
+    if found is not None and found < 0:
+        lines.append(
+            f"{target}: held-out R² {_number(found)} is below 0: the mean of the data predicts better. Either the "
+            "inputs do not explain it, or it remembers more than about a second (a temperature does): make a target of "
+            "the loss that heats instead, or record more."
+        )
+    elif found is not None and linear is not None and linear - found >= WORSE_THAN_LINEAR:
+        lines.append(
+            f"{target}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
+            f"{_number(linear)}. Choose it, --set objectives.{report['objective']}.model=linear, or record more."
+        )
+    spread = held.get("spread") or {}
+    times = spread.get("error_over_spread")
+    if times is not None and times > POOR_SPREAD:
+        lines.append(
+            f"{target}: the model's doubt is too small: {spread['within_1']:.2f} of its errors lie within one of its "
+            f"standard deviations (of a Gaussian 0.68), and they are {times:.1f} times as large as it says."
+        )
+    return lines
 
 
 def _number(value: float | None) -> str:

@@ -27,7 +27,11 @@ FORMAT = 1
 class PolicyCard:
     """What a computer on a robot must know of a policy beside its numbers.
 
-    joint target (rad) = default_pose + action_scale x action; observation: parts in order, [{name, size}];
+    robot: name of the machine; joint_names: J, in the order of every tuple here; default_pose: rad; action_scale: rad
+    per action unit, joint target = default_pose + action_scale x action; kp: N·m/rad; kd: N·m·s/rad;
+    control_rate_hz: how often it is asked, Hz; critic_observation_size: numbers that the critic sees; hidden: widths of
+    the hidden layers of actor and critic; policy_hash: see `hash_tensors`; made: how it was made; format: version of
+    this file; observation: parts in order, [{name, size}];
     history: how many observations are stacked, newest last (1: none);
     exploration_std: normal noise added to each action when it runs, action units (empty: none, the mean action).
     """
@@ -58,7 +62,10 @@ class PolicyCard:
 
 @dataclass(frozen=True)
 class Policy:
-    """One policy: its tensors by name (see `Sizes.shapes`, plus the normalisers) and its card."""
+    """One policy.
+
+    tensors: by name, see `Sizes.shapes`, plus the normalisers; card: what a robot must know beside them.
+    """
 
     tensors: Mapping[str, torch.Tensor]
     card: PolicyCard

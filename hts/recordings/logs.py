@@ -33,6 +33,7 @@ from hts.recordings.mapping import (
     column_names,
     follows_joints,
     parse_mapping,
+    remedy,
 )
 from hts.recordings.plausible import check_idle, check_limits
 from hts.recordings.recording import Recording, Series
@@ -80,8 +81,7 @@ def recording_from_columns(
         except (ValueError, LookupError, TypeError, EOFError) as error:
             what = " ".join(f"{type(error).__name__}: {error}".split())
             raise RecordingError(
-                f"{path}: not a log that the reader '{log.reader}' knows ({what:.160}). Repair the file, or name its "
-                "reader in the mapping."
+                f"{path}: not a log that the reader '{log.reader}' knows ({what:.160}). {remedy(log)}"
             ) from error
         return table_of(path, log.time.column, log.time.unit, wanted, columns)
 

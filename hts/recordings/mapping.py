@@ -12,7 +12,7 @@ channels:
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -133,6 +133,12 @@ class LogMapping(Config):
 Mapped = TypeVar("Mapped", bound=LogMapping)
 
 
+def remedy(mapping: LogMapping) -> str:
+    """What to do with a file that its reader does not know: where nobody named a reader, another may."""
+    named = "reader" in mapping.model_fields_set
+    return "Repair the file." if named else "Repair the file, or name its reader in the mapping."
+
+
 def load_mapping(path: Path) -> dict[str, Any]:
     """The YAML of a mapping, not yet validated. Raises ConfigError if it cannot be read."""
     mapping = load_mapping_file(path, "mapping of the log")
@@ -177,12 +183,37 @@ def column_names(
     if per_joint and len(listed) != len(joint_names):
         raise ConfigError(
             f"Mapping: '{name}' has {len(listed)} columns for {len(joint_names)} joints. "
-            "List one per joint, or say per_joint: false."
+            f"List one per joint{_entries(listed, len(joint_names))}, or say per_joint: false."
         )
     if per_joint and mapping.joint_order is not None:
         _same_joints("joint_order", mapping.joint_order, joint_names)
         return tuple(listed[mapping.joint_order.index(joint)] for joint in joint_names)
     return listed
+
+
+def _entries(listed: Sequence[ColumnName], joints: int) -> str:
+    """How a single column that holds lists is written."""
+    if len(listed) != 1 or not isinstance(listed[0], str):
+        return ""
+    whole = listed[0].partition("[")[0]
+    return f", '{whole}[0..{joints - 1}]' where the column '{whole}' holds lists"
+
+
+def assumed_order(mapping: Mapping[str, Any], joint_names: Sequence[str]) -> str | None:
+    """A note where columns are listed or numbered per joint and nobody said in which order; None elsewhere.
+
+    mapping: as it was written, of a log that could be read with it.
+    """
+    channels = mapping.get("channels")
+    if mapping.get("joint_order") is not None or not isinstance(channels, Mapping) or len(joint_names) < 2:
+        return None
+    for name, one in channels.items():
+        given = one if isinstance(one, Mapping) else {}
+        per_joint = given.get("per_joint")
+        follows = str(name).startswith("joint_") if per_joint is None else per_joint
+        if follows and "{joint}" not in str(given.get("columns", "{joint}")):
+            return f"no joint_order: columns taken in the robot's, {', '.join(joint_names)}"
+    return None
 
 
 def _range(name: str, columns: str) -> tuple[ColumnName, ...]:

@@ -57,9 +57,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
         if isinstance(error, OSError) and error.errno is not None:  # pyarrow raises OSError for damaged files, too
             raise RecordingError(f"{path}: cannot be read ({error.strerror}). Correct the path.") from error
         what = " ".join(str(error).split())
-        raise RecordingError(
-            f"{path}: not a whole Parquet file ({what:.200}). Copy it again, or name its reader in the mapping."
-        ) from error
+        raise RecordingError(f"{path}: not a whole Parquet file ({what:.200}). Copy it again.") from error
     if len(set(names)) != len(names):
         raise RecordingError(f"{path}: two of its columns have one name. Rename one.")
     picked = {column: _picked(path, column, table.column(name), entry) for column, (name, entry) in found.items()}

@@ -12,6 +12,8 @@ from hts.recordings.resample import interpolate, window_mean
 
 # A log that is this much faster than wanted is one whose stamps were read in the wrong unit.
 TOO_FAST = 500.0
+# And so many times slower: units differ by 1000, and a log may be twenty times faster than what is wanted of it.
+TOO_SLOW = 50.0
 # A step longer than so many sample periods is a gap.
 GAP = 1.5
 
@@ -76,11 +78,15 @@ def common_grid(samples: Mapping[str, Samples], rate_hz: float, max_gap_seconds:
     for name, one in samples.items():
         rate = one.rate_hz
         if rate < 0.9 * rate_hz:
-            slow = TOO_FAST * rate < rate_hz
-            hint = " That is so much less that the unit of the stamps is probably another." if slow else ""
+            found = f"'{name}' was logged at {rate:.4g} Hz, the mapping wants {rate_hz:g}"
+            if TOO_SLOW * rate < rate_hz:
+                raise RecordingError(
+                    f"{one.where}: by its stamps {found}. The unit of the stamps is probably another (time.unit); if "
+                    f"not, set rate_hz to {rate:.4g} or less: samples cannot be invented."
+                )
             raise RecordingError(
-                f"{one.where}: '{name}' was logged at {rate:.4g} Hz, the mapping wants {rate_hz:g}. "
-                f"Set rate_hz to {rate:.4g} or less; samples cannot be invented.{hint}"
+                f"{one.where}: {found}. Set rate_hz to {rate:.4g} or less; samples cannot be invented. If the log is "
+                "faster than that, correct time.unit."
             )
         if rate > TOO_FAST * rate_hz:
             raise RecordingError(

@@ -21,7 +21,7 @@ from hts.evaluation.simulation import SimulatedTrial, longest_walk, test_config,
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
 from hts.measurement.baseline import fit_proxy
-from hts.measurement.fit_command import fit_and_check
+from hts.measurement.fit_command import doubts, fit_and_check
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.recordings.recording import Recording
@@ -65,6 +65,10 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         notes = {"dataset": dataset.sha256, "iteration": iteration}
         files.save(fitted.model, model_path(job, iteration, name), notes)
         result[name] = {**fitted.report, "dataset": dataset.sha256, "recordings": list(dataset.ids)}
+        before = job.read(f"iterations/{iteration - 1:02d}/fit")[name] if iteration else None
+        if before is None or not doubts(before):  # once is enough
+            for line in doubts(result[name]):
+                job.stages.progress.say(line)
     return result
 
 

@@ -1,9 +1,12 @@
-"""The fields of pydantic models as Markdown tables, kept in a page that can be read as it lies in the repository.
+"""The fields of pydantic models and dataclasses as Markdown tables, and signatures, kept in a page that can be read as
+it lies in the repository.
 
     python -m hts.testing.field_tables PAGE.md …
 
 writes anew what stands between `<!-- fields: package.module.Model -->` and `<!-- end of fields -->`: names, types,
-defaults, bounds and descriptions, as `hts plugins NAME` and the schema of config files have them.
+defaults, bounds and descriptions, as `hts plugins NAME` and the schema of config files have them; for a dataclass, what
+its docstring says of each. And between `<!-- signatures: package.module -->` and `<!-- end of signatures -->` what the
+module offers.
 """
 
 from __future__ import annotations
@@ -19,8 +22,10 @@ from pydantic import BaseModel
 
 from hts.atomic import atomic_write
 from hts.plugin_settings import setting_of
+from hts.testing.contract_tables import cell, fields_table, has_fields, signature_list
 
 PART = re.compile(r"(<!-- fields: (\S+) -->\n).*?(<!-- end of fields -->)", re.DOTALL)
+SIGNATURES = re.compile(r"(<!-- signatures: (\S+) -->\n).*?(<!-- end of signatures -->)", re.DOTALL)
 HEAD = ("| field | type | default | bounds | meaning |", "|---|---|---|---|---|")
 
 
@@ -29,7 +34,7 @@ def field_table(model: type[BaseModel]) -> str:
     lines = list(HEAD)
     for one in (setting_of(name, field) for name, field in model.model_fields.items()):
         default = "needed" if one.needed else _code(_default(one.default))
-        cells = (f"`{one.key}`", _code(one.type), default, one.bounds, _cell(one.description))
+        cells = (f"`{one.key}`", _code(one.type), default, one.bounds, cell(one.description))
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
@@ -38,12 +43,17 @@ def renewed(text: str) -> str:
     """The page with every table as its model has it now. Raises ImportError or AttributeError for no such model."""
 
     def table(part: re.Match[str]) -> str:
-        return f"{part[1]}\n{field_table(model_of(part[2]))}\n{part[3]}"
+        found = model_of(part[2])
+        rows = fields_table(found) if has_fields(found) else field_table(found)
+        return f"{part[1]}\n{rows}\n{part[3]}"
 
-    return PART.sub(table, text)
+    def signatures(part: re.Match[str]) -> str:
+        return f"{part[1]}\n{signature_list(part[2])}\n{part[3]}"
+
+    return SIGNATURES.sub(signatures, PART.sub(table, text))
 
 
-def model_of(path: str) -> type[BaseModel]:
+def model_of(path: str) -> type[Any]:
     """`package.module.Model`, imported."""
     module, _, name = path.rpartition(".")
     return getattr(importlib.import_module(module), name)
@@ -57,12 +67,7 @@ def _default(value: Any) -> str:
 
 
 def _code(text: str) -> str:
-    return f"`{_cell(text)}`"
-
-
-def _cell(text: str) -> str:
-    """One line in which no bar ends the cell."""
-    return " ".join(text.split()).replace("|", "\\|")
+    return f"`{cell(text)}`"
 
 
 def main(pages: list[str]) -> None:

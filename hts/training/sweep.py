@@ -16,8 +16,10 @@ FRONT = "front"
 
 @dataclass(frozen=True)
 class Candidate:
-    """One way to fine-tune: id; anchor "best", "pretrained" or a policy's id; weights: objective -> λ;
-    kl_bound: c, nats."""
+    """One way to fine-tune.
+
+    id: its name in the run; anchor: "best", "pretrained" or a policy's id; weights: objective -> λ; kl_bound: c, nats.
+    """
 
     id: str
     anchor: str

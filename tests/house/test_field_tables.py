@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import ast
 import importlib
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import pytest
 from pydantic import BaseModel, Field
 
+from hts import api, contracts
+from hts.channels import Channel
 from hts.config import Config, EnvConfig, RunConfig
 from hts.plugin_settings import type_text
-from hts.testing.field_tables import PART, field_table, main, model_of, renewed
+from hts.policies.files import Policy, PolicyCard
+from hts.testing.contract_tables import fields_table, has_fields, signature_list, without_meaning
+from hts.testing.field_tables import PART, SIGNATURES, field_table, main, model_of, renewed
+from hts.training.sweep import Candidate
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = REPOSITORY / "docs/authors/api.md"
@@ -100,3 +106,53 @@ def test_a_stale_page_is_renewed_in_place_and_the_rest_of_it_is_kept(tmp_path):
     text = page.read_text()
     assert text.startswith("before\n") and text.endswith("after\n") and "old" not in text
     assert "| `seconds` | `float` | needed | > 0 | duration, s |" in text
+
+
+def public_dataclasses() -> list[type]:
+    """What the contracts are written in, and what else a plugin's author or a caller from Python gets to see."""
+    given = [one for one in (getattr(contracts, name) for name in contracts.__all__) if has_fields(one)]
+    return [*given, Channel, Policy, PolicyCard, api.Run, Candidate]
+
+
+@pytest.mark.parametrize("made", public_dataclasses(), ids=lambda one: one.__name__)
+def test_the_page_has_the_fields_of_every_public_dataclass_and_each_says_what_it_is(made):
+    shown = [model_of(part[2]) for part in PART.finditer(PAGE.read_text(encoding="utf-8"))]
+    assert made in shown
+    assert without_meaning(made) == []
+
+
+def test_the_page_has_the_signatures_of_what_is_called_from_python():
+    shown = {part[2] for part in SIGNATURES.finditer(PAGE.read_text(encoding="utf-8"))}
+    assert {"hts.api", "hts.rl", "hts.policies.files", "hts.policies.export", "hts.policies.modules"} <= shown
+    lines = signature_list("hts.api").splitlines()
+    assert any(line.startswith("- `load(folder: Path | str) -> Run`: A run, finished or not.") for line in lines)
+    assert not any("_run_folder" in line or "RunError" in line for line in lines)
+
+
+def test_a_table_of_a_dataclass_takes_meanings_from_its_docstring_or_the_comment_beside_a_field():
+    @dataclass
+    class Mine:
+        """Something: of somebody.
+
+        low, high: bounds, m; either may be missing. gain N·m/rad; not a field: of nobody.
+        ``shape``: of a sample, (W, 3).
+
+        Raises low where it must.
+        """
+
+        low: float
+        high: float | None
+        gain: float = 2.0
+        shape: tuple[int, ...] = ()
+        notes: dict[str, str] = field(default_factory=dict)  # anything | else
+        silent: int = 0
+
+    assert fields_table(Mine).splitlines()[2:] == [
+        "| `low` | `float` | needed | bounds, m; either may be missing |",
+        "| `high` | `float \\| None` | needed | bounds, m; either may be missing |",
+        "| `gain` | `float` | `2.0` | N·m/rad; not a field: of nobody |",
+        "| `shape` | `tuple[int, ...]` | `()` | of a sample, (W, 3) |",
+        "| `notes` | `dict[str, str]` | `{}` | anything \\| else |",
+        "| `silent` | `int` | `0` |  |",
+    ]
+    assert without_meaning(Mine) == ["silent"]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -303,3 +306,82 @@ def test_calibration_counts_errors_within_one_and_two_standard_deviations():
     assert found["policies"] == [{"policy": "a", "error": 1.25, "spread": 1.0}]
     assert (found["policies_within_1"], found["policies_within_2"]) == (0.0, 1.0)
     assert calibration([Trace(r, measured, measured)]) is None
+
+
+# --------------------------------------------------------------------------------------- what a person should know
+
+
+def a_report(r2, linear, spread=None):
+    held = {"r2": r2, "linear": {"r2": linear}, "spread": spread}
+    return {"objective": "warm", "target": "heat", "held_out": held}
+
+
+@pytest.mark.parametrize(
+    ("found", "linear", "expected"),
+    [
+        (-0.5, -0.2, "heat: held-out R² -0.500 is below 0.*more than about a second.*the loss that heats instead"),
+        (
+            0.5,
+            0.75,
+            "heat: held-out R² 0.500 is 0.250 below that of `linear`, 0.750.*--set objectives.warm.model=linear",
+        ),
+    ],
+)
+def test_a_model_that_is_worse_than_nothing_or_than_linear_is_told_with_its_cure(found, linear, expected):
+    (line,) = fit_command.doubts(a_report(found, linear))
+    assert re.match(expected, line) and "\n" not in line
+
+
+@pytest.mark.parametrize(("found", "linear"), [(0.95, 0.99), (0.0, None), (None, None), (0.9, 0.2)])
+def test_of_a_sound_model_or_one_without_held_out_data_nothing_is_said(found, linear):
+    assert fit_command.doubts(a_report(found, linear)) == []
+
+
+def test_a_spread_that_is_too_small_is_told():
+    (line,) = fit_command.doubts(a_report(0.9, 0.9, {"within_1": 0.21, "error_over_spread": 3.4}))
+    assert "0.21 of its errors lie within one of its standard deviations" in line and "3.4 times" in line
+    assert fit_command.doubts(a_report(0.9, 0.9, {"within_1": 0.6, "error_over_spread": 1.2})) == []
+
+
+def test_the_command_prints_what_is_doubtful_after_its_summary(store, tmp_path, monkeypatch, capsys):
+    from hts.cli import fit as fit_cli
+
+    monkeypatch.setattr(fit_command, "doubts", lambda report: [f"doubt of {report['target']}"])
+    fit_cli.command("cool", store.path, tmp_path / "out", ["measurement.epochs=1"])
+    summary, doubt, path = capsys.readouterr().out.splitlines()
+    assert summary.startswith("heat: R²") and doubt == "doubt of heat" and path.endswith("fit.json")
+
+
+def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_path, monkeypatch):
+    from hts.run import learning
+
+    results = {}
+
+    class Job:
+        """As much of a run as its fit stage asks for."""
+
+        folder, objectives, registry = tmp_path, {"warm": KnownHeat()}, None
+        config = SimpleNamespace(measurement=None, objectives={"warm": {}})
+        said: ClassVar[list[str]] = []
+        stages = SimpleNamespace(progress=SimpleNamespace(say=said.append))
+
+        known = staticmethod(lambda iteration: [])
+        recordings = staticmethod(lambda ids: [])
+        dataset = staticmethod(lambda ids: SimpleNamespace(sha256="", ids=()))
+        read = staticmethod(lambda name: results[name])
+
+    def fitted(r2):
+        report = a_report(r2, 0.9)
+        monkeypatch.setattr(learning, "fit_and_check", lambda *given, **more: fit_command.FitResult(None, report))
+
+    monkeypatch.setattr(learning.files, "save", lambda *given: None)
+    fitted(-0.5)
+    results["iterations/00/fit"] = learning.fit(Job, 0, print)
+    assert len(Job.said) == 1 and "is below 0" in Job.said[0]
+    results["iterations/01/fit"] = learning.fit(Job, 1, print)
+    assert len(Job.said) == 1
+    fitted(0.9)
+    results["iterations/02/fit"] = learning.fit(Job, 2, print)
+    fitted(0.7)
+    learning.fit(Job, 3, print)
+    assert len(Job.said) == 2 and "below that of `linear`" in Job.said[1]

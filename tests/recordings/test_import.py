@@ -19,7 +19,7 @@ from hts.contracts import Robot, RobotSpec
 from hts.errors import ConfigError, HtsError, RecordingError
 from hts.recordings import RecordingStore
 from hts.recordings.csv_reader import make
-from hts.recordings.mapping import load_mapping
+from hts.recordings.mapping import assumed_order, load_mapping
 from hts.recordings.resample import window_mean
 
 LOGS = Path(os.environ.get("HTS_REAL_LOGS", Path(__file__).parents[3] / "shared" / "real-logs"))
@@ -286,7 +286,7 @@ def bad_mappings() -> dict[str, tuple[dict[str, Any], str]]:
         "missing joint": (a_mapping(joints={"hip": "H"}), "joints: knee missing"),
         "too few columns": (
             a_mapping(channels={"joint_torque": {**torque, "columns": ["K_tau"]}}),
-            "1 columns for 2 joints",
+            "1 columns for 2 joints. List one per joint, 'K_tau[0..1]' where the column 'K_tau' holds lists, or say",
         ),
         "bad range": (a_mapping(channels={"joint_torque": {**torque, "columns": "2..1"}}), "are no range of numbers"),
         "no time": ({k: v for k, v in a_mapping().items() if k != "time"}, "time: this key is needed"),
@@ -372,6 +372,19 @@ def test_a_pipe_is_refused_and_not_waited_for(commands: Path) -> None:
     os.mkfifo(commands / "pipe.csv")
     with pytest.raises(RecordingError, match=r"pipe.csv: a pipe or a device, expected a file"):
         hts_import(commands, commands / "pipe.csv")
+
+
+def test_the_line_of_an_import_says_that_the_robots_order_was_taken(
+    commands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hts_import(commands, a_log(commands))
+    assert "joint_order" not in capsys.readouterr().out
+    listed = {"joint_torque": {"columns": ["H_tau", "K_tau"], "unit": "N*m"}}
+    (commands / "m.yaml").write_text(yaml.safe_dump(a_mapping(channels=listed, joints=None)))
+    hts_import(commands, commands / "log.csv")
+    assert "[schedule not stated in the mapping; no joint_order: columns taken in the robot's, hip, knee]" in (
+        capsys.readouterr().out
+    )
 
 
 def test_what_a_terminal_would_obey_is_written_as_escapes(commands: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -577,3 +590,17 @@ def test_every_log_of_an_arm_is_read_although_their_line_ends_differ() -> None:
     }
     lengths = {path.stem: read(path, mapping, arm).num_samples for path in sorted((LOGS / "ur3e").glob("*.csv"))}
     assert lengths == {"L0L1": 29, "L1L2": 65, "L2L3": 40, "L3L4": 49, "L4L5": 42, "fig9": 888}
+
+
+@pytest.mark.parametrize(
+    ("changes", "noted"),
+    [
+        ({"channels": {"joint_torque": {"columns": ["H_tau", "K_tau"], "unit": "N*m"}}, "joints": None}, True),
+        ({"channels": {"joint_torque": {"columns": "1..2", "unit": "N*m"}}, "joint_order": ["knee", "hip"]}, False),
+        ({"channels": {"draw": {"columns": "amps", "unit": "A", "idle": 1.5}}, "joints": None}, False),
+        ({}, False),
+    ],
+)
+def test_columns_that_are_listed_without_an_order_are_noted(changes: dict[str, Any], noted: bool) -> None:
+    note = assumed_order(a_mapping(**changes), TWO_JOINTS.spec.joint_names)
+    assert note == ("no joint_order: columns taken in the robot's, hip, knee" if noted else None)

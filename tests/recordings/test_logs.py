@@ -85,6 +85,16 @@ def test_what_such_a_reader_cannot_read_is_one_line_with_the_file(tmp_path, two_
     assert "\n" not in str(refused.value)
 
 
+def test_a_reader_is_only_asked_for_where_the_mapping_names_none(tmp_path, two_joints, mapping):
+    log = tmp_path / "walk.jsonl"
+    log.write_text("")
+    unnamed = {key: value for key, value in mapping.items() if key != "reader"}
+    with pytest.raises(RecordingError, match=r"Repair the file, or name its reader in the mapping\.$"):
+        recording_from_columns([log], unnamed, two_joints, json_columns)
+    with pytest.raises(RecordingError, match=r"Repair the file\.$"):
+        recording_from_columns([log], {**unnamed, "reader": "jsonl"}, two_joints, json_columns)
+
+
 def test_a_missing_file_and_a_wrong_mapping_are_told_apart(tmp_path, two_joints, mapping):
     with pytest.raises(RecordingError, match=r"none.jsonl: cannot be read \(No such file"):
         recording_from_columns([tmp_path / "none.jsonl"], mapping, two_joints, json_columns)
@@ -148,6 +158,16 @@ def test_seconds_read_as_milliseconds_are_noticed():
     stretched = samples_of("a", np.arange(100) * 20.0, np.arange(100), "log")
     with pytest.raises(RecordingError, match="logged at 0.05 Hz.*unit of the stamps is probably another"):
         common_grid({"a": stretched}, 50.0)
+
+
+def test_microseconds_read_as_milliseconds_are_noticed_in_a_log_that_is_to_be_thinned():
+    """200 Hz, of which 50 Hz are wanted: 5000 us from row to row, said to be ms."""
+    log = samples_of("a", np.arange(100) * 5.0, np.arange(100), "log")
+    with pytest.raises(RecordingError, match=r"logged at 0.2 Hz.*probably another \(time.unit\); if not, set rate_hz"):
+        common_grid({"a": log}, 50.0)
+    slower = samples_of("a", np.arange(100) * 0.1, np.arange(100), "log")
+    with pytest.raises(RecordingError, match=r"logged at 10 Hz.* Set rate_hz to 10 or less.*correct time.unit"):
+        common_grid({"a": slower}, 50.0)
 
 
 def current(median: float) -> dict[str, Series]:
