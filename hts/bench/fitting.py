@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from hts.bench.setup import find
+from hts.bench.setup import RECURRENT, find
 from hts.config import Command, ScheduleConfig
-from hts.contracts import MODEL, Objective, Robot
+from hts.contracts import MODEL, Objective, Robot, chosen_model
 from hts.cores import available
 from hts.measurement.fit_command import new_model
 from hts.recordings.recording import Recording, Series
@@ -38,9 +38,9 @@ def bench_fit(
     length = SHORT if samples <= SAMPLES else LONG
     count = max(1, round(samples / (length * machine.spec.control_rate_hz)))
     recordings, reading = from_store([made_up(chosen, machine, seed, length) for seed in range(count)], chosen)
-    choice = chosen.measurement_model()
+    choice = chosen_model(chosen, {MODEL: RECURRENT})  # a model that learns by passes over the data
     patience = epochs or 10_000
-    model = new_model(chosen, recordings[0], {MODEL: {**choice.settings, "patience": patience}})
+    model = new_model(chosen, recordings[0], {MODEL: {"name": choice.name, **choice.settings, "patience": patience}})
     model.fit(recordings[:1], epochs=1)  # the first call also pays for loading libraries
     start = time.perf_counter()
     report = model.fit(recordings, epochs=patience, max_seconds=math.inf if epochs else seconds)

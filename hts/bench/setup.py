@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 KL_BOUND, WEIGHT = 0.5, 1.0
 SAMPLE_STEPS, SAMPLE_WORLDS = 50, 16  # control steps and env instances from which a model takes its input statistics
 
+RECURRENT = "lstm"  # a model with a size to choose, that learns by passes over the data
+
 
 def find(robot: str | None, objective: str | None) -> tuple[Robot, Objective]:
     """The robot and objective of a bench. Without a name: the first robot installed, and the objective whose
@@ -70,7 +72,7 @@ class Sizes:
 
 def new_model(objective: Objective, robot: Robot, memory: int = 0) -> MeasurementModel:
     """The objective's model of its default configuration, unfitted: it costs what a fitted one costs."""
-    choice = chosen_model(objective, {MODEL: {"hidden": memory}} if memory else None)
+    choice = chosen_model(objective, {MODEL: {"name": RECURRENT, "hidden": memory}} if memory else None)
     context = ModelContext(robot_signals(objective, robot), objective.measurement_model())
     return load().make_measurement_model(choice.name, choice.settings, context)
 

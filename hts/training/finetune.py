@@ -26,7 +26,7 @@ from hts.training.trainer import BatchStats, PopulationTrainer
 
 CHECKPOINT_SECONDS = 60.0
 KL_SLACK = 1.05  # of c, on a fresh batch; beyond it a candidate is projected back
-MOST_PROJECTIONS = 3
+MOST_PROJECTIONS = 8
 
 
 @dataclass(frozen=True)

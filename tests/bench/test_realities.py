@@ -334,7 +334,8 @@ def test_the_best_other_is_another_one_on_each_reality():
 def test_the_papers_recipe_is_never_ours_by_another_name():
     ours, exact = jobs(methods=["ours", "paper-exact"], preset="quick")
     assert ours.method_hash != exact.method_hash
-    assert "objectives.power.model.products=false" in exact.arguments
+    assert "objectives.power.model={name: battery_current, products: false}" in exact.arguments
+    assert "sweep.kl_bounds=[0.2, 0.5, 1.0]" in exact.arguments and "finetune.hold=false" in exact.arguments
     assert exact.arguments[exact.arguments.index("--preset") + 1] == "quick"
 
 

@@ -38,11 +38,12 @@ def held(monkeypatch, again):
         world=world,
         config=SimpleNamespace(evaluation=EvaluationConfig(speeds=(0.5, 0.8), trims_again=again)),
         objectives={"power": None},
+        robot=SimpleNamespace(task=lambda: None),
         exported=lambda name: name,
         seed=lambda *what: 0,
     )
 
-    def apart(objective, recordings, config, seed):
+    def apart(objective, recordings, config, seed, task):
         return [one.schedule.commands[0].vx for one in recordings if one.apart]
 
     monkeypatch.setattr(reality, "speeds_apart", apart)

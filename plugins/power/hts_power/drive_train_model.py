@@ -196,7 +196,8 @@ class DriveTrain(TorchModel):
     def settled(self, inputs: Tensor) -> Prediction:
         """What the target would settle at if these inputs stayed: inputs (..., F) -> (...)."""
         weight, constant = self._weights()
-        found = self.features(inputs) @ weight + constant
+        # Row by row and not as one product: the order of a product's sums may hang on how many worlds there are.
+        found = (self.features(inputs).unsqueeze(-2) * weight).sum(-1) + constant
         return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt())
 
     def sequence(self, inputs: Tensor, state: Tensor | None = None) -> tuple[Prediction, Tensor]:
@@ -216,11 +217,11 @@ class DriveTrain(TorchModel):
         return Prediction(total[:, 0], std), total[:, 1:]
 
     def _weights(self) -> tuple[Tensor, Tensor]:
-        """(TERMS · J, 1 + DIRECTIONS) and (1 + DIRECTIONS,): terms in channel units to the mean, and to what squares
+        """(1 + DIRECTIONS, TERMS · J) and (1 + DIRECTIONS,): terms in channel units to the mean, and to what squares
         and adds up to the variance."""
         if self._folded is None:
             columns = torch.cat((self.weight[:, None], self.doubt[:-1]), 1).double() / self.feature_std[:, None]
-            self._folded = columns.float(), torch.cat((self.bias[None], self.doubt[-1]))
+            self._folded = columns.t().float().contiguous(), torch.cat((self.bias[None], self.doubt[-1]))
         return self._folded
 
 
