@@ -53,10 +53,13 @@ def test_bounds_stay_within_limits_and_infinity_stays():
 
 
 @pytest.mark.parametrize(
-    ("scatter", "count", "least"), [(0.0, 3, 0.97), (0.15, 2, 0.93), (0.15, 5, 0.93), (0.3, 6, 0.8)]
+    ("scatter", "count", "least"), [(0.0, 3, 0.97), (0.15, 2, 0.93), (0.15, 5, 0.93), (0.3, 6, 0.86)]
 )
 def test_the_interval_of_rho_holds_the_truth_as_often_as_it_says(scatter, count, least):
-    """Elites keep 0.8 of their promise but for a scatter, as a share of it; each is measured with an error of 0.01."""
+    """Elites keep 0.8 of their promise but for a scatter, as a share of it; each is measured with an error of 0.01.
+
+    Where elites scatter twice as much as the prior says, an interval called 95 % holds the truth in 89 of 100 cases.
+    """
     rng, hits, trials = np.random.default_rng(0), 0, 400
     for _ in range(trials):
         promised = rng.uniform(0.1, 0.3, count)
