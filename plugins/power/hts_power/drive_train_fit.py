@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import nnls
 
 COMMON = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # penalty on common weights, per sample
 OWN = (10.0, 100.0, 1000.0, 1e5)  # times that: on deviations of single joints
@@ -79,8 +80,7 @@ class Drives:
             float(np.mean([len(piece) * piece.mean() ** 2 for piece in residuals])),
             float(np.mean(np.concatenate(residuals) ** 2)),
         )
-        matrix, _ = self._normal(whole, *self.penalties)
-        covariance = self._map @ np.linalg.solve(matrix, self._map.T) * noise
+        covariance = self._map @ np.linalg.solve(self._normal(whole, *self.penalties), self._map.T) * noise
         values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
         kept = np.argsort(values)[::-1][:DIRECTIONS]
         root = np.zeros((len(values), DIRECTIONS))  # of a robot with fewer, the rest stays 0
@@ -88,22 +88,47 @@ class Drives:
         return root
 
     def _solved(self, sums: Sums, common: float, own: float) -> np.ndarray:
-        """(w, b)."""
-        matrix, right = self._normal(sums, common, own)
-        return self._map @ np.linalg.solve(matrix, right)
+        """(w, b) with w >= 0: no drive gives back what it lost.
 
-    def _normal(self, sums: Sums, common: float, own: float) -> tuple[np.ndarray, np.ndarray]:
-        """Normal equations of (u, v, b)."""
+        Common weights and level follow from w, so that non-negative least squares in w alone is left: what remains of
+        the normal equations of (w, b) when u and b are eliminated (their Schur complement).
+        """
+        size, n = len(self.weight), sums.count
+        gram, right = sums.xx[:size, :size].copy(), sums.xy[:size].copy()
+        spread = self._map[:size, : self._common]
+        shared = own * spread.sum(0)  # of the ridge of w around A u, when u is the best one for w
+        pulled = spread * (own / (1.0 + shared)) @ spread.T
+        gram -= common * own * n * pulled
+        gram[np.diag_indices(size)] += common * own * n
+        weight_of_level, level = self._level(sums)
+        cross = sums.xx[:size, -1]
+        gram -= np.outer(cross, cross) / weight_of_level
+        right -= cross * level / weight_of_level
+        weight = _non_negative(gram, right)
+        return np.append(weight, (level - cross @ weight) / weight_of_level)
+
+    def _level(self, sums: Sums) -> tuple[float, float]:
+        """Diagonal element and right side of the normal equation of b, with what the idle level says of it."""
+        if self._rest is None:
+            return sums.count * (1.0 + 1e-9), float(sums.xy[-1])
+        return sums.count * (1.0 + IDLE_SHARE), float(sums.xy[-1]) + IDLE_SHARE * sums.count * self._rest
+
+    def _normal(self, sums: Sums, common: float, own: float) -> np.ndarray:
+        """Matrix of the normal equations of (u, v, b), without the constraint."""
         matrix = self._map.T @ sums.xx @ self._map
-        right = self._map.T @ sums.xy
         penalty = np.full(len(matrix), common * own * sums.count)
         penalty[: self._common] = common * sums.count
-        penalty[-1] = 1e-9 * sums.count
-        if self._rest is not None:
-            penalty[-1] = IDLE_SHARE * sums.count
-            right[-1] += penalty[-1] * self._rest
+        penalty[-1] = self._level(sums)[0] - sums.count
         matrix[np.diag_indices_from(matrix)] += penalty
-        return matrix, right
+        return matrix
+
+
+def _non_negative(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """argmin over w >= 0 of wᵀ G w / 2 - rightᵀ w, G positive definite but for rounding."""
+    gram = (gram + gram.T) / 2
+    gram[np.diag_indices_from(gram)] += 1e-12 * np.trace(gram) / len(gram)
+    root = np.linalg.cholesky(gram)
+    return nnls(root.T, np.linalg.solve(root, right), maxiter=50 * len(right))[0]
 
 
 class Sums:
