@@ -17,7 +17,7 @@ class FitProgress:
 
     def __init__(self) -> None:
         self._began = self._last = time.monotonic()
-        self._doing, self._terminal, self._shown = "", sys.stderr.isatty(), False
+        self._doing, self._terminal, self._shown = "fitting", sys.stderr.isatty(), False
 
     def __enter__(self) -> Self:
         return self

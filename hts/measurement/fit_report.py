@@ -22,18 +22,21 @@ def summary_line(report: Mapping[str, Any]) -> str:
     if not held["recordings"]:
         return (
             f"{report['target']}: fitted to one recording, so none was held out and nothing is known of how well it "
-            "predicts. Import two at least."
+            "predicts. Import two at least, or hold out its end: --split chronological=0.7"
         )
     proxy = (held["proxy"] or {}).get("smoothed")
     linear = held.get("linear")
-    against = f", linear {_number(linear['r2'])}" if linear else ""
+    other = (report.get("model") or {}).get("name") != "linear"
+    against = f", linear {_number(linear['r2'])}" if linear and other else ""
     against += f", analytic stand-in {_number(proxy['r2'])}" if proxy else ""
     interval = held.get("r2_interval")
     within = f" (95 % {_number(interval[0])} to {_number(interval[1])})" if interval else ""
+    recordings, policies = len(held["recordings"]), len(held["policies"])
+    many = f"{recordings} held-out recording{'s' if recordings > 1 else ''}"
+    ranks = f"; rank correlation across {policies} policies {_number(report['rank_correlation'])}"
     return (
-        f"{report['target']}: R² {_number(report['held_out_r2'])}{within} on {len(held['recordings'])} held-out "
-        f"recordings, {held['seconds']:.1f} s scored{against}; rank correlation across {len(held['policies'])} "
-        f"policies {_number(report['rank_correlation'])}"
+        f"{report['target']}: R² {_number(report['held_out_r2'])}{within} on {many}, "
+        f"{held['seconds']:.1f} s scored{against}{ranks if policies > 1 else ''}"
     )
 
 

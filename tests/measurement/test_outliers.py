@@ -41,7 +41,7 @@ def test_a_recording_is_cut_at_a_gross_outlier_and_it_is_counted(channel, value)
 
 def test_one_outlier_among_very_many_samples_no_longer_ruins_the_fit():
     training, new = [known_heat(seed, id=f"r{seed}") for seed in range(1, 9)], known_heat(50, "stranger")
-    bad = [spoiled(training[0], "rate", [500], 2.9e5), *training[1:]]
+    bad = [spoiled(training[0], "heat", [500], 2.9e5), *training[1:]]
 
     def score(recordings):
         model = Linear(LinearSettings(lag_seconds=0.2), SIGNALS)
@@ -57,7 +57,14 @@ def test_limits_of_the_robot_find_what_the_range_does_not():
     speed = Series(r.channels["rate"].channel, r.values("rate"))
     one = r.replace(channels={"joint_rate": speed}, id="r")
     one = spoiled(one, "joint_rate", [100], 20.0)
-    spec = RobotSpec.log_only("fake", ("x", "y", "z"), (1.0,) * 3, (4.0,) * 3, ((-9.0, 9.0),) * 3, 50.0)
+    spec = RobotSpec.log_only(
+        "fake",
+        ("x", "y", "z"),
+        torque_limit=(1.0,) * 3,
+        velocity_limit=(4.0,) * 3,
+        position_limit=((-9.0, 9.0),) * 3,
+        rate_hz=50.0,
+    )
     assert without_outliers([one], ("joint_rate",))[1].samples == 0
     assert without_outliers([one], ("joint_rate",), spec)[1].samples == 1
 
