@@ -76,16 +76,37 @@ def resume(folder: Path | str) -> Path:
     return resume_run(_run_folder(folder))
 
 
-def fit(objective: str, data: Path | str, out: Path | str, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def fit(
+    objective: str,
+    data: Path | str,
+    out: Path | str,
+    settings: Mapping[str, Any] | None = None,
+    *,
+    test: Path | str | None = None,
+    split: str | None = None,
+    models: Sequence[str] = (),
+    best: bool = False,
+) -> dict[str, Any]:
     """Fit one measurement model to a recording store; returns what OUT/fit.json holds. Like `hts fit`.
+
+    test: a store that is held out; split: how the first one is split otherwise, such as "chronological=0.7"; models:
+    others to put beside it; best: keep the best by cross-validation inside what is fitted to.
 
     For example `api.fit("OBJECTIVE", "walks.zarr", "fits/first", {"measurement.epochs": 40})["held_out_r2"]`.
     """
-    from hts.measurement.fit_command import fit_store
+    from hts.measurement.fit_command import FitChecks, fit_store
+    from hts.measurement.splits import SplitRule
     from hts.overrides import Override
 
     overrides = [Override.of(key, value) for key, value in (settings or {}).items()]
-    return json.loads(fit_store(objective, Path(data), Path(out), overrides=overrides).read_text(encoding="utf-8"))
+    checks = FitChecks(
+        test=None if test is None else Path(test),
+        split=None if split is None else SplitRule.parsed(split),
+        models=tuple(models),
+        best=best,
+    )
+    written = fit_store(objective, Path(data), Path(out), overrides=overrides, checks=checks)
+    return json.loads(written.read_text(encoding="utf-8"))
 
 
 def evaluate(

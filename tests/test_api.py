@@ -53,7 +53,7 @@ def test_resume_goes_on_in_the_folder_and_refuses_one_without_a_run(folder, tmp_
 def test_fit_returns_what_was_written(tmp_path, monkeypatch):
     from hts.measurement import fit_command
 
-    def fake(objective, data, out, *, overrides):
+    def fake(objective, data, out, *, overrides, checks):
         file = out / "fit.json"
         file.write_text(
             json.dumps(
@@ -61,6 +61,8 @@ def test_fit_returns_what_was_written(tmp_path, monkeypatch):
                     "objective": objective,
                     "data": str(data),
                     "overrides": [[*list(one.path), one.value] for one in overrides],
+                    "split": checks.split and [checks.split.kind, checks.split.share],
+                    "best": checks.best,
                 }
             ),
             encoding="utf-8",
@@ -68,8 +70,14 @@ def test_fit_returns_what_was_written(tmp_path, monkeypatch):
         return file
 
     monkeypatch.setattr(fit_command, "fit_store", fake)
-    report = api.fit("anything", "walks.zarr", tmp_path, {"measurement.epochs": 2})
-    assert report == {"objective": "anything", "data": "walks.zarr", "overrides": [["measurement", "epochs", 2]]}
+    report = api.fit("anything", "walks.zarr", tmp_path, {"measurement.epochs": 2}, split="session=0.7", best=True)
+    assert report == {
+        "objective": "anything",
+        "data": "walks.zarr",
+        "overrides": [["measurement", "epochs", 2]],
+        "split": ["session", 0.7],
+        "best": True,
+    }
 
 
 def test_evaluate_passes_on_speeds_policy_world_and_seed(folder, monkeypatch):

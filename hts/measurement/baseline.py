@@ -6,17 +6,18 @@ It gets every chance that a line can give it: scale, offset and delay are fitted
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from hts.measurement.scoring import SETTLE_SECONDS, Trace, scores
+from hts.measurement.scoring import Trace, scores, unscored
 
 if TYPE_CHECKING:
-    from hts.contracts import Objective
+    from hts.contracts import Objective, Signals
     from hts.recordings.recording import Recording
 
 LONGEST_DELAY_SECONDS = 0.3
@@ -44,6 +45,47 @@ def shifted(series: np.ndarray, delay: int, window: int) -> np.ndarray:
     return ((total[window:] - total[:-window]) / window)[: len(series)]
 
 
+StandIn = Callable[[Mapping[str, np.ndarray]], np.ndarray]
+"""From channels (T, ...) by name to a stand-in (T,)."""
+
+
+def stand_ins(objective: Objective, signals: Signals) -> dict[str, StandIn]:
+    """What may stand for the target, by formula: the objective's own, or, where it has none, the generic ones of the
+    inputs there are: sums over components of |x|, x², and |x·y| and max(x·y, 0) of two channels of one size."""
+
+    def own(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
+        found = objective.proxy({name: torch.from_numpy(np.array(channels[name])) for name in objective.inputs})
+        return None if found is None else found.reshape(-1).double().numpy()
+
+    if own({channel.name: np.zeros((1, *channel.shape), np.float32) for channel in signals.inputs}) is not None:
+        return {"its own": own}  # type: ignore[dict-item]
+    sizes = dict(zip(signals.names, signals.sizes, strict=True))
+    found: dict[str, StandIn] = {}
+    for one in sizes:
+        found[f"Σ|{one}|"] = lambda c, one=one: np.abs(_flat(c[one])).sum(1)
+        found[f"Σ {one}²"] = lambda c, one=one: np.square(_flat(c[one])).sum(1)
+    for one, two in itertools.combinations(sizes, 2):
+        if sizes[one] == sizes[two]:
+            found[f"Σ|{one}·{two}|"] = lambda c, a=one, b=two: np.abs(_flat(c[a]) * _flat(c[b])).sum(1)
+            found[f"Σ max({one}·{two}, 0)"] = lambda c, a=one, b=two: (_flat(c[a]) * _flat(c[b])).clip(0).sum(1)
+    return found
+
+
+def fit_best(
+    candidates: Mapping[str, StandIn], target: str, training: Sequence[Recording], windows: Sequence[float] = (0.0,)
+) -> tuple[str, ProxyFit]:
+    """The stand-in, of those named, whose line has the least squared error on the training recordings."""
+    fits = {}
+    for name, formula in candidates.items():
+        pairs = [
+            (formula({key: one.values(key) for key in one.channels}).astype(np.float64), _target(one, target), one)
+            for one in training
+        ]
+        fits[name] = _fit_line(pairs, windows)
+    best = min(fits, key=lambda name: fits[name][1])
+    return best, fits[best][0]
+
+
 def proxy_along(objective: Objective, recording: Recording) -> np.ndarray | None:
     """The stand-in at each sample of a recording, (T,); None if the objective has none."""
     channels = {name: torch.from_numpy(np.array(recording.values(name))) for name in objective.inputs}
@@ -55,28 +97,42 @@ def fit_proxy(
     objective: Objective, training: Sequence[Recording], windows: Sequence[float] = (0.0,)
 ) -> ProxyFit | None:
     """The line, delay and window with the least squared error on the training recordings; None without stand-in."""
-    pairs, rate = [], 0.0
+    pairs = []
     for recording in training:
         proxy = proxy_along(objective, recording)
         if proxy is None:
             return None
-        pairs.append((proxy, recording.values(objective.target.name).reshape(-1).astype(np.float64)))
-        rate = recording.rate_hz
-    if not pairs:
-        return None
-    skip = round(SETTLE_SECONDS * rate)
-    y = np.concatenate([target[skip:] for _, target in pairs])
-    best, least = None, np.inf
+        pairs.append((proxy, _target(recording, objective.target.name), recording))
+    return _fit_line(pairs, windows)[0] if pairs else None
+
+
+def _fit_line(
+    pairs: Sequence[tuple[np.ndarray, np.ndarray, Recording]], windows: Sequence[float]
+) -> tuple[ProxyFit, float]:
+    """From stand-in (T,), target (T,) and recording of each: the line, and its mean squared error."""
+    skips, rate = [unscored(recording) for _, _, recording in pairs], pairs[-1][2].rate_hz
+    y = np.concatenate([target[skip:] for skip, (_, target, _) in zip(skips, pairs, strict=True)])
+    best, least = ProxyFit(0.0, float(y.mean()), 0, 1), np.inf
     for window in sorted({max(1, round(seconds * rate)) for seconds in windows}):
         for delay in range(round(LONGEST_DELAY_SECONDS * rate) + 1):
-            x = np.concatenate([shifted(proxy, delay, window)[skip:] for proxy, _ in pairs])
+            x = np.concatenate(
+                [shifted(proxy, delay, window)[skip:] for skip, (proxy, _, _) in zip(skips, pairs, strict=True)]
+            )
             variance = x.var()
             scale = float(((x - x.mean()) * (y - y.mean())).mean() / variance) if variance > 0 else 0.0
             offset = float(y.mean() - scale * x.mean())
             error = float(((y - scale * x - offset) ** 2).mean())
             if error < least:
                 best, least = ProxyFit(scale, offset, delay, window), error
-    return best
+    return best, least
+
+
+def _target(recording: Recording, name: str) -> np.ndarray:
+    return recording.values(name).reshape(-1).astype(np.float64)
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    return values.reshape(len(values), -1).astype(np.float64)
 
 
 def check_proxy(

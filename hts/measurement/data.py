@@ -90,14 +90,14 @@ def check_units(signals: Signals, recording: Recording) -> None:
         return
     for channel in (*signals.inputs, signals.target):
         found = recording.channels.get(channel.name)
-        if found is not None and not _same_unit(found.channel.unit, channel.unit):
+        if found is not None and not same_unit(found.channel.unit, channel.unit):
             raise RecordingError(
                 f"Recording {recording.id or '(not stored)'}: '{channel.name}' is in {found.channel.unit}, the model "
                 f"reads {channel.unit}. Import the log again with that unit."
             )
 
 
-def _same_unit(first: str, second: str) -> bool:
+def same_unit(first: str, second: str) -> bool:
     """Also where one unit is spelled in two ways."""
     if first == second:
         return True

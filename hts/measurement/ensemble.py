@@ -22,10 +22,11 @@ from hts.config import Config, Named
 from hts.contracts import MeasurementModel, ModelContext, Prediction
 from hts.errors import ConfigError
 from hts.measurement.data import training_data
+from hts.measurement.fit_settings import Learner
 from hts.measurement.split import part
 
 if TYPE_CHECKING:
-    from hts.contracts.measurement_model import Progress
+    from hts.measurement.fit_settings import FitSettings
     from hts.recordings.recording import Recording
 
 NAME = "ensemble"
@@ -62,7 +63,7 @@ def make(settings: Mapping[str, Any], context: ModelContext) -> MeasurementModel
     return Ensemble(config, members)
 
 
-class Ensemble(MeasurementModel):
+class Ensemble(Learner):
     """K members of one kind. The memory of W worlds is (W, K, ...), a member's own along the second dimension.
 
     scale, shift: (K,): from each member's z-scores to the ensemble's, since each was scaled by the recordings it drew.
@@ -95,36 +96,28 @@ class Ensemble(MeasurementModel):
         return self._own["target_std"]
 
     @torch.no_grad()
-    def fit(
-        self,
-        recordings: Sequence[Recording],
-        *,
-        seed: int = 0,
-        epochs: int = 20,
-        max_seconds: float = math.inf,
-        progress: Progress | None = None,
-        warm_start: MeasurementModel | None = None,
-    ) -> dict[str, Any]:
+    def learn(self, recordings: Sequence[Recording], how: FitSettings) -> dict[str, Any]:
         """Member by member; each gets an equal part of the time that is left.
         The report holds each one's own as `members`."""
         began = time.monotonic()
         pieces = training_data(self.signals, recordings)
-        parts, rng, count = enough_parts(recordings), np.random.default_rng(seed), len(self.members)
-        before = warm_start.members if isinstance(warm_start, Ensemble) and len(warm_start.members) == count else None
+        parts, rng, count = enough_parts(recordings), np.random.default_rng(how.seed), len(self.members)
+        last = how.warm_start
+        before = last.members if isinstance(last, Ensemble) and len(last.members) == count else None
         reports = []
         for index, member in enumerate(self.members):
 
             def share(epoch: int, all_epochs: int, error: float, index: int = index) -> None:
-                if progress is not None:
-                    progress(index * all_epochs + epoch, count * all_epochs, error)
+                if how.progress is not None:
+                    how.progress(index * all_epochs + epoch, count * all_epochs, error)
 
-            left = max_seconds - (time.monotonic() - began)
+            left = how.max_seconds - (time.monotonic() - began)
             drawn = [parts[i] for i in rng.integers(len(parts), size=len(parts))]
             with torch.enable_grad():
                 report = member.fit(
                     drawn,
-                    seed=seed + index,
-                    epochs=epochs,
+                    seed=how.seed + index,
+                    epochs=how.epochs,
                     max_seconds=left / (count - index),
                     progress=share,
                     warm_start=before[index] if before is not None else None,
@@ -133,11 +126,8 @@ class Ensemble(MeasurementModel):
         self._scale(torch.cat([piece.inputs for piece in pieces]), torch.cat([piece.target for piece in pieces]))
         return {
             "samples": sum(len(piece.target) for piece in pieces),
-            "recordings": len(recordings),
-            "seed": seed,
-            "epochs": max(report["epochs"] for report in reports) if all("epochs" in r for r in reports) else epochs,
+            "epochs": max(report.get("epochs", how.epochs) for report in reports),
             "warm_started": all(bool(report.get("warm_started")) for report in reports),
-            "seconds": time.monotonic() - began,
             "members": reports,
         }
 

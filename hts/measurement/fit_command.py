@@ -1,39 +1,45 @@
 """`hts fit`: one measurement model from a recording store, with its checks.
 
-`OUT/model.safetensors` and `OUT/model.json` are the model, `OUT/fit.json` says what it was fitted to and how well it
-predicts. `fit_and_check` is the same thing for callers that have the recordings in hand, such as a run.
+`OUT/model.safetensors` and `OUT/model.json` are the model, `OUT/fit.json` says what it was fitted to, how well it
+predicts, and how well others do on the same split. `fit_and_check` is the core of it for callers that have the
+recordings in hand, such as a run; what is printed is in `fit_report`.
 """
 
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
-from hts.config import MeasurementConfig
+from hts.config import MeasurementConfig, Named
 from hts.contracts import MeasurementModel, ModelContext, chosen_model
 from hts.errors import ConfigError, RecordingError, RunError, unknown_name
 from hts.layers import in_full
-from hts.measurement import files
+from hts.measurement import comparison, files
+from hts.measurement.alike import check_alike
+from hts.measurement.baseline import stand_ins
 from hts.measurement.checks import check
 from hts.measurement.data import recorded_signals
+from hts.measurement.fit_settings import FitSettings
+from hts.measurement.outliers import masked_split
+from hts.measurement.plain import Plain
+from hts.measurement.shared import Shared, shared_samples, without_shared
 from hts.measurement.split import split
+from hts.measurement.splits import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
 from hts.overrides import Override, nested, parsed
 
 if TYPE_CHECKING:
-    from hts.contracts import Objective, Settings
+    from hts.contracts import Objective, RobotSpec, Settings
     from hts.contracts.measurement_model import Progress
     from hts.plugins import Registry
     from hts.recordings.recording import Recording
+    from hts.recordings.store import RecordingStore
 
-WORSE_THAN_LINEAR = 0.1
-"""By so much less variance explained a model is not worth its training."""
-POOR_SPREAD = 2.0
-"""Errors that are more than so many times as large as a model says are worth a line."""
+COMPARED = ("linear", "lstm")
+"""Models that `best` chooses among, beside the objective's own, where nobody names any."""
 
 
 @dataclass
@@ -76,20 +82,24 @@ def fit_and_check(
 
     model: name and settings; fit: see the model's `fit`; held_out: see `checks.check`; training: ids fitted to;
     held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing, such as the first
-    with one recording).
+    with one recording); split: how it was split; masked: samples left out as no machine makes them, see `outliers`.
     settings, registry: see `new_model`; keep: hashes of policies never held out whole.
     """
     config = config or MeasurementConfig()
-    training, held_out = split(recordings, config.held_out, config.seed, keep)
-    model = new_model(objective, training[0], settings, registry)
-    fitted = model.fit(
-        training,
-        seed=config.seed,
-        epochs=config.epochs,
-        max_seconds=config.max_seconds,
-        warm_start=warm_start,
-        progress=progress,
-    )
+    parts = Split(*split(recordings, config.held_out, config.seed, keep), AUTOMATIC)
+    model = new_model(objective, parts.training[0], settings, registry)
+    how = FitSettings(config.seed, config.epochs, config.max_seconds, progress, warm_start)
+    return fit_split(objective, model, parts, how)
+
+
+def fit_split(
+    objective: Objective, model: MeasurementModel, parts: Split, how: FitSettings, spec: RobotSpec | None = None
+) -> FitResult:
+    """Fit an unfitted model to one side of a split and check it on the other; see `fit_and_check`. spec: of the robot,
+    whose limits tell what cannot be; None where it is not known."""
+    channels = (*objective.inputs, objective.target.name)
+    training, held_out, masked = masked_split(parts.training, parts.held_out, channels, spec)
+    fitted = model.fit(training, **vars(how))
     checked = check(objective, model, held_out, training)
     report = {
         "objective": objective.name,
@@ -100,55 +110,89 @@ def fit_and_check(
         "rank_correlation": checked["rank_correlation"],
         "held_out": checked,
         "training": [recording.id for recording in training],
+        "split": parts.how,
+        "masked": asdict(masked),
         "fit": fitted,
     }
     return FitResult(model, report)
 
 
+@dataclass(frozen=True)
+class FitChecks:
+    """What a fit is held against.
+
+    test: a store that is held out, in place of a part of the first one; split: how the first one is split;
+    models: names of further models for the table; best: keep the one that cross-validation inside the training finds
+    best, of those and the chosen one; keep_shared: fit also to samples that are held out at the same time.
+    """
+
+    test: Path | None = None
+    split: SplitRule | None = None
+    models: tuple[str, ...] = ()
+    best: bool = False
+    keep_shared: bool = False
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is fitted, where no objective is named: predict `target` from `inputs`. robot: only its recordings."""
+
+    target: str | None = None
+    inputs: tuple[str, ...] = ()
+    robot: str | None = None
+
+
 def fit_store(
-    objective_name: str,
+    objective_name: str | None,
     store_path: Path,
     out: Path,
     *,
     overrides: Sequence[str | Override] = (),
     progress: Progress | None = None,
+    checks: FitChecks | None = None,
+    wanted: Wanted | None = None,
+    say: Callable[[str], None] = lambda text: None,
 ) -> Path:
     """Fit the objective's model to all recordings of a store that have its channels; returns the path of fit.json.
 
-    overrides: KEY=VALUE, the key `measurement.…` or `objectives.NAME.…` as in a run's config.
-    Recordings without one of the channels are left out and listed in fit.json under `left_out`.
-    Raises RunError if `out` holds a fit already; RecordingError if nothing can be fitted.
+    overrides: KEY=VALUE, the key `measurement.…` or `objectives.NAME.…` as in a run's config; say: told what is being
+    done. Recordings without one of the channels are left out and listed in fit.json under `left_out`.
+    Raises RunError if `out` holds a fit already; RecordingError if nothing can be fitted, or where recordings are of
+    several robots, rates, joints or units.
     """
     from hts import plugins
     from hts.recordings.store import RecordingStore
 
-    settings = _settings(overrides, objective_name)
-    registry = plugins.load()
-    objective = registry.make_objective(objective_name, settings["objectives"])
+    checks, wanted = checks or FitChecks(), wanted or Wanted()
+    name = _name(objective_name, wanted)
+    settings, registry = _settings(overrides, name), plugins.load()
     config = _measurement_config(settings["measurement"])
     report_file = Path(out) / "fit.json"
     if report_file.exists():
         raise RunError(f"{report_file} exists: nothing is overwritten. Choose another folder with --out.")
     store = RecordingStore(store_path)
-    wanted = (*objective.inputs, objective.target.name)
-    usable, left_out = [], {}
-    for recording_id in store.ids():
-        missing = [name for name in wanted if name not in store.attributes(recording_id)["arrays"]]
-        if missing:
-            left_out[recording_id] = f"has no channel '{missing[0]}'"
-        else:
-            usable.append(recording_id)
-    if not usable:
-        raise RecordingError(
-            f"{store_path}: none of its {len(left_out)} recordings has all of {', '.join(wanted)}. "
-            f"`hts data show` lists their channels; import logs that hold these."
-        )
-    dataset = store.dataset(usable)
-    recordings = [store.read(i, wanted) for i in usable]
-    result = fit_and_check(
-        objective, recordings, config, settings=settings["objectives"], registry=registry, progress=progress
-    )
-    report = {**result.report, "dataset": dataset.sha256, "left_out": left_out, "store": str(store_path)}
+    if objective_name is None:
+        objective: Objective = _plain(store, wanted)
+    else:
+        objective = registry.make_objective(objective_name, settings["objectives"])
+    recordings, left_out = _usable(store, objective, wanted.robot)
+    dataset = store.dataset([one.id for one in recordings])
+    parts, shared = _split(objective, recordings, checks, config, wanted.robot)
+    candidates = _Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)
+    choice, rows, tried = _compared(candidates, parts, checks, _spec(registry, parts.training[0]), say)
+    say(f"fitting {choice.name}")
+    how = replace(candidates.how, progress=progress)
+    result = fit_split(objective, candidates.made(choice), parts, how, _spec(registry, parts.training[0]))
+    report = {
+        **result.report,
+        "shared": asdict(shared),
+        "best_of": tried,
+        "dataset": dataset.sha256,
+        "left_out": left_out,
+        "store": str(store_path),
+        "test": None if checks.test is None else str(checks.test),
+    }
+    report["compared"] = _table(report, rows)
     try:
         files.save(result.model, Path(out) / "model", {"objective": objective.name, "dataset": dataset.sha256})
         atomic_write(report_file, json.dumps(report, indent=2, allow_nan=False) + "\n")
@@ -157,56 +201,175 @@ def fit_store(
     return report_file
 
 
-def summary_line(report: Mapping[str, Any]) -> str:
-    """One line for a person, from the report of `fit_and_check`."""
-    held = report["held_out"]
-    if not held["recordings"]:
-        return (
-            f"{report['target']}: fitted to one recording, so none was held out and nothing is known of how well it "
-            "predicts. Import two at least."
+# ------------------------------------------------------------------------------------------------- what is read
+
+
+def _name(objective_name: str | None, wanted: Wanted) -> str:
+    if objective_name is None and wanted.target is None:
+        raise ConfigError("Say what to predict: --objective NAME, or --target CHANNEL with --input CHANNEL.")
+    if objective_name is not None and (wanted.target is not None or wanted.inputs):
+        raise ConfigError("--target and --input are for a fit without an objective: leave them out, or --objective.")
+    if objective_name is None and not wanted.inputs:
+        raise ConfigError(f"--target {wanted.target}: say what to predict it from, --input CHANNEL for each channel.")
+    return objective_name if objective_name is not None else str(wanted.target)
+
+
+def _plain(store: RecordingStore, wanted: Wanted) -> Plain:
+    """The target as the first recording that has it holds it. Raises RecordingError for a channel that none has."""
+    known: set[str] = set()
+    for recording_id in store.ids():
+        arrays = set(store.attributes(recording_id)["arrays"]) - {"time"}
+        known |= arrays
+        if wanted.target in arrays:
+            return Plain(store.read(recording_id, [wanted.target]).channels[wanted.target].channel, wanted.inputs)
+    raise RecordingError(f"{store.path}: " + unknown_name("channel", str(wanted.target), known))
+
+
+def _usable(store: RecordingStore, objective: Objective, robot: str | None) -> tuple[list[Recording], dict[str, str]]:
+    """Recordings that have all channels, and why the others were left out. Raises RecordingError."""
+    channels = (*objective.inputs, objective.target.name)
+    usable, left_out = [], {}
+    for recording_id in store.ids():
+        attributes = store.attributes(recording_id)
+        missing = [name for name in channels if name not in attributes["arrays"]]
+        if robot is not None and attributes["robot"] != robot:
+            left_out[recording_id] = f"is of robot '{attributes['robot']}'"
+        elif missing:
+            left_out[recording_id] = f"has no channel '{missing[0]}'"
+        else:
+            usable.append(recording_id)
+    if not usable:
+        why = f" Left out: {next(iter(left_out))} {next(iter(left_out.values()))}." if left_out else ""
+        raise RecordingError(
+            f"{store.path}: none of its {len(left_out)} recordings has all of {', '.join(channels)}.{why} "
+            f"`hts data show` lists their channels; import logs that hold these."
         )
-    proxy = (held["proxy"] or {}).get("smoothed")
-    linear = held.get("linear")
-    against = f", linear {_number(linear['r2'])}" if linear else ""
-    against += f", analytic stand-in {_number(proxy['r2'])}" if proxy else ""
-    return (
-        f"{report['target']}: R² {_number(report['held_out_r2'])} on {len(held['recordings'])} held-out "
-        f"recordings{against}; rank correlation across {len(held['policies'])} policies "
-        f"{_number(report['rank_correlation'])}"
-    )
+    return [store.read(i, channels) for i in usable], left_out
 
 
-def doubts(report: Mapping[str, Any]) -> list[str]:
-    """What a person should know before a model is trusted, one line each; empty where nothing is wrong.
+def _split(
+    objective: Objective,
+    recordings: Sequence[Recording],
+    checks: FitChecks,
+    config: MeasurementConfig,
+    robot: str | None,
+) -> tuple[Split, Shared]:
+    """Who is fitted to and who is held out, and whether they have samples in common."""
+    from hts.recordings.store import RecordingStore
 
-    report: that of `fit_and_check`.
-    """
-    held, target = report["held_out"], report["target"]
-    found, linear = held["r2"], (held.get("linear") or {}).get("r2")
-    lines = []
-    if found is not None and found < 0:
-        lines.append(
-            f"{target}: held-out R² {_number(found)} is below 0: the mean of the data predicts better. Either the "
-            "inputs do not explain it, or it remembers more than about a second (a temperature does): make a target of "
-            "the loss that heats instead, or record more."
+    channels = (*objective.inputs, objective.target.name)
+    if checks.test is None:
+        check_alike(recordings, channels)
+        parts = split_by(checks.split, recordings, config.held_out, config.seed)
+    else:
+        if checks.split is not None:
+            raise ConfigError("--test and --split both say what is held out: give one of them.")
+        test, _ = _usable(RecordingStore(checks.test), objective, robot)
+        check_alike([*recordings, *test], channels)
+        parts = Split(list(recordings), test, f"{TEST_STORE} {checks.test}")
+    if checks.keep_shared:
+        _, marked = shared_samples(parts.training, parts.held_out, channels)
+        return parts, Shared(int(sum(one.sum() for one in marked)), sum(one.num_samples for one in parts.held_out))
+    training, shared = without_shared(parts.training, parts.held_out, channels)
+    if not training:
+        raise RecordingError(
+            "Everything that is to be fitted to is held out too: the same logs are on both sides. Import others, or "
+            "split one store with --split chronological=0.7."
         )
-    elif found is not None and linear is not None and linear - found >= WORSE_THAN_LINEAR:
-        lines.append(
-            f"{target}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
-            f"{_number(linear)}. Choose it, --set objectives.{report['objective']}.model=linear, or record more."
-        )
-    spread = held.get("spread") or {}
-    times = spread.get("error_over_spread")
-    if times is not None and times > POOR_SPREAD:
-        lines.append(
-            f"{target}: the model's doubt is too small: {spread['within_1']:.2f} of its errors lie within one of its "
-            f"standard deviations (of a Gaussian 0.68), and they are {times:.1f} times as large as it says."
-        )
-    return lines
+    return replace(parts, training=training), shared
 
 
-def _number(value: float | None) -> str:
-    return "–" if value is None or not math.isfinite(value) else f"{value:.3f}"
+def _spec(registry: Registry, recording: Recording) -> RobotSpec | None:
+    """Of the robot that made a recording, if it is installed."""
+    return registry.make_robot(recording.robot).spec if recording.robot in registry.robots else None
+
+
+# ------------------------------------------------------------------------------------------------ what is compared
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Measurement models by choice, unfitted, for the channels of one recording."""
+
+    objective: Objective
+    settings: Settings
+    registry: Registry
+    like: Recording
+    config: MeasurementConfig
+    progress: Progress | None
+
+    @property
+    def how(self) -> FitSettings:
+        return FitSettings(self.config.seed, self.config.epochs, self.config.max_seconds)
+
+    def made(self, choice: Named) -> MeasurementModel:
+        context = ModelContext(recorded_signals(self.objective, self.like), self.objective.measurement_model())
+        return self.registry.make_measurement_model(choice.name, choice.settings, context)
+
+    def fitter(self, choice: Named) -> comparison.Fitter:
+        def fit(training: Sequence[Recording]) -> tuple[comparison.Predictor, str]:
+            model = self.made(choice)
+            report = model.fit(training, **vars(replace(self.how, progress=self.progress)))
+            told = [f"{key} {report[key]:.3g}" for key in ("ridge", "pooling", "lag_seconds") if key in report]
+            return comparison.of_model(model), ", ".join(told)
+
+        return fit
+
+
+def _compared(
+    candidates: _Candidates,
+    parts: Split,
+    checks: FitChecks,
+    spec: RobotSpec | None,
+    say: Callable[[str], None],
+) -> tuple[Named, list[comparison.Row], dict[str, float | None] | None]:
+    """The model to keep, the rows of all others, and cross-validated R² where the best is wanted."""
+    objective = candidates.objective
+    target = objective.target.name
+    own = chosen_model(objective, candidates.settings)
+    names = dict.fromkeys((own.name, *checks.models, *(COMPARED if checks.best and not checks.models else ())))
+    choices = {name: own if name == own.name else Named(name=name) for name in names}
+    for choice in choices.values():
+        candidates.made(choice)  # a wrong name is one line before anything is spent
+    training, held_out, _ = masked_split(parts.training, parts.held_out, (*objective.inputs, target), spec)
+    fixed = comparison.references(target, stand_ins(objective, recorded_signals(objective, candidates.like)))
+    fitters = {name: candidates.fitter(choice) for name, choice in choices.items()}
+    tried = comparison.cross_validated({**fixed, **fitters}, target, training, say) if checks.best else None
+    kept = own
+    if tried is not None:
+        known = {name: r2 for name in choices if (r2 := tried[name]) is not None}
+        if not known:
+            raise RecordingError("Too little is left to cross-validate: leave --best out, or record more.")
+        kept = choices[max(known, key=lambda name: known[name])]
+    found = tried or {}
+    rows = [
+        comparison.row(name, "reference", fitter, target, training, held_out, found.get(name))
+        for name, fitter in fixed.items()
+    ]
+    others = {name: fitter for name, fitter in fitters.items() if name != kept.name}
+    if "linear" not in fitters:
+        others["linear"] = candidates.fitter(Named(name="linear"))
+    for name, fitter in others.items():
+        say(f"fitting {name}, to compare")
+        rows.append(comparison.row(name, "model", fitter, target, training, held_out, found.get(name)))
+    return kept, rows, tried
+
+
+def _table(report: Mapping[str, Any], rows: Sequence[comparison.Row]) -> list[dict[str, Any]]:
+    """All rows, the kept model's among them; worst first, as the table is printed."""
+    held, name = report["held_out"], report["model"]["name"]
+    fit = report["fit"]
+    told = ", ".join(f"{key} {fit[key]:.3g}" for key in ("ridge", "pooling", "lag_seconds") if key in fit)
+    own = comparison.Row(
+        name, "kept", held["r2"], held["r2_interval"], held["rmse"], (report["best_of"] or {}).get(name), told,
+        float(fit.get("seconds", 0.0)),
+    )  # fmt: skip
+    references = [one for one in rows if one.kind == "reference"]
+    models = [*(one for one in rows if one.kind == "model"), own]
+    return comparison.as_json([*references, *sorted(models, key=lambda one: one.r2 if one.r2 is not None else -1e9)])
+
+
+# --------------------------------------------------------------------------------------------------- settings
 
 
 def _settings(overrides: Sequence[str | Override], objective_name: str) -> dict[str, dict[str, Any]]:

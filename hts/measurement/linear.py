@@ -2,14 +2,15 @@
 
     z(t) = b + Σ_ℓ w_ℓ · φ(t − ℓ)        φ: z-scored features, 0 (their mean) before an episode began; ℓ: lags
 
-It is solved in one go. In the env it costs one small matrix product: the memory of a world is not its past, but what
-that past will still add to each of the next predictions.
+It is solved in one go; how much is penalised, how far back it looks and how much joints share is chosen by
+cross-validation inside the recordings (`hts.measurement.ridge`). In the env it costs one small matrix product: the
+memory of a world is not its past, but what that past will still add to each of the next predictions.
 """
 
 from __future__ import annotations
 
-import math
-import time
+import itertools
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -19,15 +20,14 @@ from torch import Tensor
 
 from hts.config import Config
 from hts.contracts import MeasurementModel, ModelContext, Prediction, Signals
-from hts.measurement.data import VALIDATION_SHARE, Piece, training_data
+from hts.measurement.data import Piece, training_data
 from hts.measurement.lstm_fit import one_thread
+from hts.measurement.ridge import POOLINGS, RIDGES, Moments, chosen, parts_left_out, penalty_of
 from hts.measurement.torch_model import TorchModel
 
 if TYPE_CHECKING:
-    from hts.contracts.measurement_model import Progress
+    from hts.measurement.fit_settings import FitSettings
     from hts.recordings.recording import Recording
-
-RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)  # per sample; features have variance 1
 
 
 class LinearSettings(Config):
@@ -37,9 +37,20 @@ class LinearSettings(Config):
         True, description="also feed the squares of the inputs and the products of inputs of one size, place by place"
     )
     lag_seconds: float = Field(0.4, ge=0, description="how far back the features reach, s")
-    lags: int = Field(10, ge=0, description="how many past samples within that, evenly spread, beside the present one")
+    lags: int = Field(
+        10,
+        ge=0,
+        description="how many past samples within that, evenly spread, beside the present one; where cross-validation "
+        "finds the older ones of no use, they weigh nothing",
+    )
     ridge: float | None = Field(
-        None, ge=0, description="penalty on squared weights, per sample; null: the best on the ends of the recordings"
+        None, ge=0, description="penalty on squared weights, per sample; null: by cross-validation"
+    )
+    pooling: float | None = Field(
+        None,
+        ge=1,
+        description="κ: by how much less the coefficient that components of a channel share is penalised than what "
+        "each has of its own; 1: nothing is shared; null: by cross-validation",
     )
 
 
@@ -65,61 +76,63 @@ class Linear(TorchModel):
         return self.config.model_dump(mode="json")
 
     @torch.no_grad()
-    def fit(
-        self,
-        recordings: Sequence[Recording],
-        *,
-        seed: int = 0,
-        epochs: int = 20,
-        max_seconds: float = math.inf,
-        progress: Progress | None = None,
-        warm_start: MeasurementModel | None = None,
-    ) -> dict[str, Any]:
+    def learn(self, recordings: Sequence[Recording], how: FitSettings) -> dict[str, Any]:
         """Least squares, in double precision; seed, epochs and warm start have nothing to change in it."""
-        began = time.monotonic()
-        pieces = training_data(self.signals, recordings)
+        pieces, config = training_data(self.signals, recordings), self.config
         with one_thread():
             self.set_statistics(torch.cat([p.inputs for p in pieces]), torch.cat([p.target for p in pieces]))
-            inner, ends = self._moments(pieces)
-            ridges = RIDGES if self.config.ridge is None else (self.config.ridge,)
-            errors = {ridge: ends.error(inner.solved(ridge)) for ridge in ridges}
-            ridge = min(ridges, key=lambda one: errors[one])
-            solution = inner.plus(ends).solved(ridge)
-        self.weight.copy_(solution[:-1].view_as(self.weight))
+            folds, rest = self._moments(pieces, recordings)
+            ridges = RIDGES if config.ridge is None else (config.ridge,)
+            poolings = POOLINGS if config.pooling is None else (config.pooling,)
+            std, groups = self.feature_std, self.shared_features()
+            found = chosen(folds, std, groups, len(self.lags), ridges, poolings if groups else (1.0,))
+            whole = sum(folds, start=rest).first(found.lags * self.num_features)
+            solution = whole.solved(found.ridge * penalty_of(found.pooling, std, groups, found.lags))
+        self.weight.zero_()
+        self.weight[: found.lags] = solution[:-1].view(found.lags, -1)
         self.bias.copy_(solution[-1])
         self._folded = None
-        if progress is not None:
-            progress(1, 1, errors[ridge])
+        if how.progress is not None:
+            how.progress(1, 1, found.error)
         return {
             "samples": sum(len(piece.target) for piece in pieces),
-            "recordings": len(recordings),
-            "seed": seed,
             "epochs": 1,
             "stopped": "solved",
             "warm_started": False,
-            "ridge": ridge,
-            "validation_r2": 1.0 - errors[ridge] / ends.variance(),
-            "seconds": time.monotonic() - began,
+            "ridge": found.ridge,
+            "pooling": found.pooling,
+            "lag_seconds": self.lags[found.lags - 1] / self.signals.rate_hz,
+            "validation_r2": 1.0 - found.error / sum(folds[1:], start=folds[0]).variance(),
         }
 
-    def _moments(self, pieces: Sequence[Piece]) -> tuple[_Moments, _Moments]:
-        """Of the beginnings of all recordings, and of their ends, which choose the penalty."""
-        width = len(self.lags) * self.num_features + 1
-        inner, ends = _Moments(width), _Moments(width)
-        for piece in pieces:
+    def shared_features(self) -> list[slice]:
+        """Places of features that are the same thing of several components, such as of all joints."""
+        sizes = (*self.signals.sizes, *(first.stop - first.start for first, _ in self._pairs))
+        edges = list(itertools.accumulate(sizes, initial=0))
+        return [slice(a, b) for a, b in itertools.pairwise(edges) if b - a > 1]
+
+    def _moments(self, pieces: Sequence[Piece], recordings: Sequence[Recording]) -> tuple[list[Moments], Moments]:
+        """Of each fold, and of the samples between two parts of a recording, which know something of both."""
+        width, longest = len(self.lags) * self.num_features + 1, self.lags[-1]
+        cuts = parts_left_out(recordings, [len(piece.target) for piece in pieces], self.signals.rate_hz)
+        folds, between = defaultdict[int, Moments](lambda: Moments(width)), Moments(width)
+        for piece, parts in zip(pieces, cuts, strict=True):
             features = self.scaled_features(piece.inputs).double()
             columns = [
                 torch.cat((features.new_zeros(lag, self.num_features), features))[: len(features)] for lag in self.lags
             ]
             design = torch.cat((*columns, features.new_ones(len(features), 1)), 1)
             target = self.normalise_target(piece.target).double()
-            cut = len(target) - max(1, round(VALIDATION_SHARE * len(target)))
-            start = min(
-                self.lags[-1], cut // 2
-            )  # before a recording the robot did walk: its past there is not the mean
-            inner.add(design[start:cut], target[start:cut])
-            ends.add(design[cut:], target[cut:])
-        return inner, ends
+            # Before a recording the robot did move: its past there is not the mean.
+            start = before = min(longest, len(target) // 2)
+            for stop, fold in parts:
+                if before > start:
+                    known = slice(before, min(before + longest, stop))
+                    between.add(design[known], target[known])
+                    before = known.stop
+                folds[fold].add(design[before:stop], target[before:stop])
+                before = max(before, stop)
+        return [folds[fold] for fold in sorted(folds) if folds[fold].count], between
 
     # --------------------------------------------------------------------------------------------- running
 
@@ -161,40 +174,3 @@ def _lags(config: LinearSettings, rate_hz: float) -> tuple[int, ...]:
     """Lags in samples, increasing, 0 first."""
     longest = config.lag_seconds * rate_hz if config.lags else 0.0
     return tuple(sorted({round(longest * step / max(1, config.lags)) for step in range(config.lags + 1)}))
-
-
-class _Moments:
-    """XᵀX, Xᵀy and yᵀy of a regression, summed up piece by piece; the last column of X is 1 and not penalised."""
-
-    def __init__(self, width: int) -> None:
-        self.count = 0
-        self.xx, self.xy = torch.zeros(width, width, dtype=torch.double), torch.zeros(width, dtype=torch.double)
-        self.yy, self.y = torch.zeros((), dtype=torch.double), torch.zeros((), dtype=torch.double)
-
-    def add(self, x: Tensor, y: Tensor) -> None:
-        self.count += len(y)
-        self.xx += x.t() @ x
-        self.xy += x.t() @ y
-        self.yy += y @ y
-        self.y += y.sum()
-
-    def plus(self, other: _Moments) -> _Moments:
-        both = _Moments(len(self.xy))
-        both.count = self.count + other.count
-        both.xx, both.xy = self.xx + other.xx, self.xy + other.xy
-        both.yy, both.y = self.yy + other.yy, self.y + other.y
-        return both
-
-    def solved(self, ridge: float) -> Tensor:
-        """argmin |Xw − y|² + ridge · count · |w|², without the last of w in the penalty."""
-        penalty = torch.full_like(self.xy, ridge * max(1, self.count))
-        penalty[-1] = 0.0
-        # A trace of it everywhere: a feature that never varied has an empty column.
-        return torch.linalg.solve(self.xx + torch.diag(penalty + 1e-9 * max(1, self.count)), self.xy)
-
-    def error(self, w: Tensor) -> float:
-        """Mean squared error."""
-        return float(self.yy - 2 * w @ self.xy + w @ self.xx @ w) / self.count
-
-    def variance(self) -> float:
-        return float(self.yy / self.count - (self.y / self.count) ** 2)

@@ -9,7 +9,6 @@ where `torch.nn.LSTM` took 0.8 ms.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,7 @@ from hts.contracts import MeasurementModel, ModelContext, Prediction, Signals
 from hts.measurement.torch_model import TorchModel
 
 if TYPE_CHECKING:
-    from hts.contracts.measurement_model import Progress
+    from hts.measurement.fit_settings import FitSettings
     from hts.recordings.recording import Recording
 
 
@@ -86,20 +85,11 @@ class LSTM(TorchModel):
         self.input_high.fill_(torch.inf)
         self._folded = None
 
-    def fit(
-        self,
-        recordings: Sequence[Recording],
-        *,
-        seed: int = 0,
-        epochs: int = 20,
-        max_seconds: float = math.inf,
-        progress: Progress | None = None,
-        warm_start: MeasurementModel | None = None,
-    ) -> dict[str, Any]:
+    def learn(self, recordings: Sequence[Recording], how: FitSettings) -> dict[str, Any]:
         """See `hts.measurement.lstm_fit`."""
         from hts.measurement.lstm_fit import fit_lstm
 
-        return fit_lstm(self, recordings, seed, epochs, max_seconds, progress, warm_start)
+        return fit_lstm(self, recordings, how)
 
     def same_shape(self, other: MeasurementModel) -> bool:
         """Whether the other model's numbers fit into this one."""

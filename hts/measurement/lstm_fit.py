@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from hts.contracts import MeasurementModel
 from hts.errors import RecordingError
 from hts.measurement.data import Piece, split_ends, training_data
 
 if TYPE_CHECKING:
     from hts.contracts.measurement_model import Progress
+    from hts.measurement.fit_settings import FitSettings
     from hts.measurement.lstm import LSTM, LSTMSettings
     from hts.recordings.recording import Recording
 
@@ -33,47 +33,37 @@ WARM_UP = 0.05  # share of the updates in which the step size rises to its peak
 Memory = tuple[Tensor, Tensor]  # h and c, each (layers, B, hidden)
 
 
-def fit_lstm(
-    model: LSTM,
-    recordings: Sequence[Recording],
-    seed: int,
-    epochs: int,
-    max_seconds: float,
-    progress: Progress | None,
-    warm_start: MeasurementModel | None,
-) -> dict[str, Any]:
+def fit_lstm(model: LSTM, recordings: Sequence[Recording], how: FitSettings) -> dict[str, Any]:
     """Fit the model in place; see `MeasurementModel.fit` for what is given and kept.
 
     Adam with clipped gradients and a cosine step size; the epoch with the least error on the last 10 % of each
     recording is kept. Stops early after `patience` epochs without a better one, or after the epoch in which
-    `max_seconds` have passed. The report: samples, recordings, seed, epochs, best_epoch, stopped, warm_started,
-    validation_r2, seconds, and the error of each epoch in z-scores as `curve`.
+    `max_seconds` have passed. The report: samples, epochs, best_epoch, stopped, warm_started, validation_r2, and the
+    error of each epoch in z-scores as `curve`.
     """
     began = time.monotonic()
     pieces = training_data(model.signals, recordings)
-    warm = warm_start is not None and model.same_shape(warm_start)
-    if warm and warm_start is not None:
-        model.load_tensors({name: value.clone() for name, value in warm_start.tensors().items()})
+    before = how.warm_start if how.warm_start is not None and model.same_shape(how.warm_start) else None
+    if before is not None:
+        model.load_tensors({name: value.clone() for name, value in before.tensors().items()})
     else:
-        model.initialise(seed)
+        model.initialise(how.seed)
     with one_thread(), trainable(model):
         model.set_statistics(torch.cat([piece.inputs for piece in pieces]), torch.cat([p.target for p in pieces]))
         pieces = [_normalise(model, piece) for piece in pieces]
         training, validation = split_ends(pieces, model.config.sequence)
-        updates = epochs * _updates(training, model.config)
-        passes = _Passes(model, training, validation, updates, 0.3 if warm else 1.0, seed)
-        search = _search(passes, epochs, model.config.patience or max(3, epochs // 3), began + max_seconds, progress)
+        updates = how.epochs * _updates(training, model.config)
+        passes = _Passes(model, training, validation, updates, 0.3 if before is not None else 1.0, how.seed)
+        patience = model.config.patience or max(3, how.epochs // 3)
+        search = _search(passes, how.epochs, patience, began + how.max_seconds, how.progress)
         model.load_tensors(search.best)
     return {
         "samples": sum(len(piece.target) for piece in pieces),
-        "recordings": len(recordings),
-        "seed": seed,
         "epochs": len(search.curve),
         "best_epoch": search.best_epoch,
         "stopped": search.stopped,
-        "warm_started": warm,
+        "warm_started": before is not None,
         "validation_r2": 1.0 - search.best_error / _variance(validation or training),
-        "seconds": time.monotonic() - began,
         "curve": search.curve,
     }
 

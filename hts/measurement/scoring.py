@@ -2,6 +2,7 @@
 and whether a spread is honest.
 
 The first second of each recording is not scored: the model's memory starts empty, the real sensor's does not.
+Of a recording shorter than four seconds it is the first quarter, so that something is left to score.
 """
 
 from __future__ import annotations
@@ -18,6 +19,16 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
 SETTLE_SECONDS = 1.0
+SETTLE_SHARE = 0.25
+BLOCK_SECONDS = 1.0
+"""What is drawn together for an interval: errors are alike for a while."""
+DRAWS = 1000
+LEAST_BLOCKS = 4
+
+
+def unscored(recording: Recording) -> int:
+    """How many samples at its beginning are not scored."""
+    return min(round(SETTLE_SECONDS * recording.rate_hz), int(SETTLE_SHARE * recording.num_samples))
 
 
 def r2(measured: np.ndarray, predicted: np.ndarray) -> float | None:
@@ -48,7 +59,7 @@ class PolicyCost:
 
 @dataclass(frozen=True)
 class Trace:
-    """Measured and predicted target along one recording, after the first second, each (T',).
+    """Measured and predicted target along one recording, after what is not scored, each (T',).
 
     spread: standard deviation of the prediction, where the model gives one.
     """
@@ -60,7 +71,7 @@ class Trace:
 
     @classmethod
     def of(cls, recording: Recording, target: str, predicted: np.ndarray, spread: np.ndarray | None = None) -> Trace:
-        skip = round(SETTLE_SECONDS * recording.rate_hz)
+        skip = unscored(recording)
         measured = recording.values(target).reshape(-1).astype(np.float64)
         kept = None if spread is None else spread[skip:].astype(np.float64)
         return cls(recording, measured[skip:], predicted[skip:].astype(np.float64), kept)
@@ -73,6 +84,8 @@ def policy_costs(traces: Sequence[Trace]) -> list[PolicyCost]:
     """
     sums: dict[float, dict[str, np.ndarray]] = defaultdict(dict)
     for trace in traces:
+        if not trace.measured.size:
+            continue
         speeds = commanded_speed(trace.recording)[-len(trace.measured) :]
         for speed in np.unique(speeds):
             at = speeds == speed
@@ -97,24 +110,54 @@ def commanded_speed(recording: Recording) -> np.ndarray:
 def scores(traces: Sequence[Trace], seen_policies: Collection[str] = ()) -> dict[str, Any]:
     """Errors of predictions along recordings, as plain JSON values.
 
-    r2: over all samples together; r2_policies: over those of policies not in `seen_policies`, None if there are
-    none; rmse: in the target's unit; rank_correlation: across policies at the commanded speed most of them
-    share, None with one policy.
+    r2: over all samples together; r2_interval: see `r2_interval`; seconds, samples: that are scored; r2_policies: over
+    those of policies not in `seen_policies`, None if there are none; rmse: in the target's unit; rank_correlation:
+    across policies at the commanded speed most of them share, None with one policy.
     """
     if not traces:
-        return {"r2": None, "r2_policies": None, "rmse": None, "rank_correlation": None, "policies": [], "samples": 0}
+        nothing = dict.fromkeys(("r2", "r2_interval", "r2_policies", "rmse", "rank_correlation"))
+        return {**nothing, "policies": [], "samples": 0, "seconds": 0.0}
     measured = np.concatenate([trace.measured for trace in traces])
     predicted = np.concatenate([trace.predicted for trace in traces])
     new = [trace for trace in traces if trace.recording.policy_hash not in seen_policies]
     costs = policy_costs(traces)
     return {
         "r2": r2(measured, predicted),
+        "r2_interval": r2_interval(traces),
         "r2_policies": _pooled_r2(new),
         "rmse": math.sqrt(float(((measured - predicted) ** 2).mean())) if measured.size else None,
         "rank_correlation": spearman([c.measured for c in costs], [c.predicted for c in costs]),
         "policies": [asdict(cost) for cost in costs],
         "samples": int(measured.size),
+        "seconds": sum(trace.measured.size / trace.recording.rate_hz for trace in traces),
     }
+
+
+def r2_interval(traces: Sequence[Trace]) -> list[float] | None:
+    """95 % interval of R² by a block bootstrap: blocks of a second, drawn with replacement, a thousand times.
+
+    It says how much hangs on which seconds were held out, not what other policies or days would give. None with fewer
+    than four blocks. Each draw is scored against its own mean. Künsch 1989, of blocks that do not overlap.
+    """
+    rows = []
+    for trace in traces:
+        size = max(1, round(BLOCK_SECONDS * trace.recording.rate_hz))
+        for start in range(0, trace.measured.size, size):
+            y, error = trace.measured[start : start + size], (trace.measured - trace.predicted)[start : start + size]
+            rows.append((len(y), y.sum(), (y * y).sum(), (error * error).sum()))
+    if len(rows) < LEAST_BLOCKS:
+        return None
+    drawn = np.random.default_rng(0).integers(len(rows), size=(DRAWS, len(rows)))
+    table = np.array(rows)
+    table[:, 2] -= 2 * (level := table[:, 1].sum() / table[:, 0].sum()) * table[:, 1] - level**2 * table[:, 0]
+    table[:, 1] -= level * table[:, 0]  # about the mean, or sums of squares lose their last digits
+    count, total, squares, errors = table[drawn].sum(1).T
+    around = squares - total**2 / count
+    varies = around > 1e-12 * np.maximum(squares, 1e-300)
+    if varies.mean() < 0.5:
+        return None
+    low, high = np.quantile(1.0 - errors[varies] / around[varies], (0.025, 0.975))
+    return [float(low), float(high)]
 
 
 def _pooled_r2(traces: Sequence[Trace]) -> float | None:

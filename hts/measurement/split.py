@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from hts.config import ScheduleConfig
     from hts.recordings.recording import Recording
 
 WHOLE_POLICIES_FROM = 4  # with fewer policies each one is needed for fitting
@@ -58,4 +59,27 @@ def part(recording: Recording, start: int, stop: int) -> Recording:
     from hts.recordings.recording import Series
 
     channels = {name: Series(s.channel, s.values[start:stop]) for name, s in recording.channels.items()}
-    return recording.replace(time=recording.time[start:stop], channels=channels)
+    changes = {"time": recording.time[start:stop], "channels": channels}
+    return recording.replace(**changes, schedule=_schedule_from(recording.schedule, start / recording.rate_hz))
+
+
+def named_part(recording: Recording, start: int, stop: int) -> Recording:
+    """The same, called by its recording's id and the samples, so that reports can say what it is."""
+    whole = (start, stop) == (0, recording.num_samples)
+    return recording if whole else part(recording, start, stop).replace(id=f"{recording.id}[{start}:{stop}]")
+
+
+def _schedule_from(schedule: ScheduleConfig, seconds: float) -> ScheduleConfig:
+    """What is commanded from so many seconds on; the last command lasts."""
+    commands = list(schedule.commands)
+    while len(commands) > 1 and seconds >= commands[0].seconds:
+        seconds -= commands.pop(0).seconds
+    left = commands[0].seconds - seconds
+    first = commands[0].model_copy(update={"seconds": left if left > 0 else commands[0].seconds})
+    return schedule.model_copy(update={"commands": (first, *commands[1:])})
+
+
+def stretches(wanted: np.ndarray) -> list[tuple[int, int]]:
+    """(start, stop) of the runs of True in bool (T,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], wanted, [False])).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

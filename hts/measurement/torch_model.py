@@ -1,6 +1,6 @@
 """A measurement model that is a `torch.nn.Module`: its parameters and buffers are what is saved and moved.
 
-What is left to write: `settings`, `fit`, `sequence`, `step` and `initial_state`.
+What is left to write: `settings`, `learn` (or `fit`), `sequence`, `step` and `initial_state`.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from hts.contracts import MeasurementModel, Signals
+from hts.contracts import Signals
 from hts.measurement.data import pairs_of, with_products
+from hts.measurement.fit_settings import Learner
 
 
-class TorchModel(nn.Module, MeasurementModel):
+class TorchModel(nn.Module, Learner):
     """Buffers from the data it was fitted to, in channel units: target_mean, target_std, input_low, input_high (F,),
     and of the features (G,): feature_mean, feature_std.
 

@@ -21,7 +21,8 @@ from hts.evaluation.simulation import SimulatedTrial, longest_walk, test_config,
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
 from hts.measurement.baseline import fit_proxy
-from hts.measurement.fit_command import doubts, fit_and_check
+from hts.measurement.fit_command import fit_and_check
+from hts.measurement.fit_report import doubts
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.recordings.recording import Recording

@@ -15,11 +15,11 @@ import torch
 from hts.channels import Channel
 from hts.config import Command, MeasurementConfig, ScheduleConfig
 from hts.errors import ConfigError, RecordingError, RunError
-from hts.measurement import checks, files, fit_command
+from hts.measurement import checks, files, fit_command, fit_report
 from hts.measurement.baseline import check_proxy, fit_proxy, shifted
 from hts.measurement.data import input_tensor
 from hts.measurement.lstm import LSTM, LSTMSettings
-from hts.measurement.scoring import Trace, calibration, commanded_speed, policy_costs, r2, spearman
+from hts.measurement.scoring import Trace, calibration, commanded_speed, policy_costs, r2, r2_interval, spearman
 from hts.measurement.split import split
 from hts.recordings.recording import Recording, Series
 from hts.testing.known_signals import HEAT, SIGNALS, KnownHeat
@@ -164,6 +164,40 @@ def test_policies_are_ranked_at_the_speed_most_of_them_share():
     ]
 
 
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 1.16])
+def test_of_a_short_recording_the_first_quarter_is_not_scored(fitted, seconds):
+    model, training = fitted
+    report = checks.check(KnownHeat(), model, [recording(50, "stranger", seconds=seconds)], training)
+    count = round(seconds * 50)
+    assert report["samples"] == count - count // 4
+    assert report["seconds"] == pytest.approx(report["samples"] / 50)
+    assert report["policies"][0]["samples"] == report["samples"]
+
+
+def test_the_interval_of_r2_holds_the_r2_of_all_and_is_narrow_where_errors_are_alike():
+    rng = np.random.default_rng(0)
+    r = recording(1, "a", seconds=60.0)
+    measured = r.values("heat").astype(float)
+    noisy = measured + rng.normal(0, 0.5 * measured.std(), len(measured))
+    low, high = r2_interval([Trace(r, measured, noisy)])
+    assert low < 0.75 < high and high - low < 0.1  # 1 − 0.5²
+    # the same noise in one part only: much hangs on whether that part is drawn
+    part = np.where(np.arange(len(measured)) < 300, measured + 5.0, measured)
+    low, high = r2_interval([Trace(r, measured, part)])
+    assert low < r2(measured, part) < high and high - low > 0.2
+    assert r2_interval([Trace(r, measured[:150], noisy[:150])]) is None  # three blocks say nothing
+
+
+def test_the_interval_covers_what_another_draw_of_the_same_world_gives():
+    rng, inside = np.random.default_rng(1), 0
+    r = recording(1, "a", seconds=40.0)
+    for _ in range(60):
+        measured = rng.normal(size=2000)
+        low, high = r2_interval([Trace(r, measured, measured + rng.normal(0, 0.5, 2000))])
+        inside += low < 0.75 < high
+    assert 50 <= inside <= 60  # 95 % of 60 is 57
+
+
 def test_commanded_speed_follows_the_schedule():
     schedule = ScheduleConfig(commands=(Command(seconds=1.0, vx=0.5), Command(seconds=1.0, vx=1.1)))
     speeds = commanded_speed(recording(1, seconds=3.0, schedule=schedule))
@@ -193,7 +227,7 @@ def test_of_a_single_recording_nothing_is_held_out_and_nothing_is_claimed():
     report = fit_command.fit_and_check(KnownHeat(), [only], MeasurementConfig(epochs=1)).report
     assert report["held_out_r2"] is None and report["rank_correlation"] is None
     assert report["held_out"]["linear"]["r2"] is None and report["held_out"]["samples"] == 0
-    line = fit_command.summary_line(report)
+    line = fit_report.summary_line(report)
     assert "fitted to one recording, so none was held out" in line and "R²" not in line
 
 
@@ -250,7 +284,7 @@ def test_fit_writes_a_model_and_its_checks_and_overwrites_nothing(store, tmp_pat
     assert files.load(tmp_path / "out" / "model").config == SMALL
     assert report["model"] == {"name": "lstm", **SMALL.model_dump()}
     assert report["held_out"]["linear"]["r2"] is not None
-    assert "R²" in fit_command.summary_line(report)
+    assert "R²" in fit_report.summary_line(report)
     with pytest.raises(RunError, match="nothing is overwritten"):
         fit_command.fit_store("cool", store.path, tmp_path / "out")
 
@@ -328,28 +362,39 @@ def a_report(r2, linear, spread=None):
     ],
 )
 def test_a_model_that_is_worse_than_nothing_or_than_linear_is_told_with_its_cure(found, linear, expected):
-    (line,) = fit_command.doubts(a_report(found, linear))
+    (line,) = fit_report.doubts(a_report(found, linear))
     assert re.match(expected, line) and "\n" not in line
 
 
 @pytest.mark.parametrize(("found", "linear"), [(0.95, 0.99), (0.0, None), (None, None), (0.9, 0.2)])
 def test_of_a_sound_model_or_one_without_held_out_data_nothing_is_said(found, linear):
-    assert fit_command.doubts(a_report(found, linear)) == []
+    assert fit_report.doubts(a_report(found, linear)) == []
+
+
+def test_a_stand_in_with_a_negative_scale_is_told_with_its_likely_causes():
+    report = a_report(0.9, 0.9)
+    report["held_out"]["proxy"] = {"smoothed": {"scale": -0.5, "r2": 0.8}}
+    (line,) = fit_report.doubts(report)
+    assert "negative scale, -0.5" in line and "sign: -1" in line
+    report["held_out"]["proxy"]["smoothed"]["scale"] = 0.5
+    assert fit_report.doubts(report) == []
 
 
 def test_a_spread_that_is_too_small_is_told():
-    (line,) = fit_command.doubts(a_report(0.9, 0.9, {"within_1": 0.21, "error_over_spread": 3.4}))
+    (line,) = fit_report.doubts(a_report(0.9, 0.9, {"within_1": 0.21, "error_over_spread": 3.4}))
     assert "0.21 of its errors lie within one of its standard deviations" in line and "3.4 times" in line
-    assert fit_command.doubts(a_report(0.9, 0.9, {"within_1": 0.6, "error_over_spread": 1.2})) == []
+    assert fit_report.doubts(a_report(0.9, 0.9, {"within_1": 0.6, "error_over_spread": 1.2})) == []
 
 
 def test_the_command_prints_what_is_doubtful_after_its_summary(store, tmp_path, monkeypatch, capsys):
     from hts.cli import fit as fit_cli
 
-    monkeypatch.setattr(fit_command, "doubts", lambda report: [f"doubt of {report['target']}"])
-    fit_cli.command("cool", store.path, tmp_path / "out", ["measurement.epochs=1"])
-    summary, doubt, path = capsys.readouterr().out.splitlines()
-    assert summary.startswith("heat: R²") and doubt == "doubt of heat" and path.endswith("fit.json")
+    monkeypatch.setattr(fit_report, "doubts", lambda report: [f"doubt of {report['target']}"])
+    fit_cli.command(store.path, tmp_path / "out", "cool", set_=["measurement.epochs=1"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("model") and [line.split()[0] for line in lines[1:4]] == ["mean", "proxy", "proxy,"]
+    summary = lines.index(next(line for line in lines if line.startswith("heat: R²")))
+    assert lines[summary + 1] == "doubt of heat" and lines[-1].endswith("fit.json")
 
 
 def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_path, monkeypatch):

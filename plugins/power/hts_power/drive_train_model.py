@@ -24,8 +24,6 @@ action is paid for when it is taken and not half a second later.
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +41,7 @@ from hts.measurement.torch_model import TorchModel
 from hts_power.drive_train_fit import DIRECTIONS, TERMS, Drives, skipped
 
 if TYPE_CHECKING:
-    from hts.contracts.measurement_model import Progress
+    from hts.measurement.fit_settings import FitSettings
     from hts.recordings.recording import Recording
 
 MOST_FOLDS = 10
@@ -115,19 +113,9 @@ class DriveTrain(TorchModel):
     # --------------------------------------------------------------------------------------------- fitting
 
     @torch.no_grad()
-    def fit(
-        self,
-        recordings: Sequence[Recording],
-        *,
-        seed: int = 0,
-        epochs: int = 20,
-        max_seconds: float = math.inf,
-        progress: Progress | None = None,
-        warm_start: MeasurementModel | None = None,
-    ) -> dict[str, Any]:
+    def learn(self, recordings: Sequence[Recording], how: FitSettings) -> dict[str, Any]:
         """Drives and sensor in turn, each by least squares in double precision; seed, epochs and warm start have
         nothing to change in it."""
-        began = time.monotonic()
         pieces = training_data(self.signals, recordings)
         with one_thread():
             self.set_statistics(torch.cat([p.inputs for p in pieces]), torch.cat([p.target for p in pieces]))
@@ -151,8 +139,8 @@ class DriveTrain(TorchModel):
                     drives.fit(shown, targets, folds, self.longest)
                     seen = [piece @ drives.weight + drives.bias for piece in terms]
                 found[source] = drives, sensor, shown
-                if progress is not None:
-                    progress(len(found), len(sources), drives.error)
+                if how.progress is not None:
+                    how.progress(len(found), len(sources), drives.error)
             torque = min(found, key=lambda source: found[source][0].error)
             drives, sensor, shown = found[torque]
             doubt = drives.doubt(shown, targets, self.longest, self.signals.rate_hz)
@@ -166,8 +154,6 @@ class DriveTrain(TorchModel):
         self._folded = None
         return {
             "samples": sum(len(piece.target) for piece in pieces),
-            "recordings": len(recordings),
-            "seed": seed,
             "epochs": 1,
             "stopped": "solved",
             "warm_started": False,
@@ -175,7 +161,6 @@ class DriveTrain(TorchModel):
             "penalties": {"common": drives.penalties[0], "own": drives.penalties[1]},
             "sensor_delay_seconds": float(sensor @ np.arange(len(sensor)) / self.signals.rate_hz),
             "validation_r2": 1.0 - drives.error / float(np.concatenate(targets).var()),
-            "seconds": time.monotonic() - began,
         }
 
     def _before_statistics(self, mean: Tensor, std: Tensor, target_mean: Tensor, target_std: Tensor) -> None:

@@ -1,0 +1,143 @@
+"""What `hts fit` prints: a line on the kept model, the table beside it, and what a person should know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from hts.measurement.outliers import Masked, told
+
+WORSE_THAN_LINEAR = 0.1
+"""By so much less variance explained a model is not worth its training."""
+POOR_SPREAD = 2.0
+"""Errors that are more than so many times as large as a model says are worth a line."""
+SHORT_SECONDS = 30.0
+"""Less than this held out says little: another half minute may give another R²."""
+
+
+def summary_line(report: Mapping[str, Any]) -> str:
+    """One line for a person, from the report of `fit_and_check`."""
+    held = report["held_out"]
+    if not held["recordings"]:
+        return (
+            f"{report['target']}: fitted to one recording, so none was held out and nothing is known of how well it "
+            "predicts. Import two at least, or hold out its end: --split chronological=0.7"
+        )
+    proxy = (held["proxy"] or {}).get("smoothed")
+    linear = held.get("linear")
+    other = (report.get("model") or {}).get("name") != "linear"
+    against = f", linear {_number(linear['r2'])}" if linear and other else ""
+    against += f", analytic stand-in {_number(proxy['r2'])}" if proxy else ""
+    interval = held.get("r2_interval")
+    within = f" (95 % {_number(interval[0])} to {_number(interval[1])})" if interval else ""
+    recordings, policies = len(held["recordings"]), len(held["policies"])
+    many = f"{recordings} held-out recording{'s' if recordings > 1 else ''}"
+    ranks = f"; rank correlation across {policies} policies {_number(report['rank_correlation'])}"
+    return (
+        f"{report['target']}: R² {_number(report['held_out_r2'])}{within} on {many}, "
+        f"{held['seconds']:.1f} s scored{against}{ranks if policies > 1 else ''}"
+    )
+
+
+def doubts(report: Mapping[str, Any]) -> list[str]:
+    """What a person should know before a model is trusted, one line each; empty where nothing is wrong.
+
+    report: that of `fit_and_check`.
+    """
+    held, target = report["held_out"], report["target"]
+    found, linear = held["r2"], (held.get("linear") or {}).get("r2")
+    lines = []
+    if found is not None and found < 0:
+        lines.append(
+            f"{target}: held-out R² {_number(found)} is below 0: the mean of the data predicts better. Either the "
+            "inputs do not explain it, or it remembers more than about a second (a temperature does): make a target of "
+            "the loss that heats instead, or record more."
+        )
+    elif found is not None and linear is not None and linear - found >= WORSE_THAN_LINEAR:
+        lines.append(
+            f"{target}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
+            f"{_number(linear)}. Choose it, --set objectives.{report['objective']}.model=linear, or record more."
+        )
+    scale = ((held.get("proxy") or {}).get("smoothed") or {}).get("scale")
+    if scale is not None and scale < 0:
+        lines.append(
+            f"{target}: the analytic stand-in fits with a negative scale, {scale:.3g}: more of it goes with less of "
+            "the target. Either the log counts the other way (say sign: -1 when importing), or columns are swapped."
+        )
+    spread = held.get("spread") or {}
+    times = spread.get("error_over_spread")
+    if times is not None and times > POOR_SPREAD:
+        lines.append(
+            f"{target}: the model's doubt is too small: {spread['within_1']:.2f} of its errors lie within one of its "
+            f"standard deviations (of a Gaussian 0.68), and they are {times:.1f} times as large as it says."
+        )
+    return lines
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None or not math.isfinite(value) else f"{value:.3f}"
+
+
+def cautions(report: Mapping[str, Any]) -> list[str]:
+    """What `hts fit` says beside that of its own data and of the other models, one line each.
+
+    report: what `fit_store` writes.
+    """
+    held, target, shared = report["held_out"], report["target"], report["shared"]
+    lines = []
+    if report["masked"]["samples"]:
+        lines.append(f"{target}: {told(Masked(**report['masked']))}")
+    if shared["held_out"]:
+        both = (
+            f"{target}: {shared['held_out']} of {shared['of']} held-out samples are in the recordings to fit to as well"
+        )
+        lines.append(
+            f"{both}: {shared['removed']} samples, they and their neighbours, were taken out of the fit."
+            if shared["removed"]
+            else f"{both}, and were fitted to: what is said of them is no held-out figure."
+        )
+    if held["recordings"] and held["seconds"] < SHORT_SECONDS:
+        lines.append(
+            f"{target}: only {held['seconds']:.1f} s are scored, less than {SHORT_SECONDS:g} s: "
+            "another stretch may give quite another R². Record more to hold out."
+        )
+    kept = next(row for row in report["compared"] if row["kind"] == "kept")
+    if kept["r2"] is not None:
+        better = [row for row in report["compared"] if row["r2"] is not None and row["r2"] > kept["r2"]]
+        if better:
+            best = max(better, key=lambda row: row["r2"])
+            loses = "loses to" if best["kind"] == "model" else "is no better than a formula: it loses to"
+            lines.append(
+                f"{target}: {kept['name']} {loses} {best['name']} on the same split, R² {_number(kept['r2'])} against "
+                f"{_number(best['r2'])}."
+            )
+    lstm = next((row for row in report["compared"] if row["name"] == "lstm" and row["kind"] != "kept"), None)
+    if lstm is not None and None not in (lstm["r2"], kept["r2"]) and lstm["r2"] < kept["r2"]:
+        lines.append(
+            f"{target}: the LSTM loses to {kept['name']}, R² {_number(lstm['r2'])} against {_number(kept['r2'])}."
+        )
+    return lines
+
+
+def table(report: Mapping[str, Any]) -> list[str]:
+    """All models on the same split, one line each, with a head."""
+    rows = report["compared"]
+    validated = any(row["cross_validated"] is not None for row in rows)
+    width = max(len(row["name"]) + 2 * (row["kind"] == "kept") for row in rows)
+    inner = f"{'inside':>8}  " if validated else ""
+    unit = report["held_out"].get("unit", "")
+    head = f"{'model':<{width}}  {inner}{'R²':>7}  {'95 %':<17}  {'RMSE, ' + unit:>10}  fitted"
+    lines = [head.rstrip()]
+    for row in rows:
+        name = row["name"] + (" *" if row["kind"] == "kept" else "")
+        interval = row["r2_interval"]
+        within = f"{_number(interval[0])} to {_number(interval[1])}" if interval else "–"
+        inner = f"{_number(row['cross_validated']):>8}  " if validated else ""
+        rmse = "–" if row["rmse"] is None else f"{row['rmse']:.4g}"
+        line = f"{name:<{width}}  {inner}{_number(row['r2']):>7}  {within:<17}  {rmse:>10}  {row['detail']}"
+        lines.append(line.rstrip())
+    notes = ["* kept"]
+    if validated:
+        notes.append("inside: R² by cross-validation within what is fitted to, by which it was chosen")
+    return [*lines, "; ".join(notes)]
