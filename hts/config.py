@@ -235,6 +235,11 @@ class MeasurementConfig(Config):
 
     epochs: int = Field(20, ge=1, description="passes over the data")
     held_out: float = Field(0.2, gt=0, lt=1, description="share of recordings kept for checking")
+    refit: bool = Field(
+        True,
+        description="after the check, fit again to all recordings: the policy that the next iteration starts from may "
+        "be among those that were held out",
+    )
     seed: int = Field(0, ge=0, description="of initial weights and batch order")
     max_seconds: float = Field(600.0, gt=0, description="stop after the epoch in which so much time has passed, s")
 

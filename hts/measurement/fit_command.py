@@ -78,18 +78,35 @@ def fit_and_check(
     warm_start: MeasurementModel | None = None,
     progress: Progress | None = None,
 ) -> FitResult:
-    """Split, fit on the larger part, check on the rest. The report is plain JSON values:
+    """Split, fit on the larger part, check on the rest, and fit again to everything. The report is plain JSON values:
 
     model: name and settings; fit: see the model's `fit`; held_out: see `checks.check`; training: ids fitted to;
     held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing, such as the first
-    with one recording); split: how it was split; masked: samples left out as no machine makes them, see `outliers`.
+    with one recording); split: how it was split; masked: samples left out as no machine makes them, see `outliers`;
+    refit: the same as fit, of the model that is returned, which has seen what was held out too (None where
+    `config.refit` says no).
     settings, registry: see `new_model`; keep: hashes of policies never held out whole.
     """
     config = config or MeasurementConfig()
     parts = Split(*split(recordings, config.held_out, config.seed, keep), AUTOMATIC)
+
+    def fitting(turn: int) -> FitSettings:
+        """Of the first or second fit; each has half of the progress."""
+
+        def share(epoch: int, epochs: int, error: float) -> None:
+            if progress is not None:
+                progress(turn * epochs + epoch, 2 * epochs, error)
+
+        report = share if config.refit else progress
+        return FitSettings(config.seed, config.epochs, config.max_seconds, report, warm_start)
+
     model = new_model(objective, parts.training[0], settings, registry)
-    how = FitSettings(config.seed, config.epochs, config.max_seconds, progress, warm_start)
-    return fit_split(objective, model, parts, how)
+    checked = fit_split(objective, model, parts, fitting(0))
+    if not config.refit:
+        return FitResult(model, {**checked.report, "refit": None})
+    model = new_model(objective, recordings[0], settings, registry)
+    everything, _, _ = masked_split(recordings, (), (*objective.inputs, objective.target.name), None)
+    return FitResult(model, {**checked.report, "refit": model.fit(everything, **vars(fitting(1)))})
 
 
 def fit_split(

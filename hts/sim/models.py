@@ -19,9 +19,9 @@ def compile_model(robot: Robot) -> mujoco.MjModel:
     root = robot.mjcf()
     if root is None:
         raise ConfigError(
-            f"Robot '{robot.spec.name}' has no model to simulate here: it is log-only (then `hts import` and `hts fit` are "
-            "for it) or brings an env of its own (then `hts run` and `hts evaluate` use that). What plays or compares the "
-            "velocity task needs its mjcf()."
+            f"Robot '{robot.spec.name}' has no model to simulate here: it is log-only (then `hts import` and `hts fit` "
+            "are for it) or brings an env of its own (then `hts run` and `hts evaluate` use that). What plays or "
+            "compares the velocity task needs its mjcf()."
         )
     model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
     model.opt.timestep = robot.spec.physics_dt

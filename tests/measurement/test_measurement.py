@@ -299,6 +299,23 @@ def test_a_wrong_setting_of_fit_is_one_line(store, tmp_path, text):
     assert "\n" not in str(caught.value)
 
 
+def test_the_model_that_is_returned_has_seen_what_was_held_out():
+    recordings = [recording(seed, seconds=8.0) for seed in range(4)]
+    settings = {"model": "linear"}
+    checked, again = (
+        fit_command.fit_and_check(KnownHeat(), recordings, MeasurementConfig(refit=refit), settings=settings)
+        for refit in (False, True)
+    )
+    assert checked.report["refit"] is None and checked.report["fit"]["recordings"] == 3
+    assert again.report["refit"]["recordings"] == 4
+    assert again.report["held_out_r2"] == checked.report["held_out_r2"]  # of a fit without them
+    whole = fit_command.new_model(KnownHeat(), recordings[0], settings)
+    whole.fit(recordings)
+    inputs = inputs_of(recordings[0])[None]
+    found, same, other = (one.sequence(inputs)[0].mean for one in (again.model, whole, checked.model))
+    assert torch.equal(found, same) and not torch.equal(found, other)
+
+
 def test_fit_and_check_uses_the_given_configuration():
     config = MeasurementConfig(epochs=2, held_out=0.5)
     report = fit_command.fit_and_check(

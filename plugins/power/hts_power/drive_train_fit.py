@@ -44,10 +44,25 @@ class Drives:
         self.weight, self.bias, self.error = np.zeros(size), 0.0, math.inf
         self.penalties = (COMMON[0], OWN[0])
 
-    def fit(self, shown: Sequence[np.ndarray], targets: Sequence[np.ndarray], folds: np.ndarray, longest: int) -> None:
-        """shown: terms as the sensor shows them, (T, TERMS · J) of each recording; folds: a number of each."""
+    def fit(
+        self,
+        shown: Sequence[np.ndarray],
+        targets: Sequence[np.ndarray],
+        folds: np.ndarray,
+        longest: int,
+        choose: bool = True,
+    ) -> None:
+        """shown: terms as the sensor shows them, (T, TERMS · J) of each recording; folds: a number of each; choose:
+        choose the penalties, which takes most of the time, or keep those of the last fit."""
         sums = [Sums.of(terms, target, longest) for terms, target in zip(shown, targets, strict=True)]
         whole = Sums.total(sums)
+        if choose:
+            self._choose(sums, whole, folds)
+        solution = self._solved(whole, *self.penalties)
+        self.weight, self.bias = solution[:-1], float(solution[-1])
+
+    def _choose(self, sums: Sequence[Sums], whole: Sums, folds: np.ndarray) -> None:
+        """The penalties: the largest within one standard error of the best on left-out folds."""
         parts = [Sums.total([one for one, own in zip(sums, folds, strict=True) if own == fold]) for fold in set(folds)]
         table: dict[tuple[float, float], np.ndarray] = {}
         for penalties in itertools.product(COMMON, OWN):
@@ -57,8 +72,7 @@ class Drives:
         bar = table[best].mean() + table[best].std(ddof=min(1, len(table[best]) - 1)) / math.sqrt(len(table[best]))
         # Those of deviations first: single joints are where a model of a few gaits goes wrong.
         self.penalties = max((one for one in table if table[one].mean() <= bar), key=lambda one: (one[1], one[0]))
-        solution = self._solved(whole, *self.penalties)
-        self.weight, self.bias, self.error = solution[:-1], float(solution[-1]), float(table[self.penalties].mean())
+        self.error = float(table[self.penalties].mean())
 
     def doubt(
         self, shown: Sequence[np.ndarray], targets: Sequence[np.ndarray], longest: int, rate_hz: float

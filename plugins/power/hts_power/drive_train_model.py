@@ -1,11 +1,13 @@
 """Measurement model `drive_train`: what the physics of electric drives allows, and no more.
 
-    z(t) = sum_k h_k s(t - k),   s = b + sum_j w_j . phi(tau_j, q'_j),   h_k >= 0, sum h = 1
+    z(t) = sum_k h_k s(t - k),   s = b + sum_j w_j . phi(tau_j, q'_j),   w >= 0, h_k >= 0, sum h = 1
 
 phi holds the terms of which a drive's electrical power is made (docs/twin.md, items 1 to 6): copper loss tau^2,
 mechanical power tau q', the part of it that is not generated max(tau q', 0), inverter loss |tau|, iron loss |q'| and
-q'^2, and tau^4 for motors that saturate. h is the sensor: it averages and is late. At rest (phi = 0) the target is at
-its idle level, which every recording says.
+q'^2, and tau^4 for motors that saturate. Each of them costs, so no weight is negative: what a drive gives back is in
+tau q' alone, and at most as much as it does work. Without that, terms that go together in the gaits at hand get weights
+of opposite signs, and a policy that takes them apart is promised energy from nowhere. h is the sensor: it averages and
+is late. At rest (phi = 0) the target is at its idle level, which every recording says.
 
 Joints of one kind (the hips, the thighs, ...) are built alike: their weights are a common one plus a deviation each,
 and both are penalised, the deviations more (a hierarchical linear model). The penalties are the largest whose error on
@@ -133,10 +135,10 @@ class DriveTrain(TorchModel):
                 terms = [self.scaled_features(each.double()).numpy() for each in inputs]
                 drives = Drives(kind, rest)
                 seen = [piece.sum(1) for piece in terms]
-                for _ in range(ROUNDS):
+                for turn in range(ROUNDS):
                     sensor = _sensor(seen, targets, self.longest)
                     shown = [_shown(piece, sensor) for piece in terms]
-                    drives.fit(shown, targets, folds, self.longest)
+                    drives.fit(shown, targets, folds, self.longest, choose=turn in (0, ROUNDS - 1))
                     seen = [piece @ drives.weight + drives.bias for piece in terms]
                 found[source] = drives, sensor, shown
                 if how.progress is not None:

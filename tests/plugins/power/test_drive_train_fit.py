@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hts_power.drive_train_fit import IDLE_SHARE, TERMS, Drives, Sums
 from scipy.optimize import lsq_linear
+
+from hts_power.drive_train_fit import IDLE_SHARE, TERMS, Drives, Sums
 
 KIND = np.array([0, 1, 0, 1])
 COMMON, OWN, REST = 1e-3, 100.0, -1.7
