@@ -362,5 +362,7 @@ class RunConfig(Config):
         if all(values and not any(values) for values in given):
             raise ValueError("sweep.weights: every λ is 0, so nothing measured would be learned from; give one above 0")
         if self.start is not None and self.reward_source != "oracle":
-            raise ValueError("start: only `hts oracle` starts from another policy; for a run: robot.policy, of its robot")
+            raise ValueError(
+                "start: only `hts oracle` starts from another policy; for a run: robot.policy, of its robot"
+            )
         return self

@@ -62,11 +62,6 @@ def resume_oracle(folder: Path, registry: Registry | None = None) -> Path:
     return run(read_config(Path(folder) / "config.yaml"), Path(folder), registry or load(), OracleJob)
 
 
-def is_oracle(folder: Path) -> bool:
-    """Whether the run in a folder is one."""
-    return read_config(Path(folder) / "config.yaml").reward_source == "oracle"
-
-
 def prepared(config: RunConfig, registry: Registry) -> RunConfig:
     """The configuration as it is written: with the λ that it will take, the start's whole path and the real engine."""
     objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
@@ -79,6 +74,11 @@ def prepared(config: RunConfig, registry: Registry) -> RunConfig:
 
 def check_oracle(config: RunConfig, registry: Registry) -> None:
     """Everything that can be checked before anything is spent, each mistake one line."""
+    if config.reward_source != "oracle":
+        raise ConfigError(
+            f"reward_source: expected oracle in `hts oracle`, found {config.reward_source}. Leave it out, or take "
+            "`hts run` or `hts baseline`."
+        )
     if config.world.name != "twin":
         raise ConfigError(
             f"World '{config.world.name}' cannot be looked into: an oracle needs a twin. Leave --world out, and name a "

@@ -27,7 +27,7 @@ def true_channel(name: str) -> Channel:
 
 
 class OracleEnv(VelocityEnv):
-    """As `VelocityEnv`, on a `RealityEngine`: nothing is randomised but what differs between the reality's own sessions.
+    """As `VelocityEnv`, on a `RealityEngine`; nothing is drawn but what differs between the reality's own sessions.
 
     The policy observes what the robot's sensors show, the critic the true state. Beside the robot's sim channels
     (without sensor noise) it writes ("channels", "true_NAME") for whatever the instruments tell. An episode ends with

@@ -35,9 +35,7 @@ class OracleRobot(Robot):
     Raises ConfigError for settings that are wrong, UnfitWorldError for a robot or an instrument without an oracle.
     """
 
-    def __init__(
-        self, robot: Robot, world: Settings, objectives: Mapping[str, Settings], registry: Registry
-    ) -> None:
+    def __init__(self, robot: Robot, world: Settings, objectives: Mapping[str, Settings], registry: Registry) -> None:
         self.spec, self.held_at_zero = robot.spec, robot.held_at_zero
         self._robot = robot
         if not isinstance(robot.task(), FollowVelocity) or type(robot).make_env is not VelocityRobot.make_env:

@@ -30,9 +30,7 @@ class Sessions:
         count: int,
         key: Sequence[int],
     ) -> None:
-        self._make = lambda number: Batch(
-            robot, settings, instruments(), count, np.random.SeedSequence([*key, number])
-        )
+        self._make = lambda number: Batch(robot, settings, instruments(), count, np.random.SeedSequence([*key, number]))
         self._number = 0
         self._begin()
 
