@@ -7,6 +7,8 @@ import json
 import pytest
 
 from hts.cli.main import main
+from hts.plugins import load
+from hts.run import algorithm
 from hts.worlds.oracle import NOTE
 
 pytest.importorskip("hts_go1", reason="the robot of this test comes with it")
@@ -15,36 +17,40 @@ pytest.importorskip("hts_power", reason="the objective of this test comes with i
 TINY = [
     *("--objective", "power", "--robot", "go1", "--preset", "smoke", "--steps", "48"),
     *("--set", "finetune.num_envs=4", "--set", "finetune.ppo.horizon=12", "--set", "sweep.weights.power=[1.0]"),
-    *("--set", "simulation_test.num_envs=2", "--set", "simulation_test.seconds=3", "--set", "world.block_seconds=4"),
+    *("--set", "simulation_test.num_envs=2", "--set", "simulation_test.seconds=3", "--set", "world.block_seconds=3"),
 ]
 
 
 @pytest.mark.slow
 def test_a_tiny_oracle_ends_with_a_summary_that_says_what_it_is(tmp_path, capfd):
-    start = tmp_path / "start.safetensors"
-    first = tmp_path / "first"
-    assert main(["oracle", *TINY, "--out", str(first)]) == 0
+    run = tmp_path / "run"
+    assert main(["oracle", *TINY, "--out", str(run)]) == 0
     assert NOTE in capfd.readouterr().out
-    summary = json.loads((first / "summary.json").read_text())
+    summary = json.loads((run / "summary.json").read_text())
     assert (summary["note"], summary["reward_source"]) == (NOTE, "oracle")
     (candidate,) = summary["iterations"][0]["candidates"]
     assert candidate["kl_bound"] is None and candidate["elite"]
-    assert NOTE in (first / "report.html").read_text() and "No method." in (first / "report.html").read_text()
-
-    made = first / "iterations/00/candidates/00-00"
-    for suffix in (".safetensors", ".json"):
-        start.with_suffix(suffix).write_bytes(made.with_suffix(suffix).read_bytes())
-    second = tmp_path / "second"
-    assert main(["oracle", *TINY, "--start", str(start), "--out", str(second)]) == 0
-    ids = [one["id"] for one in json.loads((second / "summary.json").read_text())["iterations"][0]["candidates"]]
-    assert ids == ["00-00", "00-start"]
-
-    (second / "summary.json").unlink()
-    (second / "report.html").unlink()
-    assert main(["resume", str(second)]) == 0
-    assert json.loads((second / "summary.json").read_text())["note"] == NOTE
-    assert main(["oracle", *TINY, "--out", str(second)]) != 0
+    assert NOTE in (run / "report.html").read_text() and "No method." in (run / "report.html").read_text()
+    assert main(["oracle", *TINY, "--out", str(run)]) != 0
     assert "holds a run already" in capfd.readouterr().err
+
+
+@pytest.mark.slow
+def test_where_it_starts_from_is_a_candidate_too_and_a_resumed_one_knows(tmp_path, monkeypatch):
+    run, policy = tmp_path / "run", load().make_robot("go1").pretrained_policy()
+    with monkeypatch.context() as patch:
+        patch.setattr(algorithm, "test", pulled)
+        with pytest.raises(RuntimeError, match="pulled the plug"):
+            main(["oracle", *TINY, "--start", str(policy), "--out", str(run)])
+    assert main(["resume", str(run)]) == 0
+    summary = json.loads((run / "summary.json").read_text())
+    assert [one["id"] for one in summary["iterations"][0]["candidates"]] == ["00-00", "00-start"]
+    start = summary["iterations"][0]["candidates"][1]
+    assert (start["kl"], start["kl_bound"], start["elite"], summary["note"]) == (0.0, 0.0, True, NOTE)
+
+
+def pulled(*given):
+    raise RuntimeError("pulled the plug")
 
 
 @pytest.mark.parametrize(
