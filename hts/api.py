@@ -71,9 +71,16 @@ def resume(folder: Path | str) -> Path:
 
     For example `api.resume("runs/first")`.
     """
+    from hts.config_loading import read_config
+
+    place = _run_folder(folder)
+    if read_config(place / "config.yaml").reward_source == "oracle":
+        from hts.oracle import resume_oracle
+
+        return resume_oracle(place)
     from hts.run import resume_run
 
-    return resume_run(_run_folder(folder))
+    return resume_run(place)
 
 
 def fit(

@@ -329,8 +329,13 @@ class RunConfig(Config):
     engine: str = Field(
         "auto", description="mujoco (CPU), warp (GPU), or auto: warp where CUDA and its package are there"
     )
-    reward_source: Literal["model", "proxy"] = Field(
-        "model", description="r_real from the measurement model, or from the objective's analytic proxy (the baseline)"
+    reward_source: Literal["model", "proxy", "oracle"] = Field(
+        "model",
+        description="r_real from the measurement model, from the objective's analytic proxy (the baseline), or, in "
+        "`hts oracle` alone, from inside a twin",
+    )
+    start: str | None = Field(
+        None, description="of `hts oracle`: policy file that candidates start from; null: the pretrained one"
     )
     executor: str = Field("local", description="local (ray is planned)")
     seed: int = Field(0, ge=0, description="of the whole run")
@@ -361,4 +366,8 @@ class RunConfig(Config):
         given = [self.sweep.weights.get(name) for name in self.objectives]
         if all(values and not any(values) for values in given):
             raise ValueError("sweep.weights: every λ is 0, so nothing measured would be learned from; give one above 0")
+        if self.start is not None and self.reward_source != "oracle":
+            raise ValueError(
+                "start: only `hts oracle` starts from another policy; for a run: robot.policy, of its robot"
+            )
         return self

@@ -24,7 +24,7 @@ from hts.guarded import guarded
 from hts.layers import in_full as written_out
 from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
-from hts.presets import ASKS_OBJECTIVES, BASELINES, DEFAULT, PRESETS, SEVERAL
+from hts.presets import ASKS_OBJECTIVES, BASELINES, DEFAULT, ORACLES, PRESETS, SEVERAL
 from hts.task_settings import check_simulated, check_task, task_layer
 from hts.yaml_text import load_mapping_file
 
@@ -52,13 +52,15 @@ def load_config(
     seed: int | None = None,
     reward_source: str | None = None,
     baseline: bool = False,
+    oracle: bool = False,
+    start: str | None = None,
     overrides: Sequence[str | Override] = (),
     registry: Registry | None = None,
 ) -> RunConfig:
     """The configuration of a run. Raises ConfigError, one line, for anything that is wrong with it.
 
     objectives: if any are given, exactly these; settings for them still come from the file. baseline: the sweep and the
-    budget of `hts baseline`, with the analytic proxy as reward.
+    budget of `hts baseline`, with the analytic proxy as reward; oracle: likewise of `hts oracle`, paid from inside.
     overrides: KEY=VALUE each, the key dotted, the value as YAML; or such a pair already taken apart.
     registry: all that is installed. None: the robot is not asked for its task, and presets' speeds stay; it is loaded
     only for presets that ask objectives for settings of their own.
@@ -76,10 +78,13 @@ def load_config(
 
     given: dict[str, Any] = {"robot": robot and {"name": robot}, "world": world and {"name": world}}
     given |= {"engine": engine, "executor": executor, "seed": seed, "reward_source": reward_source}
+    given |= {"start": start}
     options = {key: value for key, value in given.items() if value is not None}
     names = _objectives(objectives, written, last, sets)
     several = SEVERAL[chosen] if len(names) > 1 else {}
     without = {**BASELINES[chosen], "reward_source": "proxy"} if baseline else {}
+    if oracle:
+        without = {**ORACLES[chosen], "reward_source": "oracle"}
     own = {"objectives": _of_objectives(names, chosen, registry)} if chosen in ASKS_OBJECTIVES else {}
     machine = laid(written, options, last).get("robot") if registry else None
     task = task_layer(registry, machine, PRESETS[chosen]) if registry and machine else {}

@@ -166,3 +166,28 @@ BASELINES: dict[str, dict[str, Any]] = {
 }
 BASELINES["paper-exact"] = BASELINES["paper"]
 """Laid over the preset by `hts baseline`."""
+
+# The oracle trains on the reality itself, a thousand control steps per second and core, so it gets fewer worlds and
+# candidates; all of them are tried. It knows what it changes, so bounds are wide.
+_SEEING: dict[str, Any] = {
+    "engine": "mujoco",  # not asked: physics is the twin's
+    "iterations": 1,
+    "sweep": {"kl_bounds": [10.0, float("inf")], "anchors": ["best"], "trust_region": {"enabled": False}},
+    "selection": {"selector": {"name": "hierarchical", "each_bound": False, "at_random": 0}, "elites": 16},
+}
+ORACLES: dict[str, dict[str, Any]] = {
+    "smoke": {**_SEEING, "sweep": {**_SEEING["sweep"], "kl_bounds": [float("inf")]}},
+    "quick": {
+        **_SEEING,
+        "finetune": {"num_envs": 64, "steps": 400_000},
+        "simulation_test": {"num_envs": 4},
+    },
+    "paper": {
+        **_SEEING,
+        "sweep": {**_SEEING["sweep"], "kl_bounds": [3.0, 10.0, 40.0, float("inf")]},
+        "finetune": {"num_envs": 128, "steps": 3_000_000},
+        "simulation_test": {"num_envs": 8},
+    },
+}
+ORACLES["paper-exact"] = ORACLES["paper"]
+"""Laid over the preset by `hts oracle`."""

@@ -14,6 +14,7 @@ from itertools import pairwise
 from statistics import mean
 
 from batch.lines import Figures, Line, Outcome, Result
+from batch.methods import ORACLE
 from hts.errors import EvaluationError
 from hts.evaluation.population import Values
 
@@ -36,6 +37,11 @@ class Group:
     def speeds(self) -> list[str]:
         """That any run was asked for, slowest first."""
         return sorted({str(speed) for _, result in self.results for speed in result.asked_speeds}, key=float)
+
+    @property
+    def saw_inside(self) -> bool:
+        """Whether these are runs of the oracle, which is no method."""
+        return any(line.arguments[:1] == [ORACLE] for line in self.lines)
 
     def values(self, speed: str | None = None, kind: str = "chosen") -> Values:
         """reality -> saving of each seed, at one speed or over all."""

@@ -47,6 +47,7 @@ def result_of(folder: Path) -> Result:
         real_samples=samples,
         sim_steps=summary["sim_steps"],
         seconds={**_json(folder / "log/stages.json"), "total": summary["wall_seconds"]},
+        note=summary.get("note"),
     )
 
 

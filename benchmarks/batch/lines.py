@@ -112,6 +112,7 @@ class Result(Part):
     real_samples: dict[str, int] = Field(description="by stage; `total` as in summary.json")
     sim_steps: int
     seconds: dict[str, float] = Field(description="by stage; `total` as in summary.json")
+    note: str | None = Field(None, description="what must be said beside these figures, as in summary.json")
 
 
 class Line(Part):

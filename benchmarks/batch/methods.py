@@ -20,7 +20,9 @@ from hts.config_loading import dump_config, load_config
 from hts.errors import ConfigError, unknown_name
 from hts.yaml_text import load_mapping_file
 
-COMMANDS_OF_RUNS = ("run", "baseline", "oracle")
+ORACLE = "oracle"
+"""The command that looks into the twin: no method, so no rival of one in any table."""
+COMMANDS_OF_RUNS = ("run", "baseline", ORACLE)
 REALITY = "world.reality"
 NAMES_OF_REALITIES = "hts.worlds.twin.reality"  # knows where the file of a name lies
 DEFAULT_REALITY = "default"
@@ -65,7 +67,7 @@ METHODS: dict[str, Method] = {
         ),
         about="the paper's own recipe",
     ),
-    "oracle": Method(command="oracle", about="the twin's own dynamics and instrument: what was possible"),
+    "oracle": Method(command=ORACLE, about="saw inside the reality; no method: what was possible"),
     # Ablations: ours without one thing.
     "lstm": Method(settings=("objectives.power.model=battery_current",), about="the paper's kind of model"),
     "linear": Method(settings=("objectives.power.model=linear",), about="a ridge on products and lags"),
@@ -175,15 +177,16 @@ def jobs_of(
     is spent. Raises ConfigError.
     """
     common = [text for name in objectives for text in ("--objective", name)]
-    common += ["--robot", robot, "--world", "twin", *(["--engine", engine] if engine else [])]
+    common += ["--robot", robot, "--world", "twin"]
     made: dict[str, tuple[tuple[str, ...], str]] = {}
     for name, method in methods.items():
         taken = method.presets.get(preset, method.presets.get("", preset))
         own = () if preset in method.presets or "" in method.presets else method.elsewhere
         sets = [*method.settings, *own, *settings]
         config = _resolved(name, method, taken, sets, objectives, robot, engine)
-        resolved = dump_config(config.model_copy(update={"seed": 0})) if config else [taken, *common, *sets]
-        options = (*common, "--preset", taken, *(text for one in sets for text in ("--set", one)))
+        resolved = dump_config(config.model_copy(update={"seed": 0}))
+        physics = ("--engine", engine) if engine and method.command != ORACLE else ()  # an oracle's is the twin's
+        options = (*common, *physics, "--preset", taken, *(text for one in sets for text in ("--set", one)))
         made[name] = ((method.command, *options), digest([method.command, resolved]))
     return [
         Job(
@@ -227,24 +230,24 @@ def _resolved(
     objectives: Sequence[str],
     robot: str,
     engine: str | None,
-) -> RunConfig | None:
-    """The configuration of a method, without reality and seed; None for a command whose configuration is its own."""
+) -> RunConfig:
+    """The configuration of a method, without reality and seed."""
     if method.command not in COMMANDS_OF_RUNS:
         raise ConfigError(f"Method '{name}': " + unknown_name("command of runs", method.command, COMMANDS_OF_RUNS))
     if method.command not in COMMANDS:
         raise ConfigError(
             f"Method '{name}' needs `hts {method.command}`, which this version does not have. Leave it out."
         )
-    if method.command == "oracle":
-        return None
+    oracle = method.command == ORACLE
     try:
         return load_config(
             preset=preset,
             objectives=objectives,
             robot=robot,
             world="twin",
-            engine=engine,
+            engine=None if oracle else engine,
             baseline=method.command == "baseline",
+            oracle=oracle,
             overrides=list(settings),
         )
     except ConfigError as error:

@@ -26,7 +26,18 @@ def methods(groups: Sequence[Group]) -> str:
     head += [f"median, {speed} m/s" for speed in speeds]
     head += ["median", "mean, 95 %", "5th percentile", "lowest", "falls: final, tried", "speeds refused"]
     head += ["real samples, median", "within 1 point of the best other", "less the best other, mean, 95 %"]
-    return table(head, [_method(group, [one for one in groups if one is not group], speeds) for group in groups])
+    return noted(groups, table(head, [_method(group, rivals(groups, group), speeds) for group in groups]))
+
+
+def rivals(groups: Sequence[Group], group: Group) -> list[Group]:
+    """The other methods. An oracle is none, and is measured against nobody."""
+    return [] if group.saw_inside else [one for one in groups if one is not group and not one.saw_inside]
+
+
+def noted(groups: Sequence[Group], text: str) -> str:
+    """A table with what must be said below it."""
+    seen = [f"`{group.name}`" for group in groups if group.saw_inside]
+    return f"{text}\n\n{', '.join(seen)}: saw inside the reality; no method, and no rival here." if seen else text
 
 
 def _method(group: Group, others: Sequence[Group], speeds: Sequence[str]) -> list[str]:
@@ -77,7 +88,7 @@ def best_other(groups: Sequence[Group]) -> str:
     """Each method against the best of the others on each reality: harder than against any one of them."""
     rows = []
     for group in groups:
-        ours, theirs = group.values(), [one.values() for one in groups if one is not group]
+        ours, theirs = group.values(), [one.values() for one in rivals(groups, group)]
         best = {
             name: max(_mean_of(values, name) for values in theirs if name in values)
             for name in ours
@@ -99,7 +110,7 @@ def best_other(groups: Sequence[Group]) -> str:
             ]
         )
     head = ["method", "realities", "less the best other there: mean, 95 %", "median, 95 %", "ratio: median, 95 %"]
-    return table([*head, "within 1 point of it"], rows)
+    return noted(groups, table([*head, "within 1 point of it"], rows))
 
 
 def pairs(groups: Sequence[Group], against: str) -> str:
@@ -126,7 +137,7 @@ def pairs(groups: Sequence[Group], against: str) -> str:
             ]
         )
     head = ["method", "realities", f"less {against}, mean, 95 %", "median", "better on", "more speeds refused"]
-    return table(head, rows)
+    return noted(groups, table(head, rows))
 
 
 def realities(groups: Sequence[Group]) -> str:
@@ -140,7 +151,8 @@ def realities(groups: Sequence[Group]) -> str:
         lowest = min(_mean_of(group.values(speed), name) for speed in group.speeds)
         return f"{show(_mean_of(group.values(), name))} (lowest speed {show(lowest)})"
 
-    return table(["reality", *(group.name for group in groups)], [[n, *(cell(g, n) for g in groups)] for n in names])
+    rows = [[n, *(cell(g, n) for g in groups)] for n in names]
+    return noted(groups, table(["reality", *(group.name for group in groups)], rows))
 
 
 def open_loop(groups: Sequence[Group]) -> str:

@@ -9,6 +9,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("hts.cli.run", "Improve a robot's policy on an objective (Algorithm 1)"),
     "resume": ("hts.cli.resume", "Go on with a run where it stopped"),
     "baseline": ("hts.cli.baseline", "The same as run, with the analytic proxy instead of measurements"),
+    "oracle": ("hts.cli.oracle", "What was possible: the same, looking into the twin; no method"),
     "evaluate": ("hts.cli.evaluate", "A run's policy against the pretrained one, head to head"),
     "report": ("hts.cli.report", "Write a run's report.html and figures again"),
     "play": ("hts.cli.play", "See a policy walk, in a window or as a video"),

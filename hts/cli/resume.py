@@ -11,7 +11,14 @@ def command(folder: options.RunFolder) -> None:
     from hts.cli.run_folder import existing_run
 
     existing_run(folder)
-    from hts.run import resume_run
+    from hts.config_loading import read_config
 
     with resumable(folder):
-        resume_run(folder)
+        if read_config(folder / "config.yaml").reward_source == "oracle":
+            from hts.oracle import resume_oracle
+
+            resume_oracle(folder)
+        else:
+            from hts.run import resume_run
+
+            resume_run(folder)

@@ -86,6 +86,15 @@ class Instrument(ABC):
         """Voltage of the motors' supply now, as a share of the rated one, (W,); None: it simulates no supply."""
         return None
 
+    def truth(self) -> Mapping[str, np.ndarray]:
+        """What only a simulator knows: channel -> (W,), what an objective on that channel pays for in the end, without
+        noise, delay and filter, and without what no policy can change; in a unit of the instrument's own.
+
+        A mean over the steps since it was last asked, or the level that there is now. Never recorded: `hts oracle`
+        asks, and checks do. By default nothing is told, and there is no oracle for the channels.
+        """
+        return {}
+
     def conditions(self) -> Mapping[str, np.ndarray]:
         """What somebody would note of each session at its start, name -> (W,), such as the day's temperature.
 

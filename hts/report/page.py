@@ -78,6 +78,12 @@ def contents(run: RunData) -> dict[str, Any]:
 
 def world_words(run: RunData) -> tuple[str, str]:
     """Title and text that say what the measurements are: computed, or of a machine, or that nobody said."""
+    if run.summary.get("note"):
+        return "No method.", (
+            f"{run.summary['note'].capitalize()}. Candidates were trained on the twin itself"
+            f"{identity_words(run)}, paid by what its instruments hide. No robot was involved, and nobody beside a "
+            "robot could do this: it is a lower estimate of what is possible on this twin."
+        )
     if run.world_simulated:
         source = SOURCES.get(run.world, f"the world '{run.world}', which computes its physics") + identity_words(run)
         return "Simulated reality.", (
@@ -103,7 +109,9 @@ def _facts(run: RunData) -> list[str]:
     facts += [f"engine {summary['engine']}"] if summary.get("engine") else []
     facts += [f"seed {summary['seed']}"] if summary.get("seed") is not None else []
     facts.append(f"{len(run.iterations)} iteration{'' if len(run.iterations) == 1 else 's'}")
-    if run.config.get("reward_source", "model") != "model":
+    if summary.get("note"):
+        facts.append(summary["note"])
+    elif run.config.get("reward_source", "model") != "model":
         facts.append("baseline: analytic proxy as reward")
     if summary.get("sim_steps") is not None:
         facts.append(f"{wording.count(summary['sim_steps'])} steps in simulation")

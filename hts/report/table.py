@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def print_table(summary: Mapping[str, Any], console: Console | None = None) -> None:
     """Print the final head-to-head of a summary.json, one table per objective."""
     final = summary.get("final") or {}
-    for line in closing(summary):
+    for line in (*([summary["note"]] if summary.get("note") else ()), *closing(summary)):
         from rich.console import Console
 
         (console or Console()).print(line, soft_wrap=True, markup=False, highlight=False)

@@ -24,6 +24,7 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     from hts.plugins import load
 
     registry = registry or load()
+    refuse_oracle(config)
     check_names(config, registry)
     config = with_engine(config)
     from hts.run.ready import check_ready
@@ -39,7 +40,7 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     check_ready(
         config, registry, config.engine if config.engine == "mujoco" else None
     )  # kernels take minutes to compile
-    _make_folder(config, Path(out))
+    make_folder(config, Path(out))
     return resume_run(out, registry)
 
 
@@ -48,6 +49,7 @@ def resume_run(folder: Path, registry: Registry | None = None) -> Path:
     from hts.config_loading import read_config
 
     config = read_config(Path(folder) / "config.yaml")
+    refuse_oracle(config)
     if not (Path(folder) / "summary.json").exists():  # whoever only wants to see the table needs no GPU
         config = with_engine(config)
 
@@ -55,6 +57,17 @@ def resume_run(folder: Path, registry: Registry | None = None) -> Path:
     from hts.run import algorithm
 
     return algorithm.run(config, Path(folder), registry or load())
+
+
+def refuse_oracle(config: RunConfig) -> None:
+    """Raise ConfigError: a run learns from what was measured, and cannot look into a reality."""
+    from hts.errors import ConfigError
+
+    if config.reward_source == "oracle":
+        raise ConfigError(
+            "reward_source: `oracle` looks into the reality, which no run can. Expected model or proxy; what was "
+            "possible says `hts oracle`."
+        )
 
 
 def with_engine(config: RunConfig) -> RunConfig:
@@ -68,7 +81,7 @@ def with_engine(config: RunConfig) -> RunConfig:
     return config.model_copy(update={"engine": engine})
 
 
-def _make_folder(config: RunConfig, out: Path) -> None:
+def make_folder(config: RunConfig, out: Path) -> None:
     """The folder with its config.yaml, which is all that `resume_run` needs."""
     from hts.atomic import atomic_write, temporary_of
     from hts.config_loading import dump_config

@@ -35,11 +35,14 @@ STAGES_PER_ITERATION = 4
 STAGES_AROUND = 4  # collect, final, summary, report
 
 
-def run(config: RunConfig, folder: Path, registry: Registry) -> Path:
-    """Do what is not done yet of the run in `folder`; returns it. Raises RunError if another process works there."""
+def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = Job) -> Path:
+    """Do what is not done yet of the run in `folder`; returns it. Raises RunError if another process works there.
+
+    kind: what its stages work with; an oracle's is another one.
+    """
     progress = Progress(total=STAGES_AROUND + STAGES_PER_ITERATION * config.iterations)
     stages = Stages(folder, progress)
-    job = Job(config, folder, registry, stages)
+    job = kind(config, folder, registry, stages)
     try:
         summary = algorithm_1(job)
     finally:
@@ -58,7 +61,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         job.do("collect", "collect real data of the pretrained policy", partial(collect, job))
     else:
         job.stages.progress.skip(1)
-    best = "pretrained"
+    best = job.first
     for i in range(config.iterations):
         name = f"iterations/{i:02d}"
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder

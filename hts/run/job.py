@@ -9,6 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from torchrl.envs.transforms import Transform
+
 from hts.config import RunConfig
 from hts.contracts import HoldSpeed, Objective, Robot, World, WorldContext
 from hts.errors import ConfigError, PolicyError, RecordingError, RunError
@@ -29,6 +31,8 @@ class Job:
 
     def __init__(self, config: RunConfig, folder: Path, registry: Registry, stages: Stages) -> None:
         self.config, self.folder, self.registry, self.stages = config, folder, registry, stages
+        self.first = "pretrained"  # the policy that is the best before anything was tried
+        self.note: str | None = None  # what must be said beside every result
         self.robot: Robot = registry.make_robot(config.robot.name, config.robot.settings)
         self.objectives: dict[str, Objective] = {
             name: registry.make_objective(name, settings) for name, settings in config.objectives.items()
@@ -70,6 +74,14 @@ class Job:
         """The λ of the sweep's candidates, one per objective."""
         own = own_weights(self.objectives, proxy=self.config.reward_source == "proxy")
         return combinations(own, self.config.sweep.weights)
+
+    def rewards(self) -> list[Transform] | None:
+        """What is paid for in training where it is neither models nor proxies; None: it is one of these."""
+        return None
+
+    def untrained(self, iteration: int) -> list[dict[str, Any]]:
+        """Rows of finetune.json for candidates of an iteration that are there already."""
+        return []
 
     def seed(self, *what: object) -> int:
         """A seed for one purpose, from the run's seed."""

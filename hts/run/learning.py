@@ -79,7 +79,10 @@ def model_path(job: Job, iteration: int, objective: str) -> Path:
 
 
 def transforms(job: Job, iteration: int) -> list[Transform]:
-    """Fresh measurement models (or analytic proxies) to put into an env."""
+    """Fresh measurement models (or analytic proxies) to put into an env; of an oracle what it sees."""
+    seen = job.rewards()
+    if seen is not None:
+        return seen
     if job.config.reward_source == "proxy":
         return [ProxyTransform(objective) for objective in job.objectives.values()]
     return [
@@ -187,6 +190,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     held = bool(config.finetune.hold and job.robot.held_at_zero)  # then a large λ cannot buy less of the task
     for line in () if held else scale_lines(scale, rows):
         job.stages.progress.say(line)
+    rows += job.untrained(iteration)
     return {"candidates": rows, "steps": steps, "reward_scale": scale, "held": held}
 
 

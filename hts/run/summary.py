@@ -57,6 +57,7 @@ def summarise(job: Job) -> dict[str, Any]:
         "engine": config.engine,
         "seed": config.seed,
         "reward_source": config.reward_source,
+        **({"note": job.note} if job.note else {}),
         "wall_seconds": round(sum(job.stages.seconds().values()), 1),
         "sim_steps": steps,
         "real_samples": samples + final["samples"],

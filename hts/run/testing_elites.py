@@ -192,7 +192,7 @@ def _row(found: CandidateResult) -> dict[str, Any]:
 
 def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
     """The best so far as it was measured in its own iteration; nobody before the first success."""
-    if best == "pretrained":
+    if best == job.first:
         return []
     iteration = int(best.split("-")[0])
     row: Mapping[str, Any] = job.read(f"iterations/{iteration:02d}/test")["results"][best]

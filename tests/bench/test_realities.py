@@ -114,6 +114,20 @@ def test_the_key_tells_runs_apart_and_nothing_else(tmp_path, reality):
     assert not any("world.reality" in text for text in one.arguments)  # the default twin needs no name
 
 
+def test_an_oracle_is_made_like_a_method_and_is_nobodys_rival():
+    (made,) = jobs(methods=["oracle"], settings=["finetune.steps=10"], engine="warp")
+    assert made.arguments[0] == "oracle" and "--engine" not in made.arguments  # its physics is the twin's
+    assert made.key != jobs(methods=["oracle"], engine="warp")[0].key
+    seen = {"arguments": ["oracle", "--objective", "power"]}
+    lines = [line("ours"), line("baseline", saved=(0.1, 0.1, 0.1)), line("oracle", saved=(0.5, 0.5, 0.5), **seen)]
+    groups = groups_of(lines)
+    for text in (tables.methods(groups), tables.best_other(groups)):
+        rows = {row.split("|")[1].strip(): row for row in text.splitlines() if row.startswith("| ")}
+        assert "1 of 1" in rows["ours"] and "0 of 1" in rows["baseline"]
+        assert text.endswith("`oracle`: saw inside the reality; no method, and no rival here.")
+    assert tables.methods(groups[:2]).endswith("|")
+
+
 def test_what_is_compared_is_made_together(reality):
     made = jobs(methods=["ours", "baseline"], realities=["default", reality], seeds=[0, 1])
     assert [(job.reality, job.seed, job.method) for job in made[:3]] == [

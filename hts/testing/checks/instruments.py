@@ -77,6 +77,17 @@ def describes_itself(entry: Entry, registry: Registry) -> None:
     json.dumps(instrument.describe(), allow_nan=False)
 
 
+def tells_of_its_own_channels(entry: Entry, registry: Registry) -> None:
+    """truth() tells of channels of its own alone, one finite number of each robot."""
+    instrument = _made(entry)
+    _used(instrument)
+    told, names = instrument.truth(), {channel.name for channel in instrument.channels}
+    ensure(set(told) <= names, f"truth() tells of {listed(set(told) - names)}, its channels are {listed(names)}")
+    for name, values in told.items():
+        ensure(np.shape(values) == (WORLDS,), f"the truth of '{name}' has shape {np.shape(values)}, not {(WORLDS,)}")
+        ensure(bool(np.isfinite(values).all()), f"the truth of '{name}' is not finite (NaN or inf)")
+
+
 def _made(entry: Entry) -> Instrument:
     instrument = entry.factory({}, Tiny())
     ensure(isinstance(instrument, Instrument), f"is a {type(instrument).__name__}, not a hts.contracts.Instrument")
@@ -103,4 +114,5 @@ CHECKS = (
     reads_each_robot_alone,
     leaves_physics_alone,
     describes_itself,
+    tells_of_its_own_channels,
 )

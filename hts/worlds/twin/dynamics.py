@@ -68,7 +68,7 @@ class Dynamics:
         self._control, self._force = self._inputs[..., : model.nu], self._inputs[:, 0, model.nu :]
         self._acceleration = np.zeros((num_worlds, model.nv))  # of the last step: warm start of the contact solver
         self._before = np.zeros((num_worlds, model.nv))
-        sensors = self._sensordata.reshape(num_worlds, -1)
+        self.sensordata = sensors = self._sensordata.reshape(num_worlds, -1)
         self.foot_force, self._foot_velocity = sensors[:, machine.touch], sensors[:, machine.foot_velocity]
 
         joints = (num_worlds, spec.num_joints)

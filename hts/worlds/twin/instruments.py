@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from hts.contracts import Instrument, PhysicsSample, Robot, Settings
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from hts.plugins import Registry
+    from hts.worlds.twin.parameters import TwinSettings
 
 
 def instrument_names(registry: Registry, objectives: Mapping[str, Settings]) -> list[str]:
@@ -58,6 +59,20 @@ def instruments_of_reality(
                 made[name] = Unread(other)
                 break
     return made
+
+
+def maker(
+    registry: Registry, robot: Robot, objectives: Mapping[str, Settings], settings: TwinSettings
+) -> Callable[[], dict[str, Instrument]]:
+    """What makes fresh instruments of a twin, by name. settings: resolved. Raises ConfigError for wrong ones."""
+    sags = settings.dynamics.structure.torque_follows_supply
+
+    def make() -> dict[str, Instrument]:
+        given = (registry, robot, objectives, settings.instruments)
+        return instruments_of_reality(*given, sags) if settings.reality is not None else make_instruments(*given)
+
+    make()
+    return make
 
 
 class Unread(Instrument):

@@ -44,7 +44,7 @@ class Twin:
     def __init__(self, start: dict[str, Any]) -> None:
         from hts import plugins
         from hts.recordings.store import RecordingStore
-        from hts.worlds.twin.instruments import instruments_of_reality, make_instruments
+        from hts.worlds.twin.instruments import maker
 
         registry = plugins.load()
         self.robot = registry.make_robot(start["robot"], start["robot_settings"])
@@ -54,11 +54,7 @@ class Twin:
             name: [channel.name for channel in registry.make_objective(name, settings).real_channels]
             for name, settings in start["objectives"].items()
         }
-        given = (registry, self.robot, start["objectives"], self.settings.instruments)
-        sags = self.settings.dynamics.structure.torque_follows_supply
-        real = self.settings.reality is not None
-        self._make = lambda: instruments_of_reality(*given, sags) if real else make_instruments(*given)
-        self._make()  # wrong settings are refused at once
+        self._make = maker(registry, self.robot, start["objectives"], self.settings)
         self.spool = RecordingStore(Path(start["spool"]), create=True)
 
     def idle(self) -> dict[str, float]:

@@ -160,17 +160,16 @@ class Batch:
                 if trimming is not None:
                     trimming.fell(fell)
                 readings["joint_target"][fell] = self.spec.default_pose
-            if self._sags:
-                self._supply()
+            self.supply()
             self.body.advance(readings["joint_target"], self.steps, tuple(self.instruments.values()))
             self._ticks += 1
             if step % 50 == 0:
                 progress(step / commanded.shape[1])
         return recorder
 
-    def _supply(self) -> None:
-        """The voltage that the motors get now, from the instrument that simulates it."""
-        for instrument in self.instruments.values():
+    def supply(self) -> None:
+        """The voltage that the motors get now, from the instrument that simulates it, where torque depends on it."""
+        for instrument in self.instruments.values() if self._sags else ():
             ratio = instrument.supply()
             if ratio is not None:
                 self.body.set_supply(ratio)

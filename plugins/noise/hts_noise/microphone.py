@@ -88,6 +88,11 @@ class Microphone(Instrument):
     def describe(self) -> Mapping[str, Any]:
         return self.p.model_dump(mode="json")
 
+    def truth(self) -> Mapping[str, np.ndarray]:
+        """The fast level as it is, dB(A), without the meter's own errors."""
+        self._work()
+        return {"sound_level": acoustics.decibels(self._shown)}
+
     def strike(self, speed: np.ndarray, mass: np.ndarray, stretch: np.ndarray | float = 1.0) -> np.ndarray:
         """(W_k A_k)^2 of each mode, Pa^2 (S, K), for strikes of speed m/s (S,) and mass kg (S,).
 

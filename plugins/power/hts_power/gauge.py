@@ -89,6 +89,7 @@ class BatteryGauge(Instrument):
         self.energy = {name: np.zeros(num_worlds) for name in ENERGIES}
         """J since reset, (W,): what only a simulator knows. For calibration, never recorded."""
         self.seconds = 0.0
+        self._told = (0.0, np.zeros(num_worlds), np.zeros(num_worlds))  # s, J and W, as `truth` was last asked
         self._since_settle()
 
     def step(self, sample: PhysicsSample) -> None:
@@ -151,6 +152,17 @@ class BatteryGauge(Instrument):
     def supply(self) -> np.ndarray | None:
         """Against the voltage that the motors' no-load speed is given for."""
         return self._battery.voltage / (RATED_CELL_VOLTAGE * self.p.cells)
+
+    def truth(self) -> Mapping[str, np.ndarray]:
+        """Of the current: mean power on the bus that is not idle, W. It is what the score makes of current and voltage,
+        before the pack's own loss."""
+        self._work()
+        seconds, joules, net = self._told
+        if self.seconds > seconds:
+            spent = self.energy["bus"] - self.energy["idle"]
+            net = (spent - joules) / (self.seconds - seconds)
+            self._told = (self.seconds, spent, net)
+        return {"battery_current": net}
 
     def conditions(self) -> Mapping[str, np.ndarray]:
         """Charge in whole per cent and air in whole degrees, where they differ from session to session."""

@@ -1,0 +1,62 @@
+"""`hts oracle`: what was possible on a twin."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hts.cli import options
+
+Start = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="POLICY",
+        help="Start from this policy (.safetensors), such as a run's best; then it is a candidate too.",
+    ),
+]
+Steps = Annotated[int | None, typer.Option(help="Control steps per candidate, on the reality: finetune.steps.")]
+
+
+def command(
+    objective: options.Objectives = None,
+    robot: options.RobotName = None,
+    preset: options.Preset = None,
+    world: options.WorldName = None,
+    config: options.ConfigFile = None,
+    set_: options.Overrides = None,
+    start: Start = None,
+    steps: Steps = None,
+    seed: options.Seed = None,
+    out: options.Out = None,
+    dry_run: options.DryRun = False,
+) -> None:
+    """What was possible on a twin: fine-tuning on the reality itself, paid by what its instruments hide. No method."""
+    from hts.cli.one_line import resumable
+    from hts.cli.run import default_folder, refuse_existing
+    from hts.config_loading import load_config
+    from hts.plugins import load
+
+    registry = load()
+    overrides = list(set_ or ())
+    overrides += [f"finetune.steps={steps}"] if steps is not None else []
+    resolved = load_config(
+        preset=preset,
+        file=config,
+        objectives=objective or (),
+        robot=robot,
+        world=world,
+        seed=seed,
+        oracle=True,
+        start=str(start) if start is not None else None,
+        overrides=overrides,
+        registry=registry,
+    )
+    folder = out or default_folder(resolved)
+    if not dry_run:
+        refuse_existing(folder)
+    from hts.oracle import start_oracle
+
+    with resumable(folder):
+        start_oracle(resolved, folder, dry_run=dry_run, registry=registry)

@@ -1,0 +1,190 @@
+"""`hts oracle`: Algorithm 1's sweep, tests and final with a reality as training env and the truth as reward.
+
+It is a run like any other but for three things: candidates are trained and judged on the reality itself, which may be
+looked into; nothing is measured before, so nothing is fitted; and what it finds is a lower estimate of what is possible
+there, and no method. The tests of the elites and the final are those of `hts run`, in the world `twin`.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from torchrl.envs.transforms import Transform
+
+from hts.config import RunConfig
+from hts.config_loading import check_names, read_config
+from hts.errors import ConfigError, PolicyError
+from hts.plugins import Registry, load
+from hts.run import make_folder
+from hts.run.algorithm import run
+from hts.run.job import Job
+from hts.run.ready import check_world, pretrained_policy
+from hts.training.sweep import own_weights
+from hts.worlds.oracle import NOTE
+from hts.worlds.oracle.reward import Level, TrueReward
+from hts.worlds.oracle.robot import OracleRobot, levels
+
+if TYPE_CHECKING:
+    from hts.policies.files import Policy
+
+START = "00-start"
+"""Id of the policy that candidates start from, which is a candidate too: the oracle is never worse than it."""
+FACTORS = (0.1, 0.3, 1.0)
+"""λ where none is given: these shares of the objective's own largest. The truth is a sharper signal than a gauge's."""
+MOST_ENVS = 32  # that say what the truth is like
+
+
+def start_oracle(config: RunConfig, folder: Path, *, dry_run: bool = False, registry: Registry | None = None) -> Path:
+    """An oracle into the new folder; returns it. Raises what `hts.run.start_run` raises, and ConfigError for a world
+    that is not simulated here: only a twin can be looked into."""
+    registry = registry or load()
+    config = prepared(config, registry)
+    check_oracle(config, registry)
+    if dry_run:
+        from hts.run.cost import estimate, print_estimate
+
+        print_estimate(estimate(config, registry, control_steps_per_second(config, registry)))
+        print(NOTE)
+        return folder
+    make_folder(config, folder)
+    return resume_oracle(folder, registry)
+
+
+def resume_oracle(folder: Path, registry: Registry | None = None) -> Path:
+    """Go on with an oracle where it stopped; the stage that it stopped in begins anew."""
+    print(NOTE, file=sys.stderr)
+    return run(read_config(Path(folder) / "config.yaml"), Path(folder), registry or load(), OracleJob)
+
+
+def prepared(config: RunConfig, registry: Registry) -> RunConfig:
+    """The configuration as it is written: with the λ that it will take, the start's whole path and the real engine."""
+    objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
+    own = own_weights(objectives, proxy=False)
+    weights = {name: tuple(round(share * max(own[name]), 6) for share in FACTORS) for name in objectives if own[name]}
+    sweep = config.sweep.model_copy(update={"weights": {**weights, **config.sweep.weights}})
+    start = str(Path(config.start).resolve()) if config.start else None
+    return config.model_copy(update={"sweep": sweep, "start": start, "engine": "mujoco"})
+
+
+def check_oracle(config: RunConfig, registry: Registry) -> None:
+    """Everything that can be checked before anything is spent, each mistake one line."""
+    if config.reward_source != "oracle":
+        raise ConfigError(
+            f"reward_source: expected oracle in `hts oracle`, found {config.reward_source}. Leave it out, or take "
+            "`hts run` or `hts baseline`."
+        )
+    if config.world.name != "twin":
+        raise ConfigError(
+            f"World '{config.world.name}' cannot be looked into: an oracle needs a twin. Leave --world out, and name a "
+            "reality by --set world.reality=NAME."
+        )
+    check_names(config, registry)
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    oracle = OracleRobot(robot, config.world.settings, config.objectives, registry)
+    pretrained_policy(oracle)
+    start_policy(config, oracle)
+    check_world(config, registry)
+
+
+def start_policy(config: RunConfig, robot: OracleRobot) -> Policy | None:
+    """What candidates start from, where it is not the pretrained policy. Raises PolicyError for another robot's."""
+    from hts.policies.files import load_policy
+
+    if config.start is None:
+        return None
+    path = Path(config.start)
+    if path.suffix != ".safetensors" or not path.is_file():
+        raise PolicyError(
+            f"{path}: expected a policy file that exists, ending in .safetensors, such as "
+            "runs/MINE/policies/best.safetensors."
+        )
+    return load_policy(path, robot.spec)
+
+
+def control_steps_per_second(config: RunConfig, registry: Registry) -> float:
+    """Of walking on the reality, measured here; learning takes little beside it."""
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    oracle = OracleRobot(robot, config.world.settings, config.objectives, registry)
+    objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
+    begun = time.perf_counter()
+    _, steps = levels(
+        oracle,
+        pretrained_policy(oracle),
+        objectives,
+        config.finetune.env,
+        num_envs=config.finetune.num_envs,
+        seconds=2.5,
+        seed=config.seed,
+    )
+    return steps / (time.perf_counter() - begun)
+
+
+class OracleJob(Job):
+    """A job whose robot trains on the reality, paid by the truth."""
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.note = NOTE
+        self.stages.progress.total += 1  # `truth`
+        config = self.config
+        self.oracle = OracleRobot(self.robot, config.world.settings, config.objectives, self.registry)
+        self.robot = self.oracle
+        self.first = START if config.start else "pretrained"
+
+    def prepare(self) -> None:
+        """Besides: the policy to start from, and what the truth is like around it."""
+        super().prepare()
+        start = start_policy(self.config, self.oracle)
+        if start is not None and not self.exported(START).exists():
+            self.save(START, start)
+        assert self.levels is not None
+
+    @cached_property
+    def levels(self) -> dict[str, Level]:
+        """Mean and spread of the true quantities while the policy to start from walks and explores."""
+
+        def walk(report: Callable[[float], None]) -> dict[str, Any]:
+            found, steps = levels(
+                self.oracle,
+                self.policy(self.first),
+                self.objectives,
+                self.config.finetune.env,
+                num_envs=min(self.config.finetune.num_envs, MOST_ENVS),
+                seconds=self.config.simulation_test.seconds,
+                seed=self.seed("levels"),
+            )
+            return {"levels": {name: asdict(level) for name, level in found.items()}, "steps": steps, "note": NOTE}
+
+        result = self.do("truth", "walk on the reality, looking inside", walk)
+        return {name: Level(**level) for name, level in result["levels"].items()}
+
+    def rewards(self) -> list[Transform]:
+        """The truth of each objective."""
+        return [TrueReward(objective, self.levels[name]) for name, objective in self.objectives.items()]
+
+    def untrained(self, iteration: int) -> list[dict[str, Any]]:
+        """The policy that candidates start from, in the first iteration, as a candidate that changed nothing."""
+        if iteration > 0 or self.first != START:
+            return []
+        policy = self.policy(START)
+        std = float(policy.tensors["log_std"].exp().mean())
+        return [
+            {
+                "id": START,
+                "anchor": "best",
+                "weights": dict.fromkeys(self.objectives, 0.0),
+                "kl_bound": 0.0,
+                "kl": 0.0,
+                "std": std,
+                "anchor_std": std,
+                "stopped": None,
+                "policy_hash": policy.card.policy_hash,
+                "curve": [],
+            }
+        ]

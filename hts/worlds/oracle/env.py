@@ -1,0 +1,97 @@
+"""The velocity task on a reality: the reward of the task from its true state, observations from its own sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+
+from hts.channels import Channel
+from hts.config import EnvConfig
+from hts.contracts import RobotSpec
+from hts.envs.commands import Commands
+from hts.envs.rewards import RewardInputs
+from hts.envs.velocity import VelocityEnv
+from hts.worlds.oracle.engine import RealityEngine
+
+TRUE = "true_"
+"""What the name of a channel that holds the truth begins with; the rest is the real channel's."""
+
+
+def true_channel(name: str) -> Channel:
+    """The env's channel of what `Instrument.truth` tells of a real channel."""
+    return Channel(TRUE + name, "1", (), "what only a simulator knows; unit of the instrument's own")
+
+
+class OracleEnv(VelocityEnv):
+    """As `VelocityEnv`, on a `RealityEngine`; nothing is drawn but what differs between the reality's own sessions.
+
+    The policy observes what the robot's sensors show, the critic the true state. Beside the robot's sim channels
+    (without sensor noise) it writes ("channels", "true_NAME") for whatever the instruments tell. An episode ends with
+    a session.
+    """
+
+    engine: RealityEngine
+
+    def __init__(
+        self,
+        engine: RealityEngine,
+        spec: RobotSpec,
+        num_candidates: int,
+        num_envs: int,
+        config: EnvConfig,
+        channels: Mapping[str, Channel],
+        seeds: Sequence[int],
+    ) -> None:
+        still = config.randomisation.model_copy(update={"enabled": False})
+        config = config.model_copy(update={"randomisation": still, "observation_noise": 0.0})
+        told = {TRUE + name: true_channel(name) for name in engine.truth}
+        super().__init__(engine, spec, num_candidates, num_envs, config, {**channels, **told}, seeds)
+        self.dt = 1 / spec.control_rate_hz
+        self.commands = SessionCommands(self.commands, engine)
+
+    def full_state(self) -> TensorDict | None:  # type: ignore[override]
+        """A reality cannot be saved in mid-session: a fine-tuning that is stopped starts again."""
+        return None
+
+    def start_episodes(self, mask: torch.Tensor) -> None:
+        """The robots of mask are set down at rest in the default pose, some in another session."""
+        super().start_episodes(mask)
+        self._down = self.engine.down.view(*self.shape2, 3).clone()
+
+    def _prepare_next(self, seen: RewardInputs) -> dict[str, torch.Tensor]:
+        flags = super()._prepare_next(seen)
+        ends = self.engine.over.view(*self.shape2, 1)
+        truncated = flags["truncated"] | (ends & ~flags["terminated"])
+        return {**flags, "truncated": truncated, "done": flags["terminated"] | truncated}
+
+    def _observe(self, draws: torch.Tensor) -> None:
+        super()._observe(draws)
+        shown = {name: values.view(*self.shape2, -1) for name, values in self.engine.readings.items()}
+        body = (shown["angular_velocity"], shown["projected_gravity"], self.commands.value)
+        offset = shown["joint_position"] - self.default_pose
+        self._observation = torch.cat((*body, offset, shown["joint_velocity"], self.action), -1)
+
+    def _channel_value(self, name: str) -> torch.Tensor:
+        if name.startswith(TRUE):
+            return self.engine.truth[name.removeprefix(TRUE)].view(self.shape2).clone()
+        return super()._channel_value(name)
+
+
+class SessionCommands(Commands):
+    """Commands whose heading is kept by the operator of each session, who has a gain and an error of their own."""
+
+    def __init__(self, plain: Commands, engine: RealityEngine) -> None:
+        vars(self).update(vars(plain))
+        self._engine = engine
+
+    def steer(self, yaw: torch.Tensor) -> None:
+        gain, offset = (each.view(yaw.shape) for each in (self._engine.heading_gain, self._engine.heading_offset))
+        error = torch.remainder(self.heading + offset - yaw + math.pi, 2 * math.pi) - math.pi
+        low, high = self.config.yaw_rate
+        wanted = (self.config.heading_gain * gain * error).clamp(low, high)
+        yaw_rate: Any = torch.where(self.keeps_heading, wanted, self.value[..., 2])
+        self.value = torch.cat((self.value[..., :2], yaw_rate.unsqueeze(-1)), -1)
