@@ -4,6 +4,7 @@
         --out runs/dev --lines docs/results/lines/dev-quick.jsonl --cores 2
     python benchmarks/realities.py table --lines docs/results/lines
     python benchmarks/realities.py figures --lines docs/results/lines --out docs/results/figures
+    python benchmarks/realities.py coverage run --policies runs/dev --realities dev --lines docs/results/coverage/dev.jsonl
     python benchmarks/realities.py write-docs
 
 `run` skips what has a line, resumes what was begun, and loses nothing however it is stopped: call it again. It needs
@@ -20,7 +21,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from batch import blocks, tables
+from batch import blocks, coverage_command, tables
 from batch import methods as known
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
@@ -211,6 +212,8 @@ def parser() -> argparse.ArgumentParser:
     one.set_defaults(do=figures)
     one.add_argument("--out", type=Path, default=FIGURES)
     one.add_argument("--prefix", help="of the files (default: the preset)")
+
+    coverage_command.add_to(commands, commit_of)
 
     one = commands.add_parser("write-docs", help="fill the blocks of README and docs from docs/results/lines")
     one.set_defaults(do=write_docs)

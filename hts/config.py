@@ -293,6 +293,12 @@ class EvaluationConfig(Config):
     min_valid: float = Field(0.5, ge=0, le=1, description="refuse to report below this share of valid segments")
     min_segments: int = Field(10, ge=1, description="refuse to report with fewer valid segments of either policy")
     bootstrap: int = Field(2000, ge=100, description="resamples of the interval")
+    sessions: int = Field(
+        1,
+        ge=1,
+        description="how often the final is made anew, motors warmed up and speed trimmed again; from two on the "
+        "interval is over sessions",
+    )
     hold_speed: bool = Field(
         False,
         description="trim the command of policy and reference by the measured speed before their blocks and freeze it",

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hts.errors import RunError
 
 VERSION: Literal[1] = 1
+Read = TypeVar("Read", bound=BaseModel)
 
 
 class Part(BaseModel):
@@ -143,21 +144,26 @@ def read_lines(paths: Iterable[Path]) -> list[Line]:
     What a killed writer left of a last line, which no newline ends, is not a line.
     """
     found: dict[str, Line] = {}
+    for line in parsed(paths, Line, f"version {VERSION}, as benchmarks/realities.py run writes it"):
+        if line.status == "done" or line.key not in found or found[line.key].status == "failed":
+            found.pop(line.key, None)
+            found[line.key] = line
+    return list(found.values())
+
+
+def parsed(paths: Iterable[Path], kind: type[Read], expected: str) -> Iterator[Read]:
+    """Every whole line of these files as that kind. Raises RunError naming file and line."""
     for path in paths:
         for number, text in enumerate(_whole(path.read_bytes()).decode("utf-8").splitlines(), start=1):
             try:
-                line = Line.model_validate_json(text)
+                yield kind.model_validate_json(text)
             except ValidationError as error:
                 first = error.errors(include_url=False)[0]
                 where = ".".join(str(part) for part in first["loc"]) or "the line"
                 raise RunError(
-                    f"{path}, line {number}: {where}: {first['msg']}. Expected a line of version {VERSION}, as "
-                    "benchmarks/realities.py run writes it. Take the file as it was committed, or run again."
+                    f"{path}, line {number}: {where}: {first['msg']}. Expected a line of {expected}. Take the file as "
+                    "it was committed, or run again."
                 ) from error
-            if line.status == "done" or line.key not in found or found[line.key].status == "failed":
-                found.pop(line.key, None)
-                found[line.key] = line
-    return list(found.values())
 
 
 def files_of(places: Sequence[Path]) -> list[Path]:
@@ -169,7 +175,7 @@ def files_of(places: Sequence[Path]) -> list[Path]:
     return found
 
 
-def append(path: Path, line: Line) -> None:
+def append(path: Path, line: Part) -> None:
     """Add a line; it is on the disk when this returns. Several processes may write one file."""
     text = line.model_dump_json() + "\n"
     path.parent.mkdir(parents=True, exist_ok=True)

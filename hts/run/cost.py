@@ -61,7 +61,7 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     elites = sum(min(config.selection.elites, count) for count in counts)
     collected = config.collection.repeats + config.collection.exploring
     robot_seconds = config.collection.schedule.seconds * collected if config.records_first else 0.0
-    robot_seconds += per_elite * elites + per_final * len(config.evaluation.speeds)
+    robot_seconds += per_elite * elites + per_final * len(config.evaluation.speeds) * config.evaluation.sessions
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test
     test_steps = test.num_envs * len(test.speeds) * trial_seconds(test) * robot.spec.control_rate_hz

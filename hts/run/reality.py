@@ -86,5 +86,13 @@ def _held(job: Job, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:
 
 def _head_to_head(job: Job, speeds: Sequence[float] = ()) -> list[Recording]:
     """The best policy against the pretrained one, as the world does it now; speeds: none, all."""
-    speeds = speeds or job.config.evaluation.speeds
-    return job.world.head_to_head(job.exported("best"), job.exported("pretrained"), speeds)
+    config = job.config.evaluation
+    speeds, pair = speeds or config.speeds, (job.exported("best"), job.exported("pretrained"))
+    if config.sessions > 1:
+        found = job.world.head_to_head_sessions(*pair, speeds, config.sessions)
+        if found is not None:
+            return found
+        job.stages.progress.say(
+            f"World '{job.config.world.name}' makes a head-to-head once: one session, not {config.sessions}."
+        )
+    return job.world.head_to_head(*pair, speeds)
