@@ -44,7 +44,7 @@ class Found(Part):
     improvement: float
     improvement_ci95: Interval | None
     as_one: Interval | None = None
-    occasions: list[Occasion] = []
+    occasions: list[Occasion] = Field(default_factory=list)
     mean_speed: float
     reference_speed: float
     falls: int = 0
@@ -68,7 +68,7 @@ class CoverageLine(Part):
     lengths: Lengths
     commit: str
     speeds: dict[str, Found]
-    refused: dict[str, str] = {}
+    refused: dict[str, str] = Field(default_factory=dict)
     seconds: float
 
     @property
