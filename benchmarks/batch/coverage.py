@@ -51,8 +51,11 @@ class Work:
 
     @property
     def key(self) -> str:
-        """The same for the same policies, reality, objective, lengths, speeds, repetition and commit."""
+        """The same for the same policies, reality, objective, lengths, speeds, repetition and commit; a truth is the
+        same however long evaluations are."""
         evaluation = self.config.evaluation.model_dump(mode="json")
+        if self.repetition is None:
+            evaluation = {"speeds": evaluation["speeds"], "commands": self.config.finetune.env.commands.vx}
         what = [self.policy_hash, self.reference_hash, self.reality_hash, self.repetition, self.lengths.model_dump()]
         return digest([*what, self.config.objectives, evaluation, self.commit])[:16]
 
@@ -90,11 +93,15 @@ def works_of(
     true: Lengths,
     commit: str,
 ) -> list[Work]:
-    """Truths first, then the repetitions in turn: stopped early, every pair has about equally many."""
+    """Truths first, then the repetitions in turn: stopped early, every pair has about equally many. Of files that hold
+    one policy (runs in which nothing was found, say) the first counts."""
     config = load_config(preset=preset, objectives=[objective], robot=robot, world="twin", overrides=list(settings))
     changed = {"trim_seconds": evaluated.trimming, "hold_speed": True, "sessions": evaluated.sessions}
     config = config.model_copy(update={"evaluation": config.evaluation.model_copy(update=changed)})
-    hashes = {name: _hash(path) for name, path in policies.items()}
+    hashes: dict[str, str] = {}
+    for name, path in policies.items():
+        if (own := _hash(path)) not in hashes.values():
+            hashes[name] = own
     machines = {name: reality_hash(name) for name in realities}
     return [
         Work(
@@ -113,6 +120,7 @@ def works_of(
         for repetition in (None, *range(repetitions))
         for reality in realities
         for name, path in policies.items()
+        if name in hashes
     ]
 
 
@@ -157,9 +165,8 @@ def run_coverage(
                     say(f"{what}: {error}")
                     continue
                 append(lines, line)
-                say(
-                    f"{what}: {line.seconds:.0f} s, { {key: round(one.improvement, 4) for key, one in line.speeds.items()} }"
-                )
+                found = {key: round(one.improvement, 4) for key, one in line.speeds.items()}
+                say(f"{what}: {line.seconds:.0f} s, {found}")
     return 1 if failed else 0
 
 

@@ -76,6 +76,15 @@ class Pair(Part):
     predicted: float
 
 
+class Doubt(Part):
+    """By how much a model was off in a policy's mean (predicted less measured), and the mean of the standard deviations
+    that it gave, in the target's unit, over all recordings of that policy's test."""
+
+    policy: str
+    error: float
+    spread: float
+
+
 class Model(Part):
     """One fit of one objective's measurement model, and how it did on the policies tried after it."""
 
@@ -86,15 +95,18 @@ class Model(Part):
     rank_correlation: float | None = None
     proxy_rank_correlation: dict[str, float | None] = {}
     pairs: list[Pair] = []
+    doubts: list[Doubt] = []
 
 
 class Point(Part):
-    """The best so far after an iteration. samples: real ones until then; improvement: objective -> speed -> value."""
+    """The best so far after an iteration. samples: real ones until then; improvement: objective -> speed -> value, when
+    it was tried; final: the same measured like the final, a refused speed as 0 (`evaluation.each_iteration`)."""
 
     iteration: int
     samples: int
     best: str
     improvement: dict[str, dict[str, float]] = {}
+    final: dict[str, dict[str, float]] | None = None
 
 
 class Result(Part):
@@ -110,6 +122,7 @@ class Result(Part):
     models: list[Model] = []
     pooled_rank: dict[str, float | None] = {}
     curve: list[Point] = []
+    max_real_samples: int | None = Field(None, description="the cap before the final")
     real_samples: dict[str, int] = Field(description="by stage; `total` as in summary.json")
     sim_steps: int
     seconds: dict[str, float] = Field(description="by stage; `total` as in summary.json")
