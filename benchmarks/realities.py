@@ -4,6 +4,7 @@
         --out runs/dev --lines docs/results/lines/dev-quick.jsonl --cores 2
     python benchmarks/realities.py table --lines docs/results/lines
     python benchmarks/realities.py figures --lines docs/results/lines --out docs/results/figures
+    python benchmarks/realities.py coverage run --policies runs/dev --realities dev --lines coverage.jsonl
     python benchmarks/realities.py write-docs
 
 `run` skips what has a line, resumes what was begun, and loses nothing however it is stopped: call it again. It needs
@@ -20,11 +21,14 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from batch import blocks, tables
+from batch import blocks, coverage_command
 from batch import methods as known
+from batch.ablation import ablation
+from batch.all_tables import ALL
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
 from batch.queue import run_batch, slots_of
+from batch.tables import pairs
 
 from hts.atomic import atomic_write
 from hts.errors import ConfigError, HtsError, unknown_name
@@ -81,14 +85,16 @@ def chosen_groups(given: argparse.Namespace) -> list[Group]:
 def table(given: argparse.Namespace) -> int:
     """Print tables as markdown."""
     groups = chosen_groups(given)
-    names = [given.name] if given.name else list(tables.TABLES)
+    if given.ablation:
+        print(f"### ablation\n\n{ablation(groups, given.against or 'ours')}\n")
+    names = [given.name] if given.name else [] if given.ablation else list(ALL)
     for name in names:
-        if name not in tables.TABLES:
-            raise ConfigError(unknown_name("table", name, tables.TABLES))
-        print(f"### {name}\n\n{tables.TABLES[name](groups)}\n")
-    if given.against or not given.name:
+        if name not in ALL:
+            raise ConfigError(unknown_name("table", name, ALL))
+        print(f"### {name}\n\n{ALL[name](groups)}\n")
+    if not given.ablation and (given.against or not given.name):
         against = given.against or groups[0].name
-        print(f"### against {against}\n\n{tables.pairs(groups, against)}\n")
+        print(f"### against {against}\n\n{pairs(groups, against)}\n")
     for line in (line for group in groups for line in group.lines if line.error):
         print(f"failed: {line.method}, {line.reality}, seed {line.seed}: {line.error}")
     return 0
@@ -204,13 +210,16 @@ def parser() -> argparse.ArgumentParser:
 
     one = commands.add_parser("table", parents=[reading], help="tables as markdown")
     one.set_defaults(do=table)
-    one.add_argument("--name", help=f"one of {', '.join(tables.TABLES)} (default: all)")
+    one.add_argument("--name", help=f"one of {', '.join(ALL)} (default: all)")
+    one.add_argument("--ablation", action="store_true", help="each method less `ours` (--against), per reality")
     one.add_argument("--against", help="differences to this method (default: the first)")
 
     one = commands.add_parser("figures", parents=[reading], help="figures as SVG and PNG")
     one.set_defaults(do=figures)
     one.add_argument("--out", type=Path, default=FIGURES)
     one.add_argument("--prefix", help="of the files (default: the preset)")
+
+    coverage_command.add_to(commands, commit_of)
 
     one = commands.add_parser("write-docs", help="fill the blocks of README and docs from docs/results/lines")
     one.set_defaults(do=write_docs)

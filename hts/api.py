@@ -123,6 +123,7 @@ def evaluate(
     policy: str | Path = "best",
     world: str | None = None,
     seed: int | None = None,
+    sessions: int | None = None,
 ) -> dict[str, Any]:
     """Head-to-head of a run's policy against its pretrained one; returns what evaluation.json holds.
     Like `hts evaluate`.
@@ -131,7 +132,7 @@ def evaluate(
     """
     from hts.evaluation.final import evaluate_run
 
-    return evaluate_run(_run_folder(folder), speeds=speeds, policy=policy, world=world, seed=seed)
+    return evaluate_run(_run_folder(folder), speeds=speeds, policy=policy, world=world, seed=seed, sessions=sessions)
 
 
 def robot(name: str, settings: Mapping[str, Any] | None = None) -> Robot:

@@ -298,6 +298,17 @@ class EvaluationConfig(Config):
     min_valid: float = Field(0.5, ge=0, le=1, description="refuse to report below this share of valid segments")
     min_segments: int = Field(10, ge=1, description="refuse to report with fewer valid segments of either policy")
     bootstrap: int = Field(2000, ge=100, description="resamples of the interval")
+    sessions: int = Field(
+        1,
+        ge=1,
+        description="how often the final is made anew, motors warmed up and speed trimmed again; from two on the "
+        "interval is over sessions",
+    )
+    each_iteration: bool = Field(
+        False,
+        description="for benchmarks: the best so far is also measured like the final after each iteration; nothing "
+        "learns from it, and its real samples are not counted",
+    )
     hold_speed: bool = Field(
         False,
         description="trim the command of policy and reference by the measured speed before their blocks and freeze it",
@@ -340,6 +351,12 @@ class RunConfig(Config):
     executor: str = Field("local", description="local (ray is planned)")
     seed: int = Field(0, ge=0, description="of the whole run")
     iterations: int = Field(ge=1, description="rounds of Algorithm 1")
+    max_real_samples: int | None = Field(
+        None,
+        ge=1,
+        description="of the robot before the final: first data, iterations and tests are planned within, and the "
+        "iterations end where the next would pass it; null: no cap",
+    )
     collection: CollectionConfig = Field(description="first real data")
     measurement: MeasurementConfig = Field(
         default_factory=MeasurementConfig, description="fitting of measurement models"

@@ -16,6 +16,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from batch import tables
+from batch.ablation import ablation
+from batch.all_tables import ALL
+from batch.coverage_lines import coverage_table, read_coverage
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
 from hts.errors import EvaluationError, unknown_name
@@ -86,6 +89,10 @@ def _made(what: str, folder: Path) -> str:
     if wrong or "lines" not in given:
         raise EvaluationError(f"{where}: expected lines=FILE and any of {', '.join(sorted(KEYS))}; found {rest}.")
     try:
+        if name == "coverage":
+            return coverage_table(
+                read_coverage(files_of([folder.parent / "coverage" / f for f in given["lines"].split(",")]))
+            )
         groups = groups_of(
             read_lines(files_of([folder / file for file in given["lines"].split(",")])),
             given.get("preset"),
@@ -96,9 +103,11 @@ def _made(what: str, folder: Path) -> str:
             return _value(groups, given)
         if name == "pairs":
             return tables.pairs(groups, given.get("against", "ours"))
-        if name not in tables.TABLES:
-            raise EvaluationError(unknown_name("table", name, [*tables.TABLES, "pairs", "value"]))
-        return tables.TABLES[name](groups)
+        if name == "ablation":
+            return ablation(groups, given.get("against", "ours"))
+        if name not in ALL:
+            raise EvaluationError(unknown_name("table", name, [*ALL, "pairs", "ablation", "coverage", "value"]))
+        return ALL[name](groups)
     except EvaluationError as error:
         raise EvaluationError(f"{where}: {error}") from error
 

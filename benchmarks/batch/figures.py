@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from batch.groups import Group, saving
+from batch.curve import median_curve, staircases
+from batch.groups import Group
+from batch.predictions import doubts, improvements
 from batch.tables import predicted
 from hts.evaluation.population import population, quantile
 from hts.report.style import ACCENT, MARKERS, RC, REFERENCE, SOFT, WARN, figure, zero_line
@@ -80,27 +82,71 @@ def prediction(groups: Sequence[Group]) -> Figure | None:
 
 
 def robot_time(groups: Sequence[Group]) -> Figure | None:
-    """Saving over real samples: medians over runs of the best so far after each iteration, and the final one."""
+    """Saving over real samples: the median staircase of each method, and what the final found where runs ended."""
     drawing, axes = figure(2.9)
-    panel, (factor, unit), drawn = axes[0, 0], scale(groups[0].unit), False
+    panel, (factor, unit), drawn, ways = axes[0, 0], scale(groups[0].unit), False, set[bool]()
     for row, group in enumerate(groups):
-        curves = [_curve(group, index) for index in range(len(group.results))]
-        longest = max((len(curve) for curve in curves), default=0)
-        steps = [[curve[step] for curve in curves if len(curve) > step] for step in range(longest)]
-        if not steps:
+        found = staircases(group)
+        if not found:
             continue
         drawn = True
-        middle = np.array([np.median(np.array(step), axis=0) for step in steps])
-        panel.plot(middle[:, 0] / 1000, factor * middle[:, 1], "o-", color=_colour(row), label=group.name, markersize=4)
-        final = [(result.real_samples["total"], saving(result, group.objective)) for _, result in group.results]
-        x, y = np.median(np.array(final), axis=0)
-        panel.plot([x / 1000], [factor * y], "D", color=_colour(row), markerfacecolor="white", markersize=6)
+        ways |= {one.finally_measured for runs in found.values() for one in runs}
+        samples, heights = median_curve(found)
+        last = float(np.median([one.samples[-1] for runs in found.values() for one in runs]))
+        end = population(group.values(), quantile(0.5)).estimate
+        kept = samples <= max(last, samples[1])
+        x, y = np.append(samples[kept], last) / 1000, factor * np.append(heights[kept], heights[kept][-1])
+        panel.step(x, y, where="post", color=_colour(row), label=group.name, linewidth=1.6)
+        panel.plot([last / 1000], [factor * end], "D", color=_colour(row), markerfacecolor="white", markersize=6)
     if not drawn:
         return None
     zero_line(panel)
-    panel.set_xlabel("real samples, thousands (open diamonds: after the final head-to-head, all speeds)")
+    panel.set_xlim(left=0)
+    how = "like the final" if ways == {True} else "when it was tried" if ways == {False} else "in two ways"
+    panel.set_xlabel("real samples before the final, thousands (diamonds: what the final found)")
     panel.set_ylabel(f"saved, median, {unit}")
+    panel.set_title(f"The best so far, measured {how}")
     panel.legend(loc="best")
+    return drawing
+
+
+def doubt(groups: Sequence[Group]) -> Figure | None:
+    """Where models fail, and whether they knew: promises kept per reality; the error of a level against its doubt."""
+    drawing, axes = figure(3.2, columns=2)
+    (left, right), drawn = axes[0], False
+    names = list(dict.fromkeys(name for group in groups for name in improvements(group)))
+    factor, unit = scale(groups[0].unit)
+    for row, group in enumerate(groups):
+        found, offset = improvements(group), 0.6 * (row - (len(groups) - 1) / 2) / max(1, len(groups))
+        for name, pairs in found.items():
+            drawn = True
+            at, (told, got) = names.index(name) + offset, factor * np.array(pairs).mean(axis=0)
+            left.plot([told, got], [at, at], color=_colour(row), linewidth=0.9, zorder=2)
+            left.plot([told], [at], "o", color=_colour(row), markerfacecolor="white", markersize=3.5, zorder=3)
+            left.plot([got], [at], "o", color=_colour(row), markersize=3.5, zorder=3)
+        own = [one for each in doubts(group).values() for one in each]
+        if own:
+            drawn = True
+            x, y = (100 * np.array(values) for values in ([o.spread for o in own], [abs(o.error) for o in own]))
+            right.scatter(x, y, s=12, alpha=0.6, color=_colour(row), linewidths=0, label=group.name)
+    if not drawn:
+        return None
+    zero_line(left, vertical=True)
+    left.set_yticks(range(len(names)), names)
+    left.tick_params(axis="y", labelsize=6.5)
+    left.set_ylim(len(names) - 0.5, -0.5)
+    left.set_title("Promised (open) and measured (full)")
+    left.set_xlabel(f"improvement, mean over what was tried, {unit}")
+    right.set_title("Error of a level against its doubt")
+    right.set_xlabel("standard deviation that the model gave, % of the level")
+    right.set_ylabel("error of the mean, % of the level")
+    limit = max(right.get_xlim()[1], 1e-6)
+    for times, style in ((1, "-"), (2, "--")):
+        label = f"{times} standard deviation{'s' if times > 1 else ''}"
+        right.plot([0, limit], [0, times * limit], style, color=REFERENCE, linewidth=0.9, zorder=1, label=label)
+    right.set_xlim(0, limit)
+    right.set_ylim(bottom=0)
+    right.legend(loc="upper left")
     return drawing
 
 
@@ -133,6 +179,7 @@ def open_loop(groups: Sequence[Group]) -> Figure | None:
 FIGURES: dict[str, Callable[[Sequence[Group]], Figure | None]] = {
     "savings": savings,
     "prediction": prediction,
+    "doubt": doubt,
     "robot-time": robot_time,
     "open-loop": open_loop,
 }
@@ -153,13 +200,6 @@ def draw(groups: Sequence[Group], folder: Path, prefix: str) -> list[Path]:
                 drawing.savefig(path.with_suffix(".png"), dpi=150, metadata={"Software": None})
                 made += [path.with_suffix(".svg"), path.with_suffix(".png")]
     return made
-
-
-def _curve(group: Group, index: int) -> list[tuple[float, float]]:
-    """(samples, saving) after each iteration of a run; 0 while the pretrained policy was the best."""
-    points = group.results[index][1].curve
-    values = [list(point.improvement.get(group.objective, {}).values()) for point in points]
-    return [(point.samples, mean(found) if found else 0.0) for point, found in zip(points, values, strict=True)]
 
 
 def _diagonal(panel: Axes) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from batch.lines import Figures, Model, Outcome, Pair, Point, Result, Tried
+from batch.lines import Doubt, Figures, Model, Outcome, Pair, Point, Result, Tried
 from hts.config_loading import read_config
 from hts.errors import RunError
 
@@ -44,6 +44,7 @@ def result_of(folder: Path) -> Result:
         ],
         pooled_rank={name: found["rank_correlation"] for name, found in summary["measurement_models"].items()},
         curve=_curve(summary, rows, samples),
+        max_real_samples=summary.get("max_real_samples"),
         real_samples=samples,
         sim_steps=summary["sim_steps"],
         seconds={**_json(folder / "log/stages.json"), "total": summary["wall_seconds"]},
@@ -146,6 +147,10 @@ def _model(iteration: int, name: str, found: Json, check: Json) -> Model:
             )
             for row in check.get("policies", [])
         ],
+        doubts=[
+            Doubt(policy=row["policy"][:12], error=row["error"], spread=row["spread"])
+            for row in (check.get("spread") or {}).get("policies", [])
+        ],
     )
 
 
@@ -162,14 +167,29 @@ def _samples(folder: Path, iterations: int, total: int) -> dict[str, int]:
 
 
 def _curve(summary: Json, rows: Mapping[str, tuple[int, Json]], samples: Mapping[str, int]) -> list[Point]:
-    """The best so far after each iteration, as it was measured when it was tried: flattering, since it was chosen."""
+    """The best so far after each iteration, as it was measured when it was tried (flattering, since it was chosen), and
+    like the final where the run did that."""
     points, spent = [], samples.get("collect", 0)
     for entry in summary["iterations"]:
         spent += samples.get(f"iterations/{entry['index']:02d}/test", 0)
         best = entry["best_so_far"]
         measured = _tried(*rows[best]).measured if best in rows else {}
-        points.append(Point(iteration=entry["index"], samples=spent, best=best, improvement=measured))
+        final = _measured_like_the_final(entry.get("measured_best"))
+        points.append(Point(iteration=entry["index"], samples=spent, best=best, improvement=measured, final=final))
     return points
+
+
+def _measured_like_the_final(found: Json | None) -> dict[str, dict[str, float]] | None:
+    """Objective -> speed -> improvement, a refused speed 0; None where it was not measured so."""
+    if found is None:
+        return None
+    return {
+        name: {
+            **{speed: one["improvement"] for speed, one in entry["speeds"].items()},
+            **dict.fromkeys(entry["refused"], 0.0),
+        }
+        for name, entry in found["objectives"].items()
+    }
 
 
 def _json(path: Path) -> Json:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hts.errors import RunError
 
 VERSION: Literal[1] = 1
+Read = TypeVar("Read", bound=BaseModel)
 
 
 class Part(BaseModel):
@@ -75,6 +76,15 @@ class Pair(Part):
     predicted: float
 
 
+class Doubt(Part):
+    """By how much a model was off in a policy's mean (predicted less measured), and the mean of the standard deviations
+    that it gave, in the target's unit, over all recordings of that policy's test."""
+
+    policy: str
+    error: float
+    spread: float
+
+
 class Model(Part):
     """One fit of one objective's measurement model, and how it did on the policies tried after it."""
 
@@ -85,15 +95,18 @@ class Model(Part):
     rank_correlation: float | None = None
     proxy_rank_correlation: dict[str, float | None] = {}
     pairs: list[Pair] = []
+    doubts: list[Doubt] = []
 
 
 class Point(Part):
-    """The best so far after an iteration. samples: real ones until then; improvement: objective -> speed -> value."""
+    """The best so far after an iteration. samples: real ones until then; improvement: objective -> speed -> value, when
+    it was tried; final: the same measured like the final, a refused speed as 0 (`evaluation.each_iteration`)."""
 
     iteration: int
     samples: int
     best: str
     improvement: dict[str, dict[str, float]] = {}
+    final: dict[str, dict[str, float]] | None = None
 
 
 class Result(Part):
@@ -109,6 +122,7 @@ class Result(Part):
     models: list[Model] = []
     pooled_rank: dict[str, float | None] = {}
     curve: list[Point] = []
+    max_real_samples: int | None = Field(None, description="the cap before the final")
     real_samples: dict[str, int] = Field(description="by stage; `total` as in summary.json")
     sim_steps: int
     seconds: dict[str, float] = Field(description="by stage; `total` as in summary.json")
@@ -144,21 +158,26 @@ def read_lines(paths: Iterable[Path]) -> list[Line]:
     What a killed writer left of a last line, which no newline ends, is not a line.
     """
     found: dict[str, Line] = {}
+    for line in parsed(paths, Line, f"version {VERSION}, as benchmarks/realities.py run writes it"):
+        if line.status == "done" or line.key not in found or found[line.key].status == "failed":
+            found.pop(line.key, None)
+            found[line.key] = line
+    return list(found.values())
+
+
+def parsed(paths: Iterable[Path], kind: type[Read], expected: str) -> Iterator[Read]:
+    """Every whole line of these files as that kind. Raises RunError naming file and line."""
     for path in paths:
         for number, text in enumerate(_whole(path.read_bytes()).decode("utf-8").splitlines(), start=1):
             try:
-                line = Line.model_validate_json(text)
+                yield kind.model_validate_json(text)
             except ValidationError as error:
                 first = error.errors(include_url=False)[0]
                 where = ".".join(str(part) for part in first["loc"]) or "the line"
                 raise RunError(
-                    f"{path}, line {number}: {where}: {first['msg']}. Expected a line of version {VERSION}, as "
-                    "benchmarks/realities.py run writes it. Take the file as it was committed, or run again."
+                    f"{path}, line {number}: {where}: {first['msg']}. Expected a line of {expected}. Take the file as "
+                    "it was committed, or run again."
                 ) from error
-            if line.status == "done" or line.key not in found or found[line.key].status == "failed":
-                found.pop(line.key, None)
-                found[line.key] = line
-    return list(found.values())
 
 
 def files_of(places: Sequence[Path]) -> list[Path]:
@@ -170,7 +189,7 @@ def files_of(places: Sequence[Path]) -> list[Path]:
     return found
 
 
-def append(path: Path, line: Line) -> None:
+def append(path: Path, line: Part) -> None:
     """Add a line; it is on the disk when this returns. Several processes may write one file."""
     text = line.model_dump_json() + "\n"
     path.parent.mkdir(parents=True, exist_ok=True)

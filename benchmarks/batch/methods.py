@@ -33,7 +33,9 @@ SUFFIX = ".json"  # of a reality's file
 class Method:
     """command: of `hts`; settings: `--set` of it, KEY=VALUE each; presets: asked preset -> the one it takes ("": any).
 
-    elsewhere: settings where the asked preset is none of `presets`.
+    elsewhere: settings where the asked preset is none of `presets`. own: objective -> settings besides, for methods
+    that change what belongs to an objective; with another objective such a method is refused, not run unchanged.
+    own_elsewhere: the same where the asked preset is none of `presets`, and objectives that are not named need none.
     """
 
     command: str = "run"
@@ -41,6 +43,8 @@ class Method:
     presets: Mapping[str, str] = field(default_factory=dict)
     elsewhere: tuple[str, ...] = ()
     about: str = ""
+    own: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    own_elsewhere: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 METHODS: dict[str, Method] = {
@@ -51,8 +55,6 @@ METHODS: dict[str, Method] = {
     "paper-exact": Method(
         presets={"paper": "paper-exact"},
         elsewhere=(
-            "objectives.power.model={name: battery_current, products: false}",
-            "objectives.power.criterion=net",
             "collection.exploring=0",
             "collection.repeats=8",  # as many recordings as ours in `quick`
             "finetune.hold=false",
@@ -60,22 +62,51 @@ METHODS: dict[str, Method] = {
             "sweep.trust_region.enabled=false",
             "sweep.kl_bounds=[0.2, 0.5, 1.0]",
             'sweep.anchors=["best", "pretrained"]',
-            "sweep.weights.power=[0.5, 1.0, 5.0]",
             "selection.selector={name: hierarchical, each_bound: false, at_random: 0}",
             "selection.speeds=[0.8]",
             "simulation_test.hold_speed=false",
         ),
+        own_elsewhere={
+            "power": (
+                "objectives.power.model={name: battery_current, products: false}",
+                "objectives.power.criterion=net",
+                "sweep.weights.power=[0.5, 1.0, 5.0]",
+            ),
+            "noise": (  # the paper is about power; this is its recipe, with the objective's own λ
+                "objectives.noise.model={name: footfall_level, products: false}",
+                "objectives.noise.criterion=mean",
+            ),
+        },
         about="the paper's own recipe",
     ),
     "oracle": Method(command=ORACLE, about="saw inside the reality; no method: what was possible"),
     # Ablations: ours without one thing.
-    "lstm": Method(settings=("objectives.power.model=battery_current",), about="the paper's kind of model"),
-    "linear": Method(settings=("objectives.power.model=linear",), about="a ridge on products and lags"),
-    "late-reward": Method(settings=("objectives.power.model.instant=false",), about="paid as the gauge shows it"),
-    "no-doubt": Method(settings=("objectives.power.model.beta=0",), about="no standard deviation in the reward"),
+    "lstm": Method(own={"power": ("objectives.power.model=battery_current",)}, about="the paper's kind of model"),
+    "no-products": Method(
+        own={
+            "power": ("objectives.power.model={name: battery_current, products: false}",),
+            "noise": ("objectives.noise.model={name: footfall_level, products: false}",),
+        },
+        about="a network on the plain channels, as in the paper",
+    ),
+    "linear": Method(
+        own={"power": ("objectives.power.model=linear",), "noise": ("objectives.noise.model=linear",)},
+        about="a ridge on products and lags",
+    ),
+    "late-reward": Method(
+        own={"power": ("objectives.power.model={name: drive_train, instant: false}",)},
+        about="paid as the gauge shows it",
+    ),
+    "no-doubt": Method(
+        own={"power": ("objectives.power.model={name: drive_train, beta: 0}",)},
+        about="no standard deviation in the reward",
+    ),
     "no-hold": Method(settings=("finetune.hold=false",), about="speed not held in training"),
     "fixed-bounds": Method(settings=("sweep.trust_region.enabled=false",), about="the same bounds in each iteration"),
-    "no-exploring": Method(settings=("collection.exploring=0",), about="first data by the mean action alone"),
+    "no-exploring": Method(
+        settings=("collection.exploring=0", "collection.repeats=8"),  # as many recordings as ours
+        about="first data by the mean action alone",
+    ),
     "no-held-speed": Method(settings=("evaluation.hold_speed=false",), about="commands as asked, speed not held"),
     "one-speed": Method(settings=("selection.speeds=[0.8]",), about="elites tried at 0.8 m/s alone"),
     "racing": Method(settings=("selection.selector.name=racing",), about="elites in rounds"),
@@ -182,7 +213,7 @@ def jobs_of(
     for name, method in methods.items():
         taken = method.presets.get(preset, method.presets.get("", preset))
         own = () if preset in method.presets or "" in method.presets else method.elsewhere
-        sets = [*method.settings, *own, *settings]
+        sets = [*method.settings, *own, *_of_objectives(name, method, objectives, bool(own)), *settings]
         config = _resolved(name, method, taken, sets, objectives, robot, engine)
         resolved = dump_config(config.model_copy(update={"seed": 0}))
         physics = ("--engine", engine) if engine and method.command != ORACLE else ()  # an oracle's is the twin's
@@ -203,6 +234,18 @@ def jobs_of(
         for seed in seeds
         for name, (arguments, hashed) in made.items()
     ]
+
+
+def _of_objectives(name: str, method: Method, objectives: Sequence[str], elsewhere: bool) -> list[str]:
+    """Settings of a method that belong to the objectives of the batch."""
+    missing = [one for one in objectives if method.own and one not in method.own]
+    if missing:
+        raise ConfigError(
+            f"Method '{name}' changes what belongs to {', '.join(method.own)}; with objective '{missing[0]}' it would "
+            "be nothing of its own. Leave it out, or say it in --methods-file."
+        )
+    found = [text for one in objectives for text in method.own.get(one, ())]
+    return found + [text for one in objectives if elsewhere for text in method.own_elsewhere.get(one, ())]
 
 
 def reality_hash(reference: str) -> str:

@@ -17,6 +17,9 @@ def command(
     policy: Annotated[str, typer.Option(help=f"{options.POLICIES}, or a file: .onnx or .safetensors.")] = "best",
     world: Annotated[str | None, typer.Option(metavar="NAME", help="Another world than that of the run.")] = None,
     seed: options.Seed = None,
+    sessions: Annotated[
+        int | None, typer.Option(min=1, help="Do it so often, each time anew; the interval is then over sessions.")
+    ] = None,
 ) -> None:
     """Head-to-head against the pretrained policy, written to DIR/evaluation.json."""
     from hts.cli.run_folder import existing_run
@@ -25,5 +28,6 @@ def command(
     from hts.evaluation.final import evaluate_run
     from hts.report.table import print_evaluation
 
-    print_evaluation(evaluate_run(folder, speeds=speed or None, policy=policy, world=world, seed=seed))
+    found = evaluate_run(folder, speeds=speed or None, policy=policy, world=world, seed=seed, sessions=sessions)
+    print_evaluation(found)
     typer.echo(str(folder / "evaluation.json"))

@@ -87,6 +87,53 @@ def check(reality: Which, as_json: AsJson = False) -> None:
 
 
 @app.command()
+def truth(
+    policy: Annotated[Path, typer.Argument(metavar="POLICY", help="Its file: .onnx or .safetensors.")],
+    reality: Annotated[str, typer.Option(metavar="NAME|FILE", help="Where; `default` is the default twin.")],
+    objective: Annotated[str, typer.Option(metavar="NAME", help="What is measured.")],
+    reference: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Against this one; default: the one that the robot ships.")
+    ] = None,
+    speed: Annotated[list[float] | None, typer.Option(help="m/s; repeat for several. Default: 0.5, 0.8, 1.1.")] = None,
+    sessions: Annotated[int, typer.Option(min=2, help="How many, of the machine's kind of day each.")] = 50,
+    block: Annotated[float, typer.Option(min=5, help="Length of each of four blocks, s.")] = 20.0,
+    trim: Annotated[float, typer.Option(min=4, help="Trimming by the true speed, s.")] = 20.0,
+    warmup: Annotated[float, typer.Option(min=1, help="Before the first block, s.")] = 20.0,
+    robot: Annotated[str, typer.Option(metavar="NAME", help="The machine.")] = "",
+    processes: Annotated[int, typer.Option(min=0, help="Side by side; 0: one per core.")] = 0,
+) -> None:
+    """What a policy truly saves there: no noise, true speed, many sessions. As JSON."""
+    from hts.config import EvaluationConfig
+    from hts.cores import available
+    from hts.evaluation.final import policy_file
+    from hts.worlds.realities.batch import exported_policy
+    from hts.worlds.realities.truth import Truth
+    from hts.worlds.realities.truth import truth as found
+
+    robot = robot or _only_robot()
+
+    def tell(done: int, groups: int) -> None:
+        typer.echo(f"{done} of {groups} groups of sessions", err=True)
+
+    with tempfile.TemporaryDirectory() as folder:
+        against = policy_file(Path(folder), reference) if reference else exported_policy(robot, Path(folder))
+        asked = Truth(
+            robot,
+            objective,
+            {},
+            str(policy_file(Path(folder), policy)),
+            str(against),
+            reality,
+            tuple(speed or EvaluationConfig().speeds),
+            sessions,
+            warmup,
+            trim,
+            block,
+        )
+        typer.echo(json.dumps(found(asked, processes or available(), tell), indent=1))
+
+
+@app.command()
 def posterior(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that draw wrote.")],
     most: Annotated[int, typer.Option(min=1, help="Parameters to show.")] = 12,

@@ -75,6 +75,18 @@ class Instrument(ABC):
     def idle(self) -> Mapping[str, float]:
         """Level of each channel with electronics on and motors idle, as someone would read it off."""
 
+    def exact(self) -> Mapping[str, np.ndarray]:
+        """What `read` would show without noise, rounding, filter and delay: means since the last call of this,
+        channel name -> (W, *shape). For who holds measurements against the truth on a twin; never recorded.
+
+        By default empty: this instrument cannot tell.
+        """
+        return {}
+
+    def exact_idle(self) -> Mapping[str, float]:
+        """`idle` without the errors of whoever reads it off. By default as `idle`."""
+        return self.idle()
+
     def settle(self) -> None:  # noqa: B027 - most have nothing slow
         """Bring slow hidden state (heat) to the steady state of the steps since the last reset or settle."""
 

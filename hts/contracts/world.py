@@ -74,6 +74,15 @@ class World(ABC):
         """`head_to_head` of several policies; a simulated world may run them side by side."""
         return [self.head_to_head(policy, reference, speeds) for policy in policies]
 
+    def head_to_head_sessions(
+        self, policy: Path, reference: Path, speeds: Sequence[float], sessions: int
+    ) -> list[Recording] | None:
+        """`head_to_head` so many times, at each speed in as many sessions of different names, each begun anew.
+
+        None, the default: this world does a head-to-head once, and again gives what it gave before.
+        """
+        return None
+
     def hold_speed(self, hold: HoldSpeed | None) -> bool:
         """From now on head-to-heads hold the speed (None: send the asked speed as the command, as in the beginning).
         Returns whether it is held from now on; by default a world cannot. Only asked of a robot whose task can hold

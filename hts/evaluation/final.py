@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
 from hts.config import EvaluationConfig, Named
-from hts.contracts import VELOCITY, FollowVelocity, Objective, Task, TestedCandidate, WorldContext
+from hts.contracts import VELOCITY, FollowVelocity, Objective, Task, TestedCandidate, World, WorldContext
 from hts.errors import EvaluationError, PolicyError, RunError
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
@@ -213,12 +213,13 @@ def evaluate_run(
     world: str | None = None,
     seed: int | None = None,
     registry: Registry | None = None,
+    sessions: int | None = None,
 ) -> dict[str, Any]:
     """Head-to-head of a policy against the run's pretrained one, written to `folder`/evaluation.json and returned.
 
     speeds: m/s (or set-points of another task), by default those of the run's configuration; policy: "best" (default),
     "pretrained", a candidate's id or an ONNX file; world: a name, by default the run's own world with its settings;
-    seed: by default the run's.
+    seed, sessions: by default the run's; sessions: how often it is done anew, and the interval is over them.
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
     head-to-head is refused (EvaluationError).
     """
@@ -233,6 +234,7 @@ def evaluate_run(
     task.check(speeds or (), "--speed")
     speeds = tuple(speeds or config.evaluation.speeds)
     seed = config.seed if seed is None else seed
+    count = sessions or config.evaluation.sessions
     tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     named = config.world if world in (None, config.world.name) else Named(name=str(world))
@@ -254,9 +256,9 @@ def evaluate_run(
     try:
         if hold is not None:
             ask_to_hold(where, hold)
-            held = where.head_to_head(tested, reference, speeds)
+            held = in_sessions(where, tested, reference, speeds, count)
             ask_to_hold(where, None)
-        recordings = where.head_to_head(tested, reference, speeds)
+        recordings = in_sessions(where, tested, reference, speeds, count)
     finally:
         where.close()
     store = RecordingStore(place / "data.zarr", create=True)
@@ -274,6 +276,7 @@ def evaluate_run(
         "world_simulated": where.simulated,
         "policy": str(policy or "best"),
         "seed": seed,
+        "sessions": count,
         "task": task_entry(task),
         "recordings": ids,
         "objectives": entries,
@@ -281,6 +284,18 @@ def evaluate_run(
     }
     _write(folder / RESULT, result)
     return result
+
+
+def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int) -> list[Recording]:
+    """A head-to-head, or as many as asked for. Raises EvaluationError for a world that makes one only."""
+    if sessions == 1:
+        return world.head_to_head(policy, reference, speeds)
+    found = world.head_to_head_sessions(policy, reference, speeds, sessions)
+    if found is None:
+        raise EvaluationError(
+            f"World '{world.name}' makes a head-to-head once; {sessions} sessions were asked for. Ask for one."
+        )
+    return found
 
 
 def task_entry(task: Task) -> dict[str, Any]:

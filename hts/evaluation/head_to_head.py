@@ -17,8 +17,8 @@ from hts.config import EvaluationConfig
 from hts.contracts import VELOCITY, Comparison, FollowVelocity, Objective, Task
 from hts.errors import EvaluationError
 from hts.evaluation.held import NAMES, Commanded, NotComparable, check_apart, check_range, commanded, refusal
-from hts.evaluation.intervals import interval
 from hts.evaluation.segments import Segments, cut
+from hts.evaluation.sessions import interval_of
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -35,8 +35,9 @@ class TooFewSegments(NotComparable):
 class HeadToHead:
     """A policy against its reference at one asked speed, or one set-point of another task.
 
-    comparison: improvement, selection score and metrics by the objective; improvement_ci95: 95 % interval, None if
-    a single segment leaves nothing to tell it from; metrics_ci95: the same for each metric;
+    comparison: improvement, selection score and metrics by the objective; improvement_ci95: 95 % interval, over
+    sessions where there are several, None if a single segment leaves nothing to tell it from; metrics_ci95: the same
+    for each metric;
     policy_segments, reference_segments: the valid ones; policy_scores, reference_scores: the objective's quantities
     per segment, each (S,); commanded: what was sent to both, and whether the speed was held.
     """
@@ -113,16 +114,16 @@ def compare(
     measured = _measure(objective, recordings, config, task, sent, seed)
     segments, scores, compared = measured.segments, measured.scores, measured.compared
     comparison = measured.comparison()
-    blocks = {role: _by_block(_table(scores[role]), segments[role].block) for role in ("policy", "reference")}
+    tables = {role: (segments[role], _table(scores[role])) for role in ROLES}
 
     def metric_of(name: str) -> Callable[[Comparison], float]:
         return lambda found: found.metrics[name]
 
     def bounds(number: Callable[[Comparison], float]) -> tuple[float, float] | None:
-        return interval(
+        return interval_of(
             lambda policy, reference: number(compared(policy, reference)),
-            blocks["policy"],
-            blocks["reference"],
+            tables["policy"],
+            tables["reference"],
             config.bootstrap,
             seed,
         )
@@ -292,7 +293,3 @@ def _table(scores: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _named(names: Sequence[str], values: np.ndarray) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, values, strict=True)}
-
-
-def _by_block(table: np.ndarray, block: np.ndarray) -> list[np.ndarray]:
-    return [table[block == number] for number in np.unique(block)]

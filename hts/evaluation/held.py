@@ -17,8 +17,8 @@ import numpy as np
 from hts.config import EvaluationConfig, RunConfig
 from hts.contracts import HoldSpeed, World
 from hts.errors import ConfigError, EvaluationError, RecordingError
-from hts.evaluation.intervals import interval
 from hts.evaluation.segments import Segments
+from hts.evaluation.sessions import interval_of
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -151,14 +151,10 @@ def difference_interval(
 ) -> tuple[float, float] | None:
     """95 % interval of (mean speed of the policy - mean speed of the reference) / asked speed, as of any other number;
     None if a single segment leaves nothing to tell it from."""
-    blocks = {
-        role: [found.speed[found.block == number][:, None] for number in np.unique(found.block)]
-        for role, found in segments.items()
-    }
-    return interval(
+    return interval_of(
         lambda policy, reference: float(policy[0] - reference[0]) / speed,
-        blocks["policy"],
-        blocks["reference"],
+        (segments["policy"], segments["policy"].speed[:, None]),
+        (segments["reference"], segments["reference"].speed[:, None]),
         resamples,
         seed,
     )

@@ -26,7 +26,7 @@ from hts.report.task_words import TaskWords
 from hts.run.job import Job
 from hts.run.learning import finetune, fit, simulate
 from hts.run.progress import Progress
-from hts.run.reality import collect, final
+from hts.run.reality import best_so_far, collect, final
 from hts.run.stages import Stages
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
@@ -40,7 +40,8 @@ def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = J
 
     kind: what its stages work with; an oracle's is another one.
     """
-    progress = Progress(total=STAGES_AROUND + STAGES_PER_ITERATION * config.iterations)
+    per_iteration = STAGES_PER_ITERATION + config.evaluation.each_iteration
+    progress = Progress(total=STAGES_AROUND + per_iteration * config.iterations)
     stages = Stages(folder, progress)
     job = kind(config, folder, registry, stages)
     try:
@@ -64,6 +65,12 @@ def algorithm_1(job: Job) -> dict[str, Any]:
     best = job.first
     for i in range(config.iterations):
         name = f"iterations/{i:02d}"
+        if not job.elites(i):
+            job.stages.progress.say(cap_reached(job, i))
+            job.stages.progress.skip(
+                (STAGES_PER_ITERATION + config.evaluation.each_iteration) * (config.iterations - i)
+            )
+            break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder
         if config.reward_source == "model":
             job.do(f"{name}/fit", f"{about}: fit measurement models", partial(fit, job, i))
@@ -78,8 +85,19 @@ def algorithm_1(job: Job) -> dict[str, Any]:
             task = TaskWords(**task_entry(job.robot.task()))
             job.stages.progress.say(f"{about}: {nobody_chosen(rows, task)}")
         best = tested["best_so_far"]
+        if config.evaluation.each_iteration:
+            job.do(f"{name}/best", f"{about}: measure the best so far", partial(best_so_far, job, i, best))
     job.do("final", f"final head-to-head in world '{config.world.name}'", partial(final, job, best))
     return finish(job)
+
+
+def cap_reached(job: Job, iteration: int) -> str:
+    """Why the iterations end here, in one line."""
+    return (
+        f"{iteration} of {job.config.iterations} iterations: {job.spent(iteration):,} of at most "
+        f"{job.config.max_real_samples:,} real samples are spent, and the test of another elite takes about "
+        f"{job.budget.each:,}. What follows is the final head-to-head, which is not counted."
+    )
 
 
 def finish(job: Job) -> dict[str, Any]:

@@ -12,7 +12,8 @@ from hts.contracts import WorldContext
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.evaluation.simulation import trial_seconds
 from hts.plugins import Registry
-from hts.training.sweep import candidates, combinations, own_weights
+from hts.run.budget import candidate_counts, plan, seconds_per_elite
+from hts.training.sweep import combinations, own_weights
 
 STEPS_PER_SECOND = {"mujoco": 4_500.0, "warp": 500_000.0}
 """Control steps per second from collection to update, where nobody measured them (`hts.run.speed` does on a CPU):
@@ -38,10 +39,6 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     proxy = config.reward_source == "proxy"
     weights = combinations(own_weights(objectives, proxy), config.sweep.weights)
-    counts = []
-    for iteration in range(config.iterations):
-        hashes: dict[str, str] = {anchor: anchor if iteration else "one" for anchor in config.sweep.anchors}
-        counts.append(len(candidates(iteration, hashes, weights, config.sweep.kl_bounds)))
     nowhere = Path(tempfile.gettempdir()) / "hts-dry-run"  # a name only: worlds write with their first request
     context = WorldContext(
         config.robot.name, config.robot.settings, config.objectives, config.seed, folder=nowhere, registry=registry
@@ -49,24 +46,22 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     world = registry.make_world(config.world.name, config.world.settings, context)
     hold = hold_of(config)
     ask_to_hold(world, hold)
-    speeds, block = config.selection.tested_speeds, config.selection.block_seconds
-    if len(speeds) > 1 or block is not None:
-        per_elite = world.head_to_head_session_seconds(len(speeds), block)
-    else:
-        per_elite = world.head_to_head_seconds()
+    budget = plan(config, registry, world)
+    counts = candidate_counts(config, registry)[: len(budget.elites)]
+    per_elite = seconds_per_elite(config, world)
     per_final = world.head_to_head_seconds()
     if hold is not None:  # the final is held, and done at equal commands beside
         ask_to_hold(world, None)
         per_final += world.head_to_head_seconds()
-    elites = sum(min(config.selection.elites, count) for count in counts)
+    elites = sum(budget.elites)
     collected = config.collection.repeats + config.collection.exploring
-    robot_seconds = config.collection.schedule.seconds * collected if config.records_first else 0.0
-    robot_seconds += per_elite * elites + per_final * len(config.evaluation.speeds)
+    robot_seconds = budget.schedule.seconds * collected if config.records_first else 0.0
+    robot_seconds += per_elite * elites + per_final * len(config.evaluation.speeds) * config.evaluation.sessions
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test
     test_steps = test.num_envs * len(test.speeds) * trial_seconds(test) * robot.spec.control_rate_hz
     # Every candidate, and the pretrained policy beside them.
-    steps += round((sum(counts) + config.iterations) * test_steps)
+    steps += round((sum(counts) + len(counts)) * test_steps)
     together = min(max(counts), config.finetune.max_candidates)
     samples = together * config.finetune.num_envs * config.finetune.ppo.horizon
     cost = dict(world.cost(robot_seconds))
@@ -77,6 +72,8 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
         "selector": config.selection.selector.name,
         "candidates": sum(counts),
         "tested on the robot": elites,
+        "iterations": len(budget.elites) if len(budget.elites) < config.iterations else None,
+        "real_samples": budget.samples,
         "robot_minutes": robot_seconds / 60.0,
         "charges": robot_seconds / 60.0 / robot.spec.endurance_minutes if robot.spec.endurance_minutes else None,
         "simulation_steps": steps,
@@ -104,6 +101,8 @@ def print_estimate(cost: dict[str, Any]) -> None:
         "selector": "selector",
         "candidates": "candidates trained",
         "tested on the robot": "of them tested in the world",
+        "iterations": "iterations that the cap leaves",
+        "real_samples": "real samples before the final",
         "robot_minutes": "minutes of walking",
         "charges": "charges of the robot",
         "simulation_steps": "simulation steps",

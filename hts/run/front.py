@@ -58,7 +58,7 @@ def simulated_front(objectives: Sequence[str], simulated: Mapping[str, Any]) -> 
 def front_entry(job: Job) -> dict[str, Any]:
     """`front` of `summary.json`."""
     objectives = list(job.objectives)
-    iterations = range(job.config.iterations)
+    iterations = range(job.done_iterations)
     simulated = {index: job.read(f"iterations/{index:02d}/simulate") for index in iterations}
     return {
         "units": {name: objective.unit for name, objective in job.objectives.items()},

@@ -11,7 +11,7 @@ from typing import Any
 
 from torchrl.envs.transforms import Transform
 
-from hts.config import RunConfig
+from hts.config import RunConfig, ScheduleConfig
 from hts.contracts import HoldSpeed, Objective, Robot, World, WorldContext
 from hts.errors import ConfigError, PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
@@ -21,6 +21,7 @@ from hts.policies.files import Policy, load_policy, save_policy
 from hts.recordings.needs import check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
+from hts.run.budget import Budget, plan
 from hts.run.provenance import collect as collect_provenance
 from hts.run.stages import Stages, read_json, write_json
 from hts.training.sweep import combinations, own_weights
@@ -142,6 +143,35 @@ class Job:
         if self.hold is not None:
             ask_to_hold(world, self.hold)
         return world
+
+    @cached_property
+    def budget(self) -> Budget:
+        """What a run with a cap on its real samples may record and test."""
+        return plan(self.config, self.registry, self.world)
+
+    def spent(self, iteration: int) -> int:
+        """Real samples before an iteration."""
+        stages = ["collect"] if self.config.records_first else []
+        stages += [f"iterations/{earlier:02d}/test" for earlier in range(iteration)]
+        return sum(self.read(stage)["samples"] for stage in stages)
+
+    def elites(self, iteration: int) -> int:
+        """How many elites an iteration may test: as the plan says, within what is left of the real samples."""
+        if self.config.max_real_samples is None:
+            return self.config.selection.elites
+        planned = iteration < len(self.budget.elites)
+        return self.budget.affordable(iteration, self.spent(iteration)) if planned else 0
+
+    @property
+    def schedule(self) -> ScheduleConfig:
+        """Of first data."""
+        return self.config.collection.schedule if self.config.max_real_samples is None else self.budget.schedule
+
+    @property
+    def done_iterations(self) -> int:
+        """Iterations whose elites were tested; fewer than planned where the real samples ran out."""
+        names = (self.folder / f"iterations/{index:02d}/test.json" for index in range(self.config.iterations))
+        return sum(path.exists() for path in names)
 
     @cached_property
     def hold(self) -> HoldSpeed | None:

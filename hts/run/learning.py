@@ -241,7 +241,7 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     able = [
         one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], job.world.simulated)
     ]
-    elites = selector.elites(able, config.selection.elites)
+    elites = selector.elites(able, job.elites(iteration))
     details = {
         name: [{key: value for key, value in vars(trial).items() if key not in NOT_WRITTEN} for trial in row]
         for name, row in results.items()

@@ -18,6 +18,7 @@ from hts.errors import ConfigError
 from hts.evaluation.held import ask_to_hold, check_hold, hold_of
 from hts.guarded import guarded
 from hts.plugins import Registry
+from hts.run.budget import plan
 from hts.training.sweep import combinations, own_weights
 
 if TYPE_CHECKING:
@@ -95,6 +96,8 @@ def check_world(config: RunConfig, registry: Registry) -> None:
         world = registry.make_world(config.world.name, config.world.settings, context)
         try:
             ask_to_hold(world, hold_of(config))
+            if config.max_real_samples is not None:
+                plan(config, registry, world)  # raises for a cap that nothing fits in
             guarded(f"World '{config.world.name}': check()", world.check)
         finally:
             world.close()

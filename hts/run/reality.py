@@ -7,7 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 from hts.contracts import HoldSpeed
-from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, speeds_apart, walked_speeds
+from hts.evaluation.final import (
+    entry_both_ways,
+    entry_of,
+    judged_speeds,
+    segment_scores,
+    speeds_apart,
+    walked_speeds,
+)
 from hts.evaluation.held import ask_to_hold
 from hts.recordings.recording import Recording
 from hts.run.job import Job
@@ -22,7 +29,7 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
     job.watch(report)
     exploring = job.save_exploring("pretrained", config.exploration)
     policies = [job.exported("pretrained")] * config.repeats + [exploring] * config.exploring
-    recordings = job.world.collect(policies, config.schedule)
+    recordings = job.world.collect(policies, job.schedule)
     ids = job.keep(recordings, 0)
     return {"recordings": ids, "samples": sum(recording.num_samples for recording in recordings)}
 
@@ -63,6 +70,26 @@ def final(job: Job, best: str, report: Report) -> dict[str, Any]:
     return {"policy": best, "objectives": entries, "recordings": ids, "samples": samples}
 
 
+def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
+    """The best so far against the pretrained policy as the final would have it, for curves of saving over real samples:
+    nothing is kept of it but its numbers, and `uncounted` is what the robot walked."""
+    if best == "pretrained":
+        return {"policy": best, "objectives": {}, "uncounted": 0}
+    if iteration > 0:
+        before = job.read(f"iterations/{iteration - 1:02d}/best")
+        if before["policy"] == best:
+            return {**before, "uncounted": 0}
+    job.watch(report)
+    config, task = job.config.evaluation, job.robot.task()
+    recordings = job.world.head_to_head(job.exported(best), job.exported("pretrained"), config.speeds)
+    entries = {}
+    for name, objective in job.objectives.items():
+        results, refusals = judged_speeds(objective, recordings, config, job.seed("interval", "best", best), task)
+        entries[name] = entry_of(objective, results)
+        entries[name]["refused"] = {speed: str(why) for speed, why in refusals.items()}
+    return {"policy": best, "objectives": entries, "uncounted": sum(one.robot_samples for one in recordings)}
+
+
 def _held(job: Job, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:
     """The head-to-head with the speed held; and what was recorded in vain.
 
@@ -86,5 +113,13 @@ def _held(job: Job, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:
 
 def _head_to_head(job: Job, speeds: Sequence[float] = ()) -> list[Recording]:
     """The best policy against the pretrained one, as the world does it now; speeds: none, all."""
-    speeds = speeds or job.config.evaluation.speeds
-    return job.world.head_to_head(job.exported("best"), job.exported("pretrained"), speeds)
+    config = job.config.evaluation
+    speeds, pair = speeds or config.speeds, (job.exported("best"), job.exported("pretrained"))
+    if config.sessions > 1:
+        found = job.world.head_to_head_sessions(*pair, speeds, config.sessions)
+        if found is not None:
+            return found
+        job.stages.progress.say(
+            f"World '{job.config.world.name}' makes a head-to-head once: one session, not {config.sessions}."
+        )
+    return job.world.head_to_head(*pair, speeds)

@@ -19,7 +19,8 @@ def summarise(job: Job) -> dict[str, Any]:
     learned = config.reward_source == "model"
     if config.records_first:
         samples += job.read("collect")["samples"]
-    for index in range(config.iterations):
+    done = job.done_iterations
+    for index in range(done):
         name = f"iterations/{index:02d}"
         fit = job.read(f"{name}/fit") if learned else {}
         tuned, simulated, tested = (job.read(f"{name}/{stage}") for stage in ("finetune", "simulate", "test"))
@@ -35,12 +36,13 @@ def summarise(job: Job) -> dict[str, Any]:
                 },
                 **({"trust_region": tested["trust_region"]} if "trust_region" in tested else {}),
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
+                **({"measured_best": job.read(f"{name}/best")} if config.evaluation.each_iteration else {}),
                 **_task(tuned, simulated),
                 "candidates": [_candidate(row, simulated, tested) for row in tuned["candidates"]],
             }
         )
     final = job.read("final")
-    checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(config.iterations)]
+    checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(done)]
     ranks = (
         {name: pooled_ranks([check[name] for check in checks if name in check]) for name in job.objectives}
         if learned
@@ -61,6 +63,9 @@ def summarise(job: Job) -> dict[str, Any]:
         "wall_seconds": round(sum(job.stages.seconds().values()), 1),
         "sim_steps": steps,
         "real_samples": samples + final["samples"],
+        "real_samples_before_final": samples,
+        "max_real_samples": config.max_real_samples,
+        "iterations_asked": config.iterations,
         "iterations": iterations,
         "measurement_models": ranks,
         "front": front_entry(job),

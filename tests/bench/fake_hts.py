@@ -44,10 +44,20 @@ def files(seed: int) -> dict[str, dict]:
         "real": {"power": {"0.8": real}},
     }
     model = {"held_out_r2": 0.9, "elites_r2": 0.8, "rank_correlation": None, "proxy_elites": None}
-    check = {"policies": [{"policy": "a" * 64, "speed": 0.8, "measured": 5.0, "predicted": 5.1, "samples": 9}]}
+    check = {
+        "policies": [{"policy": "a" * 64, "speed": 0.8, "measured": 5.0, "predicted": 5.1, "samples": 9}],
+        "spread": {"policies": [{"policy": "a" * 64, "error": 0.1, "spread": 0.2}]},
+    }
+    best = {"policy": "00-00", "objectives": {"power": {"speeds": {"0.8": real}, "refused": {"1.1": "too slow"}}}}
     summary = {
         "iterations": [
-            {"index": 0, "best_so_far": "00-00", "measurement_models": {"power": model}, "candidates": [candidate]}
+            {
+                "index": 0,
+                "best_so_far": "00-00",
+                "measured_best": best,
+                "measurement_models": {"power": model},
+                "candidates": [candidate],
+            }
         ],
         "measurement_models": {"power": {"rank_correlation": None}},
         "final": {
@@ -57,6 +67,7 @@ def files(seed: int) -> dict[str, dict]:
             },
         },
         "real_samples": 600,
+        "max_real_samples": 900,
         "sim_steps": 7,
         "wall_seconds": 1.5,
     }

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from batch import blocks, tables
+from batch.all_tables import ALL
 from batch.groups import groups_of, saving
 from batch.harvest import result_of
 from batch.lines import append, read_lines
@@ -193,7 +194,10 @@ def test_the_line_holds_what_tables_need(place):
     assert tables.predicted(tried, "power") == [(0.25, 0.2)]
     assert tried.predicted_sd == {"power": {"0.8": 0.02}}
     assert row.result.curve[0].samples == 300
+    assert row.result.curve[0].final == {"power": {"0.8": 0.2, "1.1": 0.0}}  # what was refused saves nothing
+    assert row.result.max_real_samples == 900
     assert row.result.models[0].pairs[0].predicted == 5.1
+    assert (row.result.models[0].doubts[0].error, row.result.models[0].doubts[0].spread) == (0.1, 0.2)
     assert row.commit == "c" and row.hardware["cores_used"] == 1
 
 
@@ -349,6 +353,9 @@ def test_the_papers_recipe_is_never_ours_by_another_name():
     ours, exact = jobs(methods=["ours", "paper-exact"], preset="quick")
     assert ours.method_hash != exact.method_hash
     assert "objectives.power.model={name: battery_current, products: false}" in exact.arguments
+    assert (
+        "objectives.power.criterion=net" in exact.arguments and "sweep.weights.power=[0.5, 1.0, 5.0]" in exact.arguments
+    )
     assert "sweep.kl_bounds=[0.2, 0.5, 1.0]" in exact.arguments and "finetune.hold=false" in exact.arguments
     assert exact.arguments[exact.arguments.index("--preset") + 1] == "quick"
 
@@ -366,9 +373,9 @@ def test_what_does_not_belong_together_is_not_averaged(lines, said):
         groups_of(lines)
 
 
-@pytest.mark.parametrize("name", list(tables.TABLES))
+@pytest.mark.parametrize("name", list(ALL))
 def test_every_table_has_a_row_for_each_method(name):
-    text = tables.TABLES[name](two_methods())
+    text = ALL[name](two_methods())
     if name == "realities":
         assert text.splitlines()[0] == "| reality | ours | baseline |"
     else:
@@ -382,7 +389,9 @@ def test_figures_are_drawn_and_the_same_lines_give_the_same_bytes(tmp_path):
 
     made = draw(two_methods(), tmp_path / "a", "x")
     assert {path.name for path in made} == {
-        f"x-{name}.{kind}" for name in ("savings", "prediction", "robot-time", "open-loop") for kind in ("svg", "png")
+        f"x-{name}.{kind}"
+        for name in ("savings", "prediction", "doubt", "robot-time", "open-loop")
+        for kind in ("svg", "png")
     }
     again = draw(two_methods(), tmp_path / "b", "x")
     assert [path.read_bytes() for path in made] == [path.read_bytes() for path in again]

@@ -5,4 +5,5 @@ draw.py    one draw from (seed, index)
 quick.py   a glance at it by statics, before anything is simulated
 check.py   whether a draw agrees with public facts
 batch.py   many draws, side by side, resumable, until enough agree
+truth.py   what a policy truly saves there: no noise, true speed, many sessions
 """

@@ -87,6 +87,13 @@ class TwinWorld(World):
         width = len(speeds)
         return [[r for row in rows[i * width : (i + 1) * width] for r in row] for i in range(len(paths))]
 
+    def head_to_head_sessions(
+        self, policy: Path, reference: Path, speeds: Sequence[float], sessions: int
+    ) -> list[Recording]:
+        """Each session on a twin of its own: another charge, air and floor, commands found anew."""
+        rows = self.head_to_heads([policy] * sessions, reference, speeds)
+        return [recording for row in rows for recording in row]
+
     def head_to_heads_in_session(
         self, policies: Sequence[Path], reference: Path, speeds: Sequence[float], block_seconds: float | None
     ) -> list[list[Recording]]:

@@ -65,6 +65,7 @@ class Microphone(Instrument):
         self.steps = np.zeros(num_worlds, dtype=int)
         """Footfalls since reset (W,)."""
         self.seconds = 0.0
+        self._told = (0.0, np.zeros(num_worlds))
 
     def step(self, sample: PhysicsSample) -> None:
         now = self._count
@@ -84,6 +85,20 @@ class Microphone(Instrument):
     def idle(self) -> Mapping[str, float]:
         """As read off over a minute: noise averages out, the calibration error does not."""
         return {"sound_level": self.p.room_level + self.p.calibration_error}
+
+    def exact(self) -> Mapping[str, np.ndarray]:
+        """The equivalent level, dB(A), without the meter's time weighting, calibration error and noise."""
+        self._work()
+        before, exposure = self._told
+        now = self.energy["steps"] + self.energy["drives"] + self.energy["room"]
+        self._told = (self.seconds, now)
+        if self.seconds == before:
+            return {"sound_level": np.full(len(now), self.p.room_level)}
+        return {"sound_level": acoustics.decibels((now - exposure) / (self.seconds - before))}
+
+    def exact_idle(self) -> Mapping[str, float]:
+        """Without the calibration error."""
+        return {"sound_level": self.p.room_level}
 
     def describe(self) -> Mapping[str, Any]:
         return self.p.model_dump(mode="json")

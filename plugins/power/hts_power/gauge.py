@@ -89,7 +89,8 @@ class BatteryGauge(Instrument):
         self.energy = {name: np.zeros(num_worlds) for name in ENERGIES}
         """J since reset, (W,): what only a simulator knows. For calibration, never recorded."""
         self.seconds = 0.0
-        self._told = (0.0, np.zeros(num_worlds), np.zeros(num_worlds))  # s, J and W, as `truth` was last asked
+        self._told = (0.0, np.zeros(num_worlds))
+        self._paid = (0.0, np.zeros(num_worlds), np.zeros(num_worlds))  # s, J and W, as `truth` was last asked
         self._since_settle()
 
     def step(self, sample: PhysicsSample) -> None:
@@ -117,6 +118,23 @@ class BatteryGauge(Instrument):
         battery = self._new_battery(1, self.p.state_of_charge)
         reading = (1 + self.p.gain_error) * battery.current[0] - self.p.offset
         return {"battery_current": float(reading), "battery_voltage": float(battery.voltage[0])}
+
+    def exact(self) -> Mapping[str, np.ndarray]:
+        """Voltage now, and the current that carries the bus's mean power at it: their product is what the drives and
+        the electronics took, without the gauge's window, which misses that the voltage sags where the current peaks."""
+        self._work()
+        before, joules = self._told
+        self._told = (self.seconds, self.energy["bus"].copy())
+        voltage = self._battery.voltage
+        if self.seconds == before:  # nothing has passed: as it idles
+            return {"battery_current": self._battery.current.copy(), "battery_voltage": voltage.copy()}
+        power = (self.energy["bus"] - joules) / (self.seconds - before)
+        return {"battery_current": power / voltage, "battery_voltage": voltage.copy()}
+
+    def exact_idle(self) -> Mapping[str, float]:
+        """Without gain error and offset."""
+        battery = self._new_battery(1, self.p.state_of_charge)
+        return {"battery_current": float(battery.current[0]), "battery_voltage": float(battery.voltage[0])}
 
     def settle(self) -> None:
         """Steady heat for the mean tau^2 and iron loss since reset or the last settle, and steady polarisation.
@@ -157,11 +175,11 @@ class BatteryGauge(Instrument):
         """Of the current: mean power on the bus that is not idle, W. It is what the score makes of current and voltage,
         before the pack's own loss."""
         self._work()
-        seconds, joules, net = self._told
+        seconds, joules, net = self._paid
         if self.seconds > seconds:
             spent = self.energy["bus"] - self.energy["idle"]
             net = (spent - joules) / (self.seconds - seconds)
-            self._told = (self.seconds, spent, net)
+            self._paid = (self.seconds, spent, net)
         return {"battery_current": net}
 
     def conditions(self) -> Mapping[str, np.ndarray]:

@@ -8,6 +8,9 @@ from pydantic import ValidationError
 
 from hts import plugins
 from hts.contracts import PhysicsSample
+from hts.worlds.realities.draw import draw
+from hts.worlds.realities.ranges import drawn_parameters
+from hts.worlds.twin.reality import read
 from hts_noise.acoustics import decibels, squared_pressure
 from hts_noise.microphone import Microphone
 from hts_noise.microphone_parameters import MicrophoneParameters
@@ -201,3 +204,46 @@ def test_settings_of_a_world_reach_it():
     registry = plugins.load()
     made = make_instruments(registry, registry.make_robot("go1"), {"noise": {}}, {"microphone": {"room_level": 44.0}})
     assert made["microphone"].describe()["room_level"] == 44.0
+
+
+def test_the_exact_level_is_the_sound_there_was_since_somebody_last_asked(spec):
+    made = microphone(spec, calibration_error=0.7, reading_noise=1.0)
+    assert made.exact() == {"sound_level": pytest.approx(38.0)}  # nothing has passed: the room
+    walk(made, [0.4, 0, 0, 0], seconds=0.5)
+    first = made.exact()["sound_level"]
+    exposure = sum(made.energy[name] for name in made.energy)
+    assert first == pytest.approx(decibels(exposure / 0.5))
+    walk(made, np.zeros((1, 4)), seconds=3.0)
+    made.exact()
+    walk(made, np.zeros((1, 4)), seconds=1.0)
+    assert made.exact()["sound_level"] == pytest.approx(38.0, abs=0.01)
+    assert made.exact_idle() == {"sound_level": 38.0}
+
+
+# ---------------------------------------------------------------------------------------- over a population of them
+
+
+def drawn_of_it():
+    found = [one for one in drawn_parameters(plugins.load()) if one.key.startswith("instruments.microphone.")]
+    return {one.key.rpartition(".")[2]: one for one in found}
+
+
+def test_everything_about_the_sound_is_drawn_but_definitions_and_what_a_person_chooses():
+    kept = set(MicrophoneParameters.model_fields) - set(drawn_of_it())
+    assert kept == {"contact_newtons", "least_speed", "drive_speed", "distance"}
+    assert all(one.source and one.unit and one.low < one.high for one in drawn_of_it().values())
+
+
+def test_a_drawn_microphone_lies_in_the_ranges_and_can_be_made(spec):
+    for index in range(20):
+        given = draw(drawn_parameters(plugins.load()), "sound", index).nested()["instruments"]["microphone"]
+        p = Microphone(MicrophoneParameters(**given), spec).p
+        for name, one in drawn_of_it().items():
+            assert (one.low <= np.atleast_1d(getattr(p, name))).all()
+            assert (np.atleast_1d(getattr(p, name)) <= one.high).all()
+
+
+def test_the_development_realities_sound_different():
+    pytest.importorskip("hts_go1", reason="the realities come with this robot")
+    steps = [read(f"dev-{index:02d}").parameters["instruments"]["microphone"]["step_level"] for index in range(16)]
+    assert len(set(steps)) == 16 and max(steps) - min(steps) > 5.0  # dB(A)

@@ -307,3 +307,26 @@ def test_every_parameter_states_unit_source_and_range():
 def test_a_value_outside_its_range_is_refused():
     with pytest.raises(ValidationError, match="idle_power"):
         GaugeParameters(idle_power=80.0)
+
+
+# --------------------------------------------------------------------------------- what it would show without errors
+
+
+def test_exact_readings_carry_the_bus_power_whatever_the_gauge_shows():
+    plain, bad = gauge(), gauge(gain_error=0.01, offset=0.02, noise=0.02, resolution=0.05, window=0.4, delay=0.1)
+    for made in (plain, bad):
+        drive(made, [3.0, 1.0], [4.0, -2.0], 1.0)
+        made.exact()
+        before, start = made.energy["bus"].copy(), made.seconds
+        drive(made, [5.0, 1.0], [4.0, -2.0], 0.5)
+        found = made.exact()
+        power = found["battery_current"] * found["battery_voltage"]
+        assert power == pytest.approx((made.energy["bus"] - before) / (made.seconds - start))
+    levels = bad.exact_idle()
+    assert levels["battery_current"] * levels["battery_voltage"] == pytest.approx(bad.p.idle_power)
+    assert bad.exact_idle() == plain.exact_idle() and bad.idle() != plain.idle()
+
+
+def test_before_anything_has_passed_the_exact_reading_is_that_of_idling():
+    found = gauge().exact()
+    assert found["battery_current"] * found["battery_voltage"] == pytest.approx(gauge().p.idle_power)

@@ -1,0 +1,210 @@
+"""Lines of coverage, and what they say: how often the interval of an evaluation holds the truth.
+
+One line per policy × reality × repetition, and one per policy × reality with the truth. Evaluations of one reality
+share its truth and its faults, so the interval of the pooled share is a cluster bootstrap over realities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from batch.lines import Part, parsed
+from batch.tables import NONE, differences, table
+from hts.errors import EvaluationError
+from hts.evaluation.population import Population, population
+
+Interval = tuple[float, float]
+
+
+class Lengths(Part):
+    """Of every session, s; `sessions`: how many of them."""
+
+    sessions: int
+    warmup: float
+    trimming: float
+    block: float
+
+
+class Occasion(Part):
+    """One session of an evaluation taken alone: what `hts evaluate` says of a single head-to-head."""
+
+    improvement: float
+    improvement_ci95: Interval | None
+
+
+class Found(Part):
+    """At one speed. An evaluation: over its sessions; `as_one`: the same pieces, as if all blocks were of one session.
+    A truth: `improvement_ci95` is its own uncertainty."""
+
+    improvement: float
+    improvement_ci95: Interval | None
+    as_one: Interval | None = None
+    occasions: list[Occasion] = Field(default_factory=list)
+    mean_speed: float
+    reference_speed: float
+    falls: int = 0
+    at_limit: int = Field(0, description="of a truth: sessions whose command reached the end of its range")
+
+
+class CoverageLine(Part):
+    """repetition: none, it is the truth."""
+
+    version: Literal[1] = 1
+    kind: Literal["truth", "evaluation"]
+    key: str
+    objective: str
+    unit: str
+    policy: str
+    policy_hash: str
+    reference_hash: str
+    reality: str
+    reality_hash: str
+    repetition: int | None = None
+    lengths: Lengths
+    commit: str
+    speeds: dict[str, Found]
+    refused: dict[str, str] = Field(default_factory=dict)
+    seconds: float
+
+    @property
+    def pair(self) -> tuple[str, str, str, str]:
+        """What its truth is the truth of."""
+        return (self.objective, self.policy_hash, self.reference_hash, self.reality_hash)
+
+
+def read_coverage(paths: Iterable[Path]) -> list[CoverageLine]:
+    """Lines, a later one of a key in place of an earlier one. Raises RunError naming file and line."""
+    expected = "version 1, as benchmarks/realities.py coverage run writes it"
+    return list({line.key: line for line in parsed(paths, CoverageLine, expected)}.values())
+
+
+KINDS: dict[str, Callable[[Found], list[tuple[float, Interval | None]]]] = {
+    "sessions as units": lambda found: [(found.improvement, found.improvement_ci95)],
+    "blocks as units, sessions pooled": lambda found: [(found.improvement, found.as_one)],
+    "one session alone": lambda found: [(one.improvement, one.improvement_ci95) for one in found.occasions],
+}
+"""Intervals of one evaluation at one speed. The first is the one that is reported; the others say why."""
+
+
+def coverage(
+    lines: Sequence[CoverageLine], kind: str, speed: str | None = None, policy: str | None = None
+) -> dict[str, list[tuple[float, Interval, float]]]:
+    """reality -> (estimate, interval, truth) of every evaluation there. Raises EvaluationError without a truth."""
+    truths = {line.pair: line for line in lines if line.kind == "truth"}
+    found: dict[str, list[tuple[float, Interval, float]]] = {}
+    for line in lines:
+        if line.kind == "truth" or policy not in (None, line.policy):
+            continue
+        if line.pair not in truths:
+            raise EvaluationError(
+                f"There are evaluations of {line.policy} on {line.reality} and no truth. Run `coverage run` to its end."
+            )
+        truth = truths[line.pair].speeds
+        for key, one in line.speeds.items():
+            if key in truth and speed in (None, key):
+                rows = KINDS[kind](one)
+                kept = [(value, ci, truth[key].improvement) for value, ci in rows if ci is not None]
+                found.setdefault(line.reality, []).extend(kept)
+    return {reality: rows for reality, rows in found.items() if rows}
+
+
+def share(rows: dict[str, list[tuple[float, Interval, float]]]) -> Population:
+    """Of the intervals that hold the truth, realities as clusters; each evaluation counts alike where all realities
+    have equally many."""
+    return population(
+        {name: [float(low <= truth <= high) for _, (low, high), truth in each] for name, each in rows.items()}
+    )
+
+
+def coverage_table(lines: Sequence[CoverageLine]) -> str:
+    """Pooled, then by speed and by policy: share that holds the truth, with its interval over realities; mean half
+    width; root mean square and mean of estimate less truth."""
+    evaluations = [line for line in lines if line.kind == "evaluation"]
+    if not evaluations:
+        raise EvaluationError("No line is an evaluation. Make some: benchmarks/realities.py coverage run.")
+    units = {(line.objective, line.unit) for line in evaluations}
+    if len(units) > 1:
+        names = ", ".join(sorted(name for name, _ in units))
+        raise EvaluationError(f"These lines are of several objectives ({names}). Name files of one with --lines.")
+    show = differences(next(iter(units))[1], signed=False)
+    signed = differences(next(iter(units))[1])
+    speeds = sorted({key for line in evaluations for key in line.speeds}, key=float)
+    policies = sorted({line.policy for line in evaluations})
+    cuts: list[tuple[str, str, str | None, str | None]] = [(kind, "all", None, None) for kind in KINDS]
+    first = next(iter(KINDS))
+    cuts += [(first, f"{speed} m/s", speed, None) for speed in speeds if len(speeds) > 1]
+    cuts += [(first, policy, None, policy) for policy in policies if len(policies) > 1]
+    rows = []
+    for kind, what, speed, policy in cuts:
+        found = coverage(lines, kind, speed, policy)
+        if not found:
+            continue
+        every = [row for each in found.values() for row in each]
+        held, errors = share(found), np.array([estimate - truth for estimate, _, truth in every])
+        half = float(np.mean([(high - low) / 2 for _, (low, high), _ in every]))
+        between = (
+            "one reality" if held.interval is None else f"{_percent(held.interval[0])} to {_percent(held.interval[1])}"
+        )
+        rows.append(
+            [
+                kind,
+                what,
+                f"{held.realities}",
+                f"{len(every)}",
+                f"{_percent(held.estimate)} % ({between})",
+                show(half),
+                show(float(np.sqrt((errors**2).mean()))),
+                signed(float(errors.mean())),
+            ]
+        )
+    refused = sum(len(line.refused) for line in evaluations)
+    head = ["interval", "of", "realities", "intervals", "hold the truth (over realities)", "half width, mean"]
+    head += ["error, RMS", "error, mean"]
+    sessions = sorted({line.lengths.sessions for line in evaluations})
+    note = f"{', '.join(map(str, sessions))} sessions an evaluation; {refused} speeds refused"
+    return f"{table(head, rows)}\n\n{note}; truths to within {_truth_error(lines, show)} (95 %, mean)."
+
+
+def pairs_table(lines: Sequence[CoverageLine]) -> str:
+    """Each policy on each reality: the truth, and what evaluations of it said."""
+    rows = []
+    for truth in sorted((line for line in lines if line.kind == "truth"), key=lambda line: (line.policy, line.reality)):
+        mine = [line for line in lines if line.kind == "evaluation" and line.pair == truth.pair]
+        show = differences(truth.unit, signed=False)
+        for speed, one in sorted(truth.speeds.items(), key=lambda item: float(item[0])):
+            said = [line.speeds[speed] for line in mine if speed in line.speeds]
+            intervals = [each.improvement_ci95 for each in said if each.improvement_ci95 is not None]
+            holds = sum(low <= one.improvement <= high for low, high in intervals)
+            rows.append(
+                [
+                    truth.policy,
+                    truth.reality,
+                    speed,
+                    show(one.improvement),
+                    show(float(np.mean([each.improvement for each in said]))) if said else NONE,
+                    show(float(np.std([each.improvement for each in said], ddof=1))) if len(said) > 1 else NONE,
+                    f"{holds} of {len(intervals)}",
+                ]
+            )
+    head = ["policy", "reality", "m/s", "truth", "evaluations: mean", "their standard deviation", "hold the truth"]
+    return table(head, rows)
+
+
+def _truth_error(lines: Sequence[CoverageLine], show: Callable[[float], str]) -> str:
+    widths = [
+        (one.improvement_ci95[1] - one.improvement_ci95[0]) / 2
+        for line in lines
+        if line.kind == "truth"
+        for one in line.speeds.values()
+        if one.improvement_ci95 is not None
+    ]
+    return "±" + show(float(np.mean(widths))) if widths else NONE
+
+
+def _percent(value: float) -> str:
+    return f"{100 * min(max(value, 0.0), 1.0):.1f}"

@@ -1,0 +1,222 @@
+"""What a policy truly saves on a reality: without noise, at its true speed, over many sessions.
+
+The yardstick for intervals, on twins alone. The robot, its physics and the programme are those of a held head-to-head;
+what is measured is not: instruments tell their quantity as it is (`Instrument.exact`), the command is trimmed by the
+trunk's true speed, and every piece counts that is not near a fall. Sessions are others than those of any head-to-head.
+No learning code comes here: `import-linter` keeps it out of hts.worlds, and a run never asks.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hts import plugins
+from hts.contracts import HoldSpeed, Instrument, Objective, PhysicsSample
+from hts.errors import ConfigError, EvaluationError, UnfitWorldError
+from hts.evaluation.final import speed_key
+from hts.evaluation.head_to_head import ROLES, by_speed
+from hts.evaluation.segments import cut
+from hts.evaluation.sessions import over_sessions
+from hts.recordings.recording import Recording
+from hts.worlds.base import file_hash, request_id, seed_sequence
+from hts.worlds.realities.batch import end_with
+from hts.worlds.twin.dynamics import Dynamics
+from hts.worlds.twin.instruments import instruments_of_reality
+from hts.worlds.twin.parameters import TwinSettings, resolved_settings
+from hts.worlds.twin.programme import head_to_head
+from hts.worlds.twin.sensors import Sensors
+from hts.worlds.twin.session import Batch
+
+DEFAULT = "default"
+TOGETHER = 6  # sessions simulated together; part of the randomness, so no matter of the machine
+ANY_SPEED = 1.0  # relative: pieces are not chosen by their speed
+
+Means = Mapping[str, Mapping[str, float]]
+"""role -> quantity -> mean over a session's pieces; `speed` (m/s) and `falls` beside the objective's own."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is asked. policy, reference: exported files; reality: name, file or `default`; lengths in s as in a
+    head-to-head; commands: lowest and highest, m/s; objective: name and settings."""
+
+    robot: str
+    objective: str
+    settings: Mapping[str, Any]
+    policy: str
+    reference: str
+    reality: str
+    speeds: tuple[float, ...]
+    sessions: int = 50
+    warmup: float = 20.0
+    trimming: float = 20.0
+    block: float = 20.0
+    commands: tuple[float, float] = (0.2, 1.5)
+    seed: int = 0
+
+
+class Exact(Instrument):
+    """An instrument that shows what is, and not what it would measure."""
+
+    def __init__(self, name: str, instrument: Instrument) -> None:
+        self._instrument, shown = instrument, set(instrument.exact())
+        if not shown:
+            raise UnfitWorldError(
+                f"Instrument '{name}' does not tell its quantity without errors, so nothing can be held against the "
+                "truth. Give its class the method `exact`."
+            )
+        self.channels = tuple(channel for channel in instrument.channels if channel.name in shown)
+
+    def reset(self, num_worlds: int, rng: np.random.Generator) -> None:
+        self._instrument.reset(num_worlds, rng)
+
+    def step(self, sample: PhysicsSample) -> None:
+        self._instrument.step(sample)
+
+    def read(self) -> Mapping[str, np.ndarray]:
+        return self._instrument.exact()
+
+    def idle(self) -> Mapping[str, float]:
+        return self._instrument.exact_idle()
+
+    def settle(self) -> None:
+        self._instrument.settle()
+
+    def supply(self) -> np.ndarray | None:
+        return self._instrument.supply()
+
+    def conditions(self) -> Mapping[str, np.ndarray]:
+        return self._instrument.conditions()
+
+
+class TrueSpeed:
+    """Sensors whose base velocity is the trunk's own; what else the policy sees is as noisy as ever."""
+
+    def __init__(self, sensors: Sensors, body: Dynamics) -> None:
+        self._sensors, self._body = sensors, body
+
+    def read(self, period: float) -> dict[str, np.ndarray]:
+        """As `Sensors.read`."""
+        velocity = np.matmul(self._body.rotation(), self._body.qvel[:, :3, None])[:, :, 0]
+        return {**self._sensors.read(period), "base_velocity": velocity}
+
+
+def truth(asked: Truth, processes: int = 1, tell: Callable[[int, int], None] | None = None) -> dict[str, Any]:
+    """Unit, and at each speed improvement, its interval over sessions, metrics, mean speeds, falls, and how many
+    commands reached the end of their range. The same for any number of processes. Raises EvaluationError for a
+    speed at which nothing is left, ConfigError for fewer than two sessions."""
+    if asked.sessions < 2:
+        raise ConfigError(f"{asked.sessions} sessions: the truth is a mean over sessions. Expected two at least.")
+    objective = _objective(asked)
+    groups = [range(at, min(at + TOGETHER, asked.sessions)) for at in range(0, asked.sessions, TOGETHER)]
+    found: dict[float, list[Means]] = {}
+    for number, rows in enumerate(_grouped(asked, groups, processes)):
+        for speed, means in rows:
+            found.setdefault(speed, []).append(means)
+        if tell is not None:
+            tell(number + 1, len(groups))
+    return {
+        "unit": objective.unit,
+        "sessions": asked.sessions,
+        "speeds": {speed_key(speed): _entry(objective, found[speed], speed) for speed in sorted(found)},
+    }
+
+
+def one_group(asked: Truth, group: range) -> list[tuple[float, Means]]:
+    """Sessions that are simulated together: speed and means of each."""
+    registry = plugins.load()
+    robot, objective = registry.make_robot(asked.robot), _objective(asked)
+    reference = {} if asked.reality == DEFAULT else {"reality": asked.reality}
+    settings = resolved_settings(TwinSettings.model_validate(reference), asked.robot)
+    made = instruments_of_reality(
+        registry,
+        robot,
+        {asked.objective: asked.settings},
+        settings.instruments,
+        settings.dynamics.structure.torque_follows_supply,
+    )
+    wanted = {channel.name for channel in objective.real_channels}
+    exact = {name: Exact(name, one) if wanted & {c.name for c in one.channels} else one for name, one in made.items()}
+    request = request_id("truth", file_hash(asked.policy), file_hash(asked.reference), settings.reality_sha256)
+    batch = Batch(robot, settings, exact, len(group), seed_sequence(asked.seed, request, group.start))
+    batch.sensors = TrueSpeed(batch.sensors, batch.body)  # type: ignore[assignment]
+    hold = HoldSpeed(asked.commands, asked.trimming)
+    lengths = (asked.warmup, asked.block)
+    sessions = [
+        head_to_head([asked.policy], asked.reference, asked.speeds, *lengths, request_id(request, number), hold=hold)
+        for number in group
+    ]
+    try:
+        rows = batch.run(sessions, "twin")
+    finally:
+        batch.close()
+    return [(speed, _means(objective, blocks, speed)) for row in rows for speed, blocks in by_speed(row).items()]
+
+
+def _grouped(asked: Truth, groups: Sequence[range], processes: int) -> Any:
+    """Rows of each group, in order."""
+    if processes == 1 or len(groups) == 1:
+        yield from (one_group(asked, group) for group in groups)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context, initializer=end_with, initargs=(os.getpid(),)) as pool:
+        yield from pool.map(one_group, [asked] * len(groups), groups)
+
+
+def _means(objective: Objective, recordings: Sequence[Recording], speed: float) -> Means:
+    means: dict[str, dict[str, float]] = {}
+    for role in ROLES:
+        blocks = sorted((one for one in recordings if one.role == role), key=lambda one: one.block)
+        segments = cut(blocks, ANY_SPEED)
+        if not len(segments):
+            raise EvaluationError(
+                f"At {speed:g} m/s nothing is left of a session of the {role}: it fell {segments.falls} times. There "
+                "is no truth to hold anything against."
+            )
+        at_limit = [one.notes.get("held_saturated") == "true" for one in blocks]
+        means[role] = {
+            **{name: float(np.mean(values)) for name, values in objective.score(segments).items()},
+            "speed": float(segments.speed.mean()),
+            "falls": float(segments.falls),
+            "saturated": float(any(at_limit)),
+        }
+    return means
+
+
+def _entry(objective: Objective, sessions: Sequence[Means], speed: float) -> dict[str, Any]:
+    """Every session counts alike."""
+    names = [name for name in sessions[0]["policy"] if name not in ("speed", "falls", "saturated")]
+
+    def compared(policy: np.ndarray, reference: np.ndarray) -> Any:
+        return objective.compare(*(dict(zip(names, map(float, one), strict=True)) for one in (policy, reference)))
+
+    tables = [[np.array([[one[role][name] for name in names]]) for one in sessions] for role in ROLES]
+    whole = compared(*(np.concatenate(table).mean(axis=0) for table in tables))
+    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, *tables)
+
+    def over(role: str, name: str) -> np.ndarray:
+        return np.array([one[role][name] for one in sessions])
+
+    return {
+        "improvement": whole.improvement,
+        "improvement_ci95": list(interval),
+        "metrics": dict(whole.metrics),
+        "sessions": len(sessions),
+        "mean_speed": float(over("policy", "speed").mean()),
+        "reference_speed": float(over("reference", "speed").mean()),
+        "falls": int(over("policy", "falls").sum()),
+        "reference_falls": int(over("reference", "falls").sum()),
+        "at_limit": int((over("policy", "saturated") + over("reference", "saturated") > 0).sum()),
+        "asked_speed": speed,
+    }
+
+
+def _objective(asked: Truth) -> Objective:
+    return plugins.load().make_objective(asked.objective, asked.settings)

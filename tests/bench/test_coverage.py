@@ -1,0 +1,190 @@
+"""Coverage: lines that were made up say what is known, and the runner makes each line once."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from batch.coverage import Work, policies_of, run_coverage, works_of
+from batch.coverage_lines import CoverageLine, Found, Lengths, Occasion, coverage, coverage_table, read_coverage, share
+from batch.queue import STOPPED
+
+from hts.errors import EvaluationError, PolicyError, RunError, WorldError
+
+LENGTHS = Lengths(sessions=2, warmup=1.0, trimming=4.0, block=5.0)
+
+
+def made_up(reality="dev-00", repetition: int | None = 0, saved=0.2, half=0.01, as_one=0.002, policy="a", **changes):
+    """An evaluation that found `saved` at 0.8 m/s to within `half`, or the truth."""
+    truth = repetition is None
+    found = Found(
+        improvement=saved,
+        improvement_ci95=(saved - half, saved + half),
+        as_one=None if truth else (saved - as_one, saved + as_one),
+        occasions=[] if truth else [Occasion(improvement=saved, improvement_ci95=None)],
+        mean_speed=0.8,
+        reference_speed=0.8,
+    )
+    given = {
+        "kind": "truth" if truth else "evaluation",
+        "key": f"{policy}{reality}{repetition}",
+        "objective": "power",
+        "unit": "1",
+        "policy": policy,
+        "policy_hash": policy,
+        "reference_hash": "r",
+        "reality": reality,
+        "reality_hash": reality,
+        "repetition": repetition,
+        "lengths": LENGTHS,
+        "commit": "c",
+        "speeds": {"0.8": found},
+        "seconds": 1.0,
+        **changes,
+    }
+    return CoverageLine(**given)
+
+
+def batch():
+    """Two realities with a truth of 20 %; three of four evaluations hold it, and one of four as one session."""
+    truths = [made_up(reality, None) for reality in ("dev-00", "dev-01")]
+    return [
+        *truths,
+        made_up("dev-00", 0, 0.201),
+        made_up("dev-00", 1, 0.205),
+        made_up("dev-01", 0, 0.195),
+        made_up("dev-01", 1, 0.23),
+    ]
+
+
+def row_of(text: str, kind: str) -> list[str]:
+    (found,) = [row for row in text.splitlines() if row.startswith(f"| {kind} | all |")]
+    return [cell.strip() for cell in found.strip("|").split("|")]
+
+
+def test_pooled_coverage_is_the_share_that_holds_the_truth_with_realities_as_clusters():
+    row = row_of(coverage_table(batch()), "sessions as units")
+    assert row[2:4] == ["2", "4"] and row[4].startswith("75.0 % (")
+    assert row[5] == "1.0 points"
+    assert row[6] == "1.5 points" and row[7] == "+0.8 points"  # +0.1, +0.5, −0.5, +3
+    assert row_of(coverage_table(batch()), "blocks as units, sessions pooled")[4].startswith("25.0 % (")
+
+
+def test_a_session_without_an_interval_says_nothing_of_coverage():
+    assert "one session alone" not in coverage_table(batch())
+
+
+def test_coverage_can_be_cut_by_speed_and_policy():
+    lines = [*batch(), made_up("dev-00", None, policy="b", saved=0.1), made_up("dev-00", 0, policy="b", saved=0.2)]
+    found = coverage(lines, "sessions as units", policy="b")
+    assert share(found).estimate == 0.0 and list(found) == ["dev-00"]
+    assert coverage(lines, "sessions as units", speed="1.1") == {}
+    assert "| sessions as units | b |" in coverage_table(lines)
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ([made_up(repetition=None)], "No line is an evaluation"),
+        ([made_up()], "no truth. Run `coverage run` to its end"),
+        ([*batch(), made_up(objective="noise", unit="dB(A)")], r"several objectives \(noise, power\)"),
+    ],
+)
+def test_what_cannot_be_pooled_is_one_line(lines, said):
+    with pytest.raises(EvaluationError, match=said):
+        coverage_table(lines)
+
+
+def test_lines_are_checked_and_a_later_one_of_a_key_counts(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    path.write_text("".join(made_up(saved=saved).model_dump_json() + "\n" for saved in (0.1, 0.3)))
+    (one,) = read_coverage([path])
+    assert one.speeds["0.8"].improvement == 0.3
+    path.write_text(json.dumps({"kind": "truth"}) + "\n")
+    with pytest.raises(RunError, match=r"line 1: key: Field required. Expected a line of version 1"):
+        read_coverage([path])
+
+
+# -------------------------------------------------------------------------------------------------- the runner
+
+
+def pretend(work: Work) -> CoverageLine:
+    """A line at once; on the default twin nothing can be evaluated while there is a file FAIL."""
+    if work.reality == "default" and work.repetition is not None and Path(os.environ["FAIL"]).exists():
+        raise WorldError("it broke")
+    return made_up(Path(work.reality).stem, work.repetition, policy=work.name, key=work.key)
+
+
+@pytest.fixture
+def policies(tmp_path):
+    """Two files of the policy that the robot ships, as ONNX."""
+    pytest.importorskip("hts_go1", reason="its policy is not installed")
+    pytest.importorskip("hts_power", reason="its objective is not installed")
+    from hts.worlds.realities.batch import exported_policy
+
+    folder = tmp_path / "runs" / "first" / "policies"
+    folder.mkdir(parents=True)
+    first = exported_policy("go1", folder).rename(folder / "best.onnx")
+    (tmp_path / "again.onnx").write_bytes(first.read_bytes())
+    return {"first": first, "again": tmp_path / "again.onnx"}
+
+
+def works(policies, names=("first",), repetitions=2, evaluated=LENGTHS, commit="c"):
+    return works_of(
+        {name: policies[name] for name in names},
+        policies["first"],
+        ["dev-00", "default"],
+        repetitions,
+        objective="power",
+        robot="go1",
+        preset="quick",
+        settings=["evaluation.speeds=[0.8]"],
+        evaluated=evaluated,
+        true=LENGTHS,
+        commit=commit,
+    )
+
+
+def test_policies_are_files_runs_and_folders_of_runs(policies, tmp_path):
+    assert policies_of([tmp_path / "runs"]) == {"first": policies["first"]}
+    assert policies_of([tmp_path / "runs" / "first", policies["again"]]) == policies
+    with pytest.raises(PolicyError, match=r"expected an .onnx file, a finished run's folder"):
+        policies_of([tmp_path / "nowhere"])
+
+
+def test_truths_come_first_and_repetitions_in_turn(policies):
+    made = works(policies)
+    assert [(work.repetition, work.reality) for work in made] == [
+        (repetition, reality) for repetition in (None, 0, 1) for reality in ("dev-00", "default")
+    ]
+    assert len({work.key for work in made}) == len(made)
+    longer = works(policies, evaluated=LENGTHS.model_copy(update={"block": 80.0, "trimming": 20.0}))
+    same = [one.key == other.key for one, other in zip(made, longer, strict=True)]
+    assert same == [True, True, False, False, False, False]  # a truth does not hang on how long evaluations are
+    assert works(policies, commit="d")[0].key != made[0].key
+
+
+def test_one_policy_in_two_files_is_one(policies):
+    assert {work.name for work in works(policies, ("again", "first"))} == {"again"}
+
+
+def test_every_line_is_made_once_and_a_failure_is_tried_again(policies, tmp_path, monkeypatch):
+    path, said, fail = tmp_path / "lines.jsonl", [], tmp_path / "fail"
+    monkeypatch.setenv("FAIL", str(fail))
+    fail.touch()
+    given = works(policies, repetitions=1)
+    assert run_coverage(given, path, 1, say=said.append, make=pretend) == 1
+    assert sum("it broke" in text for text in said) == 1
+    assert len(read_coverage([path])) == 3  # two truths, one evaluation
+    path.write_text(path.read_text()[:-20])  # killed in the midst of the last
+    fail.unlink()
+    assert run_coverage(given, path, 1, say=said.append, make=pretend) == 0
+    assert "4 lines: 2 are there, 2 to make, 1 at once" in said
+    assert {line.key for line in read_coverage([path])} == {work.key for work in given}
+
+
+def test_when_the_time_is_up_nothing_more_is_begun(policies, tmp_path):
+    status = run_coverage(works(policies), tmp_path / "l.jsonl", 1, stop_after=-1, say=str, make=pretend)
+    assert status == STOPPED and not (tmp_path / "l.jsonl").exists()
