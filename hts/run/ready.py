@@ -18,6 +18,7 @@ from hts.errors import ConfigError
 from hts.evaluation.held import ask_to_hold, check_hold, hold_of
 from hts.guarded import guarded
 from hts.plugins import Registry
+from hts.run.gate_checks import check_told
 from hts.training.sweep import combinations, own_weights
 
 if TYPE_CHECKING:
@@ -96,6 +97,7 @@ def check_world(config: RunConfig, registry: Registry) -> None:
         try:
             ask_to_hold(world, hold_of(config))
             guarded(f"World '{config.world.name}': check()", world.check)
+            check_told(config, registry.make_robot(config.robot.name, config.robot.settings), world)
         finally:
             world.close()
 
