@@ -168,8 +168,9 @@ class _Seen:
             value = values[check].cpu().numpy()
             if np.isnan(value).any() or (check == "torque" and bool(self.peak[member].isnan().any())):
                 raise SimulationError(
-                    f"The gate's check of {check} met NaN in the channel '{NEEDS[check][0]}' of robot '{self.spec.name}', in an env "
-                    "instance that had not fallen. Such a number can hold nothing back: mend the env, or the policy."
+                    f"The gate's check of {check} met NaN in the channel '{NEEDS[check][0]}' of robot "
+                    f"'{self.spec.name}', in an env instance that had not fallen. Such a number can hold nothing back: "
+                    "mend the env, or the policy."
                 )
             instance, joint = (int(i) for i in np.unravel_index(int(np.argmax(value)), value.shape))
             when = self.when.get(check)
