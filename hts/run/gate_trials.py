@@ -24,6 +24,7 @@ from hts.errors import SimulationError
 from hts.evaluation.simulated_trimming import told
 from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
+from hts.rl.task_env import TaskEnv
 from hts.run.gate_checks import NEEDS, Worst, limits
 from hts.sim.models import FLOOR, compile_model, variants
 
@@ -99,7 +100,7 @@ def rollout(
 def _last_action(env: EnvBase) -> slice | None:
     """Where the observation holds the last action, if it does."""
     begin = 0
-    for part in getattr(env, "observation_layout", None) or ():
+    for part in (env.observation_layout or ()) if isinstance(env, TaskEnv) else ():
         if part["name"] == "last_action":
             return slice(begin, begin + int(part["size"]))
         begin += int(part["size"])
