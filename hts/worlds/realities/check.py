@@ -18,6 +18,7 @@ from hts.contracts import Fact, Instrument, Robot
 from hts.errors import HtsError
 from hts.recordings.recording import Recording
 from hts.worlds.base import request_id, seed_sequence, walking
+from hts.worlds.realities.like import Figure, facts_of, idle_measured
 from hts.worlds.realities.quick import standing_values
 from hts.worlds.twin.model import build
 from hts.worlds.twin.parameters import TwinSettings
@@ -38,6 +39,7 @@ class Stage:
     margin: Margin = (1.0, 1.0)
 
 
+SHARP: Margin = (1.0, 1.0)
 STATICS: Margin = (0.7, 1.15)  # bumps and payloads add up to a quarter to it, friction takes away up to 8 % (79 draws)
 STANDING = Stage(warm=2.0, measured=2.0, sessions=2)
 GLANCE = Stage(warm=3.0, measured=5.0, sessions=1, margin=(0.88, 1.12))
@@ -56,10 +58,23 @@ class Verdict:
         return not self.why
 
 
-def check(robot: Robot, settings: TwinSettings, instruments: Mapping[str, Instrument], policy: Path) -> Verdict:
-    """The verdict on a twin. policy: exported (ONNX); instruments: all that simulate a part of the machine."""
-    facts = [fact for instrument in instruments.values() for fact in instrument.facts()]
-    speeds = sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
+def check(
+    robot: Robot,
+    settings: TwinSettings,
+    instruments: Mapping[str, Instrument],
+    policy: Path,
+    figures: Sequence[Figure] | None = None,
+) -> Verdict:
+    """The verdict on a twin. policy: exported (ONNX); instruments: all that simulate a part of the machine; figures:
+    of a lab's own robot, instead of the public facts."""
+    if figures is None:
+        facts = [fact for instrument in instruments.values() for fact in instrument.facts()]
+        speeds = sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
+    else:
+        if why := _outside(idle_measured(figures, instruments), SHARP):
+            return Verdict((), why)
+        facts = facts_of(figures, instruments)
+        speeds = sorted({fact.speed for fact in facts if fact.speed > 0})
     measured: tuple[Measured, ...] = ()
     try:
         if any(fact.speed == 0 for fact in facts):
