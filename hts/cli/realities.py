@@ -13,7 +13,7 @@ import typer
 from hts.cli import options
 
 if TYPE_CHECKING:
-    from hts.worlds.realities.like import Figure
+    from hts.worlds.realities.like import Likeness
 
 app = typer.Typer(
     help="Plausible twins: draw, show, check, list, ranges, posterior, expect.",
@@ -55,8 +55,8 @@ def draw(
 
     with tempfile.TemporaryDirectory() as folder:
         policy = exported_policy(robot, Path(folder), policy_file)
-        figures = None if like is None else _figures(like, robot, policy)
-        asked = Asked(count, seed, robot, name, str(policy), figures)
+        own = None if like is None else _likeness(like, robot, policy)
+        asked = Asked(count, seed, robot, name, str(policy), own)
         for path in draw_many(asked, out, processes, tell):
             typer.echo(str(path))
     typer.echo(accepted(out), err=True)
@@ -185,7 +185,7 @@ def ranges() -> None:
     typer.echo(table(drawn_parameters(plugins.load())))
 
 
-def _figures(store: Path, robot: str, policy: Path) -> tuple[Figure, ...]:
+def _likeness(store: Path, robot: str, policy: Path) -> Likeness:
     """What the recordings of a store say of the robot; prints it."""
     from hts import plugins
     from hts.policies.deploy import DeployedPolicy
@@ -195,7 +195,9 @@ def _figures(store: Path, robot: str, policy: Path) -> tuple[Figure, ...]:
     source = RecordingStore(store)
     recordings = [source.read(one) for one in source.ids()]
     found = recorded(recordings, robot, DeployedPolicy(policy).card.policy_hash, plugins.load())
-    typer.echo(f"{len(found)} figures of {store}, instead of the public ones:\n\n{table(found)}\n", err=True)
+    how = "recorded warm, at one speed each" if found.schedule is None else "recorded from cold, schedule and all"
+    text = table(found.figures)
+    typer.echo(f"{len(found.figures)} figures of {store} ({how}), instead of the public ones:\n\n{text}\n", err=True)
     return found
 
 

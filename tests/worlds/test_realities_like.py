@@ -19,7 +19,7 @@ from hts.recordings.store import RecordingStore
 from hts.worlds.realities import batch as batch_module
 from hts.worlds.realities.batch import Asked, draw_many, exported_policy
 from hts.worlds.realities.check import check
-from hts.worlds.realities.like import MOST, figures, recorded, table, tolerance
+from hts.worlds.realities.like import MOST, likeness, recorded, table, tolerance
 from hts.worlds.realities.posterior import accepted
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.world import make_twin
@@ -74,7 +74,11 @@ def made(amps, *, speeds=(0.5, 0.8), seconds=8.0, hash_=WALKER, moving=5.0, **ch
 
 
 def found(*recordings):
-    return {one.name: one for one in figures(recordings, "go1", WALKER, {"meter": Meter()})}
+    return {one.name: one for one in like(*recordings).figures}
+
+
+def like(*recordings):
+    return likeness(recordings, "go1", WALKER, {"meter": Meter()})
 
 
 def test_figures_are_means_over_stretches_without_their_beginnings():
@@ -107,6 +111,14 @@ def test_standing_is_a_command_of_zero_in_which_no_joint_moves():
 def test_recordings_of_head_to_heads_come_before_those_that_began_cold():
     one = found(made([4.0, 5.0]), made([4.4, 5.4], role="reference"))
     assert one["gross power at 0.5 m/s"].value == pytest.approx(110.0)
+    assert like(made([4.0, 5.0]), made([4.4, 5.4], role="reference")).schedule is None
+
+
+def test_of_collections_the_usual_schedule_counts_and_is_kept_to_walk_it_again():
+    usual, other = made([4.0, 5.0]), made([9.0], speeds=(0.5,))
+    both = like(usual, other, made([4.2, 5.0]))
+    assert both.schedule == usual.schedule
+    assert {one.name: one.value for one in both.figures}["gross power at 0.5 m/s"] == pytest.approx(102.5)
 
 
 def test_what_was_sent_is_the_speed_of_a_figure_where_the_command_was_trimmed():
@@ -142,7 +154,7 @@ def test_a_draw_whose_idle_level_is_another_is_dropped_before_anything_is_simula
     walk = made([4.0, 5.0])
     power = {"battery_current": walk.channels["current"], "battery_voltage": walk.channels["voltage"]}
     idle = {"battery_current": 1.3 * level / 25.0, "battery_voltage": 25.0}
-    asked = figures([walk.replace(channels=power, idle=idle)], "go1", WALKER, {"battery_gauge": gauge})
+    asked = likeness([walk.replace(channels=power, idle=idle)], "go1", WALKER, {"battery_gauge": gauge})
     verdict = check(robot, TwinSettings(), {"battery_gauge": gauge}, tmp_path / "no policy.onnx", asked)
     assert not verdict.kept and verdict.why.startswith("idle power")
 
@@ -156,17 +168,17 @@ def test_a_folder_is_gone_on_with_only_by_the_figures_it_was_begun_with(tmp_path
             yield {"index": index, "kept": False, "why": "idle power 30 W", "measured": {}}, ""
 
     monkeypatch.setattr(batch_module, "_in_order", in_order)
-    ours = tuple(found(made([4.0, 5.0])).values())
+    ours = like(made([4.0, 5.0]))
     asked = Asked(1, "s", "go1", "mine", "", ours)
     draw_many(asked, tmp_path / "mine")
     heading = json.loads((tmp_path / "mine/draws.jsonl").read_text().splitlines()[0])
-    assert [one["name"] for one in heading["figures"]] == [one.name for one in ours]
+    assert [one["name"] for one in heading["like"]["figures"]] == [one.name for one in ours.figures]
     assert accepted(tmp_path / "mine") == "kept 0 of 100 draws (0.00%); ended by idle power (100)"
     draw_many(asked, tmp_path / "mine")
     with pytest.raises(RunError, match="was begun with other figures of a robot"):
-        draw_many(dataclasses.replace(asked, figures=ours[:1]), tmp_path / "mine")
+        draw_many(dataclasses.replace(asked, like=ours.model_copy(update={"schedule": None})), tmp_path / "mine")
     with pytest.raises(RunError, match="was begun with other figures of a robot"):
-        draw_many(dataclasses.replace(asked, figures=None), tmp_path / "mine")
+        draw_many(dataclasses.replace(asked, like=None), tmp_path / "mine")
 
 
 @pytest.mark.slow
@@ -189,7 +201,7 @@ def test_a_reality_agrees_with_its_own_logs_and_the_default_twin_does_not(tmp_pa
 
     recordings = [store.read(one) for one in store.ids()]
     said = recorded(recordings, "go1", DeployedPolicy(policy).card.policy_hash, registry)
-    assert "net power at 0.8 m/s" in table(said)
+    assert "net power at 0.8 m/s" in table(said.figures) and said.schedule == schedule
 
     def verdict(settings):
         made = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}

@@ -14,7 +14,7 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +27,7 @@ from hts.errors import ConfigError, RunError
 from hts.plugin_settings import in_full
 from hts.worlds.realities.check import Verdict, check
 from hts.worlds.realities.draw import Draw, draw
-from hts.worlds.realities.like import Figure
+from hts.worlds.realities.like import Likeness
 from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
 from hts.worlds.twin.parameters import MACHINE, TwinSettings
 from hts.worlds.twin.reality import Reality, read
@@ -48,7 +48,7 @@ class Asked:
     robot: str
     name: str
     policy: str  # exported
-    figures: tuple[Figure, ...] | None = None  # of a lab's own robot, instead of the public facts
+    like: Likeness | None = None  # a lab's own robot, instead of the public facts
 
 
 def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str, Any]]:
@@ -60,13 +60,13 @@ def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str
     return content
 
 
-def examine(reality: Reality, policy: Path, figures: Sequence[Figure] | None = None) -> Verdict:
-    """Hold a reality against the facts, or the figures."""
+def examine(reality: Reality, policy: Path, like: Likeness | None = None) -> Verdict:
+    """Hold a reality against the facts, or a lab's own robot."""
     registry = plugins.load()
     robot = registry.make_robot(reality.robot)
     settings = TwinSettings.model_validate(dict(reality.parameters))
     instruments = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
-    return check(robot, settings, instruments, policy, figures)
+    return check(robot, settings, instruments, policy, like)
 
 
 def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
@@ -81,7 +81,7 @@ def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
         switches=drawn.switches,
         parameters=parameters_of(drawn, registry),
     )
-    verdict = examine(reality, Path(asked.policy), asked.figures)
+    verdict = examine(reality, Path(asked.policy), asked.like)
     line = {
         "index": index,
         "kept": verdict.kept,
@@ -102,7 +102,7 @@ def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None 
         "robot": asked.robot,
         "name": asked.name,
         "ranges_sha256": ranges_sha256(drawn_parameters(plugins.load())),
-        **({} if asked.figures is None else {"figures": [one.model_dump(mode="json") for one in asked.figures]}),
+        **({} if asked.like is None else {"like": asked.like.model_dump(mode="json")}),
     }
     lines = _begun(folder / LINES, heading)
     files = [folder / f"{asked.name}-{number:02d}.json" for number in range(asked.count)]
@@ -167,9 +167,9 @@ def _begun(path: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
         atomic_write(path, whole)
     found, *lines = (json.loads(line) for line in whole.splitlines())
     other = [key for key in {**heading, **found} if found.get(key) != heading.get(key)]
-    if other == ["figures"]:
+    if other == ["like"]:
         raise RunError(
-            f"{path}: was begun with {'other figures of a robot' if 'figures' in found else 'the public facts'}. "
+            f"{path}: was begun with {'other figures of a robot' if 'like' in found else 'the public facts'}. "
             "Choose another folder with --out."
         )
     if other:

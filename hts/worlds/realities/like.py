@@ -6,6 +6,9 @@
     tolerance     t_{n-1} s √(1 + 1/n) around the mean of n stretches with standard deviation s: where the next stretch of
                   that robot lies in 95 of 100 cases; at least LEAST and at most MOST of the mean
 
+A draw is recorded as the robot was: recordings of head-to-heads (role `reference`) are of a warm robot that walks at one
+speed; where there are none, those of a collection, which begin with cold motors, are repeated schedule and all.
+
 The next stretch and not the mean: a draw is held against them in a session of its own, as warm and as charged as it
 happens to be. LEAST is what figures of one robot differ by between days (charge, temperature, floor) though a single
 store's do not show it; MOST is what public figures are trusted to (± 25 %).
@@ -22,7 +25,7 @@ import numpy as np
 from pydantic import Field
 from scipy import stats
 
-from hts.config import Config
+from hts.config import Config, ScheduleConfig
 from hts.contracts import Fact, Instrument, Reading
 from hts.errors import RecordingError
 from hts.recordings.recording import Recording
@@ -46,13 +49,23 @@ class Figure(Config):
     name: str = Field(description="for tables")
     instrument: str = Field(description='whose reading it is; "": the robot\'s own speed')
     reading: str = Field(description="name of the reading")
-    speed: float = Field(description="command, m/s; 0: standing, or idle")
+    speed: float = Field(description="command sent, m/s; 0: standing, or idle")
+    asked: float = Field(description="speed that the schedule asked for, m/s")
     value: float = Field(description="mean over stretches, in `unit`")
     low: float = Field(description="lowest value that agrees")
     high: float = Field(description="highest value that agrees")
     unit: str = Field(description="of all three")
     stretches: int = Field(ge=1, description="that it was read from")
     idle: bool = Field(False, description="whether the idle levels alone say it")
+
+
+class Likeness(Config):
+    """What a draw is held against instead of the public facts, and how it is recorded for that."""
+
+    figures: tuple[Figure, ...] = Field(description="of the lab's robot")
+    schedule: ScheduleConfig | None = Field(
+        description="walked from cold, as the recordings were; null: warm, at each figure's speed by itself"
+    )
 
 
 @dataclass(frozen=True)
@@ -65,9 +78,9 @@ class Stretch:
     rows: slice
 
 
-def figures(
+def likeness(
     recordings: Sequence[Recording], robot: str, policy_hash: str, instruments: Mapping[str, Instrument]
-) -> list[Figure]:
+) -> Likeness:
     """What recordings of the robot say: idle, standing, and walking with the policy of that hash.
 
     Raises RecordingError if none of them can say anything of a walk.
@@ -78,7 +91,8 @@ def figures(
         raise RecordingError(f"No recording of robot '{robot}' that did not fall; found: {kinds}.")
     walkers = [one for one in own if one.policy_hash in (policy_hash, "")]
     warm = [one for one in walkers if one.role == "reference"]  # of head-to-heads, which warm up first
-    stretches = list(_stretches(warm or walkers))
+    schedule = None if warm else _usual_schedule(walkers)
+    stretches = list(_stretches(warm or [one for one in walkers if one.schedule == schedule]))
     asked = sorted({one.asked for one in stretches if one.asked > 0})
     if not asked:
         known = ", ".join(sorted({one.policy_hash[:12] for one in own}))
@@ -87,12 +101,18 @@ def figures(
             f"recordings of {known}. Record it at one speed or several, or name the policy that was recorded: --policy."
         )
     standing = [one for recording in own for one in _stretches([recording]) if one.asked == 0 and _still(one)]
-    found = [*_idle(own, instruments), *_of(standing, "standing", 0.0, instruments)]
+    found = [*_idle(own, instruments), *_of(standing, "standing", 0.0, 0.0, instruments)]
     for speed in asked:
         group = [one for one in stretches if one.asked == speed]
         sent = round(float(np.mean([one.sent for one in group])), 3)
-        found += _of(group, f"at {sent:g} m/s", sent, {**instruments, "": None})
-    return found
+        found += _of(group, f"at {sent:g} m/s", sent, speed, {**instruments, "": None})
+    return Likeness(figures=tuple(found), schedule=schedule)
+
+
+def _usual_schedule(recordings: Sequence[Recording]) -> ScheduleConfig | None:
+    """The one that most of them walked; those that nobody can read a stretch of do not count."""
+    able = [one.schedule for one in recordings if any(stretch.asked > 0 for stretch in _stretches([one]))]
+    return max(able, key=able.count) if able else None
 
 
 def _stretches(recordings: Sequence[Recording]) -> Iterator[Stretch]:
@@ -125,26 +145,31 @@ def _idle(recordings: Sequence[Recording], instruments: Mapping[str, Instrument]
             there = [one for one in recordings if all(channel in one.idle for channel in reading.channels)]
             values = sorted({reading.reading({}, one.idle) for one in there})
             if values:
-                yield _figure(reading.name, name, reading, 0.0, values)
+                yield _figure(reading.name, name, reading, (0.0, 0.0), values)
 
 
 def _of(
-    stretches: Sequence[Stretch], where: str, speed: float, instruments: Mapping[str, Instrument | None]
+    stretches: Sequence[Stretch],
+    where: str,
+    sent: float,
+    asked: float,
+    instruments: Mapping[str, Instrument | None],
 ) -> Iterator[Figure]:
     """One figure per reading of these stretches, where they hold its channels."""
     for name, reading in _readings(instruments):
-        needed = set(reading.channels)
-        there = [
-            one
-            for one in stretches
-            if needed <= set(one.recording.channels) and (not name or needed <= set(one.recording.idle))
-        ]
-        if not reading.idle and there:
-            values = [
-                reading.reading({c: one.recording.values(c)[one.rows] for c in needed}, one.recording.idle)
-                for one in there
-            ]
-            yield _figure(f"{reading.name} {where}", name, reading, speed, values)
+        values = [] if reading.idle else _values(name, reading, stretches)
+        if values:
+            yield _figure(f"{reading.name} {where}", name, reading, (sent, asked), values)
+
+
+def _values(instrument: str, reading: Reading, stretches: Sequence[Stretch]) -> list[float]:
+    """Of each stretch that holds what is needed; an instrument's channels have idle levels."""
+    needed, values = set(reading.channels), []
+    for one in stretches:
+        if needed <= set(one.recording.channels) and (not instrument or needed <= set(one.recording.idle)):
+            rows = {name: one.recording.values(name)[one.rows] for name in needed}
+            values.append(reading.reading(rows, one.recording.idle))
+    return values
 
 
 def _readings(instruments: Mapping[str, Instrument | None]) -> Iterator[tuple[str, Reading]]:
@@ -153,7 +178,9 @@ def _readings(instruments: Mapping[str, Instrument | None]) -> Iterator[tuple[st
             yield name, reading
 
 
-def _figure(title: str, instrument: str, reading: Reading, speed: float, values: Sequence[float]) -> Figure:
+def _figure(
+    title: str, instrument: str, reading: Reading, speeds: tuple[float, float], values: Sequence[float]
+) -> Figure:
     mean, width = float(np.mean(values)), tolerance(values)
     if not math.isfinite(mean):
         raise RecordingError(f"{title}: is not a number in these recordings; look at {', '.join(reading.channels)}.")
@@ -161,7 +188,8 @@ def _figure(title: str, instrument: str, reading: Reading, speed: float, values:
         name=title,
         instrument=instrument,
         reading=reading.name,
-        speed=speed,
+        speed=speeds[0],
+        asked=speeds[1],
         value=round(mean, 4),
         low=round(mean - width, 4),
         high=round(mean + width, 4),
@@ -193,6 +221,23 @@ def facts_of(figures: Sequence[Figure], instruments: Mapping[str, Instrument]) -
     ]
 
 
+def shown_by(
+    recordings: Sequence[Recording], figures: Sequence[Figure], instruments: Mapping[str, Instrument]
+) -> list[Measured]:
+    """What recordings of a draw, made as the lab's were, show of the figures of walking."""
+    known = {(name, one.name): one for name, one in _readings({**instruments, "": None})}
+    stretches, found = list(_stretches(recordings)), []
+    for one in figures:
+        reading = known.get((one.instrument, one.reading))
+        if reading is None or reading.idle or one.asked == 0:
+            continue
+        values = _values(one.instrument, reading, [stretch for stretch in stretches if stretch.asked == one.asked])
+        if values:
+            value = float(np.mean(values))
+            found.append(Measured(name=one.name, value=value, low=one.low, high=one.high, unit=one.unit))
+    return found
+
+
 def idle_measured(figures: Sequence[Figure], instruments: Mapping[str, Instrument]) -> list[Measured]:
     """What a draw shows of the figures that its idle levels alone say: before anything is simulated."""
     found, levels = [], dict[str, float]()
@@ -209,19 +254,19 @@ def idle_measured(figures: Sequence[Figure], instruments: Mapping[str, Instrumen
 
 def recorded(
     recordings: Sequence[Recording], robot: str, policy_hash: str, registry: Registry
-) -> tuple[Figure, ...]:
-    """`figures` with the installed instruments of this robot. Raises RecordingError if they show nothing of it but its
+) -> Likeness:
+    """`likeness` with the installed instruments of this robot. Raises RecordingError if they show nothing of it but its
     speed."""
     machine = registry.make_robot(robot)
     instruments = {name: registry.make_instrument(name, {}, machine) for name in sorted(registry.instruments)}
-    found = figures(recordings, robot, policy_hash, instruments)
-    if not any(one.instrument for one in found):
+    found = likeness(recordings, robot, policy_hash, instruments)
+    if not any(one.instrument for one in found.figures):
         needed = sorted({channel for _, one in _readings(instruments) for channel in one.channels})
         raise RecordingError(
             "These recordings hold nothing that an installed instrument shows, so no draw can be told from another. "
             f"They need one of: {', '.join(needed) or 'no instrument gives readings'}, each with its idle level."
         )
-    return tuple(found)
+    return found
 
 
 def table(figures: Sequence[Figure]) -> str:
