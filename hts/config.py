@@ -12,6 +12,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from hts.config_base import Config, Named
+from hts.config_gate import GateConfig
 from hts.schedules import NOTHING, Command, ScheduleConfig
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "EnvConfig",
     "EvaluationConfig",
     "FinetuneConfig",
+    "GateConfig",
     "MeasurementConfig",
     "Named",
     "PPOConfig",
@@ -227,7 +229,7 @@ class CollectionConfig(Config):
     schedule: ScheduleConfig = Field(description="what each recording is commanded, and for how long")
     repeats: int = Field(2, ge=1, description="recordings of the schedule with the mean action, as policies are tested")
     exploring: int = Field(6, ge=0, description="recordings of the schedule with exploration noise")
-    exploration: float = Field(1.0, gt=0, description="sigma of that noise, as a share of the policy's own sigma")
+    exploration: float = Field(0.3, gt=0, description="sigma of that noise, as a share of the policy's own sigma")
 
 
 class MeasurementConfig(Config):
@@ -365,6 +367,9 @@ class RunConfig(Config):
     finetune: FinetuneConfig = Field(default_factory=FinetuneConfig, description="training of the candidates")
     simulation_test: SimulationTestConfig = Field(
         default_factory=SimulationTestConfig, description="candidates judged in simulation"
+    )
+    gate: GateConfig = Field(
+        default_factory=GateConfig, description="what elites must bear in simulation before they are tried for real"
     )
     selection: SelectionConfig = Field(default_factory=SelectionConfig, description="elites and the best")
     evaluation: EvaluationConfig = Field(default_factory=EvaluationConfig, description="the final head-to-head")

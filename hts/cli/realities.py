@@ -6,12 +6,17 @@ import json
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hts.cli import options
+
+if TYPE_CHECKING:
+    from hts.worlds.realities.like import Likeness
+
 app = typer.Typer(
-    help="Plausible twins: draw, show, check, list, ranges, posterior.",
+    help="Plausible twins: draw, show, check, list, ranges, posterior, expect.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -30,20 +35,31 @@ def draw(
     robot: Annotated[str, typer.Option(metavar="NAME", help="The machine.")] = "",
     name: Annotated[str, typer.Option(help="They are called NAME-00 and so on.")] = "reality",
     processes: Annotated[int, typer.Option(min=0, help="Side by side; 0: one per core.")] = 0,
+    like: Annotated[
+        Path | None, typer.Option(metavar="STORE", help="Agree with these recordings instead of public facts.")
+    ] = None,
+    policy_file: Annotated[
+        Path | None, typer.Option("--policy", metavar="FILE", help="With --like: the policy that walked (safetensors).")
+    ] = None,
 ) -> None:
-    """Draw twins over the published ranges until so many agree with public facts."""
+    """Draw twins over the published ranges until so many agree with public facts, or with a lab's own recordings."""
     from hts.worlds.realities.batch import Asked, draw_many, exported_policy
+    from hts.worlds.realities.posterior import accepted
 
     robot = robot or _only_robot()
+    if policy_file is not None and like is None:
+        raise typer.BadParameter("says who walked in the recordings of --like; there are none.", param_hint="--policy")
 
     def tell(line: Mapping[str, Any], kept: str) -> None:
         typer.echo(f"draw {line['index']}: {'kept as ' + kept if kept else line['why']}", err=True)
 
     with tempfile.TemporaryDirectory() as folder:
-        policy = exported_policy(robot, Path(folder))
-        asked = Asked(count, seed, robot, name, str(policy))
+        policy = exported_policy(robot, Path(folder), policy_file)
+        own = None if like is None else _likeness(like, robot, policy)
+        asked = Asked(count, seed, robot, name, str(policy), own)
         for path in draw_many(asked, out, processes, tell):
             typer.echo(str(path))
+    typer.echo(accepted(out), err=True)
 
 
 @app.command()
@@ -147,6 +163,57 @@ def posterior(
     typer.echo(text(parameters, switches(parameters), lines_of(folder), most))
 
 
+@app.command()
+def expect(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Realities that draw kept.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the runs; one that was begun is gone on with.")],
+    objective: options.Objectives = None,
+    preset: options.Preset = None,
+    runs: Annotated[int, typer.Option(min=2, help="On so many of the realities, the first ones.")] = 4,
+    set_: options.Overrides = None,
+    engine: options.Engine = None,
+    seed: options.Seed = None,
+    measured: Annotated[
+        Path | None, typer.Option(metavar="RUN", help="Compare with this finished run on the robot itself.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what a run will save, with an interval, from whole runs on realities like the robot."""
+    from hts import plugins
+    from hts.config_loading import check_names, load_config
+    from hts.errors import RunError
+    from hts.run.expected import compared, expect, shown, shown_compared
+    from hts.run.stages import read_json
+    from hts.worlds.twin.reality import read
+
+    files = sorted(path for path in folder.glob("*.json"))[:runs]
+    if len(files) < runs:
+        raise RunError(
+            f"{folder}: holds {len(files)} realities, {runs} are asked for. Draw more, `hts realities draw --count "
+            f"{runs} --out {folder} …`, or ask for fewer: --runs."
+        )
+    finished = None if measured is None else read_json(measured / "summary.json")
+    registry, configs = plugins.load(), {}
+    for path in files:
+        configs[path.stem] = load_config(
+            preset=preset,
+            objectives=objective or (),
+            robot=read(str(path)).robot,
+            world="twin",
+            engine=engine,
+            seed=seed,
+            overrides=[*(set_ or ()), f"world.reality={path.resolve()}"],
+            registry=registry,
+        )
+        check_names(configs[path.stem], registry)
+    result = expect(configs, out, lambda line: typer.echo(line, err=True))
+    rows = compared(result, finished) if finished is not None else []
+    if as_json:
+        typer.echo(json.dumps({**result, **({"compared": rows} if rows else {})}, indent=1))
+        return
+    typer.echo("\n".join([*shown(result), *shown_compared(rows)]))
+
+
 @app.command("list")
 def list_() -> None:
     """List the realities that come with installed robots."""
@@ -163,6 +230,22 @@ def ranges() -> None:
     from hts.worlds.realities.ranges import drawn_parameters, table
 
     typer.echo(table(drawn_parameters(plugins.load())))
+
+
+def _likeness(store: Path, robot: str, policy: Path) -> Likeness:
+    """What the recordings of a store say of the robot; prints it."""
+    from hts import plugins
+    from hts.policies.deploy import DeployedPolicy
+    from hts.recordings.store import RecordingStore
+    from hts.worlds.realities.like import recorded, table
+
+    source = RecordingStore(store)
+    recordings = [source.read(one) for one in source.ids()]
+    found = recorded(recordings, robot, DeployedPolicy(policy).card.policy_hash, plugins.load())
+    how = "recorded warm, at one speed each" if found.schedule is None else "recorded from cold, schedule and all"
+    text = table(found.figures)
+    typer.echo(f"{len(found.figures)} figures of {store} ({how}), instead of the public ones:\n\n{text}\n", err=True)
+    return found
 
 
 def _only_robot() -> str:

@@ -5,7 +5,7 @@ plugin's module loads in milliseconds; heavy imports belong inside the methods.
 """
 
 from hts.contracts.installed import Installed
-from hts.contracts.instrument import Fact, Instrument, PhysicsSample
+from hts.contracts.instrument import Fact, Instrument, PhysicsSample, Reading
 from hts.contracts.log_reader import LogReader
 from hts.contracts.measurement_model import (
     MODEL,
@@ -44,6 +44,7 @@ __all__ = [
     "PhysicsSample",
     "Prediction",
     "RacedCandidate",
+    "Reading",
     "Robot",
     "RobotSpec",
     "Rounds",

@@ -51,6 +51,22 @@ class Fact:
     reading: Callable[[Mapping[str, np.ndarray], Mapping[str, float]], float]
 
 
+@dataclass(frozen=True)
+class Reading:
+    """A quantity that both this instrument and a lab's recordings of its robot give, so that one can be held against
+    the other (`hts realities draw --like`).
+
+    name: for tables; unit: of what `reading` gives; channels: that it reads, of an idle one those whose levels it
+    reads; reading: as `Fact.reading`; idle: it needs the idle levels alone.
+    """
+
+    name: str
+    unit: str
+    channels: tuple[str, ...]
+    reading: Callable[[Mapping[str, np.ndarray], Mapping[str, float]], float]
+    idle: bool = False
+
+
 class Instrument(ABC):
     """A simulated sensor of a real channel on a twin. Learning code never sees one.
 
@@ -116,4 +132,8 @@ class Instrument(ABC):
 
     def facts(self) -> Sequence[Fact]:
         """Public facts about the real machine that a plausible reality agrees with. By default none are known."""
+        return ()
+
+    def readings(self) -> Sequence[Reading]:
+        """What of it a lab's own recordings show as well. By default nothing."""
         return ()

@@ -32,12 +32,12 @@ def trim(env: EnvBase, act: Act, speeds: Sequence[float], hold: HoldSpeed, forwa
     env: of batch size [P, N], instance n walks at speeds[n mod S]; act: the policies' actions; forward: the speed
     forward [P, N], m/s, in what a step returned. Raises ConfigError for an env that cannot be told other speeds.
     """
-    told = _told(env)
+    walker = told(env)
     low, high = hold.commands
     member = torch.arange(env.batch_size[1], device=env.device) % len(speeds)
     asked = torch.tensor(speeds, device=env.device).expand(env.batch_size[0], -1)  # [P, S]
     command = asked.clamp(low, high)
-    told.walk_at(command[:, member])
+    walker.walk_at(command[:, member])
     state = env.reset()
     fallen = torch.zeros(env.batch_size, dtype=torch.bool, device=env.device)
     sums, counted = torch.zeros(2, *command.shape, device=env.device), 0
@@ -49,10 +49,10 @@ def trim(env: EnvBase, act: Act, speeds: Sequence[float], hold: HoldSpeed, forwa
             sums, counted = sums + torch.stack((command, walked)), counted + 1
         if step * env.dt >= SETTLING:
             command = (command + GAIN * env.dt * (asked - walked)).clamp(low, high)
-            told.walk_at(command[:, member])
+            walker.walk_at(command[:, member])
     sent, walked = sums / counted
     command = (sent + asked - walked).clamp(low, high)
-    told.walk_at(command[:, member])
+    walker.walk_at(command[:, member])
     return command
 
 
@@ -79,7 +79,8 @@ def _means(speed: torch.Tensor, fallen: torch.Tensor, member: torch.Tensor, aske
     return torch.stack(columns, 1)
 
 
-def _told(env: EnvBase) -> WalksAsTold:
+def told(env: EnvBase) -> WalksAsTold:
+    """The env, under its transforms, as one that can be told other speeds. Raises ConfigError where it cannot."""
     base = env
     while isinstance(base, TransformedEnv):
         base = base.base_env

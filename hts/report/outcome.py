@@ -39,8 +39,10 @@ def fates(rows: Sequence[Row], task: TaskWords = VELOCITY) -> str:
     return ", ".join(parts)
 
 
-def nobody_chosen(rows: Sequence[Row], task: TaskWords = VELOCITY) -> str:
-    """Of an iteration whose tests chose nobody: one sentence."""
+def nobody_chosen(rows: Sequence[Row], task: TaskWords = VELOCITY, refused: int = 0) -> str:
+    """Of an iteration whose tests chose nobody: one sentence. refused: so many by the gate."""
+    if not rows and refused:
+        return f"nobody was tested: {_at_the_gate(refused)}"
     if not rows:
         return "nobody was tested: every candidate fell or was stopped in simulation"
     return f"nobody was chosen: {fates(rows, task)}"
@@ -55,7 +57,9 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
     ]
     sentences, task = [], TaskWords.of(summary)
     if (summary.get("final") or {}).get("policy") == "pretrained":
-        sentences.append(_no_final([row for _, _, rows in iterations for row in rows], bool(iterations), task))
+        refused = sum(len((one.get("gate") or {}).get("refused") or ()) for one in summary.get("iterations") or ())
+        tried = [row for _, _, rows in iterations for row in rows]
+        sentences.append(_no_final(tried, bool(iterations), task, refused))
     for number, one in enumerate(summary.get("iterations") or ()):
         sentences += [f"Iteration {one.get('index', number):02d}: {line}" for line in one.get("warnings") or ()]
     for nobody, group in groupby(iterations, key=lambda one: one[1] is None):
@@ -67,11 +71,17 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
     return sentences
 
 
-def _no_final(rows: Sequence[Row], known: bool, task: TaskWords) -> str:
+def _at_the_gate(refused: int) -> str:
+    return f"the gate before reality refused {refused}, and all others fell or were stopped in simulation"
+
+
+def _no_final(rows: Sequence[Row], known: bool, task: TaskWords, refused: int = 0) -> str:
     text = "No final head-to-head: "
     if rows and all(row.get("refused") for row in rows):
         text += "every elite was refused, so nothing could be compared; the pretrained policy stays the best."
         return f"{text} {_capital(fates(rows, task))}. {_advice(task)}"
+    if known and not rows and refused:
+        return f"{text}no candidate was tested, since {_at_the_gate(refused)}; the pretrained policy stays the best."
     if known and not rows:
         text += "no candidate was tested, since all fell or were stopped in simulation; "
         return f"{text}the pretrained policy stays the best."

@@ -5,7 +5,7 @@ for i = 0, 1, 2, …
     roll out π ∈ Π_i in the real world, D_i ← all recordings so far    collect (i = 0), later the tests of i - 1
     f_i ← 𝒜(D_i)                                                       fit
     for π_anchor, w, c ∈ {π_best, π_pretrained} × W × C: fine-tune     finetune
-    Π_{i+1} ← top K in simulation                                      simulate
+    Π_{i+1} ← top K in simulation                                      simulate, gate
     π_best ← best of Π_{i+1} in the real world                         test
 π_best against π_pretrained at every speed                             final, summary
 """
@@ -23,6 +23,7 @@ from hts.report import write_report
 from hts.report.outcome import nobody_chosen
 from hts.report.table import print_table
 from hts.report.task_words import TaskWords
+from hts.run.gate import gate, gate_refused
 from hts.run.job import Job
 from hts.run.learning import finetune, fit, simulate
 from hts.run.progress import Progress
@@ -31,8 +32,12 @@ from hts.run.stages import Stages
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
 
-STAGES_PER_ITERATION = 4
 STAGES_AROUND = 4  # collect, final, summary, report
+
+
+def stages_per_iteration(config: RunConfig) -> int:
+    """Fit, fine-tune, judge, test; and what is switched on."""
+    return 4 + config.evaluation.each_iteration + config.gate.enabled
 
 
 def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = Job) -> Path:
@@ -40,8 +45,7 @@ def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = J
 
     kind: what its stages work with; an oracle's is another one.
     """
-    per_iteration = STAGES_PER_ITERATION + config.evaluation.each_iteration
-    progress = Progress(total=STAGES_AROUND + per_iteration * config.iterations)
+    progress = Progress(total=STAGES_AROUND + stages_per_iteration(config) * config.iterations)
     stages = Stages(folder, progress)
     job = kind(config, folder, registry, stages)
     try:
@@ -67,9 +71,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         name = f"iterations/{i:02d}"
         if not job.elites(i):
             job.stages.progress.say(cap_reached(job, i))
-            job.stages.progress.skip(
-                (STAGES_PER_ITERATION + config.evaluation.each_iteration) * (config.iterations - i)
-            )
+            job.stages.progress.skip(stages_per_iteration(config) * (config.iterations - i))
             break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder
         if config.reward_source == "model":
@@ -78,12 +80,16 @@ def algorithm_1(job: Job) -> dict[str, Any]:
             job.stages.progress.skip(1)
         job.do(f"{name}/finetune", f"{about}: fine-tune candidates", partial(finetune, job, i, best))
         job.do(f"{name}/simulate", f"{about}: judge candidates in simulation", partial(simulate, job, i))
+        if config.gate.enabled and not (job.folder / f"{name}/test.json").exists():  # of a run of before: none
+            job.do(f"{name}/gate", f"{about}: try elites over varied dynamics", partial(gate, job, i))
+        elif config.gate.enabled:
+            job.stages.progress.skip(1)
         trying = f"{about}: try elites in world '{config.world.name}'"
         tested = job.do(f"{name}/test", trying, partial(test, job, i, best))
         if tested["best"] is None:
             rows = [tested["results"][one] for one in tested["elites"]]
             task = TaskWords(**task_entry(job.robot.task()))
-            job.stages.progress.say(f"{about}: {nobody_chosen(rows, task)}")
+            job.stages.progress.say(f"{about}: {nobody_chosen(rows, task, refused=gate_refused(job, i))}")
         best = tested["best_so_far"]
         if config.evaluation.each_iteration:
             job.do(f"{name}/best", f"{about}: measure the best so far", partial(best_so_far, job, i, best))

@@ -233,14 +233,13 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         replace(
             _judge(row, results[row["id"]], test.speed_tolerance, task),
             made=fine_tuning(row, task_rewards),
-            predicted=_gain(promised.get(row["id"], {})),
+            predicted=mean_gain(promised.get(row["id"], {})),
         )
         for row in rows
     ]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
-    able = [
-        one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], job.world.simulated)
-    ]
+    lenient = job.world.simulated is True and not config.gate.enabled
+    able = [one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], lenient)]
     elites = selector.elites(able, job.elites(iteration))
     details = {
         name: [{key: value for key, value in vars(trial).items() if key not in NOT_WRITTEN} for trial in row]
@@ -310,7 +309,7 @@ def _in_unit(job: Job, iteration: int, key: str, objective: Objective, known: Se
     return lambda found: line.scale * found + line.offset
 
 
-def _gain(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, float]:
+def mean_gain(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, float]:
     """Objective -> the mean over speeds of the selection score that is predicted; only what is predicted at all."""
     return {
         key: sum(one["selection_score"] for one in speeds.values()) / len(speeds)
@@ -320,9 +319,10 @@ def _gain(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, 
 
 
 def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:
-    """A machine never gets a candidate that fell in simulation, or whose training was stopped; a simulated world may.
+    """A machine never gets a candidate that fell in simulation, or whose training was stopped; a simulated world may,
+    where no gate stands before it.
 
-    simulated: as `World.simulated`; a world that does not say counts as a machine.
+    simulated: as `World.simulated`; a world that does not say counts as a machine, and so does one behind a gate.
     """
     return simulated is True or (candidate.falls == 0 and stopped is None)
 

@@ -19,6 +19,7 @@ from hts.evaluation.held import ask_to_hold, check_hold, hold_of
 from hts.guarded import guarded
 from hts.plugins import Registry
 from hts.run.budget import plan
+from hts.run.gate_checks import check_told
 from hts.training.sweep import combinations, own_weights
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ def check_world(config: RunConfig, registry: Registry) -> None:
             if config.max_real_samples is not None:
                 plan(config, registry, world)  # raises for a cap that nothing fits in
             guarded(f"World '{config.world.name}': check()", world.check)
+            check_told(config, registry.make_robot(config.robot.name, config.robot.settings), world)
         finally:
             world.close()
 

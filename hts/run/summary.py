@@ -8,6 +8,7 @@ from typing import Any
 from hts.evaluation.final import task_entry
 from hts.measurement.scoring import spearman
 from hts.run.front import PRETRAINED, front_entry
+from hts.run.gate import gate_of
 from hts.run.job import Job
 from hts.run.task_watch import scale_lines
 
@@ -24,7 +25,8 @@ def summarise(job: Job) -> dict[str, Any]:
         name = f"iterations/{index:02d}"
         fit = job.read(f"{name}/fit") if learned else {}
         tuned, simulated, tested = (job.read(f"{name}/{stage}") for stage in ("finetune", "simulate", "test"))
-        steps += tuned["steps"] + simulated["steps"]
+        gated = gate_of(job, index)
+        steps += tuned["steps"] + simulated["steps"] + (gated["steps"] if gated else 0)
         samples += tested["samples"]
         iterations.append(
             {
@@ -37,8 +39,8 @@ def summarise(job: Job) -> dict[str, Any]:
                 **({"trust_region": tested["trust_region"]} if "trust_region" in tested else {}),
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
                 **({"measured_best": job.read(f"{name}/best")} if config.evaluation.each_iteration else {}),
-                **_task(tuned, simulated),
-                "candidates": [_candidate(row, simulated, tested) for row in tuned["candidates"]],
+                **_with_gate(_task(tuned, simulated), gated),
+                "candidates": [_candidate(row, simulated, tested, gated) for row in tuned["candidates"]],
             }
         )
     final = job.read("final")
@@ -122,7 +124,19 @@ def _task(tuned: Mapping[str, Any], simulated: Mapping[str, Any]) -> dict[str, A
     }
 
 
-def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str, Any]) -> dict[str, Any]:
+def _with_gate(task: Mapping[str, Any], gated: Mapping[str, Any] | None) -> dict[str, Any]:
+    """What became of the task, and of the candidates at the gate; nothing of a run without one."""
+    if gated is None:
+        return dict(task)
+    keys = ("checks", "untold", "accepted_untold", "limits", "proposed", "elites", "kept_out", "first_run", "lines")
+    told = {key: gated[key] for key in keys}
+    refused = [name for name, row in gated["policies"].items() if not row["passed"]]
+    return {**task, "warnings": [*task.get("warnings", ()), *gated["lines"]], "gate": {**told, "refused": refused}}
+
+
+def _candidate(
+    row: dict[str, Any], simulated: dict[str, Any], tested: dict[str, Any], gated: Mapping[str, Any] | None
+) -> dict[str, Any]:
     name = row["id"]
     result = tested["results"].get(name, {})
     entry = {
@@ -149,6 +163,9 @@ def _candidate(row: dict[str, Any], simulated: dict[str, Any], tested: dict[str,
         entry["task_reward"] = simulated["task_rewards"].get(name)
     if "predicted" in simulated:  # not in runs from before it was written
         entry["predicted"] = simulated["predicted"].get(name, {})
+    if gated is not None:
+        found = gated["policies"].get(name)  # who was not asked for was not tried
+        entry["gate"] = found and {key: found[key] for key in ("passed", "failed", "refused", "worst")}
     if row["stopped"]:
         entry["stopped"] = row["stopped"]
     return entry

@@ -15,6 +15,7 @@ from hts.evaluation.halves import Half, halves
 from hts.measurement import files
 from hts.measurement.checks import check
 from hts.recordings.recording import Recording
+from hts.run.gate import elites_of
 from hts.run.job import Job
 from hts.run.learning import bound_scale, fine_tuning, model_path
 from hts.run.trust_region import agreement, next_scale, tried_elites
@@ -41,7 +42,7 @@ class Tests:
 
 def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     """Elites against the pretrained policy; π_best <- the best of them, if it beats the best so far."""
-    elites = job.read(f"iterations/{iteration:02d}/simulate")["elites"]
+    elites = elites_of(job, iteration)
     settings = job.config.selection.selector
     selector = job.registry.make_selector(settings.name, settings.settings)
     rounds = selector.rounds()

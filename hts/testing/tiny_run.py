@@ -20,6 +20,8 @@ SETTINGS: dict[str, Any] = {
     "finetune.ppo.epochs": 1,
     "simulation_test.num_envs": 2,
     "simulation_test.seconds": 3.0,
+    "gate.num_envs": 2,
+    "gate.seconds": 2.0,
     "selection.elites": 1,
     "evaluation.bootstrap": 100,
 }

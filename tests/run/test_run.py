@@ -36,6 +36,7 @@ STAGES = [
     "iterations/00/fit",
     "iterations/00/finetune",
     "iterations/00/simulate",
+    "iterations/00/gate",
     "iterations/00/test",
     "final",
 ]
@@ -54,7 +55,7 @@ def test_a_run_leaves_the_folder_that_was_promised(small_run):
     for name in (
         *("config.yaml", "provenance.json", "summary.json", "report.html", "data.zarr/zarr.json"),
         *("policies/pretrained.safetensors", "policies/pretrained.onnx", "policies/best.onnx"),
-        *(f"iterations/00/{stage}.json" for stage in ("fit", "finetune", "simulate", "test")),
+        *(f"iterations/00/{stage}.json" for stage in ("fit", "finetune", "simulate", "gate", "test")),
         *("iterations/00/models/power.safetensors", "iterations/00/candidates/00-01.onnx"),
     ):
         assert (small_run.folder / name).is_file(), name
@@ -93,7 +94,9 @@ def test_steps_and_samples_are_counted(small_run):
     batch = 2 * 2 * 24  # candidates x worlds x horizon; 8 of them, then one more each time the KL is measured
     assert tuned["steps"] in {(8 + extra) * batch for extra in range(1, MOST_PROJECTIONS + 2)}
     assert judged["steps"] == 3 * 2 * 150  # pretrained and two candidates, 2 worlds, 3 s at 50 Hz
-    assert small_run.summary_of()["sim_steps"] == tuned["steps"] + judged["steps"]
+    gated = json.loads((small_run.folder / "iterations/00/gate.json").read_text())
+    assert gated["steps"] == 4 * 150 * (len(gated["policies"]) + (gated["pretrained"] is not None))  # 4 worlds, 3 s
+    assert small_run.summary_of()["sim_steps"] == tuned["steps"] + judged["steps"] + gated["steps"]
     parts = [
         json.loads((small_run.folder / f"{name}.json").read_text())
         for name in ("collect", "iterations/00/test", "final")

@@ -4,6 +4,7 @@ ranges.py  what is drawn, and over what: read from the parameter classes of the 
 draw.py    one draw from (seed, index)
 quick.py   a glance at it by statics, before anything is simulated
 check.py   whether a draw agrees with public facts
+like.py    what a lab's own recordings say of its robot, to be agreed with instead of the public facts
 batch.py   many draws, side by side, resumable, until enough agree
 truth.py   what a policy truly saves there: no noise, true speed, many sessions
 """

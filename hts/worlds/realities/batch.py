@@ -27,6 +27,7 @@ from hts.errors import ConfigError, RunError
 from hts.plugin_settings import in_full
 from hts.worlds.realities.check import Verdict, check
 from hts.worlds.realities.draw import Draw, draw
+from hts.worlds.realities.like import Likeness
 from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
 from hts.worlds.twin.parameters import MACHINE, TwinSettings
 from hts.worlds.twin.reality import Reality, read
@@ -47,6 +48,7 @@ class Asked:
     robot: str
     name: str
     policy: str  # exported
+    like: Likeness | None = None  # a lab's own robot, instead of the public facts
 
 
 def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str, Any]]:
@@ -58,13 +60,13 @@ def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str
     return content
 
 
-def examine(reality: Reality, policy: Path) -> Verdict:
-    """Hold a reality against the facts."""
+def examine(reality: Reality, policy: Path, like: Likeness | None = None) -> Verdict:
+    """Hold a reality against the facts, or a lab's own robot."""
     registry = plugins.load()
     robot = registry.make_robot(reality.robot)
     settings = TwinSettings.model_validate(dict(reality.parameters))
     instruments = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
-    return check(robot, settings, instruments, policy)
+    return check(robot, settings, instruments, policy, like)
 
 
 def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
@@ -79,7 +81,7 @@ def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
         switches=drawn.switches,
         parameters=parameters_of(drawn, registry),
     )
-    verdict = examine(reality, Path(asked.policy))
+    verdict = examine(reality, Path(asked.policy), asked.like)
     line = {
         "index": index,
         "kept": verdict.kept,
@@ -100,6 +102,7 @@ def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None 
         "robot": asked.robot,
         "name": asked.name,
         "ranges_sha256": ranges_sha256(drawn_parameters(plugins.load())),
+        **({} if asked.like is None else {"like": asked.like.model_dump(mode="json")}),
     }
     lines = _begun(folder / LINES, heading)
     files = [folder / f"{asked.name}-{number:02d}.json" for number in range(asked.count)]
@@ -163,10 +166,15 @@ def _begun(path: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
     if whole != text:
         atomic_write(path, whole)
     found, *lines = (json.loads(line) for line in whole.splitlines())
-    other = [key for key in heading if found.get(key) != heading[key]]
+    other = [key for key in {**heading, **found} if found.get(key) != heading.get(key)]
+    if other == ["like"]:
+        raise RunError(
+            f"{path}: was begun with {'other figures of a robot' if 'like' in found else 'the public facts'}. "
+            "Choose another folder with --out."
+        )
     if other:
         raise RunError(
-            f"{path}: was begun with another {other[0]} ({found.get(other[0])}, now {heading[other[0]]}). "
+            f"{path}: was begun with another {other[0]} ({found.get(other[0])}, now {heading.get(other[0])}). "
             "Choose another folder with --out."
         )
     return lines
@@ -177,12 +185,13 @@ def _check_files(files: list[Path]) -> None:
         read(str(path))  # raises for one that is not there or broken
 
 
-def exported_policy(robot: str, folder: Path) -> Path:
-    """The policy that the robot's package ships, as ONNX in the folder. Raises ConfigError if there is none."""
+def exported_policy(robot: str, folder: Path, source: Path | None = None) -> Path:
+    """The policy that the robot's package ships, or that of a file, as ONNX in the folder. Raises ConfigError if there
+    is none."""
     from hts.policies.export import to_onnx
     from hts.policies.files import load_policy
 
-    source = plugins.load().make_robot(robot).pretrained_policy()
+    source = source or plugins.load().make_robot(robot).pretrained_policy()
     if source is None or not Path(source).exists():
         raise ConfigError(f"Robot '{robot}' ships no policy, so no draw can be held against how it walks.")
     return to_onnx(load_policy(Path(source)), folder / "pretrained.onnx")

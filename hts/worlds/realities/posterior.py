@@ -38,6 +38,16 @@ def lines_of(folder: Path) -> Lines:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()[1:]]
 
 
+def accepted(folder: Path) -> str:
+    """How many of the draws of a folder were kept, and what ended most of the others: one line."""
+    lines = lines_of(folder)
+    kept, others = sum(bool(line["kept"]) for line in lines), reasons(lines)
+    others.pop("kept", None)
+    ended = ", ".join(f"{reason} ({number})" for reason, number in others.most_common(4))
+    share = f"kept {kept} of {len(lines)} draws ({kept / max(len(lines), 1):.2%})"
+    return f"{share}; ended by {ended}" if ended else share
+
+
 def narrowed(parameters: Sequence[Drawn], lines: Lines) -> list[Narrowed]:
     """Those that are single numbers, the most moved first. Prior and rank are those of the range itself."""
     found = []

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hts.contracts import Fact
+from hts.contracts import Fact, Reading
 
 ROBOT = "go1"
 IDLE_SHARE = {0.5: 0.310, 0.8: 0.248, 1.1: 0.198}
@@ -42,6 +42,25 @@ def facts(robot: str) -> tuple[Fact, ...]:
 def gross_power(channels: Mapping[str, np.ndarray], idle: Mapping[str, float]) -> float:
     """Mean of current times voltage as the gauge shows them, W."""
     return float((channels["battery_current"].astype(float) * channels["battery_voltage"]).mean())
+
+
+def idle_power(channels: Mapping[str, np.ndarray], idle: Mapping[str, float]) -> float:
+    """Idle current times idle voltage, W."""
+    return idle["battery_current"] * idle["battery_voltage"]
+
+
+def net_power(channels: Mapping[str, np.ndarray], idle: Mapping[str, float]) -> float:
+    """Gross less idle, W."""
+    return gross_power(channels, idle) - idle_power(channels, idle)
+
+
+GAUGED = ("battery_current", "battery_voltage")
+READINGS = (
+    Reading("idle power", "W", GAUGED, idle_power, idle=True),
+    Reading("gross power", "W", GAUGED, gross_power),
+    Reading("net power", "W", GAUGED, net_power),
+)
+"""What a lab's own recordings show of its robot's battery."""
 
 
 def idle_share(channels: Mapping[str, np.ndarray], idle: Mapping[str, float]) -> float:

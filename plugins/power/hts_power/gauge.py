@@ -17,10 +17,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hts.channels import Channel
-from hts.contracts import Fact, Instrument, PhysicsSample, Robot, RobotSpec, Settings
+from hts.contracts import Fact, Instrument, PhysicsSample, Reading, Robot, RobotSpec, Settings
 from hts.errors import WorldError
 from hts_power import drive_train
-from hts_power.anchors import facts
+from hts_power.anchors import READINGS, facts
 from hts_power.battery import Battery
 from hts_power.gauge_parameters import GaugeParameters
 from hts_power.structure import GaugeStructure
@@ -194,6 +194,10 @@ class BatteryGauge(Instrument):
     def facts(self) -> Sequence[Fact]:
         """Published figures of this robot, if there are any (anchors.py)."""
         return facts(self.spec.name)
+
+    def readings(self) -> Sequence[Reading]:
+        """Idle, gross and net power."""
+        return READINGS
 
     # ------------------------------------------------------------------------------------------ inside
 

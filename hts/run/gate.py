@@ -1,0 +1,195 @@
+"""The stage `gate`: elites are tried over varied dynamics, and who fails is not tried for real.
+
+Where some fail the selector is asked again without them, until all that it names have passed or nobody is left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from hts.contracts import SimulatedCandidate
+from hts.evaluation.simulation import test_config
+from hts.rl.population import Population
+from hts.run.front import PRETRAINED
+from hts.run.gate_checks import Worst, limits, sentence, told_by, untold_by
+from hts.run.gate_trials import LostPackets, channels_of, commands_of, dynamics, rollout, varied
+from hts.run.job import Job
+from hts.run.learning import fine_tuning, mean_gain
+
+Report = Callable[[float], None]
+FORMAT = 1  # of gate.json
+
+
+def elites_of(job: Job, iteration: int) -> list[str]:
+    """Who is tried for real: those that passed the gate; of a run without one, those that the selector chose."""
+    return list((gate_of(job, iteration) or job.read(f"iterations/{iteration:02d}/simulate"))["elites"])
+
+
+def gate_of(job: Job, iteration: int) -> dict[str, Any] | None:
+    """gate.json of an iteration; None of a run without a gate."""
+    name = f"iterations/{iteration:02d}/gate"
+    return dict(job.read(name)) if (job.folder / f"{name}.json").exists() else None
+
+
+def gate_refused(job: Job, iteration: int) -> int:
+    """How many candidates the gate refused."""
+    found = gate_of(job, iteration)
+    return 0 if found is None else sum(not row["passed"] for row in found["policies"].values())
+
+
+def gate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
+    """Try the elites, and where they fail those behind them, over varied dynamics. Says each refusal in one line."""
+    folder = f"iterations/{iteration:02d}"
+    simulated, tuned = job.read(f"{folder}/simulate"), job.read(f"{folder}/finetune")
+    able, kept_out = _able(simulated, tuned)
+    selector = job.registry.make_selector(job.config.selection.selector.name, job.config.selection.selector.settings)
+    rows: dict[str, dict[str, Any]] = {}
+    chosen: list[str] = list(simulated["elites"])
+    trials = Trials(job, simulated)
+    while waiting := [name for name in chosen if name not in rows]:
+        rows |= trials.of(waiting)
+        able = [one for one in able if rows.get(one.id, {}).get("passed", True)]
+        if all(rows[name]["passed"] for name in waiting):
+            break
+        chosen = selector.elites(able, job.config.selection.elites)
+        report(min(0.9, len(rows) / max(1, len(rows) + len(able))))
+    elites = [name for name in chosen if rows[name]["passed"]]
+    refused = [row["refused"] for row in rows.values() if not row["passed"]]
+    pretrained = trials.of([PRETRAINED])[PRETRAINED] if refused else None  # a yardstick, where one is needed
+    lines = [*refused, *_closing(rows, elites, pretrained)]
+    for line in lines:
+        job.stages.progress.say(f"iteration {iteration:02d}: {line}")
+    settings = job.config.gate
+    return {
+        "format": FORMAT,
+        "checks": list(trials.checks),
+        "untold": list(untold_by(job.robot)),
+        "accepted_untold": [check for check in settings.accept_untold if check in untold_by(job.robot)],
+        "limits": {check: value for check, value in limits(settings).items() if check in trials.checks},
+        "dynamics": {
+            name: list(getattr(settings, name)) for name in ("friction", "payload", "gains", "latency", "lost_packets")
+        },
+        "set_points": list(trials.set_points),
+        "seconds": settings.seconds,
+        "instances": trials.instances,
+        "proposed": simulated["elites"],
+        "kept_out": kept_out,
+        "policies": rows,
+        "pretrained": pretrained,
+        "elites": elites,
+        "lines": lines,
+        "first_run": settings.first_run.model_dump(),
+        "steps": trials.steps,
+    }
+
+
+class Trials:
+    """Tries policies of a run in the same env instances, whoever is asked about and however often.
+
+    checks: those that the robot's env can tell; instances: of it per policy; steps: control steps taken so far.
+    """
+
+    def __init__(self, job: Job, simulated: Mapping[str, Any]) -> None:
+        config = job.config
+        self.job, self.judged, self.steps = job, simulated["trials"], 0
+        self.checks, self.set_points = told_by(job.robot), config.simulation_test.speeds
+        self.instances = config.gate.num_envs * len(self.set_points)
+        self.seed = job.seed("gate")  # the same dynamics in every iteration
+        straight = test_config(config.finetune.env, self.set_points, config.gate.seconds, self.seed)
+        self.env_config = varied(straight, config.gate, job.robot.spec.substeps, self.instances)
+
+    def of(self, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """Policy -> its row of `gate.json`."""
+        job, settings = self.job, self.job.config.gate
+        policies = [job.policy(name) for name in names]
+        channels = channels_of(self.checks)
+        env = job.robot.make_env(
+            job.config.engine,
+            len(names),
+            self.instances,
+            self.env_config,
+            channels=channels,
+            seeds=[self.seed] * len(names),
+        )
+        lost = LostPackets(settings.lost_packets, self.instances, self.seed)
+        tensors = [policy.tensors for policy in policies]
+        population = Population.from_candidates(policies[0].card.sizes(), tensors, env.device)
+        sent = commands_of(self.judged, names) if job.config.simulation_test.hold_speed else None
+        spec = job.robot.spec
+        try:
+            found = rollout(env, population, spec, self.checks, settings, self.set_points, lost, sent)
+        finally:
+            env.close()
+        self.steps += round(settings.seconds * spec.control_rate_hz) * self.instances * len(names)
+        rows = {}
+        for name, policy, worst in zip(names, policies, found, strict=True):
+            rows[name] = {"policy_hash": policy.card.policy_hash, **self._row(name, worst, lost)}
+        return rows
+
+    def _row(self, name: str, worst: Mapping[str, Worst], lost: LostPackets) -> dict[str, Any]:
+        job, settings = self.job, self.job.config.gate
+        known = {
+            check: one
+            if one.passed
+            else replace(one, dynamics=dynamics(job.robot, self.env_config, lost, one.instance))
+            for check, one in worst.items()
+        }
+        failed = [check for check in known if not known[check].passed]
+        refused = None
+        if failed:
+            said = sentence(name, known[failed[0]], settings, job.robot)
+            refused = said + (f"; and by {', '.join(failed[1:])}" if failed[1:] else "")
+        return {
+            "passed": not failed,
+            "failed": failed,
+            "refused": refused,
+            "worst": {check: one.entry() for check, one in known.items()},
+        }
+
+
+def _able(simulated: Mapping[str, Any], tuned: Mapping[str, Any]) -> tuple[list[SimulatedCandidate], dict[str, str]]:
+    """Candidates that may be asked about, as they were judged; and why the others may not."""
+    able, kept_out = [], {}
+    for row in tuned["candidates"]:
+        name, falls = row["id"], simulated["falls"][row["id"]]
+        if row["stopped"] is not None:
+            kept_out[name] = f"training stopped: {row['stopped']}"
+        elif falls:
+            kept_out[name] = f"fell while being judged, in {falls} env instance{'' if falls == 1 else 's'}"
+        else:
+            scores = {key: _number(value) for key, value in simulated["objective_scores"][name].items()}
+            able.append(
+                SimulatedCandidate(
+                    name,
+                    _number(simulated["scores"][name]),
+                    falls,
+                    simulated["tracked"][name],
+                    scores,
+                    fine_tuning(row, simulated["task_rewards"]),
+                    mean_gain(simulated["predicted"].get(name, {})),
+                )
+            )
+    return able, kept_out
+
+
+def _closing(
+    rows: Mapping[str, Mapping[str, Any]], elites: Sequence[str], pretrained: Mapping[str, Any] | None
+) -> list[str]:
+    """What else is to be said about an iteration in which somebody was refused."""
+    lines = []
+    if rows and not elites:
+        lines.append(f"the gate refused all {len(rows)} candidates that could be tried, so nobody is")
+    if pretrained is not None and not pretrained["passed"]:
+        lines.append(
+            f"the pretrained policy itself would not pass the gate ({', '.join(pretrained['failed'])}): the gate tries "
+            "dynamics or asks limits that this robot's policy was never trained for; see the settings of gate"
+        )
+    return lines
+
+
+def _number(value: float | None) -> float:
+    """JSON has no NaN."""
+    return math.nan if value is None else float(value)
