@@ -145,6 +145,7 @@ def _drift(a: np.ndarray, b: np.ndarray, lag: int, rate_hz: float) -> float:
             y = b[low - lag - shift : begin + third - reach - lag - shift]
             if len(x) != len(y):
                 return float("nan")
+            x, y = x - x.mean(axis=0), y - y.mean(axis=0)
             scores.append(float((x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum() + 1e-30)))
         at = int(np.argmax(scores))
         found.append((at - reach + _vertex(np.array(scores), at)) / rate_hz)

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 VERSION = "v3"
 MOST_INFO = 1 << 24
 MOST_NUMBERS = 1 << 28
+NEARLY_A_FRAME = 0.02
+"""Periods by which a float32 stamp may miss its frame."""
 
 
 class LerobotSettings(Config):
@@ -85,7 +87,15 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LerobotMapping) ->
             )
     columns = {column: np.concatenate([table.columns[name] for table in tables]) for column, name in plain.items()}
     stamps = np.concatenate([np.asarray(table.stamps, dtype=np.float64) for table in tables])
+    if log.time == LerobotMapping.model_fields["time"].default:
+        stamps = _whole_frames(stamps, float(info["fps"]))
     return Table(path, stamps, columns, sum(table.empty_rows for table in tables))
+
+
+def _whole_frames(stamps: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Seconds of whole frames, where stamps are those but for being float32; others as they are."""
+    frames = np.round(stamps * rate_hz)
+    return frames / rate_hz if np.all(np.abs(stamps * rate_hz - frames) < NEARLY_A_FRAME) else stamps
 
 
 def read_info(path: Path) -> dict[str, Any]:
