@@ -66,7 +66,7 @@ def _csv(path: Path) -> Glance:
         lines = list(islice(iter(lambda: file.readline(MOST_LINE), ""), MOST_ROWS))
     if not lines:
         raise RecordingError(f"{path}: empty. Expected a log.")
-    delimiter = max(";\t,", key=lambda one: (lines[min(len(lines) - 1, 10)].count(one), one == ","))
+    delimiter = max(",;\t", key=lambda one: _steadiness(lines[:50], one))
     rows = [row for row in csv.reader(lines, delimiter=delimiter) if row]
     width = max(len(row) for row in rows[: max(len(rows) // 2, 1) + 20])
     preamble = next((count for count, row in enumerate(rows) if len(row) == width), 0)
@@ -89,6 +89,13 @@ def _csv(path: Path) -> Glance:
     columns = {name: np.array([_number(row[at], decimal) for row in body]) for at, name in enumerate(names)}
     dates = tuple(name for at, name in enumerate(names) if body and _is_date(body[0][at]))
     return Glance("csv", columns, keys, dates)
+
+
+def _steadiness(lines: list[str], delimiter: str) -> int:
+    """How many lines have the count of delimiters that most lines have, 0 if that is none."""
+    counts = [line.count(delimiter) for line in lines]
+    most = max(set(counts), key=lambda one: (counts.count(one), one))
+    return counts.count(most) if most else 0
 
 
 def _is_number(cell: str, decimal: str) -> bool:

@@ -6,6 +6,9 @@ Compressed parts are unpacked up to a bound, whatever size they announce.
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import io
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
@@ -131,7 +134,8 @@ def _decoder(path: Path, topic: str, raw: _Raw, definitions: Mapping[str, str]) 
             "file and name that under `definitions`."
         )
     encoding = "ros2msg" if definitions.get(raw.kind) else raw.encoding
-    decode = DecoderFactory().decoder_for("cdr", Schema(id=1, name=raw.kind, encoding=encoding, data=text))
+    with contextlib.redirect_stderr(io.StringIO()):  # it prints what it stumbles over before it raises
+        decode = DecoderFactory().decoder_for("cdr", Schema(id=1, name=raw.kind, encoding=encoding, data=text))
     if decode is None:
         raise RecordingError(
             f"{path}: topic '{topic}' is written as '{raw.encoding}', expected ROS 2 messages (ros2msg, cdr). "
@@ -204,9 +208,6 @@ def _mcap_records(path: Path) -> Iterator[Any]:
 
 def _unpacked(path: Path, chunk: Any) -> Any:
     """The same part of a file, its data plain, and no more of them than it announces and we allow."""
-    import dataclasses
-    import io
-
     size = chunk.uncompressed_size
     if size > MOST_RECORD:
         raise RecordingError(f"{path}: a part of {size:.3g} bytes, at most {MOST_RECORD:.3g} are read. Copy it again.")

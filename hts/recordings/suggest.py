@@ -39,7 +39,7 @@ def suggested_mapping(path: Path, robot: Robot) -> str:
     """
     seen = glance(path)
     columns = _flat(seen.columns)
-    if not columns:
+    if not any(np.isfinite(values).any() for values in columns.values()):
         raise RecordingError(f"{path}: no column of numbers in it. Write its mapping by hand.")
     time, unit, rate = _time(seen, columns)
     lines = [
@@ -107,11 +107,10 @@ def _rises(values: np.ndarray) -> bool:
 
 
 def _unit_of(step: float, largest: float) -> str:
-    """By the size of stamps that count from 1970, else by a step that is between 0.1 ms and 0.5 s."""
-    for unit, low in (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", 1e8)):
-        if largest > low:
-            return unit
-    return next((unit for unit, factor in TIME_UNITS.items() if 1e-4 <= step * factor < 0.5), "s")
+    """The unit in which a step lasts between 0.1 ms and 0.5 s; of two, the one in which stamps count from 1970."""
+    likely = [unit for unit, factor in TIME_UNITS.items() if 1e-4 <= step * factor < 0.5]
+    dated = [unit for unit in likely if 1e9 < largest * TIME_UNITS[unit] < 4e9]
+    return (dated or likely or ["s"])[0]
 
 
 def _rate(seen: Glance, rate: float, robot: Robot) -> list[str]:
