@@ -173,7 +173,10 @@ def main(arguments: list[str] | None = None) -> int:
     for kind, count in counts.items():
         print(f"{count:4}  {kind}")
     bad = sum(count for kind, count in counts.items() if not kind.startswith("good"))
-    print(f"{bad} malformed inputs of {len(table.BAD) + len(table.EITHER)} kinds, {counts.total() - bad} unusual valid ones of")
+    print(
+        f"{bad} malformed inputs of {len(table.BAD) + len(table.EITHER)} kinds, {counts.total() - bad} unusual valid "
+        "ones of"
+    )
     print(f"{len(table.GOOD)} kinds; {len(wrong)} went wrong; the highest use of memory grew by {grown:.0f} MB")
     if grown > MOST_MEGABYTES:
         wrong.append(f"memory grew by {grown:.0f} MB, at most {MOST_MEGABYTES} are allowed")

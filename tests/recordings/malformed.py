@@ -314,7 +314,9 @@ mappings("unit_of_another_quantity", channel("joint_torque", unit="A"), channel(
 mappings("joint_nobody_has", lambda g: g["joints"].update(ankle="A"), lambda g: g["joints"].pop("hip"))
 mappings("no_idle_level", lambda g: g["channels"]["draw"].pop("idle"), channel("draw", idle="CHECK"))
 mappings("no_channel", lambda g: g.update(channels={}), lambda g: g.pop("channels"), lambda g: g.update(channels=3))
-mappings("rate_that_is_none", *(lambda g, r=r: g.update(rate_hz=r) for r in (0, -5, float("nan"), float("inf"), "fast")))
+mappings(
+    "rate_that_is_none", *(lambda g, r=r: g.update(rate_hz=r) for r in (0, -5, float("nan"), float("inf"), "fast"))
+)
 mappings("rate_beyond_the_log", *(lambda g, r=r: g.update(rate_hz=r) for r in (1e3, 1e9, 1e300)))
 mappings("numbers_that_are_none", channel("draw", scale=float("nan")), channel("draw", offset=float("inf")))
 mappings("limits_turned_round", channel("draw", limits=[9, 1]), channel("draw", limits=[1]))
@@ -324,8 +326,12 @@ mappings("range_that_is_none", *(channel("draw", columns=one) for one in ("0..99
 mappings("reader_nobody_knows", lambda g: g.update(reader="csvv"), lambda g: g.update(reader="../../etc"))
 mappings("runs_of_nothing", lambda g: g.update(runs={"column": "run"}), lambda g: g.update(runs={"gap_seconds": -1}))
 mappings("labels_without_a_file", lambda g: g.update(labels={"file": "labels"}))
-mappings("gains_for_other_joints", lambda g: g.update(recording={"kp": [1.0]}), lambda g: g.update(recording={"kd": [1] * 9}))
-mappings("facts_that_are_none", lambda g: g.update(recording={"mass_kg": -1}), lambda g: g.update(recording={"role": "x"}))
+mappings(
+    "gains_for_other_joints", lambda g: g.update(recording={"kp": [1.0]}), lambda g: g.update(recording={"kd": [1] * 9})
+)
+mappings(
+    "facts_that_are_none", lambda g: g.update(recording={"mass_kg": -1}), lambda g: g.update(recording={"role": "x"})
+)
 
 
 def texts(name: str, make: Callable[[Case], str | bytes]) -> None:

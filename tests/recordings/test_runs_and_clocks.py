@@ -192,7 +192,8 @@ def test_signals_that_are_not_alike_tell_no_offset():
 
 @pytest.fixture
 def two_files(tmp_path, mapping):
-    """The robot's log counts from 0 s; the gauge's began 1.5 s later and counts from 1970. Both see the hip's torque."""
+    """The robot's log counts from 0 s; the gauge's began 1.5 s later and counts from 1970. Both see the hip's "
+    "torque."""
     times = np.arange(0, 20_000, 10)
     late = np.arange(1500, 19_000, 20)
     hip = 5 * wobble(times / 1000)
