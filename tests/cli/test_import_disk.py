@@ -7,8 +7,9 @@ import yaml
 
 JOINTS = [f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf")]
 SCRIPT = """
-import_all() { hts import "$OUT"/a.csv "$OUT"/b.csv "$OUT"/c.csv --robot go1 --mapping "$OUT/m.yaml" --to "$DISK/data.zarr" "$@"; }
-hts import "$OUT/a.csv" --robot go1 --mapping "$OUT/m.yaml" --to "$DISK/data.zarr" > "$OUT/zeroth.out" 2>&1
+into="--robot go1 --mapping $OUT/m.yaml --to $DISK/data.zarr"
+import_all() { hts import "$OUT"/a.csv "$OUT"/b.csv "$OUT"/c.csv $into "$@"; }
+hts import "$OUT/a.csv" $into > "$OUT/zeroth.out" 2>&1
 find "$DISK/data.zarr" -type f -exec sha256sum {} + | sort > "$OUT/before"
 used=$(du -sk "$DISK" | cut -f1)
 mount -o remount,size=$((used + 200))k "$DISK"
