@@ -40,6 +40,9 @@ def hts_selectors(register: Register) -> None:
 def hts_log_readers(register: Register) -> None:
     register("csv", make_csv)
     register("parquet", make_parquet)
+    register("npz", make_npz)
+    register("ros", make_ros)
+    register("lerobot", make_lerobot)
 
 
 def make_lstm(settings: Settings, context: ModelContext) -> MeasurementModel:
@@ -108,5 +111,26 @@ def make_csv(settings: Settings) -> LogReader:
 def make_parquet(settings: Settings) -> LogReader:
     """Parquet files; a mapping says which column is which channel."""
     from hts.recordings.parquet_reader import make
+
+    return make(settings)
+
+
+def make_npz(settings: Settings) -> LogReader:
+    """NPZ files of numpy; a mapping says which array is which channel."""
+    from hts.recordings.npz_reader import make
+
+    return make(settings)
+
+
+def make_ros(settings: Settings) -> LogReader:
+    """ROS 2 bags and MCAP files, without ROS; a mapping says which field of which topic is which channel."""
+    from hts.recordings.ros_reader import make
+
+    return make(settings)
+
+
+def make_lerobot(settings: Settings) -> LogReader:
+    """LeRobot datasets, layout v3; each episode is a recording."""
+    from hts.recordings.lerobot_reader import make
 
     return make(settings)

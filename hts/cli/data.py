@@ -1,4 +1,4 @@
-"""`hts data`: what is in a recording store."""
+"""`hts data`: what is in a recording store, and what it is good for."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hts.recordings.store import RecordingStore
 
 app = typer.Typer(
-    help="Look into a recording store: ls, show, compare, validate.",
+    help="Look into a recording store: ls, show, compare, validate, lag, enough; export it.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -156,6 +156,62 @@ def validate(store: StorePath, as_json: AsJson = False) -> None:
             )
     if damages:
         raise typer.Exit(2)
+
+
+@app.command()
+def lag(
+    store: StorePath,
+    objective: Annotated[str, typer.Option(help="Whose gauge and inputs. `hts plugins` lists them.")],
+    as_json: AsJson = False,
+) -> None:
+    """How late the gauge of an objective shows what the joints do."""
+    from hts.cli.data_use import show_lag
+
+    for line in show_lag(store, objective, as_json):
+        _say(line)
+
+
+@app.command()
+def enough(
+    store: StorePath,
+    objective: Annotated[str, typer.Option(help="Whose model. `hts plugins` lists them.")],
+    speed: Annotated[
+        list[float] | None, typer.Option(help="At which policies are to be judged, m/s. May be repeated.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Whether this is enough data for a model to trust: what is missing, and the error on policies held out.
+
+    Exit code 1 where something is missing.
+    """
+    from hts.cli.data_use import show_enough
+
+    lines, complete = show_enough(store, objective, speed or (), as_json)
+    for line in lines:
+        _say(line)
+    if not complete:
+        raise typer.Exit(1)
+
+
+@app.command()
+def export(
+    store: StorePath,
+    to: Annotated[Path, typer.Option(metavar="DIR", help="A new folder.")],
+    recording: Annotated[
+        list[str] | None, typer.Option(metavar="ID", help="Only these. May be repeated; all if left out.")
+    ] = None,
+    state: Annotated[
+        list[str] | None, typer.Option(metavar="CHANNEL", help="What becomes observation.state. May be repeated.")
+    ] = None,
+    action: Annotated[str | None, typer.Option(metavar="CHANNEL", help="What becomes action.")] = None,
+) -> None:
+    """Write the recordings as a LeRobot dataset, layout v3: each becomes an episode."""
+    from hts.recordings.lerobot_writer import write_dataset
+
+    opened = _open(store)
+    ids = [_complete(opened, one) for one in recording] if recording else list(opened.ids())
+    write_dataset([opened.read(one) for one in ids], to, state or (), action)
+    _say(f"{to}: {len(ids)} episodes")
 
 
 _NUMBERS = ("min", "mean", "max", "std", "rms")

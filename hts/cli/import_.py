@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from hts.contracts import Installed, Robot
+    from hts.recordings.recording import Recording
 
 
 def command(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE…", help="Log files. Each is a recording, unless the mapping has `files`."),
+        typer.Argument(
+            metavar="FILE…",
+            help="Log files. Each is a log of its own, unless the mapping has `files`; bags are folders.",
+        ),
     ],
     robot: Annotated[str, typer.Option(help="The robot that made the logs, by name.")],
     mapping: Annotated[
-        Path, typer.Option(metavar="M.yaml", help="Which column is which channel (docs/recordings.md).")
-    ],
-    to: Annotated[Path, typer.Option(metavar="STORE", help="The store, such as data.zarr. Made if it is not there.")],
+        Path | None, typer.Option(metavar="M.yaml", help="Which column is which channel (docs/recordings.md).")
+    ] = None,
+    to: Annotated[
+        Path | None, typer.Option(metavar="STORE", help="The store, such as data.zarr. Made if it is not there.")
+    ] = None,
     drop: Annotated[
         list[str] | None, typer.Option(metavar="CHANNEL", help="Import without this channel. May be repeated.")
     ] = None,
@@ -25,35 +35,87 @@ def command(
         list[str] | None,
         typer.Option(metavar="NAME", help="Refuse logs that lack what this objective needs. May be repeated."),
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Read and check, say what would be stored, store nothing.")
+    ] = False,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="F.png", help="Draw what would be stored; .png, .svg or .pdf.")
+    ] = None,
+    suggest: Annotated[
+        bool, typer.Option("--suggest", help="Print a mapping made from the first file's header, to be checked.")
+    ] = False,
 ) -> None:
     """Import logs of a real robot into a recording store.
 
     All files are read and checked first; if one is refused, all that are refused are named and none is stored.
     """
     from hts.cli.printable import printable
-    from hts.errors import ConfigError, RecordingError, unknown_name
+    from hts.errors import ConfigError
     from hts.plugins import load
+    from hts.recordings.drawing import check_picture, draw
     from hts.recordings.mapping import assumed_order, load_mapping
     from hts.recordings.needs import check_mapping
-    from hts.recordings.reading import read_log
-    from hts.recordings.store import RecordingStore
 
     registry = load()
     machine = registry.make_robot(robot)
+    if suggest:
+        from hts.recordings.suggest import suggested_mapping
+
+        typer.echo(printable(suggested_mapping(files[0], machine)), nl=False)
+        return
+    if mapping is None:
+        raise ConfigError("--mapping M.yaml is needed; `hts import FILE --robot R --suggest > M.yaml` begins one.")
+    if to is None and not dry_run:
+        raise ConfigError("--to STORE is needed, or --dry-run, which stores nothing.")
+    if figure is not None:
+        check_picture(figure)
     given = load_mapping(mapping)
     channels = given.get("channels")
-    for name in drop or []:
+    _drop(channels, drop or (), mapping)
+    for name in objective or []:
+        check_mapping(registry.make_objective(name), given, mapping)
+    groups = [files] if given.get("files") else [[file] for file in files]
+    read = _read(registry, groups, given, machine, mapping)
+    if figure is not None:
+        draw([recording for recordings in read for recording in recordings], figure)
+    stored = _dry(read) if dry_run or to is None else _store(to, groups, read)
+    order = assumed_order(given, machine.spec.joint_names)
+    for group, recordings, ids in zip(groups, read, stored, strict=True):
+        for recording, (recording_id, known) in zip(recordings, ids, strict=True):
+            notes = "; ".join(f"{key} {text}" for key, text in recording.notes.items() if key != "source")
+            notes = "; ".join(filter(None, (notes, order)))
+            names = ", ".join(path.name for path in group)
+            again = " (was there already)" if known else ""
+            line = f"{recording_id}  {names}: {recording.seconds:.2f} s at {recording.rate_hz:g} Hz, "
+            line += f"{', '.join(recording.channels)}{again}" + (f" [{notes}]" if notes else "")
+            typer.echo(printable(line))
+    if figure is not None:
+        typer.echo(printable(str(figure)))
+
+
+def _drop(channels: Any, names: Sequence[str], mapping: Path) -> None:
+    from hts.errors import ConfigError, unknown_name
+
+    for name in names:
         if not isinstance(channels, dict) or name not in channels:
             known = channels if isinstance(channels, dict) else ()
             raise ConfigError(f"{mapping}: --drop: " + unknown_name("channel", name, known))
         del channels[name]
-    for name in objective or []:
-        check_mapping(registry.make_objective(name), given, mapping)
-    groups = [files] if given.get("files") else [[file] for file in files]
-    recordings, refused = [], []
+
+
+def _read(
+    registry: Installed, groups: Sequence[list[Path]], given: dict[str, Any], machine: Robot, mapping: Path
+) -> list[Sequence[Recording]]:
+    """The recordings of each group of files; every refused one is named before the command ends."""
+    from hts.cli.printable import printable
+    from hts.errors import ConfigError, RecordingError
+    from hts.recordings.reading import read_logs
+
+    read: list[Sequence[Recording]] = []
+    refused: list[RecordingError] = []
     for group in groups:
         try:
-            recordings.append(read_log(registry, group, given, machine))
+            read.append(read_logs(registry, group, given, machine))
         except ConfigError as error:
             raise ConfigError(f"{mapping}: {error}") from error
         except RecordingError as error:
@@ -64,14 +126,25 @@ def command(
         raise RecordingError(f"{len(refused)} of {len(groups)} logs are refused, see above. Nothing was stored.")
     if refused:
         raise RecordingError(f"{refused[0]} Nothing was stored.") from refused[0]
+    return read
+
+
+def _dry(read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, bool]]]:
+    return [[("not stored", False) for _ in recordings] for recordings in read]
+
+
+def _store(to: Path, groups: Sequence[list[Path]], read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, bool]]]:
+    """The id of each recording, and whether it was there already."""
+    from hts.recordings.kinship import check_kinship
+    from hts.recordings.store import RecordingStore
+
+    everything = [one for recordings in read for one in recordings]
+    check_kinship(RecordingStore(to) if (to / "zarr.json").exists() else None, everything)
     store = RecordingStore(to, create=True)
     before = set(store.ids())
-    for group, recording in zip(groups, recordings, strict=True):
-        recording_id = store.write(recording, ", ".join(str(path) for path in group))
-        again = " (was there already)" if recording_id in before else ""
-        notes = "; ".join(f"{key} {text}" for key, text in recording.notes.items() if key != "source")
-        notes = "; ".join(filter(None, (notes, assumed_order(given, machine.spec.joint_names))))
-        names = ", ".join(path.name for path in group)
-        line = f"{recording_id}  {names}: {recording.seconds:.2f} s at {recording.rate_hz:g} Hz, "
-        line += f"{', '.join(recording.channels)}{again}" + (f" [{notes}]" if notes else "")
-        typer.echo(printable(line))
+    stored = []
+    for group, recordings in zip(groups, read, strict=True):
+        where = ", ".join(str(path) for path in group)
+        ids = [store.write(recording, where) for recording in recordings]
+        stored.append([(one, one in before) for one in ids])
+    return stored

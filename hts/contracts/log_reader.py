@@ -18,3 +18,7 @@ class LogReader(ABC):
     @abstractmethod
     def read(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
         """One recording from the files. Raises RecordingError naming file, column and what to do."""
+
+    def read_all(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Sequence[Recording]:
+        """Every run in the files, one recording each, where a mapping tells several apart; by default `read`'s one."""
+        return [self.read(files, mapping, robot)]

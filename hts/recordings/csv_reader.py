@@ -11,7 +11,7 @@ from pydantic import Field
 from hts.config import Config
 from hts.contracts import LogReader, Robot
 from hts.recordings.csv_table import read_table
-from hts.recordings.logs import recording_from_tables
+from hts.recordings.logs import recording_from_tables, recordings_from_tables
 from hts.recordings.mapping import LogMapping, parse_mapping
 from hts.recordings.recording import Recording
 
@@ -48,3 +48,7 @@ class CsvReader(LogReader):
         Raises ConfigError for a wrong mapping, RecordingError naming file, column and what to do for a wrong log.
         """
         return recording_from_tables(files, parse_mapping(mapping, CsvMapping), robot, read_table)
+
+    def read_all(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Sequence[Recording]:
+        """The same for every run that the mapping's `runs` or `labels` tell apart."""
+        return recordings_from_tables(files, parse_mapping(mapping, CsvMapping), robot, read_table)

@@ -61,7 +61,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
         ) from error
     stamps, there = stamps_of(path, time, log.time.unit, table.column(time_name))
     columns = {column: numbers_of(path, column, table.column(name)) for column, name in by_column.items()}
-    return whole_rows(path, time, stamps, there, columns)
+    return whole_rows(path, time, stamps, there, columns, log.runs.column if log.runs else None)
 
 
 def _hint(what: str) -> str:

@@ -11,7 +11,6 @@ the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limi
 
 from __future__ import annotations
 
-import fnmatch
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
 from hts.errors import ConfigError, HtsError, RecordingError
 from hts.recordings.checks import check
+from hts.recordings.joining import joined
 from hts.recordings.mapping import (
     SECONDS,
     ChannelMapping,
@@ -35,9 +35,12 @@ from hts.recordings.mapping import (
     parse_mapping,
     remedy,
 )
+from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.plausible import check_idle, check_limits
 from hts.recordings.recording import Recording, Series
 from hts.recordings.samples import Samples, common_grid, interpolated, resampled, samples_of
+from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
+from hts.recordings.stretches import stretches
 from hts.recordings.table import ColumnName, Table, table_of
 
 __all__ = [
@@ -49,13 +52,12 @@ __all__ = [
     "common_grid",
     "recording_from_columns",
     "recording_from_tables",
+    "recordings_from_columns",
+    "recordings_from_tables",
     "resampled",
     "samples_of",
     "table_of",
 ]
-
-MOST_DROPPED = 0.01
-"""Share of rows that limits may drop; more is no outlier."""
 
 Columns = Mapping[str, Any]
 """Name -> (rows,) numbers, None or NaN where the log has none."""
@@ -71,21 +73,14 @@ def recording_from_columns(
     column and what to do for a wrong log.
     """
 
-    def read(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Table:
-        try:
-            columns = columns_of(path)
-        except HtsError:
-            raise
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
-        except (ValueError, LookupError, TypeError, EOFError) as error:
-            what = " ".join(f"{type(error).__name__}: {error}".split())
-            raise RecordingError(
-                f"{path}: not a log that the reader '{log.reader}' knows ({what:.160}). {remedy(log)}"
-            ) from error
-        return table_of(path, log.time.column, log.time.unit, wanted, columns)
+    return recording_from_tables(files, parse_mapping(mapping), robot, _reading(columns_of))
 
-    return recording_from_tables(files, parse_mapping(mapping), robot, read)
+
+def recordings_from_columns(
+    files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot, columns_of: Callable[[Path], Columns]
+) -> list[Recording]:
+    """The same where a mapping tells several runs in one file apart: one recording each, for a reader's `read_all`."""
+    return recordings_from_tables(files, parse_mapping(mapping), robot, _reading(columns_of))
 
 
 def recording_from_tables(
@@ -98,28 +93,76 @@ def recording_from_tables(
 
     log: the mapping, parsed: a LogMapping or what the reader derives from it.
     """
+    recordings = recordings_from_tables(files, log, robot, read)
+    if len(recordings) != 1:
+        where = ", ".join(str(path) for path in files)
+        raise RecordingError(
+            f"{where}: {len(recordings)} runs, where one recording is read. Take one by `runs` or `labels`; a reader "
+            "of "
+            "several has a `read_all` with recordings_from_columns."
+        )
+    return recordings[0]
+
+
+def recordings_from_tables(
+    files: Sequence[Path],
+    log: Mapped,
+    robot: Robot,
+    read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
+) -> list[Recording]:
+    """One recording for each run that the mapping's `runs` or `labels` tell apart; one where it has neither."""
     columns = {name: column_names(name, one, log, robot.spec.joint_names) for name, one in log.channels.items()}
-    tables = _tables(_assign(files, log), log, columns, read)
-    origin = min(table.stamps[0] for table in tables.values())
-    scale = SECONDS[log.time.unit]
+    assigned = assign(files, log)
+    tables = read_tables(assigned, log, columns, read)
+    clocks = check_clocks(tables, log)
+    notes = {"clocks": f"taken as one: {clocks}"} if clocks else {}
+    parts = stretches(tables, log, assigned)
+    return [_one(files, part.tables, log, columns, robot, {**notes, **part.notes}) for part in parts]
+
+
+def _one(
+    files: Sequence[Path],
+    tables: Tables,
+    log: LogMapping,
+    columns: Mapping[str, tuple[ColumnName, ...]],
+    robot: Robot,
+    notes: Mapping[str, str],
+) -> Recording:
+    times = _times(tables, log)
+    if log.join is not None:
+        times, offset = joined(times, tables, log, columns)
+        notes = {**notes, "clocks": f"the clock of '{log.join.file}' moved by {offset}"}
     samples, dropped = {}, {}
     for name, one in log.channels.items():
-        table = tables[one.file]
+        source = source_of(one)
+        table, when = tables[source], times[source]
         values = np.stack([table.columns[column] for column in columns[name]], axis=1)
-        times = (table.stamps - origin) * scale
-        kept = _within(times, log, table)
-        values, dropped[name] = _without_outliers(name, values[kept], one, table.path)
-        samples[name] = samples_of(name, times[kept], values, str(table.path), _listed(columns[name]))
+        if one.sum:
+            values = values.sum(axis=1, keepdims=True)
+        kept = _within(when, log, table)
+        limits = outlier_limits(name, one, robot)
+        values, dropped[name] = without_outliers(name, values[kept], one, limits, table.path)
+        samples[name] = samples_of(name, when[kept], values, str(table.path), _listed(columns[name]))
     where = ", ".join(str(path) for path in files)
     grid = common_grid(samples, log.rate_hz, log.max_gap_seconds)
     channels = {name: _series(one, log, robot, grid) for name, one in samples.items()}
-    recording = _recording(channels, grid, log, robot, _notes(files, tables, samples, grid, log, dropped))
+    told = _notes(files, tables, samples, grid, log, dropped)
+    recording = _recording(channels, grid, log, robot, {**told, **notes})
     per_joint = {name for name, one in log.channels.items() if follows_joints(name, one)}
     stated = _stated_limits(channels, log)
     check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
     check(recording, where)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
     return recording
+
+
+def _times(tables: Tables, log: LogMapping) -> dict[Source, np.ndarray]:
+    """Times of each table's rows, s after the first stamp of all; stamps of today in ns are too long for a float."""
+    scale = SECONDS[log.time.unit]
+    if log.join is not None:
+        return {source: (table.stamps - table.stamps[0]) * scale for source, table in tables.items()}
+    origin = min(table.stamps[0] for table in tables.values())
+    return {source: (table.stamps - origin) * scale for source, table in tables.items()}
 
 
 def _within(times: np.ndarray, log: LogMapping, table: Table) -> np.ndarray:
@@ -133,58 +176,6 @@ def _within(times: np.ndarray, log: LogMapping, table: Table) -> np.ndarray:
             f"lasts {times[-1]:.4g} s. Correct `cut`, or the unit of the stamps."
         )
     return kept
-
-
-def _without_outliers(name: str, values: np.ndarray, one: ChannelMapping, path: Path) -> tuple[np.ndarray, int]:
-    """Values (rows, k), NaN where the mapping drops what lies outside its limits, and how many rows that were."""
-    if one.limits is None or one.outside == "refuse":
-        return values, 0
-    low, high = one.limits
-    given = one.sign * one.scale * values + one.offset
-    wrong: np.ndarray = np.any((given < low) | (given > high), axis=1)
-    if wrong.mean() > MOST_DROPPED:
-        raise RecordingError(
-            f"{path}: '{name}' lies outside {low:g} to {high:g} {one.unit} in {wrong.sum()} of {len(wrong)} rows; at "
-            f"most {MOST_DROPPED:.0%} are dropped. Correct the limits, or the column."
-        )
-    return np.where(wrong[:, None], np.nan, values), int(wrong.sum())
-
-
-def _assign(files: Sequence[Path], log: LogMapping) -> dict[str | None, Path]:
-    """Which file is which of the mapping's `files`; {None: the file} where the mapping has none."""
-    if log.files is None:
-        if len(files) != 1:
-            raise ConfigError(
-                f"Mapping: {len(files)} files for one recording; name them under `files`, or import one by one."
-            )
-        return {None: files[0]}
-    assigned: dict[str | None, Path] = {}
-    for name, pattern in log.files.items():
-        matching = [path for path in files if fnmatch.fnmatch(path.name, pattern)]
-        if len(matching) != 1:
-            given = ", ".join(path.name for path in files)
-            raise ConfigError(
-                f"Mapping: files.{name}: pattern '{pattern}' fits {len(matching)} of the files ({given}), not one."
-            )
-        assigned[name] = matching[0]
-    unused = [str(path) for path in files if path not in assigned.values()]
-    if unused:
-        raise ConfigError(f"Mapping: no pattern under `files` fits {', '.join(unused)}. Add one or leave the file out.")
-    return assigned
-
-
-def _tables(
-    assigned: Mapping[str | None, Path],
-    log: Mapped,
-    columns: Mapping[str, tuple[ColumnName, ...]],
-    read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
-) -> dict[str | None, Table]:
-    tables = {}
-    for key, path in assigned.items():
-        wanted = {column: None for name, one in log.channels.items() if one.file == key for column in columns[name]}
-        if wanted:
-            tables[key] = read(path, tuple(wanted), log)
-    return tables
 
 
 def _series(samples: Samples, log: LogMapping, robot: Robot, grid: np.ndarray) -> Series:
@@ -237,7 +228,7 @@ def _stated_limits(channels: Mapping[str, Series], log: LogMapping) -> dict[str,
 
 def _notes(
     files: Sequence[Path],
-    tables: Mapping[str | None, Table],
+    tables: Tables,
     samples: Mapping[str, Samples],
     grid: np.ndarray,
     log: LogMapping,
@@ -295,6 +286,27 @@ def _recording(
         fell=facts.fell,
         notes=notes,
     )
+
+
+def _reading(columns_of: Callable[[Path], Columns]) -> Callable[[Path, Sequence[ColumnName], LogMapping], Table]:
+    """How a table is read where somebody's function gives all columns of a file."""
+
+    def read(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Table:
+        try:
+            columns = columns_of(path)
+        except HtsError:
+            raise
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
+        except (ValueError, LookupError, TypeError, EOFError) as error:
+            what = " ".join(f"{type(error).__name__}: {error}".split())
+            raise RecordingError(
+                f"{path}: not a log that the reader '{log.reader}' knows ({what:.160}). {remedy(log)}"
+            ) from error
+        run = log.runs.column if log.runs is not None else None
+        return table_of(path, log.time.column, log.time.unit, wanted, columns, run)
+
+    return read
 
 
 def _listed(columns: tuple[ColumnName, ...]) -> str:

@@ -47,6 +47,8 @@ class ChannelMapping(Config):
         description="of the value after sign, scale and offset, see hts.units; converted to that of the robot's channel"
     )
     file: str | None = Field(None, description="which of `files` the columns are in")
+    topic: str | None = Field(None, description="of a file of messages: the topic, where it is not the mapping's own")
+    sum: bool = Field(False, description="the channel is the sum of the columns, empty where one of them is")
     sign: Literal[1, -1] = Field(1, description="-1 where the log counts the other way")
     scale: float = Field(1.0, description="factor to the unit above, where the log has none that has a name")
     offset: float = Field(0.0, description="added after the factor, in the unit above")
@@ -58,7 +60,9 @@ class ChannelMapping(Config):
     real: bool = Field(True, description="false: a channel that the robot does not list, yet not one to learn")
     limits: tuple[float, float] | None = Field(None, description="in the unit above, outside of which nothing may lie")
     outside: Literal["refuse", "drop"] = Field(
-        "refuse", description="the log whose values lie outside the limits, or drop such rows, at most 1 in 100"
+        "refuse",
+        description="the log whose values lie outside the limits, or drop such rows, at most 1 in 100; without "
+        "`limits` what no machine like the robot can do, 20 times its own limits",
     )
     may_be_constant: bool = Field(False, description="for a quantity that may honestly stand still")
     description: str = Field("", description="for the reader of the store")
@@ -69,6 +73,42 @@ class ChannelMapping(Config):
         if not units.known(unit):
             raise ValueError(units.unknown(unit))
         return unit
+
+
+class RunsMapping(Config):
+    """Several runs in one file: each becomes a recording."""
+
+    column: ColumnName | None = Field(None, description="holds a number for each row; where it changes a run begins")
+    gap_seconds: float | None = Field(None, gt=0, description="a step in time longer than this begins a run, s")
+    take: tuple[float, ...] | None = Field(None, description="only these numbers of the column")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> RunsMapping:
+        if (self.column is None) == (self.gap_seconds is None):
+            raise ValueError("runs: give either `column` or `gap_seconds`")
+        if self.take is not None and self.column is None:
+            raise ValueError("runs: `take` names numbers of a `column`")
+        return self
+
+
+class LabelsMapping(Config):
+    """A file of labels: stretches of time, s after the log's first stamp, each with a word."""
+
+    file: str = Field(description="which of `files` it is: comma-separated, with a header line")
+    start: str = Field("start", description="its column of beginnings, s after the first stamp")
+    end: str = Field("end", description="its column of ends, s after the first stamp")
+    label: str = Field("label", description="its column of words")
+    take: tuple[str, ...] | None = Field(
+        None, description="each stretch with one of these words becomes a recording; left out: labels are only noted"
+    )
+
+
+class JoinMapping(Config):
+    """Two files of one run whose stamps count different clocks: a signal in both says how far these are apart."""
+
+    file: str = Field(description="the file whose clock is moved, one of `files`")
+    channel: str = Field(description="its channel that another file has, too")
+    match: str = Field(description="that channel in the other file, whose clock stays")
 
 
 class RecordingFacts(Config):
@@ -101,6 +141,10 @@ class LogMapping(Config):
     time: TimeMapping = Field(description="the column of time stamps")
     rate_hz: float = Field(gt=0, description="of the recording, Hz; the log is resampled to it")
     max_gap_seconds: float = Field(0.1, gt=0, description="longest gap that is filled by interpolation, s")
+    runs: RunsMapping | None = Field(None, description="how several runs in one file are told apart")
+    labels: LabelsMapping | None = Field(None, description="a file of labelled stretches")
+    join: JoinMapping | None = Field(None, description="how the clocks of two files are brought together")
+    one_clock: bool = Field(False, description="the stamps of all files count one clock, although each begins at 0")
     cut: tuple[float, float] | None = Field(None, description="take only this stretch, s after the first stamp")
     joints: dict[str, str] | None = Field(None, description="robot's joint -> its name in the log, for {joint}")
     joint_order: tuple[str, ...] | None = Field(
@@ -114,8 +158,8 @@ class LogMapping(Config):
         if self.cut is not None and not self.cut[0] < self.cut[1]:
             raise ValueError(f"cut is {list(self.cut)}; its end must come after its beginning")
         for name, channel in self.channels.items():
-            if channel.outside == "drop" and channel.limits is None:
-                raise ValueError(f"channel '{name}': `outside: drop` needs `limits`")
+            if channel.sum and follows_joints(name, channel):
+                raise ValueError(f"channel '{name}' follows the joints, so it is no `sum`; say per_joint: false")
             if channel.limits is not None and not channel.limits[0] < channel.limits[1]:
                 raise ValueError(f"channel '{name}': limits are {list(channel.limits)}; the lower one comes first")
         return self
@@ -127,8 +171,29 @@ class LogMapping(Config):
                 raise ValueError(f"channel '{name}': `file` goes with `files`; give both or neither")
             if channel.file is not None and self.files is not None and channel.file not in self.files:
                 raise ValueError(f"channel '{name}': " + unknown_name("file", channel.file, self.files))
+        for key, one in (("labels", self.labels), ("join", self.join)):
+            if one is not None and one.file not in (self.files or ()):
+                raise ValueError(f"{key}: " + unknown_name("file", one.file, self.files or ()))
+        if self.runs is not None and self.files is not None:
+            raise ValueError("`runs` are told apart within one file; it does not go with `files`")
         return self
 
+    @model_validator(mode="after")
+    def _join_names_channels(self) -> LogMapping:
+        if self.join is None:
+            return self
+        for name in (self.join.channel, self.join.match):
+            if name not in self.channels:
+                raise ValueError("join: " + unknown_name("channel", name, self.channels))
+        if self.channels[self.join.channel].file != self.join.file:
+            raise ValueError(f"join: channel '{self.join.channel}' is not in the file '{self.join.file}'")
+        if self.channels[self.join.match].file == self.join.file:
+            raise ValueError(f"join: '{self.join.match}' is in '{self.join.file}', too; name a channel of another file")
+        return self
+
+
+MOST_COLUMNS = 1000
+"""Of one channel."""
 
 Mapped = TypeVar("Mapped", bound=LogMapping)
 
@@ -218,13 +283,16 @@ def assumed_order(mapping: Mapping[str, Any], joint_names: Sequence[str]) -> str
 
 def _range(name: str, columns: str) -> tuple[ColumnName, ...]:
     """The columns that '13..24' or 'q[0..11]' stands for."""
-    found = re.fullmatch(r"(?:(?P<list>.+)\[)?(?P<first>\d{1,6})\.\.(?P<last>\d{1,6})(?(list)\])", columns)
+    pattern = r"(?:(?P<list>.+)\[)?(?P<first>\d{1,6})\.\.(?P<last>\d{1,6})(?(list)\](?P<rest>(?:\..+)?))"
+    found = re.fullmatch(pattern, columns)
     numbers = range(int(found["first"]), int(found["last"]) + 1) if found else range(0)
-    if found is None or not numbers:
+    if found is None or not 0 < len(numbers) <= MOST_COLUMNS:
         raise ConfigError(
-            f"Mapping: columns '{columns}' of '{name}' are no range of numbers such as '13..24' or 'q[0..11]'."
+            f"Mapping: columns '{columns:.80}' of '{name}' are no range of numbers such as '13..24' or 'q[0..11]'."
         )
-    return tuple(f"{found['list']}[{number}]" for number in numbers) if found["list"] else tuple(numbers)
+    if not found["list"]:
+        return tuple(numbers)
+    return tuple(f"{found['list']}[{number}]{found['rest']}" for number in numbers)
 
 
 def _same_joints(key: str, given: Any, joint_names: tuple[str, ...]) -> None:

@@ -11,7 +11,7 @@ from hts.config import Config
 from hts.contracts import LogReader, Robot
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
-from hts.recordings.logs import LogMapping, Table, recording_from_tables
+from hts.recordings.logs import LogMapping, Table, recording_from_tables, recordings_from_tables
 from hts.recordings.mapping import parse_mapping
 from hts.recordings.recording import Recording
 from hts.recordings.table import ColumnName, no_column, whole_rows
@@ -40,6 +40,10 @@ class ParquetReader(LogReader):
         """
         return recording_from_tables(files, parse_mapping(mapping), robot, read_table)
 
+    def read_all(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Sequence[Recording]:
+        """The same for every run that the mapping's `runs` or `labels` tell apart."""
+        return recordings_from_tables(files, parse_mapping(mapping), robot, read_table)
+
 
 def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Table:
     """The time column and those wanted. Raises RecordingError naming file, column and row."""
@@ -63,7 +67,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
     picked = {column: _picked(path, column, table.column(name), entry) for column, (name, entry) in found.items()}
     stamps, there = stamps_of(path, time, log.time.unit, picked[time])
     columns = {column: numbers_of(path, column, picked[column]) for column in wanted}
-    return whole_rows(path, time, stamps, there, columns)
+    return whole_rows(path, time, stamps, there, columns, log.runs.column if log.runs else None)
 
 
 def _column(path: Path, name: str, schema: Any) -> tuple[str, int | None]:

@@ -5,7 +5,7 @@ Logs exist whose header says torque over columns that hold motor temperatures. U
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -96,7 +96,8 @@ def implausible(channels: Mapping[str, Series], per_joint: Mapping[str, bool], s
         elif name == "joint_position":
             low, high = np.asarray(spec.position_limit).T
             middle, limits = (low + high) / 2, (high - low) / 2 + POSITION_MARGIN
-            found += _beyond(name, unit, series.values, series.values - middle, limits, spec.joint_names)
+            told = [f"its range ({a:g} to {b:g})" for a, b in spec.position_limit]
+            found += _beyond(name, unit, series.values, series.values - middle, limits, spec.joint_names, told)
             continue
         else:
             continue
@@ -120,9 +121,15 @@ def outside(name: str, series: Series, limits: tuple[float, float]) -> list[str]
 
 
 def _beyond(
-    name: str, unit: str, shown: np.ndarray, centred: np.ndarray, limits: np.ndarray, joint_names: tuple[str, ...]
+    name: str,
+    unit: str,
+    shown: np.ndarray,
+    centred: np.ndarray,
+    limits: np.ndarray,
+    joint_names: tuple[str, ...],
+    told: Sequence[str] = (),
 ) -> list[str]:
-    """shown, centred: (T, J); limits: (J,) largest |centred|."""
+    """shown, centred: (T, J); limits: (J,) largest |centred|; told: what to call the limit of each joint."""
     size = np.abs(centred)
     typical = np.median(size, axis=0) > limits
     peaks = (size > PEAK_FACTOR * limits).mean(axis=0) > PEAK_SHARE
@@ -133,7 +140,7 @@ def _beyond(
     column = shown[:, worst]
     phrase = (
         f"'{name}' of {joint_names[worst]} runs from {column.min():g} to {column.max():g} {unit}, "
-        f"beyond its limit ({limits[worst]:g})"
+        f"beyond {told[worst] if told else f'its limit ({limits[worst]:g})'}"
     )
     if len(bad) > 1:
         phrase += f", and {len(bad) - 1} more joint{'s' if len(bad) > 2 else ''} likewise"

@@ -25,7 +25,18 @@ def reader_name(mapping: Mapping[str, Any]) -> str:
 
 
 def read_log(registry: Installed, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
-    """One recording from the files, by the reader that the mapping names, fit to be stored.
+    """One recording from the files, which hold one run; otherwise as `read_logs`."""
+    recordings = read_logs(registry, files, mapping, robot)
+    if len(recordings) != 1:
+        where = ", ".join(str(file) for file in files)
+        raise RecordingError(f"{where}: {len(recordings)} runs, expected one. Take one by `runs` or `labels`.")
+    return recordings[0]
+
+
+def read_logs(
+    registry: Installed, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot
+) -> Sequence[Recording]:
+    """A recording for each run in the files, by the reader that the mapping names, fit to be stored.
 
     Raises the reader's own HtsError; PluginError where it fails in another way or gives no recording; RecordingError
     for a recording that a store refuses, or whose channels are not those of the robot.
@@ -37,7 +48,7 @@ def read_log(registry: Installed, files: Sequence[Path], mapping: Mapping[str, A
             raise RecordingError(f"{file}: a pipe or a device, expected a file. Write the log to a file first.")
     reader = registry.make_log_reader(name)
     try:
-        recording = reader.read(files, mapping, robot)
+        recordings = list(reader.read_all(files, mapping, robot))
     except HtsError:
         raise
     except ValidationError as error:
@@ -47,14 +58,15 @@ def read_log(registry: Installed, files: Sequence[Path], mapping: Mapping[str, A
         raise PluginError(
             f"{_who(reader, name, where)} failed, {type(error).__name__}: {text} (HTS_DEBUG=1 shows where)."
         ) from error
-    if not isinstance(recording, Recording):
-        found = type(recording).__name__
-        raise PluginError(
-            f"{_who(reader, name, where)} gives a {found}, expected a hts.recordings.recording.Recording."
-        )
-    check(recording, where)
-    _check_robot(recording, robot, where)
-    return recording
+    for recording in recordings:
+        if not isinstance(recording, Recording):
+            found = type(recording).__name__
+            raise PluginError(
+                f"{_who(reader, name, where)} gives a {found}, expected a hts.recordings.recording.Recording."
+            )
+        check(recording, where)
+        _check_robot(recording, robot, where)
+    return recordings
 
 
 def _who(reader: LogReader, name: str, where: str) -> str:

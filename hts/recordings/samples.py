@@ -16,6 +16,8 @@ TOO_FAST = 500.0
 TOO_SLOW = 50.0
 # A step longer than so many sample periods is a gap.
 GAP = 1.5
+# Eleven days at 50 Hz: nobody records that, but a clock that jumps does.
+MOST_SAMPLES = 50_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +106,12 @@ def common_grid(samples: Mapping[str, Samples], rate_hz: float, max_gap_seconds:
                 f"from {one.times[longest]:.3f} s on; gaps up to {max_gap_seconds:g} s are filled. "
                 "Cut the log there, or raise max_gap_seconds if that is harmless."
             )
+    if (end - start) * rate_hz > MOST_SAMPLES:
+        where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
+        raise RecordingError(
+            f"{where}: from first to last stamp {end - start:.3g} s pass, {MOST_SAMPLES / rate_hz:.3g} s are the most; "
+            "probably the clock jumped, or the unit of the stamps is another (time.unit). Cut the log at the jump."
+        )
     count = int(np.floor((end - start) * rate_hz + 1e-6)) + 1 if end > start else 0
     if count < 2:
         where = ", ".join(dict.fromkeys(one.where for one in samples.values()))

@@ -27,14 +27,24 @@ class Table:
     columns: dict[ColumnName, np.ndarray]
     empty_rows: int
 
+    def rows(self, kept: np.ndarray) -> Table:
+        """The same with some of the rows. kept: (rows,) bool."""
+        columns = {name: values[kept] for name, values in self.columns.items()}
+        return Table(self.path, self.stamps[kept], columns, self.empty_rows)
+
 
 def table_of(
-    path: Path, time: ColumnName, unit: str, wanted: Sequence[ColumnName], columns: Mapping[Any, Any]
+    path: Path,
+    time: ColumnName,
+    unit: str,
+    wanted: Sequence[ColumnName],
+    columns: Mapping[Any, Any],
+    run: ColumnName | None = None,
 ) -> Table:
     """The time column and those wanted, out of all columns of a file.
 
     columns: name -> (rows,) numbers, None or NaN where there is none; integers of the time column are kept exact.
-    unit: of the stamps; "iso" for numpy's datetime64, which become whole nanoseconds.
+    unit: of the stamps; "iso" for numpy's datetime64, which become whole nanoseconds; run: as in `whole_rows`.
     Raises RecordingError naming file, column and row (the first row of data is row 1).
     """
     for column in (time, *wanted):
@@ -42,15 +52,21 @@ def table_of(
             raise RecordingError(f"{path}: {no_column(str(column), [str(name) for name in columns])}")
     stamps, there = _stamps(path, time, unit, np.asarray(columns[time]))
     values = {column: _numbers(path, column, columns[column], len(there)) for column in wanted}
-    return whole_rows(path, time, stamps, there, values)
+    return whole_rows(path, time, stamps, there, values, run)
 
 
 def whole_rows(
-    path: Path, time: ColumnName, stamps: np.ndarray, there: np.ndarray, columns: dict[ColumnName, np.ndarray]
+    path: Path,
+    time: ColumnName,
+    stamps: np.ndarray,
+    there: np.ndarray,
+    columns: dict[ColumnName, np.ndarray],
+    run: ColumnName | None = None,
 ) -> Table:
     """A table without the rows in which there is nothing but a time.
 
-    stamps: those that are there, in order; there: (rows,) bool, which rows have one; columns: (rows,) float64.
+    stamps: those that are there, in order; there: (rows,) bool, which rows have one; columns: (rows,) float64;
+    run: the column among them that numbers the runs of the file, each of which has a clock that may begin anew.
     Raises RecordingError for infinite numbers, data without a time, time that does not increase, less than two rows.
     """
     if not there.any():
@@ -75,7 +91,14 @@ def whole_rows(
             f"{path}: {len(rows)} rows with data in the mapped columns. Expected a log; correct the mapping."
         )
     kept = stamps[filled[there]]
-    back = np.flatnonzero(~(kept[1:] > kept[:-1]))
+    back = ~(kept[1:] > kept[:-1])
+    if run is not None:
+        number = columns[run][rows]
+        if np.isnan(number).any():
+            row = rows[int(np.argmax(np.isnan(number)))] + 1
+            raise RecordingError(f"{path}: row {row} has no number in '{run}', the column of runs. Repair the log.")
+        back &= number[1:] == number[:-1]
+    back = np.flatnonzero(back)
     if len(back):
         at = int(back[0])
         raise RecordingError(

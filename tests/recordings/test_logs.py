@@ -209,6 +209,30 @@ def test_a_single_sample_that_no_machine_makes_is_refused(two_joints):
         check_limits({"joint_velocity": Series(velocity, values)}, two_joints.spec, "log")
 
 
+def test_what_no_machine_makes_is_dropped_without_stated_limits_and_counted(tmp_path, two_joints, mapping):
+    """20 N·m is the limit, 400 N·m is twenty times that."""
+    columns = {"t": 20 * np.arange(400), "H_tau": np.sin(np.arange(400) / 9), "K_tau": np.cos(np.arange(400) / 9)}
+    columns["amps"] = 3 + columns["H_tau"]
+    columns["H_tau"][[7, 200]] = [292_000, -5000]
+    del mapping["channels"]["draw"]["idle"]
+    mapping["channels"]["draw"]["real"] = False
+    with pytest.raises(RecordingError, match=r"broken rows are left out by `limits` and `outside: drop`"):
+        recording_from_columns([tmp_path], mapping, two_joints, lambda path: columns)
+    mapping["channels"]["joint_torque"]["outside"] = "drop"
+    recording = recording_from_columns([tmp_path], mapping, two_joints, lambda path: columns)
+    assert recording.notes["rows_outside_limits_dropped"] == "joint_torque 2"
+    assert np.abs(recording.values("joint_torque")).max() <= 1.0
+    mapping["channels"]["joint_torque"] |= {"unit": "N*cm"}
+    columns["H_tau"][7] = 39_000  # 390 N·m: too much for the robot, not absurd
+    mapping["channels"]["draw"]["outside"] = "drop"
+    with pytest.raises(ConfigError, match="channel 'draw': `outside: drop` needs `limits`; the robot's own are"):
+        recording_from_columns([tmp_path], mapping, two_joints, lambda path: columns)
+    columns["H_tau"][20:60] = 1e6
+    mapping["channels"]["draw"]["outside"] = "refuse"
+    with pytest.raises(RecordingError, match=r"lies outside -40000 to 40000 N\*cm in 40 of 400 rows; at most 1% are"):
+        recording_from_columns([tmp_path], mapping, two_joints, lambda path: columns)
+
+
 # ------------------------------------------------------------------------------------------------------ csv dialects
 
 

@@ -1,0 +1,82 @@
+"""`hts data lag` and `hts data enough`: what a store is good for, as lines of text or as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hts.contracts import Objective
+    from hts.recordings.recording import Recording
+
+
+def show_lag(store: Path, objective: str, as_json: bool) -> list[str]:
+    """How late the objective's gauge is."""
+    from hts.recordings.lag import gauge_lag
+
+    made, recordings = _usable(store, objective)
+    found = gauge_lag(recordings, made.target.name, made.inputs)
+    if as_json:
+        return [json.dumps(None if found is None else asdict(found), indent=2)]
+    if found is None:
+        why = (
+            f"'{made.target.name}': no lag can be told, {', '.join(made.inputs)} explain too little of it. Record "
+            "motion that changes."
+        )
+        return [why]
+    return [f"'{made.target.name}' is late by {found}; {len(recordings)} recordings"]
+
+
+def show_enough(store: Path, objective: str, speeds: Sequence[float], as_json: bool) -> tuple[list[str], bool]:
+    """The verdict, and whether nothing is missing."""
+    from hts.errors import RecordingError
+    from hts.measurement.enough import enough
+    from hts.recordings.lag import gauge_lag
+
+    made, recordings = _usable(store, objective)
+    found = enough(made, recordings, speeds)
+    try:
+        late = gauge_lag(recordings, made.target.name, made.inputs)
+    except RecordingError:  # too short to tell
+        late = None
+    if as_json:
+        known = {**found.as_json(), "enough": not found.missing, "lag": None if late is None else asdict(late)}
+        return [json.dumps(known, indent=2)], not found.missing
+    at = ", ".join(f"{speed:g} ({seconds:.0f} s)" for speed, seconds in found.speeds.items()) or "not stated"
+    lines = [
+        f"{len(recordings)} recordings, {found.seconds:.0f} s, {found.policies} policies; speeds {at}",
+        f"inputs move along {found.directions} of {found.inputs} directions",
+        f"lag of '{found.target}': {late or 'cannot be told'}",
+    ]
+    r2 = "–" if found.r2 is None else f"{found.r2:.2f}"
+    lines.append(f"held out {'by policy' if found.by_policy else 'the last part of each recording'}: R² {r2}")
+    for one in found.held_out:
+        error, unit = f"{one.mean_error:+.3g}", found.unit
+        along = "–" if one.r2 is None else f"{one.r2:.2f}"
+        name = one.policy[:12] or "(no policy named)"
+        lines.append(f"  {name}: {one.seconds:.0f} s, mean {one.measured:.4g} {unit}, error {error} {unit}, R² {along}")
+    lines += [f"missing: {line}" for line in found.missing]
+    lines.append("Not enough for a model to trust." if found.missing else "Enough: nothing is missing.")
+    return lines, not found.missing
+
+
+def _usable(store: Path, objective: str) -> tuple[Objective, list[Recording]]:
+    """The objective, and the recordings that have its inputs and target."""
+    from hts.errors import RecordingError
+    from hts.plugins import load
+    from hts.recordings.store import RecordingStore
+
+    made = load().make_objective(objective)
+    opened = RecordingStore(store)
+    wanted = (*made.inputs, made.target.name)
+    usable = [one for one in opened.ids() if all(name in opened.attributes(one)["arrays"] for name in wanted)]
+    if not usable:
+        raise RecordingError(
+            f"{store}: none of its {len(opened.ids())} recordings has all of {', '.join(wanted)}. `hts data show` "
+            "lists "
+            "their channels; import logs that hold these."
+        )
+    return made, [opened.read(one, wanted) for one in usable]

@@ -1,0 +1,226 @@
+"""A mapping to begin with, made from a log's header and first values. What these do not tell is marked CHECK."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hts.contracts import Robot
+from hts.errors import RecordingError
+from hts.recordings.glance import Glance, glance
+
+CHECK = "CHECK"
+TIMES = {"t", "time", "timestamp", "stamp", "timestamps", "log", "sec", "secs", "seconds", "clock"}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+QUANTITIES: dict[str, tuple[str, set[str]]] = {
+    "joint_target": ("rad", {"target", "targets", "cmd", "command", "des", "desired", "goal", "action"}),
+    "joint_velocity": ("rad/s", {"dq", "qd", "vel", "velocity", "velocities", "speed", "omega"}),
+    "joint_torque": ("N*m", {"tau", "torque", "torques", "effort", "moment", "trq"}),
+    "joint_position": ("rad", {"q", "pos", "position", "positions", "angle", "angles"}),
+}
+"""Channel -> its usual unit, and the words that name it; the first that fits is taken."""
+DEGREES = {"deg", "degrees", "degree", "dps"}
+GAUGES: dict[str, set[str]] = {
+    "A": {"a", "amp", "amps", "ampere", "amperes", "current"},
+    "V": {"v", "volt", "volts", "voltage"},
+    "W": {"w", "watt", "watts"},
+}
+MILLI = {"ma": "mA", "mv": "mV", "mw": "mW"}
+NOT_MEANS = {"std", "max", "min", "var", "target", "desired", "raw"}
+
+
+def suggested_mapping(path: Path, robot: Robot) -> str:
+    """YAML of a mapping for logs like this one. It is not importable before what is marked was answered: idle levels,
+    and a time column or joint channels where none was recognised. Raises RecordingError for a file that cannot be read.
+    """
+    seen = glance(path)
+    columns = _flat(seen.columns)
+    if not any(np.isfinite(values).any() for values in columns.values()):
+        raise RecordingError(f"{path}: no column of numbers in it. Write its mapping by hand.")
+    time, unit, rate = _time(seen, columns)
+    lines = [
+        f"# Suggested for {path.name} and robot {robot.spec.name}. Look at every line; answer each {CHECK}.",
+        *([f"reader: {seen.reader}"] if seen.reader != "csv" else []),
+        *(f"{key}: {json.dumps(value)}" for key, value in seen.keys.items() if key != "rate_hz"),
+    ]
+    note = "" if time is not None else f"  # {CHECK}: no column of increasing times was recognised"
+    name = f"{CHECK}" if time is None else _text(time, seen)
+    lines += [] if seen.reader == "lerobot" else [f"time: {{column: {name}, unit: {unit or CHECK}}}{note}"]
+    lines += _rate(seen, rate, robot)
+    joints, templates = _joints(list(columns), robot.spec.joint_names, seen)
+    lines += joints
+    channels, used = _joint_channels(templates, columns, robot)
+    more, scalars = _gauges(columns, {*used, *([time] if time else [])}, robot, seen)
+    lines += ["channels:", *channels, *more]
+    if not channels:
+        lines.append(f"  # {CHECK}: no joint channel was recognised. joint_torque: {{columns: ..., unit: N*m}}")
+    left = [one for one in columns if one not in {*used, *scalars, time}]
+    if left:
+        lines.append("# not used: " + ", ".join(left[:60]) + (f", … {len(left) - 60} more" if len(left) > 60 else ""))
+    lines.append(f"# recording: {{mass_kg: {CHECK}, schedule: {{commands: [{{seconds: {CHECK}, vx: {CHECK}}}]}}}}")
+    return "\n".join(lines) + "\n"
+
+
+def _flat(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Every single column; entries of lists by number."""
+    flat: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        if values.ndim == 1:
+            flat[name] = values
+        else:
+            flat |= {f"{name}[{at}]": values[:, at] for at in range(values.shape[1])}
+    return flat
+
+
+def _words(name: str) -> set[str]:
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
+    return {word.lower() for word in re.findall(r"[A-Za-z]+", parted)}
+
+
+def _text(name: str, seen: Glance) -> str:
+    """A column as YAML: a number where the file has no names."""
+    return name if seen.keys.get("header") is False else json.dumps(name)
+
+
+def _time(seen: Glance, columns: Mapping[str, np.ndarray]) -> tuple[str | None, str | None, float]:
+    """The column of stamps, its unit and the rate, Hz; None where nothing tells."""
+    dated = [name for name in seen.dates if _words(name) & TIMES] or list(seen.dates)
+    rising = [name for name, values in columns.items() if _rises(values)]
+    named = [name for name in rising if _words(name) & TIMES]
+    anonymous = rising if seen.keys.get("header") is False else []
+    for name in (*named, *anonymous[:1]):
+        there = columns[name][np.isfinite(columns[name])]
+        step = float(there[-1] - there[0]) / (len(there) - 1)
+        stated = [unit for unit in TIME_UNITS if unit in _words(name)]
+        unit = stated[0] if stated else _unit_of(step, float(np.nanmax(np.abs(columns[name]))))
+        return name, unit, 1.0 / (step * TIME_UNITS[unit])
+    return (dated[0], "iso", float("nan")) if dated else (None, None, float("nan"))
+
+
+def _rises(values: np.ndarray) -> bool:
+    there = values[np.isfinite(values)]
+    return len(there) > 2 and bool(np.all(np.diff(there) > 0))
+
+
+def _unit_of(step: float, largest: float) -> str:
+    """The unit in which a step lasts between 0.1 ms and 0.5 s; of two, the one in which stamps count from 1970."""
+    likely = [unit for unit, factor in TIME_UNITS.items() if 1e-4 <= step * factor < 0.5]
+    dated = [unit for unit in likely if 1e9 < largest * TIME_UNITS[unit] < 4e9]
+    return (dated or likely or ["s"])[0]
+
+
+def _rate(seen: Glance, rate: float, robot: Robot) -> list[str]:
+    logged = float(seen.keys.get("rate_hz", rate))
+    if not np.isfinite(logged):
+        return [f"rate_hz: {CHECK}  # of the recording, at most that of the log"]
+    own = robot.spec.control_rate_hz
+    wanted = own if logged > 0.95 * own else float(f"{logged:.3g}")
+    return [f"rate_hz: {wanted:g}  # the log has about {logged:.4g} Hz"]
+
+
+def _joints(names: Sequence[str], joints: Sequence[str], seen: Glance) -> tuple[list[str], dict[str, dict[str, str]]]:
+    """Lines of YAML, and template with {joint} -> joint -> column."""
+    for alias in (lambda one: one, _short, lambda one: _short(one).lower(), lambda one: one.lower()):
+        aliases = {joint: alias(joint) for joint in joints}
+        templates = _templates(names, aliases)
+        if templates:
+            listed = ", ".join(f"{joint}: {json.dumps(one)}" for joint, one in aliases.items())
+            return [f"joints: {{{listed}}}"], templates
+    count = len(joints)
+    if seen.keys.get("header") is False:
+        return [f"# {CHECK}: joint_order: [...], the robot's joints in the order of the log"], {}
+    aliases = {joint: str(at) for at, joint in enumerate(joints)}
+    templates = {
+        template: columns
+        for template, columns in _templates(names, aliases, numbers=True).items()
+        if template.replace("{joint}", str(count)) not in names or "[" in template
+    }
+    if not templates:
+        return [], {}
+    listed = ", ".join(f"{joint}: {json.dumps(one)}" for joint, one in aliases.items())
+    return [f"joints: {{{listed}}}  # {CHECK}: numbered in the log, the robot's order is assumed"], templates
+
+
+def _short(joint: str) -> str:
+    return re.sub(r"_?joint$", "", joint)
+
+
+def _templates(names: Sequence[str], aliases: Mapping[str, str], numbers: bool = False) -> dict[str, dict[str, str]]:
+    """Names in which each joint's alias stands in turn, with {joint} in its place."""
+    first = next(iter(aliases.values()))
+    edge = r"(?<!\d){}(?!\d)" if numbers else r"(?<![A-Za-z0-9]){}(?![A-Za-z0-9])"
+    found = {}
+    for name in names:
+        for match in re.finditer(edge.format(re.escape(first)), name):
+            template = f"{name[: match.start()]}{{joint}}{name[match.end() :]}"
+            columns = {joint: template.replace("{joint}", one) for joint, one in aliases.items()}
+            if len(set(columns.values())) == len(aliases) and all(one in names for one in columns.values()):
+                found[template] = columns
+    return found
+
+
+def _joint_channels(
+    templates: Mapping[str, Mapping[str, str]], columns: Mapping[str, np.ndarray], robot: Robot
+) -> tuple[list[str], set[str]]:
+    lines: list[str] = []
+    used: set[str] = set()
+    taken: set[str] = set()
+    wanted_first = sorted(templates, key=lambda one: (bool(_words(one) & QUANTITIES["joint_target"][1]), len(one)))
+    for template in wanted_first:
+        by_joint, words = templates[template], _words(template.replace("{joint}", " "))
+        for channel, (unit, known) in QUANTITIES.items():
+            if not words & known or channel in taken:
+                continue
+            if channel == "joint_target" and words & (QUANTITIES["joint_velocity"][1] | QUANTITIES["joint_torque"][1]):
+                continue
+            wanted = robot.channels().get(channel)
+            values = np.stack([columns[one] for one in by_joint.values()], axis=1)
+            unit, why = _joint_unit(channel, unit, words, values, robot)
+            about = "" if wanted is not None else ", real: false"
+            lines.append(f"  {channel}: {{columns: {json.dumps(template)}, unit: {unit}{about}}}{why}")
+            taken.add(channel)
+            used |= set(by_joint.values())
+            break
+    return lines, used
+
+
+def _joint_unit(channel: str, unit: str, words: set[str], values: np.ndarray, robot: Robot) -> tuple[str, str]:
+    """The unit, and a remark where values or words contradict the usual one."""
+    limits = {"rad/s": robot.spec.velocity_limit, "N*m": robot.spec.torque_limit}.get(unit)
+    reach = np.asarray(limits) if limits else np.abs(np.asarray(robot.spec.position_limit)).max(axis=1) + 0.35
+    typical = np.nanmedian(np.abs(values), axis=0) if np.isfinite(values).any() else np.zeros(len(reach))
+    degrees = bool(words & DEGREES)
+    if degrees and unit.startswith("rad"):
+        return unit.replace("rad", "deg"), ""
+    if np.any(typical > reach):
+        return unit, f"  # {CHECK}: typical values lie beyond the robot's limits; other unit, or not what it is called"
+    return unit, ""
+
+
+def _gauges(
+    columns: Mapping[str, np.ndarray], used: set[str], robot: Robot, seen: Glance
+) -> tuple[list[str], set[str]]:
+    """Single columns that by their name are a current, a voltage or the like: real channels, whose idle level only the
+    person at the robot knows."""
+    lines: list[str] = []
+    taken: set[str] = set()
+    for name, values in columns.items():
+        words = _words(name)
+        if name in used or words & NOT_MEANS or re.search(r"\d\]?$", name) or not np.isfinite(values).any():
+            continue
+        unit = next((one for short, one in MILLI.items() if short in words), None)
+        unit = unit or next((one for one, known in GAUGES.items() if words & known), None)
+        if unit is None:
+            continue
+        channel = re.sub(r"\W+", "_", name).strip("_").lower()
+        channel = channel if channel.isidentifier() and channel != "time" else f"gauge_{len(taken)}"
+        sign = ", sign: -1" if np.nanmedian(values) < 0 and unit.endswith(("A", "W")) else ""
+        why = "sign: its values are negative; " if sign else ""
+        text = f"  {channel}: {{columns: {_text(name, seen)}, unit: {unit}{sign}, idle: {CHECK}}}"
+        lines.append(f"{text}  # {CHECK}: {why}idle level, unit, and the channel's name, which an objective asks for")
+        taken.add(name)
+    return lines, taken

@@ -1,0 +1,44 @@
+"""A small disk that a test may fill."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+
+def can_mount() -> bool:
+    done = subprocess.run(
+        ["unshare", "--mount", "--map-root-user", "sh", "-c", "mount -t tmpfs tmpfs /mnt"],
+        capture_output=True,
+        check=False,
+    )
+    return done.returncode == 0
+
+
+@pytest.fixture
+def on_a_disk(tmp_path: Path) -> Callable[[str, str], subprocess.CompletedProcess[str]]:
+    """on_a_disk(size, script): run a script that has $DISK, a small disk, and `hts`. Skips where not allowed."""
+    if shutil.which("unshare") is None or not can_mount():
+        pytest.skip("this system does not let a test mount a small disk")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+
+    def run(size: str, script: str) -> subprocess.CompletedProcess[str]:
+        begin = f'set -u\nmount -t tmpfs -o size={size} tmpfs "$DISK"\n'
+        begin += f'hts() {{ "{sys.executable}" -m hts.cli.main "$@"; }}\n'
+        return subprocess.run(
+            ["unshare", "--mount", "--map-root-user", "bash", "-c", begin + script],
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+            env={**os.environ, "DISK": str(disk), "OUT": str(tmp_path)},
+        )
+
+    return run

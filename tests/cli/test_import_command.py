@@ -1,0 +1,172 @@
+"""`hts import` and `hts data`: suggest, dry run and picture, runs of one file, recordings that go together, and use."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from hts.channels import Channel
+from hts.cli.main import main
+from hts.contracts import LogOnlyRobot, RobotSpec
+from hts.recordings import RecordingStore
+
+STEPS = np.arange(600)
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch, capsys):
+    """lab(*arguments) -> exit code, lines on stdout, lines on stderr; a two-joint machine and its csv are there."""
+    limits = {"torque_limit": (20.0, 20.0), "velocity_limit": (30.0, 30.0), "position_limit": ((-3.0, 3.0),) * 2}
+    channels = [Channel("effort", "N*m", (2,)), Channel("rate", "rad/s", (2,))]
+
+    class Registry:
+        robot = LogOnlyRobot(RobotSpec.log_only("hinge", ("hip", "knee"), **limits, rate_hz=50), channels)
+
+        def make_robot(self, name):
+            return self.robot
+
+        def make_log_reader(self, name, settings=None):
+            from hts import builtin
+
+            return getattr(builtin, f"make_{name}")({})
+
+        def make_objective(self, name, settings=None):
+            from hts.testing.known_signals import KnownHeat
+
+            return KnownHeat()
+
+    monkeypatch.setattr("hts.plugins.load", Registry)
+    monkeypatch.chdir(tmp_path)
+    random = np.random.default_rng(0)
+    torque = random.normal(size=(600, 2))
+    rows = [
+        f"{20 * s},{a:.4f},{b:.4f},{3 + a * a + b * b:.4f},{s // 200}" for s, (a, b) in zip(STEPS, torque, strict=True)
+    ]
+    (tmp_path / "log.csv").write_text("t,tau_hip,tau_knee,watts,run\n" + "\n".join(rows) + "\n")
+    mapping = {
+        "time": {"column": "t", "unit": "ms"},
+        "rate_hz": 50,
+        "joints": {"hip": "hip", "knee": "knee"},
+        "channels": {
+            "effort": {"columns": "tau_{joint}", "unit": "N*m", "per_joint": True},
+            "rate": {"columns": "tau_{joint}", "unit": "rad/s", "per_joint": True},
+            "heat": {"columns": "watts", "unit": "W", "idle": 1.9},
+        },
+    }
+
+    def run(*arguments, **changes):
+        (tmp_path / "m.yaml").write_text(yaml.safe_dump({**mapping, **changes}))
+        capsys.readouterr()
+        code = main([str(one) for one in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out.splitlines(), captured.err.splitlines()
+
+    return run
+
+
+IMPORT = ["import", "log.csv", "--robot", "hinge"]
+STORE = [*IMPORT, "--mapping", "m.yaml", "--to", "s.zarr"]
+
+
+def test_a_suggestion_is_printed_and_stores_nothing(lab, tmp_path):
+    code, out, _ = lab(*IMPORT, "--suggest")
+    assert code == 0 and out[0].startswith("# Suggested for log.csv and robot hinge.")
+    given = yaml.safe_load("\n".join(out))
+    assert given["channels"]["joint_torque"]["columns"] == "tau_{joint}"
+    assert given["channels"]["watts"]["unit"] == "W"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv", "m.yaml"]
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_a_dry_run_draws_what_would_be_stored_and_stores_nothing(lab, tmp_path, ending):
+    code, out, err = lab(*STORE, "--dry-run", "--figure", f"p.{ending}")
+    assert (code, err) == (0, [])
+    assert out[0].startswith("not stored  log.csv: 12.00 s at 50 Hz, effort, heat, rate") and out[1] == f"p.{ending}"
+    assert not (tmp_path / "s.zarr").exists()
+    whole = (tmp_path / f"p.{ending}").read_bytes()
+    assert len(whole) > 5000 and {"png": b"\x89PNG", "svg": b"<svg", "pdf": b"%PDF"}[ending] in whole[:2000]
+
+
+def test_the_picture_shows_the_values(lab, tmp_path):
+    """Another log, another picture: the line of the gauge moves."""
+    lab(*STORE, "--dry-run", "--figure", "a.png")
+    lab(*STORE, "--dry-run", "--figure", "b.png")
+    (tmp_path / "log.csv").write_text((tmp_path / "log.csv").read_text().replace(",3.", ",4."))
+    lab(*STORE, "--dry-run", "--figure", "c.png")
+    a, b, c = ((tmp_path / f"{name}.png").read_bytes() for name in "abc")
+    assert a == b != c
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (IMPORT, "--mapping M.yaml is needed; `hts import FILE --robot R --suggest > M.yaml` begins one"),
+        ([*IMPORT, "--mapping", "m.yaml"], "--to STORE is needed, or --dry-run"),
+        ([*STORE, "--figure", "p.doc"], "expected a name that ends in .png, .svg, .pdf"),
+        (["import", "none.csv", "--robot", "hinge", "--suggest"], "none.csv: cannot be read"),
+    ],
+)
+def test_what_is_missing_is_one_line(lab, arguments, expected):
+    code, _, err = lab(*arguments)
+    assert code == 2 and len(err) == 1 and expected in err[0]
+
+
+def test_runs_of_one_file_become_recordings(lab):
+    code, out, _ = lab(*STORE, runs={"column": "run"})
+    assert code == 0 and [line.split("run_run ")[1][0] for line in out] == ["0", "1", "2"]
+    assert len(RecordingStore("s.zarr").ids()) == 3
+
+
+def test_recordings_that_do_not_go_together_are_refused_and_nothing_is_stored(lab):
+    assert lab(*STORE)[0] == 0
+    (before,) = RecordingStore("s.zarr").ids()
+    for changes, expected in (
+        ({"rate_hz": 25}, "log.csv: it has 25 Hz, but s.zarr: its recording"),
+        (
+            {"channels": {"heat": {"columns": "watts", "unit": "V", "idle": 1.9}}},
+            "its 'heat' is in V, but s.zarr: its recording",
+        ),
+    ):
+        code, _, err = lab(*STORE, **changes)
+        assert code == 2 and len(err) == 1 and expected in err[0], err
+        assert RecordingStore("s.zarr").ids() == (before,)
+
+
+def test_a_lag_is_shown(lab):
+    assert lab(*STORE)[0] == 0
+    code, out, _ = lab("data", "lag", "s.zarr", "--objective", "cool")
+    assert code == 0 and out[0].startswith("'heat' is late by 0 s (0 to 0 s fit as well), R² 1.00")
+    found = json.loads("\n".join(lab("data", "lag", "s.zarr", "--objective", "cool", "--json")[1]))
+    assert found["seconds"] == 0.0 and found["r2"] > 0.99
+
+
+def test_a_verdict_says_what_is_missing_and_exits_with_1(lab):
+    assert lab(*STORE)[0] == 0
+    code, out, _ = lab("data", "enough", "s.zarr", "--objective", "cool", "--speed", "0.5")
+    assert code == 1 and out[-1] == "Not enough for a model to trust."
+    assert "missing: record 108 s more: there are 12 s, expected 120" in out
+    assert any("no policy is named" in line for line in out)
+    found = json.loads("\n".join(lab("data", "enough", "s.zarr", "--objective", "cool", "--json")[1]))
+    assert found["enough"] is False and found["seconds"] == 12.0
+
+
+def test_a_store_is_exported_and_imported_again(lab, tmp_path):
+    assert lab(*STORE, runs={"column": "run"})[0] == 0
+    code, out, _ = lab("data", "export", "s.zarr", "--to", "set", "--state", "effort", "--action", "rate")
+    assert code == 0 and out == ["set: 3 episodes"]
+    back = {
+        "effort": {"columns": "observation.effort[{joint}]", "unit": "N*m", "per_joint": True},
+        "heat": {"columns": "observation.heat", "unit": "W", "idle": 1.9},
+    }
+    (tmp_path / "m.yaml").write_text("")
+    arguments = ["import", "set", "--robot", "hinge", "--mapping", "m.yaml", "--to", "t.zarr"]
+    code, out, err = lab(*arguments, reader="lerobot", channels=back, time={"column": "timestamp", "unit": "s"})
+    assert code == 0 and len(out) == 3, err
+    first, again = RecordingStore("s.zarr"), RecordingStore("t.zarr")
+    sums = [sorted(float(s.read(one).values("heat").sum()) for one in s.ids()) for s in (first, again)]
+    np.testing.assert_allclose(*sums, rtol=1e-6)
+    code, _, err = lab("data", "export", "s.zarr", "--to", "set")
+    assert code == 2 and "set: exists already" in err[0]

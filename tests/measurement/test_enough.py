@@ -1,0 +1,101 @@
+"""Whether recordings are enough, on data whose answer is known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from hts.errors import RecordingError
+from hts.measurement.enough import enough
+from hts.recordings import Series
+from hts.testing.known_signals import KnownHeat, known_heat
+
+
+@pytest.fixture(scope="module")
+def plenty():
+    """Three policies, two speeds, 40 s each: 240 s."""
+    return [
+        known_heat(seed, policy, seconds=40.0, speed=speed, gait=gait)
+        for seed, (policy, gait, speed) in enumerate(
+            (policy, gait, speed) for policy, gait in (("a", 0.8), ("b", 1.0), ("c", 1.3)) for speed in (0.5, 0.8)
+        )
+    ]
+
+
+def test_three_policies_at_two_speeds_are_enough(plenty):
+    found = enough(KnownHeat(), plenty, speeds=[0.5, 0.8])
+    assert found.missing == ()
+    assert (found.policies, found.seconds, found.speeds) == (3, 240.0, {0.5: 120.0, 0.8: 120.0})
+    assert found.by_policy and {one.policy for one in found.held_out} == {"a", "b", "c"}
+    assert found.r2 > 0.9 and all(abs(one.mean_error) < 1.0 for one in found.held_out)
+    json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_a_speed_at_which_nobody_walked_is_missing(plenty):
+    (missing,) = enough(KnownHeat(), plenty, speeds=[0.5, 1.1]).missing
+    assert missing == "record 20 s more at 1.1: there are 0 s, expected 20"
+
+
+def test_one_short_recording_lacks_everything():
+    found = enough(KnownHeat(), [known_heat(0, seconds=20.0)])
+    assert not found.by_policy
+    assert found.missing[0] == "record 100 s more: there are 20 s, expected 120"
+    assert "record other policies, 3 at least: there are 1" in found.missing[1]
+
+
+def test_a_policy_that_nobody_named_is_no_policy():
+    found = enough(KnownHeat(), [known_heat(0, "", seconds=130.0)])
+    assert any("no policy is named (policy_hash in the mapping)" in line for line in found.missing)
+
+
+def test_joints_that_all_follow_one_phase_ask_for_exploration(plenty):
+    """Each input is a multiple of one sine: one direction of six."""
+    steady = []
+    for one in plenty:
+        wave = np.sin(2 * np.pi * 2.2 * one.time)[:, None] * np.array([1.0, -2.0, 0.5])
+        channels = {name: Series(one.channels[name].channel, wave) for name in ("effort", "rate")}
+        steady.append(one.replace(channels={**one.channels, **channels}))
+    found = enough(KnownHeat(), steady)
+    assert (found.directions, found.inputs) == (1, 6)
+    assert any(line.startswith("record with exploration noise") for line in found.missing)
+
+
+def test_a_gauge_that_shows_something_else_is_not_trusted(plenty):
+    random = np.random.default_rng(0)
+    noise = [
+        one.replace(
+            channels={
+                **one.channels,
+                "heat": Series(one.channels["heat"].channel, random.normal(5, 1, one.num_samples)),
+            }
+        )
+        for one in plenty
+    ]
+    found = enough(KnownHeat(), noise)
+    assert found.r2 < 0.2
+    assert any("of the variance of policies it had not seen, expected 0.6" in line for line in found.missing)
+
+
+def test_a_policy_whose_level_is_missed_is_named(plenty):
+    """Policy c is worn: it heats more than its motion tells."""
+    worn = []
+    for one in plenty:
+        if one.policy_hash == "c":
+            heat = Series(one.channels["heat"].channel, one.values("heat") + 30.0)
+            one = one.replace(channels={**one.channels, "heat": heat})
+        worn.append(one)
+    found = enough(KnownHeat(), worn)
+    assert any("the level of policy c is missed by -" in line for line in found.missing), found.missing
+
+
+def test_schedules_that_nobody_stated_are_asked_for(plenty):
+    unknown = [one.replace(notes={"schedule": "not stated in the mapping"}) for one in plenty]
+    assert any("state the commanded speeds" in line for line in enough(KnownHeat(), unknown).missing)
+
+
+def test_recordings_that_lack_an_input_are_refused(plenty):
+    channels = {name: series for name, series in plenty[0].channels.items() if name != "rate"}
+    with pytest.raises(RecordingError, match="No channel named 'rate'"):
+        enough(KnownHeat(), [plenty[0].replace(channels=channels)])

@@ -1,0 +1,162 @@
+"""A mapping that is suggested from a log, for every format, with what it cannot tell marked."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hts.errors import ConfigError, RecordingError
+from hts.recordings.csv_reader import make as make_csv
+from hts.recordings.mapping import load_mapping
+from hts.recordings.suggest import suggested_mapping
+
+STEPS = np.arange(60)
+COLUMNS = {
+    "timestamp_ms": 1_763_000_000_000 + 20 * STEPS,
+    "tau_hip": STEPS / 10,
+    "tau_knee": -STEPS / 10,
+    "dq_hip": STEPS / 20,
+    "dq_knee": -STEPS / 20,
+    "supply_a_mean": -2 - STEPS / 100,
+    "note_std": STEPS / 7,
+}
+
+
+def csv_of(columns, delimiter=",", decimal="."):
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    lines = [delimiter.join(columns), *(delimiter.join(map(str, row)).replace(".", decimal) for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def answered(text):
+    """The mapping as a person leaves it: the idle level filled in."""
+    given = yaml.safe_load(text)
+    for channel in given["channels"].values():
+        if "idle" in channel:
+            channel["idle"] = 1.9
+    return given
+
+
+def test_names_in_a_header_become_a_mapping_that_imports_once_idle_is_answered(tmp_path, two_joints):
+    log = tmp_path / "log.csv"
+    log.write_text(csv_of(COLUMNS))
+    text = suggested_mapping(log, two_joints)
+    given = yaml.safe_load(text)
+    assert given["time"] == {"column": "timestamp_ms", "unit": "ms"} and given["rate_hz"] == 50
+    assert given["channels"]["joint_torque"]["columns"] == "tau_{joint}"
+    assert given["channels"]["supply_a_mean"] == {"columns": "supply_a_mean", "unit": "A", "sign": -1, "idle": "CHECK"}
+    assert "# not used: note_std" in text
+    with pytest.raises(ConfigError, match=r"channels.supply_a_mean.idle: .*CHECK"):
+        make_csv({}).read([log], given, two_joints)
+    recording = make_csv({}).read([log], answered(text), two_joints)
+    np.testing.assert_allclose(recording.values("supply_a_mean"), 2 + STEPS / 100, rtol=1e-6)
+    np.testing.assert_allclose(recording.values("joint_velocity")[:, 1], -STEPS / 20, rtol=1e-6)
+
+
+def test_a_spreadsheets_dialect_is_noticed(tmp_path, two_joints):
+    names, *rows = csv_of(COLUMNS, ";", ",").splitlines()
+    (tmp_path / "log.csv").write_text("\n".join(["My robot", names, "ms;N*m;N*m;rad/s;rad/s;A;-", *rows]) + "\n")
+    given = answered(suggested_mapping(tmp_path / "log.csv", two_joints))
+    assert [given[key] for key in ("preamble", "units_row", "delimiter", "decimal")] == [1, True, ";", ","]
+    assert make_csv({}).read([tmp_path / "log.csv"], given, two_joints).num_samples == 60
+
+
+@pytest.mark.parametrize(
+    ("stamps", "unit"),
+    [
+        (0.02 * STEPS, "s"),
+        (20 * STEPS, "ms"),
+        (20_000 * STEPS, "us"),
+        (20_000_000 * STEPS, "ns"),
+        (1.7e9 + 0.02 * STEPS, "s"),
+        (1_700_000_000_000 + 20 * STEPS, "ms"),
+        (1_700_000_000_000_000_000 + 20_000_000 * STEPS, "ns"),
+    ],
+)
+def test_the_unit_of_stamps_is_told_by_their_size(tmp_path, two_joints, stamps, unit):
+    (tmp_path / "log.csv").write_text(csv_of({"t": stamps, "tau_hip": STEPS / 10, "tau_knee": STEPS / 10}))
+    assert yaml.safe_load(suggested_mapping(tmp_path / "log.csv", two_joints))["time"] == {"column": "t", "unit": unit}
+
+
+def test_what_cannot_be_told_is_marked(tmp_path, two_joints):
+    """No header line; numbered joints; torques beyond the robot's limits; no time."""
+    (tmp_path / "log.csv").write_text(csv_of(COLUMNS).split("\n", 1)[1])
+    text = suggested_mapping(tmp_path / "log.csv", two_joints)
+    assert "header: false" in text and "CHECK: joint_order" in text and "CHECK: no joint channel was recognised" in text
+    assert yaml.safe_load(text)["time"] == {"column": 0, "unit": "ms"}
+    numbered = {"stamp": 0.02 * STEPS, "tau_0": 300.0 + STEPS, "tau_1": 300.0 + STEPS}
+    (tmp_path / "log.csv").write_text(csv_of(numbered))
+    text = suggested_mapping(tmp_path / "log.csv", two_joints)
+    assert 'joints: {hip: "0", knee: "1"}  # CHECK: numbered in the log, the robot\'s order is assumed' in text
+    assert "CHECK: typical values lie beyond the robot's limits" in text
+    (tmp_path / "log.csv").write_text("tau_hip,tau_knee\n" + "".join(f"{i % 5},1\n" for i in range(20)))
+    text = suggested_mapping(tmp_path / "log.csv", two_joints)
+    assert "time: {column: CHECK, unit: CHECK}  # CHECK: no column of increasing times" in text
+
+
+def test_targets_do_not_stand_in_for_what_was_measured(tmp_path, two_joints):
+    names = ("target_q", "actual_q", "target_qd", "actual_qd", "target_moment")
+    columns = {"t": 20 * STEPS, **{f"{name}_{joint}": STEPS / 100 for name in names for joint in ("hip", "knee")}}
+    (tmp_path / "log.csv").write_text(csv_of(columns))
+    channels = yaml.safe_load(suggested_mapping(tmp_path / "log.csv", two_joints))["channels"]
+    found = {name: one["columns"] for name, one in channels.items()}
+    assert found == {
+        "joint_position": "actual_q_{joint}",
+        "joint_velocity": "actual_qd_{joint}",
+        "joint_torque": "target_moment_{joint}",
+        "joint_target": "target_q_{joint}",
+    }
+
+
+def test_arrays_of_an_npz_and_lists_of_a_parquet_are_understood(tmp_path, two_joints):
+    tau = np.stack([STEPS / 10, -STEPS / 10], axis=1)
+    np.savez(tmp_path / "log.npz", time=0.02 * STEPS, tau=tau, current=3 + STEPS / 100)
+    given = answered(suggested_mapping(tmp_path / "log.npz", two_joints))
+    assert (given["reader"], given["channels"]["joint_torque"]["columns"]) == ("npz", "tau[{joint}]")
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    table = pa.table({"time": 0.02 * STEPS, "tau": tau.tolist(), "current": 3 + STEPS / 100})
+    parquet.write_table(table, tmp_path / "log.parquet")
+    given = answered(suggested_mapping(tmp_path / "log.parquet", two_joints))
+    assert (given["reader"], given["channels"]["joint_torque"]["columns"]) == ("parquet", "tau[{joint}]")
+    from hts.recordings.parquet_reader import make
+
+    assert make({}).read([tmp_path / "log.parquet"], given, two_joints).num_samples == 60
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mcap_ros2") is None, reason="the extra hard-to-sim[ros] is not installed")
+def test_the_fullest_topic_of_a_bag_is_taken(tmp_path, two_joints):
+    spec = importlib.util.spec_from_file_location("made_up_bags", Path(__file__).with_name("bags.py"))
+    bags = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(bags)
+    given = yaml.safe_load(suggested_mapping(bags.mcap(tmp_path / "a.mcap"), two_joints))
+    assert (given["reader"], given["topic"]) == ("ros", "/joint_states")
+    assert given["time"] == {"column": "log_time", "unit": "ns"}
+    assert given["channels"]["joint_torque"]["columns"] == "effort[{joint}]"
+
+
+@pytest.mark.parametrize("content", [b"", bytes(range(256)) * 20, b"hello\n", b"PK\x03\x04xx", b"PAR1 and no more"])
+def test_a_file_without_columns_is_one_line(tmp_path, two_joints, content):
+    (tmp_path / "log").write_bytes(content)
+    with pytest.raises(RecordingError, match="log: ") as refused:
+        suggested_mapping(tmp_path / "log", two_joints)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_suggestion_is_yaml_that_the_mapping_loader_takes(tmp_path, two_joints):
+    """Names that are no plain YAML are quoted."""
+    columns = {"time": 20 * STEPS, "tau hip": STEPS, "tau knee": STEPS, 'volts: "main"': STEPS, "#amps": STEPS}
+    (tmp_path / "log.csv").write_text(
+        "\n".join(
+            ['time,tau hip,tau knee,"volts: ""main""",#amps']
+            + [",".join(map(str, row)) for row in zip(*columns.values(), strict=True)]
+        )
+    )
+    (tmp_path / "m.yaml").write_text(suggested_mapping(tmp_path / "log.csv", two_joints))
+    given = load_mapping(tmp_path / "m.yaml")
+    assert {one["columns"] for one in given["channels"].values()} == {"tau {joint}", 'volts: "main"', "#amps"}
