@@ -222,7 +222,9 @@ def _write_policies(folder: Path, orders: Sequence[Order], facts: Facts) -> tupl
                 seed = seed_of(order.session, order.name, card.policy_hash)
                 content = with_noise(content, card.exploration_std, seed)
             target.write_bytes(content)
-            _write_json(target.with_suffix(".json"), {**vars(card), **({"exploration": "in the graph"} if explores else {})})
+            _write_json(
+                target.with_suffix(".json"), {**vars(card), **({"exploration": "in the graph"} if explores else {})}
+            )
             inside = [None if path is None else path.relative_to(folder).as_posix() for path in (target, mean)]
             entries.append(policy_entry(card, str(inside[0]), inside[1], seed, order.policy, facts))
         shown.append(replace(order, policy=named[key]))

@@ -99,7 +99,9 @@ def _checksums(folder: Path) -> dict[str, str]:
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise RuntimeFault(f"{path}: cannot be read ({error}). Name the folder of a deploy bundle, copied whole.") from error
+        raise RuntimeFault(
+            f"{path}: cannot be read ({error}). Name the folder of a deploy bundle, copied whole."
+        ) from error
     sums = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
     for name in sums:
         _read(folder, name, sums)
@@ -134,14 +136,18 @@ def _manifest(path: Path, sums: Mapping[str, str]) -> Mapping[str, Any]:
         raise RuntimeFault(f"{path}: no JSON ({error}). Make the bundle again.") from error
     schema = (found.get("schema"), found.get("schema_version")) if isinstance(found, dict) else (None, None)
     if schema != (SCHEMA, VERSION):
-        raise RuntimeFault(f"{path}: schema {schema}, this runtime reads {(SCHEMA, VERSION)}. Update the older of the two.")
+        raise RuntimeFault(
+            f"{path}: schema {schema}, this runtime reads {(SCHEMA, VERSION)}. Update the older of the two."
+        )
     return found
 
 
 def _check_robot(robot: Mapping[str, Any], where: str) -> None:
     """The manifest's robot is this one, and its limits allow no more than ours."""
     if list(robot["joint_names"]) != list(machine.JOINTS):
-        raise RuntimeFault(f"{where}: joints {robot['joint_names']}, this robot's are {list(machine.JOINTS)}, in that order.")
+        raise RuntimeFault(
+            f"{where}: joints {robot['joint_names']}, this robot's are {list(machine.JOINTS)}, in that order."
+        )
     low, high = np.array(robot["position_limit"], float).T
     for what, wider in (
         ("position_limit", (low < machine.POSITION_LOW - 1e-9) | (high > machine.POSITION_HIGH + 1e-9)),
@@ -150,7 +156,9 @@ def _check_robot(robot: Mapping[str, Any], where: str) -> None:
     ):
         if wider.any():
             joint = machine.JOINTS[int(np.flatnonzero(wider)[0])]
-            raise RuntimeFault(f"{where}: {what} of {joint} is wider than the robot's own. Make the bundle for this robot.")
+            raise RuntimeFault(
+                f"{where}: {what} of {joint} is wider than the robot's own. Make the bundle for this robot."
+            )
 
 
 def _check_entry(entry: Mapping[str, Any], rate: float, where: str) -> None:
@@ -203,7 +211,9 @@ def _check_card(policy: Policy) -> None:
                 f"{str(policy.entry[key])[:60]}. Make the bundle again."
             )
     if bool(policy.entry["exploration"]) != ("hts_noise" in policy.metadata):
-        raise RuntimeFault(f"{policy.where}: manifest and graph disagree about exploration noise. Make the bundle again.")
+        raise RuntimeFault(
+            f"{policy.where}: manifest and graph disagree about exploration noise. Make the bundle again."
+        )
 
 
 def _row(row: Mapping[str, Any], policies: Mapping[str, Policy], where: str) -> Row:
@@ -236,7 +246,9 @@ def _hold(hold: Mapping[str, Any] | None, where: str) -> Hold | None:
     low, high = (float(one) for one in hold["commands"])
     seconds = float(hold["seconds"])
     if not (-FASTEST <= low < high <= FASTEST and 0 < seconds <= LONGEST_ROW):
-        raise RuntimeFault(f"{where}: hold commands {low:g} to {high:g} m/s for {seconds:g} s, expected a range within 3.")
+        raise RuntimeFault(
+            f"{where}: hold commands {low:g} to {high:g} m/s for {seconds:g} s, expected a range within 3."
+        )
     return Hold((low, high), seconds)
 
 

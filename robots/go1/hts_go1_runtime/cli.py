@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ from hts_go1_runtime.bundle import Bundle, load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.figures import figures
 from hts_go1_runtime.log import Events
-from hts_go1_runtime.loop import Loop
+from hts_go1_runtime.loop import Loop, without_collection
 from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.operator_key import StopFile, listen, signals
 from hts_go1_runtime.session import Options, Session
@@ -29,6 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.command == "bench":
             from hts_go1_runtime.bench import bench
 
+            if options.priority:
+                hurry(options.priority)
             return bench(options.bundle, options.seconds, options.stops)
         bundle = load_bundle(options.bundle)
         if options.command == "check":
@@ -54,16 +55,12 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
     loop = Loop(link, 1 / bundle.rate_hz, limits, StopFile(stop))
     events = Events(bundle.logs / "events.jsonl")
     session = Session(bundle, link, loop, asked, events)
-    if options.priority:
-        _hurry(options.priority, events)
-    gc.collect()
-    gc.freeze()
-    gc.disable()  # nothing here makes cycles, and a collection costs milliseconds
+    if options.priority and not options.lockstep and (why := hurry(options.priority)):
+        events.say("no real-time priority", why=why)
     try:
-        with signals(loop.brake):
+        with signals(loop.brake), without_collection():
             done = session.run(lambda text: _confirm(text, options.yes, loop))
     finally:
-        gc.enable()
         loop.close()
         if loop.step_seconds:
             events.say("figures", **figures(loop, link), limited_targets=session.limited_targets)
@@ -83,12 +80,13 @@ def _confirm(text: str, yes: bool, loop: Loop) -> None:
     listen(loop.brake)
 
 
-def _hurry(priority: int, events: Events) -> None:
-    """Before other processes, where the system allows it."""
+def hurry(priority: int) -> str:
+    """Before other processes, where the system allows it; else why not."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
-        events.say("no real-time priority", why=error.strerror)
+        return str(error.strerror)
+    return ""
 
 
 def _described(bundle: Bundle) -> str:
@@ -118,10 +116,11 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--mass", type=float, help="kg of the robot as it walks, for the log")
     run.add_argument("--most-current", type=float, default=Limits.current, help="A from the pack, beyond: stop")
     run.add_argument("--most-temperature", type=float, default=Limits.temperature, help="degC of a motor, beyond: stop")
-    run.add_argument("--priority", type=int, default=0, help="real-time priority 1 to 99, where allowed")
     run.add_argument("--yes", action="store_true", help="begin without asking")
     bench = commands.add_parser("bench", help="step times and stops on this computer, against a made-up robot")
     bench.add_argument("bundle", type=Path)
     bench.add_argument("--seconds", type=float, default=120.0)
     bench.add_argument("--stops", type=int, default=3, help="how often to try each reason to stop")
+    for one in (run, bench):
+        one.add_argument("--priority", type=int, default=20, help="real-time, 1 to 99; 0: none")
     return parser

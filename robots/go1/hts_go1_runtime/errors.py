@@ -1,7 +1,7 @@
 """What ends a session.
 
-    RuntimeFault    something is wrong before or beside walking: one line that says what to do
-    Stopped         the robot was brought to a safe command; reason and numbers
+RuntimeFault    something is wrong before or beside walking: one line that says what to do
+Stopped         the robot was brought to a safe command; reason and numbers
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO
 
 Brake = Callable[[str, str], None]
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
@@ -21,7 +22,7 @@ class StopFile:
         self._path, self._shown = os.fspath(path), path.name
 
     def __call__(self) -> str | None:
-        return f"the file {self._shown} is there" if os.path.exists(self._path) else None  # noqa: PTH110 - 50 times a s
+        return f"the file {self._shown} is there" if os.path.exists(self._path) else None
 
 
 @contextlib.contextmanager
@@ -39,11 +40,12 @@ def signals(brake: Brake) -> Iterator[None]:
             signal.signal(one, handler)
 
 
-def listen(brake: Brake) -> None:
-    """A thread brakes the robot as soon as a line comes from stdin. An end of stdin is no key."""
+def listen(brake: Brake, keys: IO[str] | None = None) -> None:
+    """A thread brakes the robot as soon as a line comes from stdin (or `keys`). An end of it is no key."""
+    stream = sys.stdin if keys is None else keys
 
     def work() -> None:
-        if sys.stdin.readline():
+        if stream.readline():
             brake("operator", "a key on the terminal")
 
     threading.Thread(target=work, daemon=True).start()

@@ -1,11 +1,11 @@
 """Packets of the loopback link: little-endian, a header, numbers, a CRC-32 of all before it.
 
-    header   magic "HTSR", version u8, kind u8, flags u16, sequence u32, stamp f64 s of the sender's clock
-    STATE    q dq tau (12 f32 each), quaternion 4, gyro 3, acc 3, foot force 4, velocity 3, current, voltage, charge,
-             temperature 12; NaN: not measured
-    COMMAND  q kp kd (12 f32 each)
-    TICK     nothing: in lockstep the simulation's clock is now `stamp`; it waits for a DONE with that sequence
-    DONE     nothing
+header   magic "HTSR", version u8, kind u8, flags u16, sequence u32, stamp f64 s of the sender's clock
+STATE    q dq tau (12 f32 each), quaternion 4, gyro 3, acc 3, foot force 4, velocity 3, current, voltage, charge,
+         temperature 12; NaN: not measured
+COMMAND  q kp kd (12 f32 each)
+TICK     nothing: in lockstep the simulation's clock is now `stamp`; it waits for a DONE with that sequence
+DONE     nothing
 """
 
 from __future__ import annotations

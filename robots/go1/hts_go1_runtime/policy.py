@@ -37,7 +37,9 @@ class Policy:
             # Bytes, not a path: a graph whose constants lie in other files would make onnxruntime open those.
             self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime raises its own classes for each way a graph can be broken
-            raise RuntimeFault(f"{where}: onnxruntime does not take it ({' '.join(str(error).split())[:120]}).") from error
+            raise RuntimeFault(
+                f"{where}: onnxruntime does not take it ({' '.join(str(error).split())[:120]})."
+            ) from error
         self.pose = np.asarray(entry["default_pose"], float)
         self.scale = np.asarray(entry["action_scale"], float)
         self.kp, self.kd = np.asarray(entry["kp"], float), np.asarray(entry["kd"], float)

@@ -28,6 +28,7 @@ class Guard:
         self._speed = limits.velocity_share * VELOCITY_LIMIT
         self._upright = -math.cos(limits.tilt)
         self._offset, self._at = math.inf, 0.0  # smallest difference of the two clocks, and when it was seen
+        self._seen = -1
 
     def state(self, state: State) -> Fault | None:
         """What is wrong with a state, or None. A number that is not measured (NaN) of the pack, of the feet or of the
@@ -57,18 +58,25 @@ class Guard:
         hot = np.flatnonzero(state.temperature > limits.temperature)
         if hot.size:
             joint = int(hot[0])
-            return "temperature", f"{JOINTS[joint]} at {state.temperature[joint]:.0f} degC, at most {limits.temperature:g}"
-        return self._stale(state)
+            return (
+                "temperature",
+                f"{JOINTS[joint]} at {state.temperature[joint]:.0f} degC, at most {limits.temperature:g}",
+            )
+        return None
 
     def silence(self, newest: State, now: float) -> Fault | None:
-        """Whether the robot has been silent for too long."""
+        """Whether the robot has been silent for too long, or the newest state took too long. (Older ones that came with
+        it may have waited for this process.)"""
         age = now - newest.received
         if age > self.limits.silence:
             return "lost link", f"nothing heard for {1e3 * age:.0f} ms, at most {1e3 * self.limits.silence:.0f}"
-        return None
+        return self._stale(newest)
 
     def _stale(self, state: State) -> Fault | None:
         """How much later than the quickest this state arrived; the two clocks need not agree, only run alike."""
+        if state.sequence == self._seen:
+            return None
+        self._seen = state.sequence
         difference = state.received - state.stamp
         self._offset = min(self._offset + DRIFT * max(state.received - self._at, 0.0), difference)
         self._at = state.received

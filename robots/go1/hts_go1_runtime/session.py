@@ -7,7 +7,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,7 +88,9 @@ class Session:
             if name not in known:
                 raise RuntimeFault(f"--rows {name}: the bundle has rows {', '.join(known)}.")
         logs = self.bundle.logs
-        rows = [row for row in self.bundle.rows if (row.log in wanted if wanted else not (logs / f"{row.log}.csv").exists())]
+        rows = [
+            row for row in self.bundle.rows if (row.log in wanted if wanted else not (logs / f"{row.log}.csv").exists())
+        ]
         there = [row.log for row in rows if (logs / f"{row.log}.csv").exists() or (logs / row.log).exists()]
         if there:
             raise RuntimeFault(f"{logs}: has logs of {', '.join(there)} already. Move them away to record them again.")
@@ -257,7 +259,12 @@ class Session:
         state = self.loop.tick(make)
         if log is not None:
             loop, counts, now = self.loop, self.link.counts, self.link.now()
-            noted = (state.stamp, 1e3 * (now - state.received), 1e3 * loop.late_seconds[-1], 1e3 * loop.step_seconds[-1])
+            noted = (
+                state.stamp,
+                1e3 * (now - state.received),
+                1e3 * loop.late_seconds[-1],
+                1e3 * loop.step_seconds[-1],
+            )
             log.write(now, samples(state, given["sent"], given["command"]), (*noted, counts.lost, counts.late))
         return state
 
@@ -347,7 +354,9 @@ class Session:
             found = json.loads(path.read_text(encoding="utf-8"))
             return {str(key): (float(value[0]), bool(value[1])) for key, value in found.items()}
         except (ValueError, TypeError, IndexError, AttributeError) as error:
-            raise RuntimeFault(f"{path}: damaged ({error}). Move it away, and record the head-to-heads anew.") from error
+            raise RuntimeFault(
+                f"{path}: damaged ({error}). Move it away, and record the head-to-heads anew."
+            ) from error
 
 
 def steps_of(commands: Sequence[tuple[float, float, float, float]], rate_hz: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The outer loop that finds the command at which the robot walks the asked speed; the same as the twin's.
 
-    u <- clip(u + k (v* - v) dt, limits)        once the change of policy and speed has settled
-    u* = mean(u) + (v* - mean(v))               over the last part: where the loop was heading when it was cut
+u <- clip(u + k (v* - v) dt, limits)        once the change of policy and speed has settled
+u* = mean(u) + (v* - mean(v))               over the last part: where the loop was heading when it was cut
 """
 
 from __future__ import annotations

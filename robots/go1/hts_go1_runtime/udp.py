@@ -107,7 +107,7 @@ class UdpLink(Link):
             if kind == TICK and self.simulated:
                 self._clock, self._tick = stamp, sequence
                 return states
-            elif kind == STATE:
+            if kind == STATE:
                 if sequence <= self._newest:
                     self.counts.late += 1
                     continue
