@@ -95,7 +95,7 @@ def instructions(
     lines = [
         "# What to record",
         "",
-        *_BEFORE,
+        _BEFORE,
         "",
         session,
         "",
@@ -111,41 +111,39 @@ def instructions(
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
         f"4. Type: `{command}`",
         "",
-        *_WATCH,
+        _WATCH,
         "",
     ]
     return "\n".join(lines)
 
 
-_BEFORE = [
-    "Everything for one visit to the robot is in this folder: the policies, `manifest.json` (what a robot's computer "
-    f"must know of them), `plan.json`, this page. `sha256sum -c {CHECKSUMS}` in this folder says whether it arrived "
-    "whole. A runtime that comes with the robot's package does the rows by itself, writes `logs/` and what describes "
-    "them; steps 2 and 3 below are then done.",
-    "",
-    "A policy that explores has its noise inside its graph: run it as any other, add none. Each exploring row has a "
-    "graph of its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`.",
-]
+_BEFORE = f"""\
+Everything for one visit to the robot is in this folder: the policies, `manifest.json` (what a robot's computer must
+know of them), `plan.json`, this page. `sha256sum -c {CHECKSUMS}` in this folder says whether it arrived whole. A
+runtime that comes with the robot's package does the rows by itself, writes `logs/` and what describes them; steps 2 and
+3 below are then done.
 
-_WATCH = [
-    "## Before a policy walks for the first time on this machine",
-    "",
-    f"Hang the robot or keep a hand on its handle. Walk each new policy for {FIRST_RUNS['seconds']:g} s at "
-    f"{FIRST_RUNS['speed_scale']:.0%} of the speed with the torque limited to {FIRST_RUNS['torque_scale']:.0%}, record "
-    "nothing, and look whether it walks as in simulation. `manifest.json` says under `gate` whether it was tried over "
-    "many simulated machines; null: it was not.",
-    "",
-    "## What to watch",
-    "",
-    "Motor temperatures and their rise, supply voltage, slipping feet, a gait that becomes uneven, noise from a gear, "
-    "people and cables near the legs. One person looks at the robot only, with the stop key in the hand.",
-    "",
-    "## When to stop",
-    "",
-    "At once, by the stop key: the trunk leans and does not come back, a leg strikes an end stop, a motor smells or "
-    "passes its temperature limit, the link or the log stutters, anybody is unsure. A row that was stopped is recorded "
-    "again from its start; rows that are done stay. After a fall look at legs, feet and plugs before going on.",
-]
+A policy that explores has its noise inside its graph: run it as any other, add none. Each exploring row has a graph of
+its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`."""
+
+_WATCH = f"""\
+## Before a policy walks for the first time on this machine
+
+Hang the robot or keep a hand on its handle. Walk each new policy for {FIRST_RUNS["seconds"]:g} s at
+{FIRST_RUNS["speed_scale"]:.0%} of the speed with the torque limited to {FIRST_RUNS["torque_scale"]:.0%}, record
+nothing, and look whether it walks as in simulation. `manifest.json` says under `gate` whether it was tried over many
+simulated machines; null: it was not.
+
+## What to watch
+
+Motor temperatures and their rise, supply voltage, slipping feet, a gait that becomes uneven, noise from a gear, people
+and cables near the legs. One person looks at the robot only, with the stop key in the hand.
+
+## When to stop
+
+At once, by the stop key: the trunk leans and does not come back, a leg strikes an end stop, a motor smells or passes
+its temperature limit, the link or the log stutters, anybody is unsure. A row that was stopped is recorded again from
+its start; rows that are done stay. After a fall look at legs, feet and plugs before going on."""
 
 
 def _asked(task: Task, command: Command) -> str:

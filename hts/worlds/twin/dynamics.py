@@ -169,8 +169,8 @@ class Dynamics:
         return rows.T.reshape(-1, 3, 3)
 
     def advance(self, targets: np.ndarray | None, steps: int, instruments: Sequence[Instrument]) -> None:
-        """Send joint targets (W, J), rad, and let `steps` physics steps pass; targets act after the delay. None: nothing
-        is sent, what was sent last holds.
+        """Send joint targets (W, J), rad, and let `steps` physics steps pass; targets act after the delay. None:
+        nothing is sent, what was sent last holds.
 
         Instruments get one `PhysicsSample` per step; its arrays are overwritten by the next step.
         """

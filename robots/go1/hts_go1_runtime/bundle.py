@@ -190,9 +190,9 @@ def _check_entry(entry: Mapping[str, Any], rate: float, where: str) -> None:
     for part in entry["observation"]:
         if PARTS.get(part["name"]) != part["size"]:
             raise RuntimeFault(
-                f"{where}: observes '{part['name']}' ({part['size']} numbers), which this robot does not measure so; it "
-                f"measures {', '.join(f'{name} ({size})' for name, size in PARTS.items())}. Distil or train the policy "
-                "without it."
+                f"{where}: observes '{part['name']}' ({part['size']} numbers), which this robot does not measure so; "
+                f"it measures {', '.join(f'{name} ({size})' for name, size in PARTS.items())}. "
+                "Distil or train the policy without it."
             )
     if not 1 <= int(entry["history"]) <= 1000:
         raise RuntimeFault(f"{where}: history {entry['history']}, expected 1 to 1000 observations.")

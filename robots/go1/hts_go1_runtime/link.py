@@ -8,16 +8,16 @@
 | temperature | motorState[i].temperature, int8 degC | motor_state[i].temperature, degC |
 | quaternion, gyro, acc | imu.quaternion (w, x, y, z), .gyroscope, .accelerometer | imu_state, same names |
 | foot_force | footForce[4], raw air-bag sensor, drifts | foot_force[4], raw |
-| current | bms.current, int32 mA; negative discharges (seen on Go2, assumed for Go1): -0.001 x | bms_state.current, mA |
+| current | bms.current, int32 mA, negative discharges (assumed from Go2): -0.001 x | bms_state.current, mA |
 | voltage | sum of bms.cell_vol, mV: 0.001 x | power_v, or sum of bms_state.cell_vol |
 | charge | bms.SOC, % | bms_state.soc, % |
 | velocity | not the robot's: motion capture or a camera, in the trunk frame | the same |
 | Command.q, kp, kd | motorCmd[i].q, .Kp, .Kd with mode 0x0A, dq = 0, tau = 0 | motor_cmd[i].q, .kp, .kd with mode 1 |
 
-Motors 0 to 11 of both are FR, FL, RR, RL, in each hip, thigh, calf: the order used here. Firmware expects a command about
-every 2 ms (500 Hz): a link to a real robot repeats the last command from a thread of its own, and sends the damping
-command by itself if it has not heard from the runtime for 50 ms. All fields of the battery can read 0 while the process
-that reads it is down: the runtime refuses to start then.
+Motors 0 to 11 of both are FR, FL, RR, RL, in each hip, thigh, calf: the order used here. Firmware expects a command
+about every 2 ms (500 Hz): a link to a real robot repeats the last command from a thread of its own, and sends the
+damping command by itself if it has not heard from the runtime for 50 ms. All fields of the battery can read 0 while the
+process that reads it is down: the runtime refuses to start then.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def columns_of(channel: str) -> list[str]:
 
 def measured(state: State) -> list[str]:
     """Channels that the robot gives, judged by one state: all but those that hold what is not measured."""
-    values = {
+    values: dict[str, Any] = {
         "base_velocity": state.velocity,
         "foot_force": state.foot_force,
         "battery_current": state.current,
@@ -103,7 +103,7 @@ def mapping(channels: Sequence[str], idle: Mapping[str, float], rate_hz: float, 
 
 
 class RowLog:
-    """Writes one row's log into a folder. channels: which; `write` once a step, then `closing`, and `named` if it is whole."""
+    """Writes one row's log into a folder. channels: which. `write` once a step, then `closing`, then `named`."""
 
     def __init__(self, folder: Path, name: str, channels: Sequence[str]) -> None:
         folder.mkdir(parents=True, exist_ok=True)

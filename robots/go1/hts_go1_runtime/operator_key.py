@@ -1,4 +1,4 @@
-"""The operator's key: Enter on this terminal, a file called STOP in the bundle, or a signal (Ctrl-C, SIGTERM, SIGUSR1)."""
+"""The operator's key: Enter on the terminal, a file called STOP in the bundle, a signal (Ctrl-C, SIGTERM, SIGUSR1)."""
 
 from __future__ import annotations
 

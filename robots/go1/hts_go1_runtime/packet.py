@@ -61,8 +61,23 @@ def state_of(sequence: int, stamp: float, received: float, numbers: np.ndarray) 
     q, dq, tau, quaternion, gyro, acc, feet, velocity, rest, temperature = np.split(
         numbers, np.cumsum([12, 12, 12, 4, 3, 3, 4, 3, 3])
     )
+    current, voltage, charge = (float(one) for one in rest)
     return State(
-        sequence, stamp, received, q, dq, tau, quaternion, gyro, acc, feet, velocity, *map(float, rest), temperature
+        sequence,
+        stamp,
+        received,
+        q,
+        dq,
+        tau,
+        quaternion,
+        gyro,
+        acc,
+        feet,
+        velocity,
+        current,
+        voltage,
+        charge,
+        temperature,
     )
 
 

@@ -33,7 +33,7 @@ DAMP_SECONDS = 1.0  # of repeated damping commands after a stop, in case some ar
 class Options:
     """rows: names of those to record, none: all that have no log yet; idle_seconds: to measure the idle levels before
     standing up, 0: not; warmup_seconds: None: the bundle's; first_run: walk each policy slowly and weakly, record
-    nothing; mass_kg: for the mapping; restart: whether to go on by itself after a fall is never done."""
+    nothing; mass_kg: for the mapping."""
 
     rows: tuple[str, ...] = ()
     idle_seconds: float = 10.0
@@ -106,8 +106,8 @@ class Session:
             raise RuntimeFault(f"The robot is not fit to start: {fault[0]}, {fault[1]}.")
         if state.voltage == 0 and state.current == 0:
             raise RuntimeFault(
-                "The robot's battery monitor gives 0 V and 0 A: it is not being read. Start the robot's own process that "
-                "reads it, or restart the robot."
+                "The robot's battery monitor gives 0 V and 0 A: it is not being read. Start the robot's own process "
+                "that reads it, or restart the robot."
             )
         self._channels = measured(state)
         if self.bundle.hold and any(row.trim for row in rows) and "base_velocity" not in self._channels:
@@ -165,7 +165,8 @@ class Session:
             share = 0.5 - 0.5 * math.cos(math.pi * number / steps)
             strength = 1.0 if rising is None else share if rising else 1.0 - share
             pose = np.clip(begin + share * (end - begin), TARGET_LOW, TARGET_HIGH)
-            self.loop.tick(lambda _, q=pose, s=strength: Command(q, s * STAND_KP, s * STAND_KD))
+            command = Command(pose, strength * STAND_KP, strength * STAND_KD)
+            self.loop.tick(lambda _, sent=command: sent)  # type: ignore[misc]
 
     # ------------------------------------------------------------------------------------------ walking
 

@@ -78,7 +78,8 @@ class UdpLink(Link):
         """Everything up to the next tick of the simulation, which goes on once this one is done with."""
         if self._tick >= 0:
             self._send(pack(DONE, self._tick, self._clock))
-        tick, states, end = self._tick, [], time.monotonic() + PATIENCE
+        states: list[State] = []
+        tick, end = self._tick, time.monotonic() + PATIENCE
         while self._tick == tick:
             if not select.select([self._socket], [], [], 0.2)[0]:
                 if time.monotonic() > end:
@@ -91,7 +92,7 @@ class UdpLink(Link):
         return [replace(state, received=self._clock) for state in states]
 
     def _drain(self) -> list[State]:
-        states = []
+        states: list[State] = []
         while True:
             try:
                 data = self._socket.recv(LARGEST + 1)

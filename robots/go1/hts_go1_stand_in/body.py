@@ -35,9 +35,12 @@ class Body:
         registry = plugins.load()
         robot = registry.make_robot("go1", {})
         settings = resolved_settings(TwinSettings.model_validate({"reality": reality} if reality else {}), "go1")
-        given = (registry, robot, {name: {} for name in objectives}, settings.instruments)
+        wanted: dict[str, dict[str, Any]] = {name: {} for name in objectives}
         self._sags = settings.dynamics.structure.torque_follows_supply
-        instruments = instruments_of_reality(*given, self._sags) if reality else make_instruments(*given)
+        if reality:
+            instruments = instruments_of_reality(registry, robot, wanted, settings.instruments, self._sags)
+        else:
+            instruments = make_instruments(registry, robot, wanted, settings.instruments)
         self._batch = Batch(robot, settings, instruments, 1, seed_sequence(seed, request_id("stand-in", seed)))
         self._body, self._instruments = self._batch.body, tuple(instruments.values())
         self._steps = round(STATE_SECONDS / settings.dynamics.physics_dt)
