@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from hts_go1_runtime.link import DAMPING, Command, State
 
 from hts import plugins
 from hts.testing.twin import (
@@ -17,6 +16,7 @@ from hts.testing.twin import (
     resolved_settings,
     seed_sequence,
 )
+from hts_go1_runtime.link import DAMPING, Command, State
 
 STATE_SECONDS = 0.004
 PER_READING = 5  # states between two readings of the pack's monitor, which is slow

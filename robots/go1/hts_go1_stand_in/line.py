@@ -8,6 +8,7 @@ import socket
 import time
 
 import numpy as np
+
 from hts_go1_runtime.packet import COMMAND, DONE, LARGEST, STATE, TICK, Packet, pack, unpack
 
 HELLO = 0xFFFFFFFF

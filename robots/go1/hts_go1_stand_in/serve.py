@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 
 import numpy as np
+
 from hts_go1_runtime.link import Command
 from hts_go1_runtime.packet import numbers_of_state
-
 from hts_go1_stand_in.body import STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
 

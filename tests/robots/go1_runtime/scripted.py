@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
+
 from hts_go1_runtime.fake import standing
 from hts_go1_runtime.link import Command, Counts, Link, State
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import pytest
+
 from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.cli import main
 from hts_go1_runtime.errors import RuntimeFault
@@ -99,9 +100,9 @@ def test_a_graph_that_is_none_is_refused(change, bundle):
 
 def test_a_policy_computes_what_hts_computes_from_the_same_readings(bundle):
     import numpy as np
-    from hts_go1_runtime.fake import standing
 
     from hts.policies.deploy import DeployedPolicy
+    from hts_go1_runtime.fake import standing
 
     ours, theirs = (
         load_bundle(bundle).policies["policies/00-walk.onnx"],

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.fake import standing
 from hts_go1_runtime.packet import COMMAND, LARGEST, SIZE, STATE, numbers_of_state, pack, state_of, unpack

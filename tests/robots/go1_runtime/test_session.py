@@ -15,6 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from hts import plugins
+from hts.contracts import HoldSpeed
+from hts.recordings.mapping import load_mapping
+from hts.recordings.reading import read_log
+from hts.worlds.twin.trimming import Trimming as Twins
 from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.fake import failing, standing
@@ -24,12 +30,6 @@ from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT, Limits
 from hts_go1_runtime.session import Options, Session, steps_of
 from hts_go1_runtime.trimming import Trimming
-
-from hts import plugins
-from hts.contracts import HoldSpeed
-from hts.recordings.mapping import load_mapping
-from hts.recordings.reading import read_log
-from hts.worlds.twin.trimming import Trimming as Twins
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
 scripted = importlib.util.module_from_spec(SPEC)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from hts_go1_runtime.errors import Stopped
 from hts_go1_runtime.fake import FAULTS, failing, standing
 from hts_go1_runtime.link import DAMPING, Command
