@@ -59,13 +59,14 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
         events.say("no real-time priority", why=why)
     try:
         with signals(loop.brake), without_collection():
-            done = session.run(lambda text: _confirm(text, options.yes, loop))
+            session.run(lambda text: _confirm(text, options.yes, loop))
     finally:
         loop.close()
         if loop.step_seconds:
             events.say("figures", **figures(loop, link), limited_targets=session.limited_targets)
         link.close()
-    events.say("done", rows=done)
+        events.say("ended", rows=session.done)
+        events.close()
     return DONE
 
 

@@ -12,7 +12,7 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,21 +103,23 @@ def mapping(channels: Sequence[str], idle: Mapping[str, float], rate_hz: float, 
 
 
 class RowLog:
-    """Writes one row's log into a folder. channels: which. `write` once a step, then `closing`, then `named`."""
+    """Writes one row's log into a folder. channels: which; described: its mapping. `write` once a step, then `closing`.
 
-    def __init__(self, folder: Path, name: str, channels: Sequence[str]) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
+    All that touches the disk is done by a thread: the rows, then the mapping, then the file gets its name.
+    """
+
+    def __init__(self, folder: Path, name: str, channels: Sequence[str], described: str = "") -> None:
         self._target, self._partial = folder / f"{name}.csv", folder / f".{name}.csv.partial"
+        self._mapping, self._described = folder / "mappings" / f"{name}.yaml", described
         self._channels, self.rows, self.fault = list(channels), 0, ""
         columns = ["time", *(column for name in channels for column in columns_of(name)), *NOTED]
         # Stamps to the microsecond; values to seven digits, what a float32 holds.
         self._format = ",".join(["%.6f"] + ["%.7g"] * (len(columns) - 1 - len(NOTED)) + ["%.6f"] + ["%.6g"] * 5) + "\n"
         self._queue: queue.SimpleQueue[list[float] | str | None] = queue.SimpleQueue()
         self._queue.put(",".join(columns) + "\n")
-        self._written = threading.Event()
+        self._done = threading.Event()
         self._closed = False
-        self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._work, daemon=True).start()
 
     def write(self, clock: float, values: Mapping[str, Any], noted: Sequence[float]) -> None:
         """One step. clock: s; noted: see `NOTED`."""
@@ -128,28 +130,18 @@ class RowLog:
         self._queue.put([*row, *noted])
         self.rows += 1
 
-    def closing(self) -> threading.Event:
-        """No more rows come: set once all is on the disk. A disk that refuses is tried until then."""
+    def closing(self, whole: bool = True) -> threading.Event:
+        """No more rows come: set once all is on the disk, and the file has its name if it is whole. A disk that refuses
+        is tried until then; `fault` says so meanwhile."""
         if not self._closed:
-            self._closed = True
+            self._closed, self._whole = True, whole
             self._queue.put(None)
-        return self._written
-
-    def named(self) -> Path:
-        """The file, whole now, gets its name."""
-        self._thread.join()
-        self._partial.replace(self._target)
-        folder = os.open(self._target.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-        return self._target
+        return self._done
 
     def _work(self) -> None:
         """The writing thread."""
         waiting, handle, synced, over = b"", -1, time.monotonic(), False
-        while not over or waiting:
+        while True:
             time.sleep(0.0 if over else 0.1)
             while not self._queue.empty():
                 item = self._queue.get()
@@ -159,23 +151,48 @@ class RowLog:
                     waiting += (item if isinstance(item, str) else self._format % tuple(item)).encode()
             try:
                 if handle < 0:
-                    handle = os.open(self._partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+                    handle = self._open()
                 while waiting:
                     waiting = waiting[os.write(handle, waiting) :]
                 if over or time.monotonic() - synced > SYNC_SECONDS:
                     os.fsync(handle)
                     synced = time.monotonic()
+                if over:
+                    self._name()
                 self.fault = ""
             except OSError as error:
-                self.fault = f"{self._partial}: cannot be written ({error.strerror})"
+                self.fault = f"{error.filename or self._partial}: cannot be written ({error.strerror})"
                 time.sleep(TRY_AGAIN_SECONDS)
-        if handle >= 0:
-            os.close(handle)
-        self._written.set()
+                continue
+            if over:
+                break
+        os.close(handle)
+        self._done.set()
+
+    def _open(self) -> int:
+        """The partial file, new; one that an earlier visit left is kept under another name."""
+        self._partial.parent.mkdir(parents=True, exist_ok=True)
+        if self._partial.exists():
+            left = len(list(self._partial.parent.glob(f"{self._partial.name}-*")))
+            self._partial.replace(self._partial.with_name(f"{self._partial.name}-{left}"))
+        return os.open(self._partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+
+    def _name(self) -> None:
+        """The mapping first, so that whoever sees the log sees what it is."""
+        if not self._whole or self._target.exists():
+            return
+        if self._described:
+            write_whole(self._mapping, self._described)
+        self._partial.replace(self._target)
+        folder = os.open(self._target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
 
 
 def write_whole(path: Path, text: str) -> None:
-    """A small file in one move."""
+    """A small file in one move. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.tmp")
     with temporary.open("w", encoding="utf-8") as file:
@@ -186,18 +203,44 @@ def write_whole(path: Path, text: str) -> None:
 
 
 class Events:
-    """What happened in a session, one JSON line each, in logs/events.jsonl; said aloud too."""
+    """What happened in a session, one JSON line each, in logs/events.jsonl; said aloud too. By a thread: neither a disk
+    nor a terminal makes a step late."""
 
     def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
         self._path = path
+        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
 
     def say(self, what: str, **numbers: Any) -> None:
-        """Note something. A disk that refuses does not stop a robot: it is said instead."""
+        """Note something."""
         line = json.dumps({"at": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "what": what, **numbers})
-        try:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(line + "\n")
-        except OSError as error:
-            print(f"{self._path}: {error.strerror}", flush=True)
-        print(what, *(f"{key}={value}" for key, value in numbers.items()), flush=True)
+        self._queue.put(lambda: print(what, *(f"{key}={value}" for key, value in numbers.items()), flush=True))
+        self._queue.put(lambda: self._append(line + "\n"))
+
+    def keep(self, path: Path, text: str) -> None:
+        """Write a small file."""
+        self._queue.put(lambda: write_whole(path, text))
+
+    def close(self, seconds: float = 10.0) -> None:
+        """Wait until all is written, at most so long."""
+        self._queue.put(None)
+        self._thread.join(seconds)
+
+    def _append(self, line: str) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(line)
+
+    def _work(self) -> None:
+        said = False
+        while (task := self._queue.get()) is not None:
+            while True:
+                try:
+                    task()
+                    break
+                except OSError as error:
+                    if not said:
+                        print(f"{error.filename or self._path}: {error.strerror}", flush=True)
+                    said = True
+                    time.sleep(TRY_AGAIN_SECONDS)

@@ -22,6 +22,7 @@ from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.safety import Guard
 
 FIRST_STATE = 10.0  # s to wait for a robot that says nothing yet
+AFRESH = 0.1  # s of letting go of states that waited on the line
 KEPT_TIMES = 200_000  # steps whose times are kept: more than an hour
 
 Make = Callable[[State], Command]
@@ -143,7 +144,12 @@ class Loop:
         self._alarm = np.inf
 
     def resume(self) -> None:
-        """The next step is due one period from now."""
+        """The next step is due one period from now. What waited on the line meanwhile is old: it is let go."""
+        end = self.link.now() + AFRESH
+        while self.link.now() < end:
+            for state in self.link.wait(end):
+                self.state = state
+        self._guard = Guard(self.limits)
         self._due = self.link.now()
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from hts_go1_runtime.machine import JOINTS, POSITION_HIGH, POSITION_LOW, VELOCIT
 
 REASONS = (
     "tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "lost link", "late loop",
-    "operator", "not finite", "fault",
+    "operator", "not finite",
 )  # fmt: skip
 DRIFT = 2e-4  # of two clocks, s/s: quartz is ten times better
 

@@ -16,7 +16,7 @@ import numpy as np
 from hts_go1_runtime.bundle import Bundle, Row
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.link import NOTHING, Command, Link, State
-from hts_go1_runtime.log import REAL, Events, RowLog, mapping, measured, samples, write_whole
+from hts_go1_runtime.log import REAL, Events, RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import SIT, STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT
 from hts_go1_runtime.policy import Policy
@@ -206,10 +206,10 @@ class Session:
             key = f"{row.session} {row.role} {row.policy_hash} {row.commands[0][1]:g}"
             if row.trim or key not in self._held:
                 self._held[key] = self._trim(policy, row)
-                write_whole(self.bundle.logs / "held.json", json.dumps(self._held, indent=1) + "\n")
+                self.events.keep(self.bundle.logs / "held.json", json.dumps(self._held, indent=1) + "\n")
             commands[:, 0] = self._held[key][0]
         self.events.say("row", log=row.log, policy=row.policy, seconds=row.seconds)
-        log = RowLog(self.bundle.logs, row.log, self._channels)
+        log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
         self._wanted_heading = None
         policy.start()
         try:
@@ -221,7 +221,7 @@ class Session:
             raise
         log.closing()
         self._open.append((log, row))
-        self._name_whole()
+        self._recorded()
 
     def _trim(self, policy: Policy, row: Row) -> tuple[float, bool]:
         hold = self.bundle.hold
@@ -317,32 +317,22 @@ class Session:
             if log.fault:
                 raise RuntimeFault(f"{log.fault}. The robot sits; free space, then run the same again.")
 
-    def _name_whole(self) -> None:
-        """Logs that are whole on the disk get their mapping, and then their name. Raises RuntimeFault if the disk
-        refuses."""
+    def _recorded(self) -> None:
+        """Notes which logs are whole on the disk now."""
         for log, row in list(self._open):
-            if not log.closing().is_set():
-                continue
-            try:
-                write_whole(self.bundle.logs / "mappings" / f"{row.log}.yaml", self._described(row))
-                log.named()
-            except OSError as error:
-                raise RuntimeFault(f"{self.bundle.logs}: cannot be written ({error.strerror}).") from error
-            self._open.remove((log, row))
-            self.done.append(row.log)
-            self.events.say("recorded", log=row.log, samples=log.rows)
+            if log.closing().is_set():
+                self._open.remove((log, row))
+                self.done.append(row.log)
+                self.events.say("recorded", log=row.log, samples=log.rows)
 
     def _wait_for_disk(self) -> None:
         """The robot is damped. What is not on the disk yet waits in memory until there is space."""
         said = False
-        while self._open or any(not log.closing().is_set() for log in self._left):
-            try:
-                self._name_whole()
-                why = next((log.fault for log in [*self._left, *(one for one, _ in self._open)] if log.fault), "")
-            except RuntimeFault as fault:
-                why = str(fault)
+        while self._open or any(not log.closing(whole=False).is_set() for log in self._left):
+            self._recorded()
+            why = next((log.fault for log in [*self._left, *(one for one, _ in self._open)] if log.fault), "")
             if why and not said:
-                print(f"{why}. Free space: what was recorded waits in memory and is written then.", flush=True)
+                self.events.say("waiting for the disk: free space, what was recorded is in memory", why=why)
                 said = True
             time.sleep(0.02)
 

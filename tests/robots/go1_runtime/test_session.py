@@ -42,7 +42,8 @@ def session(bundle: Path, link, options: Options | None = None) -> Session:
     return Session(load_bundle(bundle), link, loop, options, Events(bundle / "logs" / "events.jsonl"))
 
 
-def events(bundle: Path) -> list[dict]:
+def events(bundle: Path, session: Session) -> list[dict]:
+    session.events.close()
     return [json.loads(line) for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
 
 
@@ -52,7 +53,7 @@ def test_a_session_records_its_rows_and_hts_reads_them_as_they_are(bundle):
     found = session(bundle, link)
     assert found.run() == ["00", "01"]
     robot, registry = plugins.load().make_robot("go1"), plugins.load()
-    trimmed = [one for one in events(bundle) if one["what"] == "trimmed"]
+    trimmed = [one for one in events(bundle, found) if one["what"] == "trimmed"]
     for name, hashed in (("00", load_bundle(bundle).rows[0].policy_hash), ("01", "e" * 64)):
         mapping = load_mapping(bundle / "logs" / "mappings" / f"{name}.yaml")
         recording = read_log(registry, [bundle / "logs" / f"{name}.csv"], mapping, robot)
@@ -90,7 +91,7 @@ def test_a_stop_leaves_the_rows_before_it_and_the_half_one_apart(bundle):
         found.run()
     assert found.done == ["00"]
     assert not (bundle / "logs" / "01.csv").exists()
-    assert [one["reason"] for one in events(bundle) if one["what"] == "stopped"] == ["over-current"]
+    assert [one["reason"] for one in events(bundle, found) if one["what"] == "stopped"] == ["over-current"]
     assert robot.sent[-1][1] is DAMPING
     again = session(bundle, scripted.ScriptedLink())  # goes on with the row that is missing, with the command it has
     assert again.run() == ["01"]
@@ -128,7 +129,7 @@ def test_a_first_run_is_slow_and_weak_and_records_nothing(bundle):
     assert asked == pytest.approx(0.6 * TORQUE_LIMIT)
     assert found.run() == []
     assert not list((bundle / "logs").glob("*.csv"))
-    assert [one["speed"] for one in events(bundle) if one["what"] == "first run"] == pytest.approx([0.3, 0.3])
+    assert [one["speed"] for one in events(bundle, found) if one["what"] == "first run"] == pytest.approx([0.3, 0.3])
 
 
 def test_trimming_is_the_twins():
@@ -171,7 +172,7 @@ def test_a_full_disk_is_said_and_nothing_is_lost(tmp_path, monkeypatch):
         return real(handle, data)
 
     monkeypatch.setattr("hts_go1_runtime.log.os.write", write)
-    log = RowLog(tmp_path, "00", list(CHANNELS))
+    log = RowLog(tmp_path, "00", list(CHANNELS), "the mapping")
     rows(log, 40)
     end = time.monotonic() + 10
     while not log.fault and time.monotonic() < end:
@@ -180,9 +181,23 @@ def test_a_full_disk_is_said_and_nothing_is_lost(tmp_path, monkeypatch):
     assert not log.closing().wait(0.2)
     full.clear()
     assert log.closing().wait(20)
-    table = np.loadtxt(log.named(), delimiter=",", skiprows=1)
+    table = np.loadtxt(tmp_path / "00.csv", delimiter=",", skiprows=1)
     assert table[:, 0] == pytest.approx(100 + 0.02 * np.arange(40))
     assert log.fault == ""
+    assert (tmp_path / "mappings" / "00.yaml").read_text() == "the mapping"
+
+
+def test_a_row_that_is_recorded_again_keeps_what_was_there(tmp_path):
+    for _ in range(2):
+        log = RowLog(tmp_path, "00", list(CHANNELS))
+        rows(log, 5)
+        assert log.closing(whole=False).wait(20)
+    log = RowLog(tmp_path, "00", list(CHANNELS))
+    rows(log, 7)
+    assert log.closing().wait(20)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [".00.csv.partial-0", ".00.csv.partial-1", "00.csv"]
+    assert len((tmp_path / "00.csv").read_text().splitlines()) == 8
 
 
 def test_a_process_that_is_killed_leaves_what_it_recorded(tmp_path):
