@@ -213,6 +213,18 @@ def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, p
     assert "torque limited to 60%" in text
 
 
+def test_a_bundle_of_before_is_left_as_it_is_and_read(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    fill_in(run)
+    for name in ("manifest.json", "SHA256SUMS"):  # it had neither
+        (bundle(run) / name).unlink()
+    write_log(bundle(run) / "logs" / "00.csv", robot)
+    (found,) = field(run).collect([policy], walking(0.5, SECONDS))
+    assert found.idle == {"battery_current": 1.3, "battery_voltage": 23.0}
+    assert not (bundle(run) / "manifest.json").exists()
+
+
 def test_a_log_that_describes_itself_needs_no_filled_in_mapping(run, policy, robot):
     with pytest.raises(WaitingForRobot):
         field(run).collect([policy], walking(0.5, SECONDS))

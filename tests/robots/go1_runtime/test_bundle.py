@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from hts_go1_runtime.bundle import load_bundle
+from hts_go1_runtime import bundle as bundles
+from hts_go1_runtime import machine
+from hts_go1_runtime.bundle import CHECKSUMS, load_bundle
 from hts_go1_runtime.cli import main
 from hts_go1_runtime.errors import RuntimeFault
+
+READ = bundles._read
 
 
 def test_a_bundle_is_taken_as_the_world_wrote_it(bundle):
@@ -90,6 +98,49 @@ def test_a_manifest_with_a_mistake_is_refused_in_one_line(change, mistake, capsy
     assert "\n" not in str(fault.value)
     assert main(["check", str(folder)]) == 2
     assert capsys.readouterr().err.startswith("refused: ")
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers(-(2**70), 2**70) | st.text(max_size=8),
+    lambda inside: st.lists(inside, max_size=3) | st.dictionaries(st.text(max_size=8), inside, max_size=3),
+    max_leaves=6,
+)
+
+
+def places(content, path=()):
+    """Every place of a JSON value, as a path of keys."""
+    keys = content.keys() if isinstance(content, dict) else range(len(content)) if isinstance(content, list) else ()
+    for key in keys:
+        yield (*path, key)
+        yield from places(content[key], (*path, key))
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_value_in_any_place_of_a_manifest_is_taken_or_refused_in_one_line(made, tmp_path_factory, data):
+    manifest = json.loads((made / "manifest.json").read_text())
+    path = data.draw(st.sampled_from(sorted(places(manifest), key=str)))
+    inside = manifest
+    for key in path[:-1]:
+        inside = inside[key]
+    inside[path[-1]] = data.draw(JSON)
+    sums = dict(line.split("  ")[::-1] for line in (made / CHECKSUMS).read_text().splitlines())
+    content = json.dumps(manifest).encode()
+    sums["manifest.json"] = hashlib.sha256(content).hexdigest()
+    with pytest.MonkeyPatch.context() as patch:  # the graphs stay where they are
+        patch.setattr(
+            bundles,
+            "_read",
+            lambda folder, name, sums: content if name == "manifest.json" else READ(folder, name, sums),
+        )
+        try:
+            found = load_bundle(made)
+        except RuntimeFault as fault:
+            assert "\n" not in str(fault)
+        else:
+            for policy in found.policies.values():
+                assert (policy.kp <= machine.LARGEST_KP).all()
+                assert np.isfinite([policy.kp, policy.kd, policy.scale, policy.pose]).all()
 
 
 def test_a_graph_that_is_none_is_refused(change, bundle):
