@@ -14,7 +14,7 @@ import onnxruntime
 from hts.errors import PolicyError
 from hts.policies.card_checks import check_card
 
-CARD_KEY, NOISE_KEY = "hts", "hts_noise"
+CARD_KEY, NOISE_KEY = "hts", "hts_exploration"
 
 
 class DeployedPolicy:

@@ -18,7 +18,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-NOISE_KEY = "hts_noise"
+NOISE_KEY = "hts_exploration"
 """Metadata of a graph that explores by itself: {"where": "graph", "sigma": [...], "seed": n}."""
 MEAN = "mean_action"
 LARGEST_SEED = 2**24  # an ONNX seed is a float32: whole numbers up to here are exact
@@ -33,7 +33,7 @@ def seed_of(*parts: object) -> int:
 def with_noise(content: bytes, sigma: Sequence[float], seed: int) -> bytes:
     """The exported policy in `content` (see `export.to_onnx`) with noise of sigma (J,), action units, added inside.
 
-    Its card stays; the key `hts_noise` says what was added, so that nobody adds it again.
+    Its card stays; the key `hts_exploration` says what was added, so that nobody adds it again.
     """
     model = onnx.load_from_string(content)
     graph = model.graph
@@ -43,8 +43,8 @@ def with_noise(content: bytes, sigma: Sequence[float], seed: int) -> bytes:
     graph.node.extend(
         [
             helper.make_node("RandomNormalLike", [MEAN], ["unit_noise"], mean=0.0, scale=1.0, seed=float(seed)),
-            helper.make_node("Mul", ["unit_noise", "sigma"], ["noise"]),
-            helper.make_node("Add", [MEAN, "noise"], ["action"]),
+            helper.make_node("Mul", ["unit_noise", "sigma"], ["drawn"]),
+            helper.make_node("Add", [MEAN, "drawn"], ["action"]),
         ]
     )
     graph.output.append(helper.make_tensor_value_info(MEAN, TensorProto.FLOAT, ["batch", len(sigma)]))

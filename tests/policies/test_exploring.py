@@ -90,7 +90,7 @@ def test_the_card_says_where_the_noise_is(exported):
 
     model = onnx.load_from_string(with_noise(exported.read_bytes(), SIGMA, 7))
     props = {one.key: one.value for one in model.metadata_props}
-    assert json.loads(props["hts_noise"]) == {"where": "graph", "sigma": SIGMA.tolist(), "seed": 7}
+    assert json.loads(props["hts_exploration"]) == {"where": "graph", "sigma": SIGMA.tolist(), "seed": 7}
     assert json.loads(props["hts"])["exploration_std"] == SIGMA.tolist()
     mean = {one.key: one.value for one in onnx.load_from_string(mean_of(exported.read_bytes())).metadata_props}
     assert json.loads(mean["hts"])["exploration_std"] == []

@@ -83,6 +83,7 @@ def load_bundle(folder: Path) -> Bundle:
             _check_card(policy)
         rows = [_row(row, policies, where) for row in manifest["rows"]]
         hold = _hold(manifest["hold"], where)
+        _check_visit(manifest, where)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         what = " ".join(f"{type(error).__name__}: {error}".split())
         raise RuntimeFault(f"{where}: not a whole manifest ({what[:160]}). Make the bundle again.") from error
@@ -210,7 +211,7 @@ def _check_card(policy: Policy) -> None:
                 f"{policy.where}: its own card says {key} {str(card.get(key))[:60]}, the manifest "
                 f"{str(policy.entry[key])[:60]}. Make the bundle again."
             )
-    if bool(policy.entry["exploration"]) != ("hts_noise" in policy.metadata):
+    if bool(policy.entry["exploration"]) != ("hts_exploration" in policy.metadata):
         raise RuntimeFault(
             f"{policy.where}: manifest and graph disagree about exploration noise. Make the bundle again."
         )
@@ -250,6 +251,23 @@ def _hold(hold: Mapping[str, Any] | None, where: str) -> Hold | None:
             f"{where}: hold commands {low:g} to {high:g} m/s for {seconds:g} s, expected a range within 3."
         )
     return Hold((low, high), seconds)
+
+
+def _check_visit(manifest: Mapping[str, Any], where: str) -> None:
+    """How a visit begins: numbers that a session reads later."""
+    first = manifest["first_runs"]
+    for content, key, low, high in (
+        (manifest, "warmup_seconds", 0.0, LONGEST_ROW),
+        (manifest["control"], "unsteady_seconds", 0.0, 60.0),
+        (first, "speed_scale", 0.0, 1.0),
+        (first, "torque_scale", 0.1, 1.0),
+        (first, "seconds", 0.0, 600.0),
+    ):
+        value = float(content[key])
+        if not low <= value <= high:
+            raise RuntimeFault(f"{where}: {key} {value:g}, expected {low:g} to {high:g}.")
+    if not isinstance(manifest["channels"], Mapping):
+        raise RuntimeFault(f"{where}: channels {str(manifest['channels'])[:60]}, expected names with units.")
 
 
 def _numbers(values: Mapping[str, Any], key: str, where: str) -> np.ndarray:

@@ -82,6 +82,11 @@ MISTAKES = {
         lambda m: m["rows"][0]["schedule"]["commands"][0].__setitem__("vx", 30.0),
         "row 00 commands 30",
     ),
+    "ten hours of warming up": (lambda m: m.__setitem__("warmup_seconds", 36000.0), "warmup_seconds 36000, expected 0"),
+    "a first run with all the torque there is": (
+        lambda m: m["first_runs"].__setitem__("torque_scale", 3.0),
+        "torque_scale 3, expected",
+    ),
     "a later schema": (lambda m: m.__setitem__("schema_version", 2), "this runtime reads"),
     "a key that is not there": (lambda m: m.pop("control"), "not a whole manifest"),
     "trimming that nothing describes": (lambda m: m.__setitem__("hold", None), "nothing says how"),
