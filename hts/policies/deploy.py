@@ -14,7 +14,7 @@ import onnxruntime
 from hts.errors import PolicyError
 from hts.policies.card_checks import check_card
 
-CARD_KEY = "hts"
+CARD_KEY, NOISE_KEY = "hts", "hts_exploration"
 
 
 class DeployedPolicy:
@@ -38,27 +38,30 @@ class DeployedPolicy:
                 "`hts export`."
             ) from error
         check_card(card, path)
-        self._check_ends(path, card)
+        explores = NOISE_KEY in meta
+        self._check_ends(path, card, explores)
         self.card = SimpleNamespace(**{"history": 1, **card})
         self._pose = np.asarray(card["default_pose"], np.float32)
         self._scale = np.asarray(card["action_scale"], np.float32)
-        self._noise = np.asarray(card.get("exploration_std", ()), np.float32)
+        # A graph with noise inside (`hts.policies.exploring`) adds it by itself.
+        self._noise = np.asarray(() if explores else card.get("exploration_std", ()), np.float32)
         self._parts = [part["name"] for part in card["observation"]]
         self.start(1)
 
-    def _check_ends(self, path: Path, card: Mapping[str, Any]) -> None:
-        """Raises PolicyError unless the graph takes the observation of the card and gives one action per joint."""
+    def _check_ends(self, path: Path, card: Mapping[str, Any], explores: bool) -> None:
+        """Raises PolicyError unless the graph takes the observation of the card and gives one action per joint, and
+        beside it the mean action where it adds noise by itself."""
         seen = card.get("history", 1) * sum(part["size"] for part in card["observation"])
-        for what, values, name, size in (
-            ("reads", self._session.get_inputs(), "observation", seen),
-            ("gives", self._session.get_outputs(), "action", len(card["joint_names"])),
+        for what, values, names, size in (
+            ("reads", self._session.get_inputs(), ("observation",), seen),
+            ("gives", self._session.get_outputs(), ("action", "mean_action")[: 1 + explores], len(card["joint_names"])),
         ):
             found = [(value.name, value.type, value.shape[-1] if value.shape else None) for value in values]
-            if found != [(name, "tensor(float)", size)]:
+            if found != [(name, "tensor(float)", size) for name in names]:
                 shown = ", ".join(f"{other} ({kind}, {width} wide)" for other, kind, width in found[:4])
                 raise PolicyError(
-                    f"{path}: its graph {what} {shown or 'nothing'}, its card says {name} (tensor(float), {size} "
-                    "wide). Export it again with `hts export`."
+                    f"{path}: its graph {what} {shown or 'nothing'}, its card says {', '.join(names)} (tensor(float), "
+                    f"{size} wide). Export it again with `hts export`."
                 )
 
     def start(self, num: int, seed: int | None = None) -> None:

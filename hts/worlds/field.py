@@ -25,6 +25,8 @@ from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
+from hts.worlds.field_logs import check_hash, described
+from hts.worlds.field_manifest import Facts, run_configuration
 
 
 class FieldSettings(Config):
@@ -188,7 +190,8 @@ class FieldWorld(World):
             self._folder.mkdir(parents=True, exist_ok=True)
             self._mapping()
             hold = field_holding.instructions(self._hold) if self._hold is not None and held else ()
-            write_bundle(bundle, orders, self._mapping_path(), self._command(), self._robot.task(), hold)
+            facts = self._facts(request, held)
+            write_bundle(bundle, orders, self._mapping_path(), self._command(), facts, self._robot.task(), hold)
         except OSError as error:
             raise WorldError(f"{bundle}: the deploy bundle cannot be written ({error.strerror}).") from error
         files = {order.name: _log_files(bundle / "logs", order.name) for order in orders}
@@ -198,17 +201,19 @@ class FieldWorld(World):
                 f"Waiting for {len(missing)} of {len(orders)} logs from the robot ({bundle}/logs/{missing[0]}.csv and "
                 f"so on). What to record is in {bundle}/README.md; then type: {self._command()}"
             )
-        recordings = [self._read(files[order.name], order) for order in orders]
+        recordings = [self._read(files[order.name], order, bundle) for order in orders]
         if held:
             field_holding.check_one_command(recordings)
         return recordings
 
-    def _read(self, files: Sequence[Path], order: Order) -> Recording:
+    def _read(self, files: Sequence[Path], order: Order, bundle: Path) -> Recording:
         from hts.policies.deploy import DeployedPolicy
         from hts.recordings.reading import read_log
 
-        registry, mapping = self._registry, self._mapping()
+        registry = self._registry
+        mapping, where = described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
+        check_hash(where, facts, DeployedPolicy(order.policy).card.policy_hash, order.policy.name)
         facts |= {
             "world": self.name,
             "policy_hash": DeployedPolicy(order.policy).card.policy_hash,
@@ -220,7 +225,7 @@ class FieldWorld(World):
         try:
             recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)
         except ConfigError as error:
-            raise ConfigError(f"{self._mapping_path()}: {error}") from error
+            raise ConfigError(f"{where}: {error}") from error
         if abs(recording.seconds - order.schedule.seconds) > 0.1 * order.schedule.seconds:
             raise RecordingError(
                 f"{files[0]}: {recording.seconds:.1f} s long, but {order.schedule.seconds:g} s were to be recorded. "
@@ -252,17 +257,26 @@ class FieldWorld(World):
 
     def _template(self) -> str:
         """A mapping to fill in: the robot's channels, and what only the robot gives for the objectives."""
+        return mapping_template(self._robot.spec, self._robot.channels(), self._real_channels())
+
+    def _real_channels(self) -> list[Channel]:
+        """What only the robot gives for the objectives."""
         registry = self._registry
-        robot = self._robot
         real: dict[str, Channel] = {}
         for name, settings in self._context.objectives.items():
             objective = registry.make_objective(name, settings)
             real |= {channel.name: channel for channel in objective.real_channels}
             if objective.instrument is not None:  # some tell there what else the score needs
-                instrument = registry.make_instrument(objective.instrument, {}, robot)
+                instrument = registry.make_instrument(objective.instrument, {}, self._robot)
                 levels = instrument.idle()
                 real |= {channel.name: channel for channel in instrument.channels if channel.name in levels}
-        return mapping_template(robot.spec, robot.channels(), list(real.values()))
+        return list(real.values())
+
+    def _facts(self, request: str, held: bool) -> Facts:
+        """What a bundle says of the robot and the run."""
+        robot, run = self._robot, self._run_folder()
+        hold = self._hold if held else None
+        return Facts(robot.spec, request, hold, robot.channels(), self._real_channels(), run_configuration(run))
 
     @staticmethod
     def _idle_levels(mapping: Mapping[str, Any]) -> dict[str, float | None]:
@@ -276,10 +290,14 @@ class FieldWorld(World):
         except OSError as error:
             raise WorldError(f"{error.filename}: this policy cannot be read ({error.strerror}).") from error
 
-    def _command(self) -> str:
-        """What to type next: the run that this world's folder belongs to goes on."""
+    def _run_folder(self) -> Path:
+        """The run that this world's folder belongs to."""
         folder = Path(self._context.folder)
-        run = next((place for place in (folder, *folder.parents) if (place / "config.yaml").exists()), folder)
+        return next((place for place in (folder, *folder.parents) if (place / "config.yaml").exists()), folder)
+
+    def _command(self) -> str:
+        """What to type next: the run goes on."""
+        run = self._run_folder()
         return f"hts evaluate {run}" if (run / "summary.json").exists() else f"hts resume {run}"
 
 

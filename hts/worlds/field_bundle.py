@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Mapping, Sequence
@@ -15,8 +16,11 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import VELOCITY, FollowVelocity, RobotSpec, Task
 from hts.policies.deploy import DeployedPolicy
+from hts.policies.exploring import mean_of, seed_of, with_noise
+from hts.worlds.field_manifest import FIRST_RUNS, Facts, manifest, policy_entry
 
 UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
+CHECKSUMS = "SHA256SUMS"
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,8 @@ def instructions(
     lines = [
         "# What to record",
         "",
+        _BEFORE,
+        "",
         session,
         "",
         f"| log | session | block | role | policy | {asked} |",
@@ -105,8 +111,39 @@ def instructions(
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
         f"4. Type: `{command}`",
         "",
+        _WATCH,
+        "",
     ]
     return "\n".join(lines)
+
+
+_BEFORE = f"""\
+Everything for one visit to the robot is in this folder: the policies, `manifest.json` (what a robot's computer must
+know of them), `plan.json`, this page. `sha256sum -c {CHECKSUMS}` in this folder says whether it arrived whole. A
+runtime that comes with the robot's package does the rows by itself, writes `logs/` and what describes them; steps 2 and
+3 below are then done.
+
+A policy that explores has its noise inside its graph: run it as any other, add none. Each exploring row has a graph of
+its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`."""
+
+_WATCH = f"""\
+## Before a policy walks for the first time on this machine
+
+Hang the robot or keep a hand on its handle. Walk each new policy for {FIRST_RUNS["seconds"]:g} s at
+{FIRST_RUNS["speed_scale"]:.0%} of the speed with the torque limited to {FIRST_RUNS["torque_scale"]:.0%}, record
+nothing, and look whether it walks as in simulation. `manifest.json` says under `gate` whether it was tried over many
+simulated machines; null: it was not.
+
+## What to watch
+
+Motor temperatures and their rise, supply voltage, slipping feet, a gait that becomes uneven, noise from a gear, people
+and cables near the legs. One person looks at the robot only, with the stop key in the hand.
+
+## When to stop
+
+At once, by the stop key: the trunk leans and does not come back, a leg strikes an end stop, a motor smells or passes
+its temperature limit, the link or the log stutters, anybody is unsure. A row that was stopped is recorded again from
+its start; rows that are done stay. After a fall look at legs, feet and plugs before going on."""
 
 
 def _asked(task: Task, command: Command) -> str:
@@ -120,26 +157,20 @@ def write_bundle(
     orders: Sequence[Order],
     mapping: Path,
     command: str,
+    facts: Facts,
     task: Task = VELOCITY,
     hold: Sequence[str] = (),
 ) -> None:
-    """Write policies, cards, plan and instructions; complete or not at all. A bundle that is there stays as it is."""
+    """Write policies, cards, manifest, plan, instructions and checksums; complete or not at all. A bundle that is there
+    stays as it is."""
     if folder.exists():
         return
     temporary = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(temporary, ignore_errors=True)
     (temporary / "policies").mkdir(parents=True)
     (temporary / "logs").mkdir()
-    named: dict[Path, Path] = {}
-    for order in orders:
-        if order.policy not in named:
-            number = len(named)
-            named[order.policy] = target = temporary / "policies" / f"{number:02d}-{order.policy.name}"
-            shutil.copyfile(order.policy, target)
-            card = vars(DeployedPolicy(target).card)
-            target.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
-    shown = [replace(order, policy=named[order.policy]) for order in orders]
-    plan = [
+    shown, entries = _write_policies(temporary, orders, facts)
+    plan: list[dict[str, Any]] = [
         {
             "log": o.name,
             "policy": f"policies/{o.policy.name}",
@@ -151,6 +182,52 @@ def write_bundle(
         }
         for o in shown
     ]
-    (temporary / "plan.json").write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
+    hashes = {entry["file"]: entry["policy_hash"] for entry in entries}
+    rows = [{**row, "trim": row.get("trim", False), "policy_hash": hashes[row["policy"]]} for row in plan]
+    _write_json(temporary / "plan.json", plan)
+    _write_json(temporary / "manifest.json", manifest(facts, entries, rows))
     (temporary / "README.md").write_text(instructions(shown, mapping, command, task, hold), encoding="utf-8")
+    (temporary / CHECKSUMS).write_text(checksums(temporary), encoding="utf-8")
     temporary.rename(folder)
+
+
+def checksums(folder: Path) -> str:
+    """Lines as `sha256sum` writes and checks them, of every file in a folder."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return "".join(
+        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(folder).as_posix()}\n" for path in files
+    )
+
+
+def _write_policies(folder: Path, orders: Sequence[Order], facts: Facts) -> tuple[list[Order], list[dict[str, Any]]]:
+    """Graphs and cards into `folder`/policies: the orders with the paths of theirs, and what the manifest says.
+
+    One graph a policy; one a row where it explores, each with a seed of its own, and the mean action once beside.
+    """
+    named: dict[tuple[Path, str], Path] = {}
+    entries, shown = [], []
+    for order in orders:
+        card = DeployedPolicy(order.policy).card
+        explores = bool(card.exploration_std)
+        key = (order.policy, order.name if explores else "")
+        if key not in named:
+            named[key] = target = folder / "policies" / f"{len(named):02d}-{order.policy.name}"
+            content, seed, mean = order.policy.read_bytes(), None, None
+            if explores:
+                mean = folder / "policies" / "mean" / order.policy.name
+                mean.parent.mkdir(exist_ok=True)
+                mean.write_bytes(mean_of(content))
+                seed = seed_of(order.session, order.name, card.policy_hash)
+                content = with_noise(content, card.exploration_std, seed)
+            target.write_bytes(content)
+            _write_json(
+                target.with_suffix(".json"), {**vars(card), **({"exploration": "in the graph"} if explores else {})}
+            )
+            inside = [None if path is None else path.relative_to(folder).as_posix() for path in (target, mean)]
+            entries.append(policy_entry(card, str(inside[0]), inside[1], seed, order.policy, facts))
+        shown.append(replace(order, policy=named[key]))
+    return shown, entries
+
+
+def _write_json(path: Path, content: Any) -> None:
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

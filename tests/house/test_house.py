@@ -319,6 +319,7 @@ OFFENCES = {
     "hts/cores.py": ("hts.cores -> hts.run", "import hts.run"),
     "hts/rl/kl_bound.py": ("hts.rl.kl_bound -> hts.worlds.twin.model", "from hts.worlds.twin.model import build"),
     "hts/report/table.py": ("hts.report.table -> hts_power.battery", "from hts_power.battery import Battery"),
+    "robots/go1/hts_go1_runtime/link.py": ("hts_go1_runtime.link -> hts.channels", "from hts.channels import Channel"),
     "plugins/noise/hts_noise/objective.py": ("hts_noise.objective -> hts.worlds.base", "from hts.worlds import base"),
 }
 """File -> the import that the linter must name, and the lines that make it."""
@@ -326,6 +327,7 @@ OFFENCES = {
 
 def test_a_forbidden_import_is_named(tmp_path):
     roots = {"hts": "hts", "plugins/power/hts_power": "", "plugins/noise/hts_noise": "", "robots/go1/hts_go1": ""}
+    roots |= {"robots/go1/hts_go1_runtime": "", "robots/go1/hts_go1_stand_in": ""}
     ignore = shutil.ignore_patterns("__pycache__", "*.safetensors", "*.json")
     for folder in roots:
         shutil.copytree(REPOSITORY / folder, tmp_path / folder, ignore=ignore)

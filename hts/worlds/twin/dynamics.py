@@ -168,12 +168,14 @@ class Dynamics:
         ])  # fmt: skip
         return rows.T.reshape(-1, 3, 3)
 
-    def advance(self, targets: np.ndarray, steps: int, instruments: Sequence[Instrument]) -> None:
-        """Send joint targets (W, J), rad, and let `steps` physics steps pass; targets act after the delay.
+    def advance(self, targets: np.ndarray | None, steps: int, instruments: Sequence[Instrument]) -> None:
+        """Send joint targets (W, J), rad, and let `steps` physics steps pass; targets act after the delay. None:
+        nothing is sent, what was sent last holds.
 
         Instruments get one `PhysicsSample` per step; its arrays are overwritten by the next step.
         """
-        self._link.send(targets)
+        if targets is not None:
+            self._link.send(targets)
         if self._wind:
             self._force[:, :2] = self._wind.blow(steps * self.dt)
         for _ in range(steps):

@@ -1,0 +1,184 @@
+"""manifest.json of a deploy bundle: everything that a robot's computer must know beside the graphs themselves.
+
+Version 1. A reader refuses a higher `schema_version`; keys are added, never renamed.
+
+    schema, schema_version, hts_version, request
+    robot        name, joint_names, default_pose rad, position_limit rad, velocity_limit rad/s, torque_limit N*m
+    control      rate_hz; target: how a joint target is made; action_clip: action units, null: never clipped;
+                 unsteady_seconds: after a swap, left out later
+    policies     one a graph: file, mean_file (the same without noise; null: this one has none), policy_hash,
+                 joint_names, default_pose, action_scale, kp, kd, control_rate_hz, observation parts with unit and
+                 meaning, history, normaliser (in the graph), exploration (null: none), trained (null: not known),
+                 gate (null: not tried)
+    rows         what to record, in order: log, policy, schedule, session, block, role, trim, policy_hash
+    hold         commands m/s, seconds, tolerance; null: the command is the schedule's
+    channels     what a log holds: unit, size (0: one number), real (only the robot gives it: it needs an idle level)
+    warmup_seconds, first_runs      before a head-to-head; how to begin with policies that never ran on a machine
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import yaml
+
+import hts
+from hts.channels import Channel
+from hts.contracts import HoldSpeed, RobotSpec
+from hts.policies.export import CLIP
+
+SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
+WARMUP_SECONDS = 600.0  # of walking before a head-to-head: windings take about that long
+FIRST_RUNS = {"speed_scale": 0.5, "torque_scale": 0.6, "seconds": 20.0}
+"""Of a policy that never ran on this machine: walk it so first, recording nothing."""
+
+PARTS = {
+    "angular_velocity": ("rad/s", "of the trunk, in the trunk frame"),
+    "projected_gravity": ("1", "unit vector of gravity in the trunk frame; (0, 0, -1) upright"),
+    "command": ("m/s, m/s, rad/s", "vx, vy, yaw rate as sent"),
+    "joint_position_offset": ("rad", "joint angle - default_pose"),
+    "joint_velocity": ("rad/s", "joint speed"),
+    "last_action": ("action units", "the action of the step before, noise included; 0 at the start"),
+}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a policy was trained in. delay_s: least and most delay of its targets, s; commands: ranges of vx, vy m/s
+    and yaw rate rad/s; source: who says so."""
+
+    delay_s: tuple[float, float]
+    commands: Mapping[str, Sequence[float]]
+    source: str
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a bundle says of the robot and the run. run: its resolved configuration, {} where there is none."""
+
+    spec: RobotSpec
+    request: str = ""
+    hold: HoldSpeed | None = None
+    sim: Mapping[str, Channel] = field(default_factory=dict)
+    real: Sequence[Channel] = ()
+    run: Mapping[str, Any] = field(default_factory=dict)
+
+
+def run_configuration(folder: Path) -> Mapping[str, Any]:
+    """The resolved configuration of the run in a folder; {} if there is none that can be read."""
+    try:
+        found = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        return {}
+    return found if isinstance(found, Mapping) else {}
+
+
+def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The whole manifest. policies: `policy_entry` of each graph; rows: the plan's."""
+    spec = facts.spec
+    compared = any(row["role"] != "collection" for row in rows)
+    held = facts.hold if compared else None
+    real = {channel.name for channel in facts.real}
+    return {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "hts_version": hts.__version__,
+        "request": facts.request,
+        "robot": {
+            "name": spec.name,
+            "joint_names": list(spec.joint_names),
+            "default_pose": list(spec.default_pose),
+            "position_limit": [list(pair) for pair in spec.position_limit],
+            "velocity_limit": list(spec.velocity_limit),
+            "torque_limit": list(spec.torque_limit),
+        },
+        "control": {
+            "rate_hz": spec.control_rate_hz,
+            "target": "default_pose + action_scale * action",
+            "action_clip": None,
+            "unsteady_seconds": 2.0,
+        },
+        "policies": list(policies),
+        "rows": list(rows),
+        "hold": None if held is None else {**asdict(held), "commands": list(held.commands)},
+        "channels": {
+            channel.name: {
+                "unit": channel.unit,
+                "size": channel.shape[0] if channel.shape else 0,
+                "real": channel.name in real,
+            }
+            for channel in (*facts.sim.values(), *facts.real)
+        },
+        "warmup_seconds": WARMUP_SECONDS if compared else 0.0,
+        "first_runs": FIRST_RUNS,
+    }
+
+
+def policy_entry(
+    card: SimpleNamespace,
+    file: str,
+    mean_file: str | None,
+    seed: int | None,
+    source: Path,
+    facts: Facts,
+) -> dict[str, Any]:
+    """What the manifest says of one graph. card: of the policy; seed: of the noise in its graph, None without;
+    source: the exported policy that it was made of, beside which `NAME.gate.json` may lie: what the gate before
+    hardware found."""
+    exploration = None
+    if seed is not None:
+        exploration = {"where": "graph", "sigma": list(card.exploration_std), "seed": seed}
+    return {
+        "file": file,
+        "mean_file": mean_file,
+        "policy_hash": card.policy_hash,
+        **{key: list(getattr(card, key)) for key in ("joint_names", "default_pose", "action_scale", "kp", "kd")},
+        "control_rate_hz": card.control_rate_hz,
+        "observation": [_part(part) for part in card.observation],
+        "history": card.history,
+        "normaliser": {"where": "graph", "formula": "clip((observation - mean) / std)", "clip": CLIP},
+        "exploration": exploration,
+        "trained": _trained(card, facts),
+        "gate": _gate(source),
+    }
+
+
+def _part(part: Mapping[str, Any]) -> dict[str, Any]:
+    unit, meaning = PARTS.get(str(part["name"]), ("", ""))
+    return {"name": part["name"], "size": part["size"], "unit": unit, "meaning": meaning}
+
+
+def _trained(card: SimpleNamespace, facts: Facts) -> dict[str, Any] | None:
+    """From the card where it says so, else from the run; None where nobody knows."""
+    made = getattr(card, "made", {})
+    for source, env in (
+        ("card of the policy", _inside(made, "config", "env")),
+        ("run that fine-tuned it", _inside(facts.run, "finetune", "env")),
+    ):
+        steps, ranges = _inside(env, "randomisation", "delay_steps"), _inside(env, "commands")
+        if steps is None or ranges is None:
+            continue
+        delay = (float(steps[0]) * facts.spec.physics_dt, float(steps[1]) * facts.spec.physics_dt)
+        commands = {key: list(ranges[key]) for key in ("vx", "vy", "yaw_rate") if key in ranges}
+        return asdict(Trained(delay, commands, source))
+    return None
+
+
+def _inside(content: Any, *path: str) -> Any:
+    """What lies at a path of keys; None where it is not there."""
+    for key in path:
+        content = content.get(key) if isinstance(content, Mapping) else None
+    return content
+
+
+def _gate(source: Path) -> Any:
+    """What the gate before hardware wrote of a policy; None where it was not tried."""
+    try:
+        return json.loads(source.with_suffix(".gate.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None

@@ -1,0 +1,278 @@
+"""A deploy bundle as the runtime takes it: nothing is run before all of it has been checked."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hts_go1_runtime import machine
+from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.policy import PARTS, Policy
+
+SCHEMA, VERSION = "hts deploy bundle", 1
+CHECKSUMS = "SHA256SUMS"
+LARGEST_FILE = 64 * 2**20  # bytes
+LONGEST_ROW = 3600.0  # s
+FASTEST, FASTEST_TURN = 3.0, 3.0  # m/s, rad/s: no command for this robot
+
+
+@dataclass(frozen=True)
+class Row:
+    """One log to be recorded. commands: (seconds, vx m/s, vy m/s, yaw rate rad/s) one after the other."""
+
+    log: str
+    policy: str
+    policy_hash: str
+    session: str
+    block: int
+    role: str
+    trim: bool
+    commands: tuple[tuple[float, float, float, float], ...]
+
+    @property
+    def seconds(self) -> float:
+        return sum(command[0] for command in self.commands)
+
+
+@dataclass(frozen=True)
+class Hold:
+    """How the speed is held: limits of the command, m/s, and seconds of trimming."""
+
+    commands: tuple[float, float]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A bundle that was checked. policies: file -> policy, ready to run."""
+
+    folder: Path
+    manifest: Mapping[str, Any]
+    policies: Mapping[str, Policy]
+    rows: Sequence[Row]
+    hold: Hold | None
+    rate_hz: float
+
+    @property
+    def logs(self) -> Path:
+        return self.folder / "logs"
+
+
+def load_bundle(folder: Path) -> Bundle:
+    """Checksums, manifest against graphs, gains and limits against the robot's own. Raises RuntimeFault."""
+    sums = _checksums(folder)
+    manifest = _manifest(folder / "manifest.json", sums)
+    where = str(folder / "manifest.json")
+    try:
+        _check_robot(manifest["robot"], where)
+        rate = float(manifest["control"]["rate_hz"])
+        if not 1 <= rate <= 500:
+            raise RuntimeFault(f"{where}: control rate {rate:g} Hz, expected 1 to 500.")
+        policies = {}
+        for entry in manifest["policies"]:
+            _check_entry(entry, rate, f"{where}: policy {entry['file']}")
+            content = _read(folder, str(entry["file"]), sums)
+            policies[str(entry["file"])] = policy = Policy(entry, content, str(folder / entry["file"]))
+            _check_card(policy)
+        rows = [_row(row, policies, where) for row in manifest["rows"]]
+        hold = _hold(manifest["hold"], where)
+        _check_visit(manifest, where)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RuntimeFault(f"{where}: not a whole manifest ({what[:160]}). Make the bundle again.") from error
+    if len({row.log for row in rows}) != len(rows) or not rows:
+        raise RuntimeFault(f"{where}: rows {[row.log for row in rows][:8]}, expected names, each once.")
+    if hold is None and any(row.trim for row in rows):
+        raise RuntimeFault(f"{where}: a row is to be trimmed, but nothing says how (`hold`). Make the bundle again.")
+    return Bundle(folder, manifest, policies, rows, hold, rate)
+
+
+def _checksums(folder: Path) -> dict[str, str]:
+    """file -> SHA-256, after every file was compared with its own."""
+    path = folder / CHECKSUMS
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RuntimeFault(
+            f"{path}: cannot be read ({error}). Name the folder of a deploy bundle, copied whole."
+        ) from error
+    sums = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    for name in sums:
+        _read(folder, name, sums)
+    return sums
+
+
+def _read(folder: Path, name: str, sums: Mapping[str, str]) -> bytes:
+    """A file of the bundle, whose checksum is right."""
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise RuntimeFault(f"{folder / CHECKSUMS}: names '{name}', which is not in the bundle. Do not run it.")
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise RuntimeFault(f"{path}: larger than {LARGEST_FILE:,} bytes. Do not run it.")
+        content = path.read_bytes()
+    except OSError as error:
+        raise RuntimeFault(f"{path}: cannot be read ({error.strerror}). Copy the bundle again.") from error
+    found = hashlib.sha256(content).hexdigest()
+    if found != sums.get(name):
+        expected = f"{sums[name][:12]}…" if name in sums else "none"
+        raise RuntimeFault(
+            f"{path}: its SHA-256 is {found[:12]}…, {CHECKSUMS} says {expected}. It was changed or damaged: copy the "
+            "bundle again."
+        )
+    return content
+
+
+def _manifest(path: Path, sums: Mapping[str, str]) -> Mapping[str, Any]:
+    try:
+        found = json.loads(_read(path.parent, path.name, sums))
+    except (ValueError, RecursionError) as error:
+        raise RuntimeFault(f"{path}: no JSON ({error}). Make the bundle again.") from error
+    schema = (found.get("schema"), found.get("schema_version")) if isinstance(found, dict) else (None, None)
+    if schema != (SCHEMA, VERSION):
+        raise RuntimeFault(
+            f"{path}: schema {schema}, this runtime reads {(SCHEMA, VERSION)}. Update the older of the two."
+        )
+    return found
+
+
+def _check_robot(robot: Mapping[str, Any], where: str) -> None:
+    """The manifest's robot is this one, and its limits allow no more than ours."""
+    if list(robot["joint_names"]) != list(machine.JOINTS):
+        raise RuntimeFault(
+            f"{where}: joints {robot['joint_names']}, this robot's are {list(machine.JOINTS)}, in that order."
+        )
+    low, high = np.array(robot["position_limit"], float).T
+    for what, wider in (
+        ("position_limit", (low < machine.POSITION_LOW - 1e-9) | (high > machine.POSITION_HIGH + 1e-9)),
+        ("velocity_limit", _numbers(robot, "velocity_limit", where) > machine.VELOCITY_LIMIT + 1e-9),
+        ("torque_limit", _numbers(robot, "torque_limit", where) > machine.TORQUE_LIMIT + 1e-9),
+    ):
+        if wider.any():
+            joint = machine.JOINTS[int(np.flatnonzero(wider)[0])]
+            raise RuntimeFault(
+                f"{where}: {what} of {joint} is wider than the robot's own. Make the bundle for this robot."
+            )
+
+
+def _check_entry(entry: Mapping[str, Any], rate: float, where: str) -> None:
+    """Joint order, gains, scale, pose, rate and observation of a policy are such that this robot may run it."""
+    if list(entry["joint_names"]) != list(machine.JOINTS):
+        raise RuntimeFault(f"{where}: made for joints {entry['joint_names']}, expected {list(machine.JOINTS)}.")
+    if float(entry["control_rate_hz"]) != rate:
+        raise RuntimeFault(f"{where}: trained at {entry['control_rate_hz']} Hz, the bundle runs at {rate:g} Hz.")
+    for key, low, high in (
+        ("kp", 0.0, machine.LARGEST_KP),
+        ("kd", 0.0, machine.LARGEST_KD),
+        ("action_scale", -machine.LARGEST_SCALE, machine.LARGEST_SCALE),
+    ):
+        values = _numbers(entry, key, where)
+        wrong = np.flatnonzero((values < low) | (values > high))
+        if wrong.size:
+            joint = int(wrong[0])
+            raise RuntimeFault(
+                f"{where}: {key} {values[joint]:g} of {machine.JOINTS[joint]}, this robot takes {low:g} to {high:g}."
+            )
+    pose = _numbers(entry, "default_pose", where)
+    outside = np.flatnonzero((pose < machine.TARGET_LOW) | (pose > machine.TARGET_HIGH))
+    if outside.size:
+        joint = int(outside[0])
+        raise RuntimeFault(
+            f"{where}: default_pose {pose[joint]:g} rad of {machine.JOINTS[joint]}, its range is "
+            f"{machine.TARGET_LOW[joint]:g} to {machine.TARGET_HIGH[joint]:g}."
+        )
+    for part in entry["observation"]:
+        if PARTS.get(part["name"]) != part["size"]:
+            raise RuntimeFault(
+                f"{where}: observes '{part['name']}' ({part['size']} numbers), which this robot does not measure so; "
+                f"it measures {', '.join(f'{name} ({size})' for name, size in PARTS.items())}. "
+                "Distil or train the policy without it."
+            )
+    if not 1 <= int(entry["history"]) <= 1000:
+        raise RuntimeFault(f"{where}: history {entry['history']}, expected 1 to 1000 observations.")
+
+
+def _check_card(policy: Policy) -> None:
+    """What the graph carries itself agrees with the manifest."""
+    try:
+        card = json.loads(policy.metadata["hts"])
+    except (KeyError, ValueError) as error:
+        raise RuntimeFault(f"{policy.where}: carries no card. Make the bundle again.") from error
+    for key in ("joint_names", "default_pose", "action_scale", "kp", "kd", "control_rate_hz", "policy_hash"):
+        if card.get(key) != policy.entry[key]:
+            raise RuntimeFault(
+                f"{policy.where}: its own card says {key} {str(card.get(key))[:60]}, the manifest "
+                f"{str(policy.entry[key])[:60]}. Make the bundle again."
+            )
+    if bool(policy.entry["exploration"]) != ("hts_exploration" in policy.metadata):
+        raise RuntimeFault(
+            f"{policy.where}: manifest and graph disagree about exploration noise. Make the bundle again."
+        )
+
+
+def _row(row: Mapping[str, Any], policies: Mapping[str, Policy], where: str) -> Row:
+    name = str(row["log"])
+    if not name or not all(sign.isalnum() or sign in "-_" for sign in name):
+        raise RuntimeFault(f"{where}: a row's log is called '{name}', expected letters and digits.")
+    if row["policy"] not in policies:
+        raise RuntimeFault(f"{where}: row {name} wants {row['policy']}, which is no policy of the bundle.")
+    if row["policy_hash"] != policies[row["policy"]].entry["policy_hash"]:
+        raise RuntimeFault(f"{where}: row {name} wants another policy_hash than {row['policy']} has.")
+    commands = tuple(
+        tuple(float(one.get(key, 0.0)) for key in ("seconds", "vx", "vy", "yaw_rate"))
+        for one in row["schedule"]["commands"]
+    )
+    for seconds, vx, vy, turn in commands:
+        sane = 0 < seconds <= LONGEST_ROW and max(abs(vx), abs(vy)) <= FASTEST and abs(turn) <= FASTEST_TURN
+        if not sane or not all(map(math.isfinite, (seconds, vx, vy, turn))):
+            raise RuntimeFault(f"{where}: row {name} commands {vx:g}, {vy:g} m/s, {turn:g} rad/s for {seconds:g} s.")
+    if not commands:
+        raise RuntimeFault(f"{where}: row {name} commands nothing.")
+    return Row(
+        name, str(row["policy"]), str(row["policy_hash"]), str(row["session"]), int(row["block"]), str(row["role"]),
+        bool(row["trim"]), commands,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def _hold(hold: Mapping[str, Any] | None, where: str) -> Hold | None:
+    if hold is None:
+        return None
+    low, high = (float(one) for one in hold["commands"])
+    seconds = float(hold["seconds"])
+    if not (-FASTEST <= low < high <= FASTEST and 0 < seconds <= LONGEST_ROW):
+        raise RuntimeFault(
+            f"{where}: hold commands {low:g} to {high:g} m/s for {seconds:g} s, expected a range within 3."
+        )
+    return Hold((low, high), seconds)
+
+
+def _check_visit(manifest: Mapping[str, Any], where: str) -> None:
+    """How a visit begins: numbers that a session reads later."""
+    first = manifest["first_runs"]
+    for content, key, low, high in (
+        (manifest, "warmup_seconds", 0.0, LONGEST_ROW),
+        (manifest["control"], "unsteady_seconds", 0.0, 60.0),
+        (first, "speed_scale", 0.0, 1.0),
+        (first, "torque_scale", 0.1, 1.0),
+        (first, "seconds", 0.0, 600.0),
+    ):
+        value = float(content[key])
+        if not low <= value <= high:
+            raise RuntimeFault(f"{where}: {key} {value:g}, expected {low:g} to {high:g}.")
+    if not isinstance(manifest["channels"], Mapping):
+        raise RuntimeFault(f"{where}: channels {str(manifest['channels'])[:60]}, expected names with units.")
+
+
+def _numbers(values: Mapping[str, Any], key: str, where: str) -> np.ndarray:
+    """Twelve finite numbers."""
+    found = np.asarray(values[key], float)
+    if found.shape != (12,) or not np.isfinite(found).all():
+        raise RuntimeFault(f"{where}: {key} {str(values[key])[:60]}, expected 12 numbers.")
+    return found

@@ -1,0 +1,117 @@
+"""`python -m hts_go1_runtime.fake`: a robot that stands still and says so 250 times a second, then fails on purpose.
+
+For the bench and for tests: it notes when it failed and when the damping command came, on the clock that all processes
+of a computer share, and prints both as one line of JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hts_go1_runtime.link import DAMPING, State
+from hts_go1_runtime.machine import STAND
+from hts_go1_runtime.packet import COMMAND, LARGEST, STATE, numbers_of_state, pack, unpack
+
+PERIOD = 0.004  # s
+FAULTS = (
+    "none", "tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "lost link",
+    "stale states", "not finite", "operator file", "operator signal", "operator key",
+)  # fmt: skip
+
+
+def standing(sequence: int, stamp: float) -> State:
+    """A state of a robot that stands."""
+    zero = np.zeros(12)
+    return State(
+        sequence, stamp, 0.0, STAND.copy(), zero.copy(), zero.copy(), np.array([1.0, 0, 0, 0]), np.zeros(3),
+        np.array([0, 0, 9.81]), np.full(4, 30.0), np.zeros(3), 3.0, 22.0, 80.0, np.full(12, 40.0),
+    )  # fmt: skip
+
+
+def failing(state: State, fault: str) -> State:
+    """The same state with a fault in it; unchanged for faults that are not in a state."""
+    lean = math.radians(60) / 2
+    changed: dict[str, dict[str, object]] = {
+        "tilt": {"quaternion": np.array([math.cos(lean), math.sin(lean), 0, 0])},
+        "joint limit": {"q": np.where(np.arange(12) == 2, -3.0, state.q)},
+        "joint speed": {"dq": np.where(np.arange(12) == 4, 45.0, 0.0)},
+        "over-current": {"current": 35.0},
+        "low voltage": {"voltage": 18.0},
+        "temperature": {"temperature": np.where(np.arange(12) == 7, 85.0, 40.0)},
+        "not finite": {"dq": np.full(12, np.nan)},
+    }
+    return dataclasses.replace(state, **changed.get(fault, {}))  # type: ignore[arg-type]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Serve until the damping command came, or `--seconds` are over."""
+    parser = argparse.ArgumentParser(prog="hts_go1_runtime.fake")
+    parser.add_argument("--fault", choices=FAULTS, default="none")
+    parser.add_argument("--at", type=float, default=1.0, help="s after the first command")
+    parser.add_argument("--seconds", type=float, default=5.0, help="after the first command")
+    parser.add_argument("--stop-file", type=Path)
+    parser.add_argument("--process", type=int, help="that gets the signal")
+    parser.add_argument("--key", type=int, help="file descriptor of the runtime's keyboard")
+    given = parser.parse_args(arguments)
+    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    line.bind(("127.0.0.1", 0))
+    print(line.getsockname()[1], flush=True)
+    partner, begun, failed, damped = None, None, None, None
+    sequence, due = 0, time.monotonic()
+    while begun is None or time.monotonic() - begun < given.seconds:
+        due += PERIOD
+        while (left := due - time.monotonic()) > 0:
+            if not select.select([line], [], [], left)[0]:
+                break
+            data, partner = line.recvfrom(LARGEST + 1)
+            packet = unpack(data)
+            if packet is None or packet[0] != COMMAND:
+                continue
+            begun = begun or time.monotonic()
+            _, kp, kd = np.split(packet[3], 3)
+            if not kp.any() and np.allclose(kd, DAMPING.kd) and damped is None:
+                damped = time.monotonic()
+        if damped is not None:
+            break
+        state = standing(sequence, time.monotonic())
+        if begun is not None and time.monotonic() - begun > given.at and given.fault != "none":
+            if failed is None:
+                failed = time.monotonic()
+                _from_outside(given)
+            if given.fault == "lost link":
+                continue
+            if given.fault == "stale states":  # the clock in them stands still
+                state = dataclasses.replace(state, stamp=failed - 0.05)
+            state = failing(state, given.fault)
+        if partner is not None:
+            line.sendto(pack(STATE, sequence, state.stamp, numbers_of_state(state)), partner)
+            sequence += 1
+    print(json.dumps({"failed": failed, "damped": damped}), flush=True)
+    return 0
+
+
+def _from_outside(given: argparse.Namespace) -> None:
+    """What an operator does."""
+    if given.fault == "operator file":
+        given.stop_file.touch()
+    elif given.fault == "operator signal":
+        os.kill(given.process, signal.SIGUSR1)
+    elif given.fault == "operator key":
+        os.write(given.key, b"\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,246 @@
+"""The log of a row, as CSV that `hts import` takes, and the mapping that says what its columns are.
+
+Rows go to a thread of their own, so no disk makes a step late. They are on their way to the disk within half a second
+and synced once a second: a process that is killed leaves what was flushed, under `.NAME.csv.partial`. The file gets
+its name once it is whole. If the disk refuses (full), rows wait in memory and are tried again; `fault` says so.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hts_go1_runtime.link import Command, State
+from hts_go1_runtime.machine import JOINTS
+
+SYNC_SECONDS, TRY_AGAIN_SECONDS = 1.0, 0.5
+SIM = {  # channel -> (unit, numbers a sample); as `hts` names them
+    "joint_position": ("rad", 12),
+    "joint_velocity": ("rad/s", 12),
+    "joint_torque": ("N*m", 12),
+    "joint_target": ("rad", 12),
+    "angular_velocity": ("rad/s", 3),
+    "projected_gravity": ("1", 3),
+    "base_velocity": ("m/s", 3),
+    "command": ("1", 3),
+    "foot_force": ("N", 4),
+}
+REAL = {"battery_current": ("A", 0), "battery_voltage": ("V", 0)}  # need an idle level
+BESIDE = {"state_of_charge": ("%", 0), "motor_temperature": ("degC", 12)}  # neither learned nor learned from
+NOTED = ("state_stamp", "state_age_ms", "late_ms", "step_ms", "packets_lost", "packets_late")
+CHANNELS = SIM | REAL | BESIDE
+
+
+def columns_of(channel: str) -> list[str]:
+    """Names of a channel's columns."""
+    if channel.startswith("joint_"):
+        return [f"{joint}_{channel.removeprefix('joint_')}" for joint in JOINTS]
+    size = CHANNELS[channel][1]
+    return [f"{channel}_{number}" for number in range(size)] if size else [channel]
+
+
+def measured(state: State) -> list[str]:
+    """Channels that the robot gives, judged by one state: all but those that hold what is not measured."""
+    values: dict[str, Any] = {
+        "base_velocity": state.velocity,
+        "foot_force": state.foot_force,
+        "battery_current": state.current,
+        "battery_voltage": state.voltage,
+        "state_of_charge": state.charge,
+        "motor_temperature": state.temperature,
+    }
+    return [name for name in CHANNELS if name not in values or np.isfinite(values[name]).all()]
+
+
+def samples(state: State, sent: np.ndarray, command: Command) -> dict[str, Any]:
+    """All channels of a step. sent: the command vx, vy, yaw rate as the policy got it."""
+    return {
+        "joint_position": state.q,
+        "joint_velocity": state.dq,
+        "joint_torque": state.tau,
+        "joint_target": command.q,
+        "angular_velocity": state.gyro,
+        "projected_gravity": state.gravity,
+        "base_velocity": state.velocity,
+        "command": sent,
+        "foot_force": state.foot_force,
+        "battery_current": state.current,
+        "battery_voltage": state.voltage,
+        "state_of_charge": state.charge,
+        "motor_temperature": state.temperature,
+    }
+
+
+def mapping(channels: Sequence[str], idle: Mapping[str, float], rate_hz: float, facts: Mapping[str, Any]) -> str:
+    """The mapping of a log, as JSON, which is YAML. facts: of `recording`."""
+    described: dict[str, Any] = {}
+    for name in channels:
+        unit, size = CHANNELS[name]
+        columns: Any = f"{{joint}}_{name.removeprefix('joint_')}" if name.startswith("joint_") else columns_of(name)
+        one: dict[str, Any] = {"columns": columns if name.startswith("joint_") or size else name, "unit": unit}
+        if name in REAL and name in idle:
+            one |= {"sign": 1, "idle": round(idle[name], 4)}
+        elif name in BESIDE or name in REAL:
+            one |= {"real": False, "may_be_constant": name in BESIDE}
+        described[name] = one
+    content = {
+        "reader": "csv",
+        "time": {"column": "time", "unit": "s"},
+        "rate_hz": rate_hz,
+        "joints": {joint: joint for joint in JOINTS},
+        "channels": described,
+        "recording": dict(facts),
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+class RowLog:
+    """Writes one row's log into a folder. channels: which; described: its mapping. `write` once a step, then `closing`.
+
+    All that touches the disk is done by a thread: the rows, then the mapping, then the file gets its name.
+    """
+
+    def __init__(self, folder: Path, name: str, channels: Sequence[str], described: str = "") -> None:
+        self._target, self._partial = folder / f"{name}.csv", folder / f".{name}.csv.partial"
+        self._mapping, self._described = folder / "mappings" / f"{name}.yaml", described
+        self._channels, self.rows, self.fault = list(channels), 0, ""
+        columns = ["time", *(column for name in channels for column in columns_of(name)), *NOTED]
+        # Stamps to the microsecond; values to seven digits, what a float32 holds.
+        self._format = ",".join(["%.6f"] + ["%.7g"] * (len(columns) - 1 - len(NOTED)) + ["%.6f"] + ["%.6g"] * 5) + "\n"
+        self._queue: queue.SimpleQueue[list[float] | str | None] = queue.SimpleQueue()
+        self._queue.put(",".join(columns) + "\n")
+        self._done = threading.Event()
+        self._closed = False
+        threading.Thread(target=self._work, daemon=True).start()
+
+    def write(self, clock: float, values: Mapping[str, Any], noted: Sequence[float]) -> None:
+        """One step. clock: s; noted: see `NOTED`."""
+        row = [clock]
+        for name in self._channels:
+            value = values[name]
+            row.extend(value.tolist() if isinstance(value, np.ndarray) else (float(value),))
+        self._queue.put([*row, *noted])
+        self.rows += 1
+
+    def closing(self, whole: bool = True) -> threading.Event:
+        """No more rows come: set once all is on the disk, and the file has its name if it is whole. A disk that refuses
+        is tried until then; `fault` says so meanwhile."""
+        if not self._closed:
+            self._closed, self._whole = True, whole
+            self._queue.put(None)
+        return self._done
+
+    def _work(self) -> None:
+        """The writing thread."""
+        waiting, handle, synced, over = b"", -1, time.monotonic(), False
+        while True:
+            time.sleep(0.0 if over else 0.1)
+            while not self._queue.empty():
+                item = self._queue.get()
+                if item is None:
+                    over = True
+                else:
+                    waiting += (item if isinstance(item, str) else self._format % tuple(item)).encode()
+            try:
+                if handle < 0:
+                    handle = self._open()
+                while waiting:
+                    waiting = waiting[os.write(handle, waiting) :]
+                if over or time.monotonic() - synced > SYNC_SECONDS:
+                    os.fsync(handle)
+                    synced = time.monotonic()
+                if over:
+                    self._name()
+                self.fault = ""
+            except OSError as error:
+                self.fault = f"{error.filename or self._partial}: cannot be written ({error.strerror})"
+                time.sleep(TRY_AGAIN_SECONDS)
+                continue
+            if over:
+                break
+        os.close(handle)
+        self._done.set()
+
+    def _open(self) -> int:
+        """The partial file, new; one that an earlier visit left is kept under another name."""
+        self._partial.parent.mkdir(parents=True, exist_ok=True)
+        if self._partial.exists():
+            left = len(list(self._partial.parent.glob(f"{self._partial.name}-*")))
+            self._partial.replace(self._partial.with_name(f"{self._partial.name}-{left}"))
+        return os.open(self._partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+
+    def _name(self) -> None:
+        """The mapping first, so that whoever sees the log sees what it is."""
+        if not self._whole or self._target.exists():
+            return
+        if self._described:
+            write_whole(self._mapping, self._described)
+        self._partial.replace(self._target)
+        folder = os.open(self._target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """A small file in one move. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.tmp")
+    with temporary.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+
+
+class Events:
+    """What happened in a session, one JSON line each, in logs/events.jsonl; said aloud too. By a thread: neither a disk
+    nor a terminal makes a step late."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def say(self, what: str, **numbers: Any) -> None:
+        """Note something."""
+        line = json.dumps({"at": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "what": what, **numbers})
+        self._queue.put(lambda: print(what, *(f"{key}={value}" for key, value in numbers.items()), flush=True))
+        self._queue.put(lambda: self._append(line + "\n"))
+
+    def keep(self, path: Path, text: str) -> None:
+        """Write a small file."""
+        self._queue.put(lambda: write_whole(path, text))
+
+    def close(self, seconds: float = 10.0) -> None:
+        """Wait until all is written, at most so long."""
+        self._queue.put(None)
+        self._thread.join(seconds)
+
+    def _append(self, line: str) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(line)
+
+    def _work(self) -> None:
+        said = False
+        while (task := self._queue.get()) is not None:
+            while True:
+                try:
+                    task()
+                    break
+                except OSError as error:
+                    if not said:
+                        print(f"{error.filename or self._path}: {error.strerror}", flush=True)
+                    said = True
+                    time.sleep(TRY_AGAIN_SECONDS)

@@ -1,0 +1,187 @@
+"""The control loop: absolute deadlines, every state looked at as it arrives, and one way to stop.
+
+A step is due at t0 + k T. Until then the line is watched; then the newest state becomes a command. A stop sends the
+damping command at once, from whichever thread sees the reason, and from then on nothing else is sent: neither a step
+that is still being computed nor a late one can undo it. In real time a thread watches the steps themselves, so a step
+that hangs is answered too (a whole process that hangs is the business of the robot's own firmware).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from hts_go1_runtime.errors import RuntimeFault, Stopped
+from hts_go1_runtime.link import DAMPING, Command, Link, State
+from hts_go1_runtime.machine import Limits
+from hts_go1_runtime.safety import Guard
+
+FIRST_STATE = 10.0  # s to wait for a robot that says nothing yet
+AFRESH = 0.1  # s of letting go of states that waited on the line
+KEPT_TIMES = 200_000  # steps whose times are kept: more than an hour
+
+Make = Callable[[State], Command]
+
+
+class Loop:
+    """Steps of `period` s on a link. pressed: asked often, says what an operator's key wants, None if nothing."""
+
+    def __init__(
+        self, link: Link, period: float, limits: Limits, pressed: Callable[[], str | None] = lambda: None
+    ) -> None:
+        self.link, self.period, self.limits = link, period, limits
+        self._guard, self._pressed = Guard(limits), pressed
+        self._lock = threading.RLock()  # a signal's handler may come while it is held
+        self._stopped: Stopped | None = None
+        self.stopped_at: float | None = None
+        self._due = 0.0
+        self._alarm = np.inf
+        self._over = threading.Event()
+        self._watch: threading.Thread | None = None
+        self.step_seconds: list[float] = []  # from the deadline's wake-up until the command was sent
+        self.late_seconds: list[float] = []  # from the deadline until the command was sent
+        self.state: State
+
+    @property
+    def due(self) -> float:
+        """When the current step is, or was, due."""
+        return self._due
+
+    def start(self) -> State:
+        """Wait for the robot's first state; from then on it is watched. Raises RuntimeFault if none comes."""
+        end = time.monotonic() + FIRST_STATE
+        states: list[State] = []
+        while not states:
+            if time.monotonic() > end:
+                raise RuntimeFault(
+                    f"No state came from the robot for {FIRST_STATE:g} s ({self.link.counts.broken} broken packets). "
+                    "Check the address, the cable and that the robot's side runs."
+                )
+            self.link.hello()
+            states = self.link.wait(self.link.now() + self.period)
+        self.state = states[-1]
+        self._due = self.link.now()
+        if not self.link.simulated:
+            self._watch = threading.Thread(target=self._watchdog, daemon=True)
+            self._watch.start()
+        return self.state
+
+    def tick(self, make: Make) -> State:
+        """One step: wait until it is due, turn the newest state into a command, send it. Returns that state.
+
+        Raises Stopped once the robot was stopped, by whom ever.
+        """
+        self._due += self.period
+        self._alarm = self._due + self.limits.late
+        while self.link.now() < self._due:
+            self.look(self._due)
+        began, clock = time.perf_counter(), self.link.now()
+        if clock - self._due > self.limits.late:
+            self.stop("late loop", f"a step began {1e3 * (clock - self._due):.0f} ms after it was due")
+        state = self.state
+        command = make(state)
+        if not all(np.isfinite(values).all() for values in (command.q, command.kp, command.kd)):
+            self.stop("not finite", "the policy gives a joint target that is no number")
+        self._send(command)
+        if len(self.step_seconds) < KEPT_TIMES:
+            self.step_seconds.append(time.perf_counter() - began)
+            self.late_seconds.append(self.link.now() - self._due)
+        return state
+
+    def look_over(self, state: State) -> tuple[str, str] | None:
+        """What is wrong with a state, None if nothing: asked before the robot moves."""
+        return self._guard.state(state)
+
+    def look(self, until: float) -> None:
+        """Look at the line once. Raises Stopped."""
+        states = self.link.wait(until)
+        fault = None
+        for state in states:
+            fault = fault or self._guard.state(state)
+            self.state = state
+        fault = fault or self._guard.silence(self.state, self.link.now())
+        if fault is None:
+            key = self._pressed()
+            fault = ("operator", key) if key else None
+        if fault is not None:
+            self.stop(*fault)
+        if self._stopped is not None:
+            raise self._stopped
+
+    def stop(self, reason: str, detail: str) -> None:
+        """Send the damping command now and for good. Raises Stopped."""
+        self.brake(reason, detail)
+        assert self._stopped is not None
+        raise self._stopped
+
+    def brake(self, reason: str, detail: str) -> None:
+        """`stop` for other threads and signals: raises nothing; the loop finds out at its next look."""
+        with self._lock:
+            if self._stopped is None:
+                self.link.send(DAMPING)
+                self.stopped_at = self.link.now()
+                self._stopped = Stopped(reason, detail)
+
+    def damp(self, seconds: float) -> None:
+        """Repeat the damping command, whatever the states say."""
+        self._alarm = np.inf
+        end = self.link.now() + seconds
+        while self.link.now() < end:
+            with self._lock:
+                self.link.send(DAMPING)
+            due = self.link.now() + self.period
+            while self.link.now() < due:
+                for state in self.link.wait(due):
+                    self.state = state
+
+    def pause(self) -> None:
+        """No step is due for a while; the last command holds."""
+        self._alarm = np.inf
+
+    def resume(self) -> None:
+        """The next step is due one period from now. What waited on the line meanwhile is old: it is let go."""
+        end = self.link.now() + AFRESH
+        while self.link.now() < end:
+            for state in self.link.wait(end):
+                self.state = state
+        self._guard = Guard(self.limits)
+        self._due = self.link.now()
+
+    def close(self) -> None:
+        """End the watching thread."""
+        self._over.set()
+        if self._watch is not None:
+            self._watch.join()
+
+    def _send(self, command: Command) -> None:
+        with self._lock:
+            if self._stopped is not None:
+                raise self._stopped
+            self.link.send(command)
+
+    def _watchdog(self) -> None:
+        """Brakes if a step is not done long after it was due."""
+        while not self._over.is_set():
+            alarm, now = self._alarm, self.link.now()
+            if now >= alarm:
+                self.brake("late loop", f"a step was not done {1e3 * self.limits.late:.0f} ms after it was due")
+                return
+            self._over.wait(max(min(alarm - now, 0.02), 0.0005))
+
+
+@contextlib.contextmanager
+def without_collection() -> Iterator[None]:
+    """No garbage collection inside: a loop makes no cycles, and a collection costs milliseconds."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()

@@ -1,0 +1,361 @@
+"""A session with a bundle: idle, stand up, warm up, rows with trimming and swaps, sit down; or a stop."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hts_go1_runtime.bundle import Bundle, Row
+from hts_go1_runtime.errors import RuntimeFault, Stopped
+from hts_go1_runtime.link import NOTHING, Command, Link, State
+from hts_go1_runtime.log import REAL, Events, RowLog, mapping, measured, samples
+from hts_go1_runtime.loop import Loop
+from hts_go1_runtime.machine import SIT, STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT
+from hts_go1_runtime.policy import Policy
+from hts_go1_runtime.trimming import Trimming
+
+HEADING_GAIN, LARGEST_YAW_RATE = 0.5, 1.0  # rad/s per rad, rad/s: as the policies were trained
+STAND_KP, STAND_KD = np.full(12, 40.0), np.full(12, 1.0)
+FAR = 0.6  # rad: from further away the robot folds its legs before it stands up
+UP_SECONDS, DOWN_SECONDS, STAND_SECONDS, LETTING_GO = 2.0, 2.0, 1.0, 1.0
+DAMP_SECONDS = 1.0  # of repeated damping commands after a stop, in case some are lost
+
+
+@dataclass(frozen=True)
+class Options:
+    """rows: names of those to record, none: all that have no log yet; idle_seconds: to measure the idle levels before
+    standing up, 0: not; warmup_seconds: None: the bundle's; first_run: walk each policy slowly and weakly, record
+    nothing; mass_kg: for the mapping."""
+
+    rows: tuple[str, ...] = ()
+    idle_seconds: float = 10.0
+    warmup_seconds: float | None = None
+    first_run: bool = False
+    mass_kg: float | None = None
+
+
+class Session:
+    """One visit to the robot."""
+
+    def __init__(self, bundle: Bundle, link: Link, loop: Loop, options: Options, events: Events) -> None:
+        self.bundle, self.link, self.loop, self.options, self.events = bundle, link, loop, options, events
+        self.limited_targets = 0  # joint targets that left the joint's range and were sent as its end
+        self.done: list[str] = []
+        self._left: list[RowLog] = []  # rows that were broken off
+        self._open: list[tuple[RowLog, Row]] = []  # rows that are walked but not whole on the disk yet
+        self._channels: list[str] = []
+        self._idle: dict[str, float] = {}
+        self._torque = TORQUE_LIMIT
+        self._wanted_heading: float | None = None
+        self._held: dict[str, tuple[float, bool]] = self._kept()
+
+    def run(self, confirm: Callable[[str], None] = lambda text: None) -> list[str]:
+        """Names of the logs that were recorded. confirm: asked before the robot moves. Raises Stopped, RuntimeFault."""
+        rows = self._rows()
+        self._meet(rows)
+        confirm(self._summary(rows))
+        self.loop.resume()
+        try:
+            self._measure_idle()
+            self._stand_up()
+            try:
+                self._walk_rows(rows)
+            finally:
+                if not isinstance(sys.exception(), Stopped):
+                    self._sit_down()
+        except Stopped as stopped:
+            self.events.say("stopped", reason=stopped.reason, detail=stopped.detail)
+            raise
+        finally:
+            self.loop.damp(DAMP_SECONDS)
+            self._wait_for_disk()
+        return self.done
+
+    # ------------------------------------------------------------------------------------------ before walking
+
+    def _rows(self) -> list[Row]:
+        wanted = self.options.rows
+        known = [row.log for row in self.bundle.rows]
+        for name in wanted:
+            if name not in known:
+                raise RuntimeFault(f"--rows {name}: the bundle has rows {', '.join(known)}.")
+        logs = self.bundle.logs
+        rows = [
+            row for row in self.bundle.rows if (row.log in wanted if wanted else not (logs / f"{row.log}.csv").exists())
+        ]
+        there = [row.log for row in rows if (logs / f"{row.log}.csv").exists() or (logs / row.log).exists()]
+        if there:
+            raise RuntimeFault(f"{logs}: has logs of {', '.join(there)} already. Move them away to record them again.")
+        if not rows:
+            raise RuntimeFault(f"{logs}: every row has its log. Nothing is left to record.")
+        return rows
+
+    def _meet(self, rows: Sequence[Row]) -> None:
+        """First words with the robot: what it measures, and whether that is enough."""
+        state = self.loop.start()
+        fault = self.loop.look_over(state)
+        if fault:
+            raise RuntimeFault(f"The robot is not fit to start: {fault[0]}, {fault[1]}.")
+        if state.voltage == 0 and state.current == 0:
+            raise RuntimeFault(
+                "The robot's battery monitor gives 0 V and 0 A: it is not being read. Start the robot's own process "
+                "that reads it, or restart the robot."
+            )
+        self._channels = measured(state)
+        if self.bundle.hold and any(row.trim for row in rows) and "base_velocity" not in self._channels:
+            raise RuntimeFault(
+                "The speed is to be held, but the link gives no speed of the trunk. Connect the speed sensor (motion "
+                "capture or a camera)."
+            )
+        wanted = self.bundle.manifest["channels"]
+        missing = [name for name in wanted if name not in self._channels]
+        if missing:
+            self.events.say("not measured by this link", channels=missing)
+
+    def _summary(self, rows: Sequence[Row]) -> str:
+        state, walked = self.loop.state, sum(row.seconds for row in rows)
+        gates = [file for file, policy in self.bundle.policies.items() if policy.entry["gate"] is None]
+        return (
+            f"{len(rows)} rows, {walked:.0f} s; the pack has {state.voltage:.1f} V. "
+            + (f"Not tried over simulated machines: {', '.join(gates)}. " if gates else "")
+            + "The robot will stand up and walk. Is everybody clear?"
+        )
+
+    def _measure_idle(self) -> None:
+        """Idle levels: electronics on, motors idle."""
+        seen: dict[str, list[float]] = {name: [] for name in REAL if name in self._channels}
+        for _ in range(round(self.options.idle_seconds / self.loop.period)):
+            state = self.loop.tick(lambda _: NOTHING)
+            for name, value in (("battery_current", state.current), ("battery_voltage", state.voltage)):
+                if name in seen:
+                    seen[name].append(value)
+        self._idle = {name: float(np.mean(values)) for name, values in seen.items() if values}
+        if self._idle:
+            self.events.say("idle", **{name: round(level, 3) for name, level in self._idle.items()})
+
+    def _stand_up(self) -> None:
+        start = self.loop.state.q.copy()
+        self._blend(start, start, 0.5, rising=True)
+        if np.abs(start - STAND).max() > FAR:
+            self._blend(start, SIT, 1.0)
+            start = SIT
+        self._blend(start, STAND, UP_SECONDS)
+        self._blend(STAND, STAND, STAND_SECONDS)
+        self.events.say("standing")
+
+    def _sit_down(self) -> None:
+        here = self.loop.state.q.copy()
+        self._blend(here, STAND, 0.8)
+        self._blend(STAND, SIT, DOWN_SECONDS)
+        self._blend(SIT, SIT, LETTING_GO, rising=False)
+        self.events.say("sat down")
+
+    def _blend(self, begin: np.ndarray, end: np.ndarray, seconds: float, rising: bool | None = None) -> None:
+        """From pose to pose without a jerk. rising: gains grow from nothing (True) or fall to nothing (False)."""
+        steps = max(1, round(seconds / self.loop.period))
+        for number in range(1, steps + 1):
+            share = 0.5 - 0.5 * math.cos(math.pi * number / steps)
+            strength = 1.0 if rising is None else share if rising else 1.0 - share
+            pose = np.clip(begin + share * (end - begin), TARGET_LOW, TARGET_HIGH)
+            command = Command(pose, strength * STAND_KP, strength * STAND_KD)
+            self.loop.tick(lambda _, sent=command: sent)  # type: ignore[misc]
+
+    # ------------------------------------------------------------------------------------------ walking
+
+    def _walk_rows(self, rows: Sequence[Row]) -> None:
+        if self.options.first_run:
+            self._first_runs(rows)
+            return
+        for _, blocks in itertools.groupby(rows, key=lambda row: row.session):
+            self._warm_up(rows[0])
+            for row in blocks:
+                self._row(row)
+        self._stroll(self.bundle.policies[rows[-1].policy], (0.0, 0.0, 0.0), LETTING_GO)
+
+    def _first_runs(self, rows: Sequence[Row]) -> None:
+        """Each policy once, slowly and weakly, recording nothing."""
+        how = self.bundle.manifest["first_runs"]
+        self._torque = float(how["torque_scale"]) * TORQUE_LIMIT
+        for file in dict.fromkeys(row.policy for row in rows):
+            speed = float(how["speed_scale"]) * next(row for row in rows if row.policy == file).commands[0][1]
+            self.events.say("first run", policy=file, speed=speed)
+            self._stroll(self.bundle.policies[file], (speed, 0.0, 0.0), float(how["seconds"]))
+        self._stroll(self.bundle.policies[rows[-1].policy], (0.0, 0.0, 0.0), LETTING_GO)
+
+    def _warm_up(self, row: Row) -> None:
+        """Walk before a session of a head-to-head, so that the motors are warm."""
+        asked = self.options.warmup_seconds
+        seconds = float(self.bundle.manifest["warmup_seconds"]) if asked is None else asked
+        if row.role != "collection" and seconds > 0:
+            self.events.say("warming up", seconds=seconds)
+            self._stroll(self.bundle.policies[row.policy], row.commands[0][1:], seconds)
+
+    def _row(self, row: Row) -> None:
+        """Record one row, trimmed first where the bundle says so."""
+        policy = self.bundle.policies[row.policy]
+        commands = steps_of(row.commands, self.bundle.rate_hz)
+        if self.bundle.hold and row.role != "collection":
+            key = f"{row.session} {row.role} {row.policy_hash} {row.commands[0][1]:g}"
+            if row.trim or key not in self._held:
+                self._held[key] = self._trim(policy, row)
+                self.events.keep(self.bundle.logs / "held.json", json.dumps(self._held, indent=1) + "\n")
+            commands[:, 0] = self._held[key][0]
+        self.events.say("row", log=row.log, policy=row.policy, seconds=row.seconds)
+        log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
+        self._wanted_heading = None
+        policy.start()
+        try:
+            for command in commands:
+                self._step(policy, command, log)
+                self._complain([log, *(one for one, _ in self._open)])
+        except (Stopped, RuntimeFault):
+            self._left.append(log)
+            raise
+        log.closing()
+        self._open.append((log, row))
+        self._recorded()
+
+    def _trim(self, policy: Policy, row: Row) -> tuple[float, bool]:
+        hold = self.bundle.hold
+        assert hold is not None
+        trimming = Trimming(row.commands[0][1], hold.commands, hold.seconds, self.loop.period)
+        self._wanted_heading = None
+        policy.start()
+        for _ in range(round(hold.seconds / self.loop.period)):
+            state = self._step(policy, np.array([trimming.command, 0.0, 0.0]), None)
+            trimming.see(float(state.velocity[0]))
+        command, saturated = trimming.found()
+        self.events.say("trimmed", log=row.log, asked=row.commands[0][1], command=round(command, 4), at_limit=saturated)
+        return command, saturated
+
+    def _stroll(self, policy: Policy, command: Sequence[float], seconds: float) -> None:
+        """Walk without recording."""
+        self._wanted_heading = None
+        policy.start()
+        for _ in range(round(seconds / self.loop.period)):
+            self._step(policy, np.array(command, float), None)
+
+    def _step(self, policy: Policy, asked: np.ndarray, log: RowLog | None) -> State:
+        """One control step of a policy; recorded if there is a log."""
+        given: dict[str, Any] = {}
+
+        def make(state: State) -> Command:
+            given["sent"] = sent = self._steered(asked, state)
+            targets = policy.targets(state, sent)
+            if self._torque is not TORQUE_LIMIT:
+                targets = self._weakened(targets, policy, state)
+            kept = np.minimum(np.maximum(targets, TARGET_LOW), TARGET_HIGH)
+            self.limited_targets += int(np.count_nonzero(kept != targets))
+            given["command"] = command = Command(kept if np.isfinite(targets).all() else targets, policy.kp, policy.kd)
+            return command
+
+        state = self.loop.tick(make)
+        if log is not None:
+            loop, counts, now = self.loop, self.link.counts, self.link.now()
+            noted = (
+                state.stamp,
+                1e3 * (now - state.received),
+                1e3 * loop.late_seconds[-1],
+                1e3 * loop.step_seconds[-1],
+            )
+            log.write(now, samples(state, given["sent"], given["command"]), (*noted, counts.lost, counts.late))
+        return state
+
+    def _steered(self, asked: np.ndarray, state: State) -> np.ndarray:
+        """The command with the yaw rate that keeps the heading, where straight walking is asked for."""
+        if asked[2] != 0 or not asked[:2].any():
+            self._wanted_heading = None
+            return asked
+        if self._wanted_heading is None:
+            self._wanted_heading = state.heading
+        error = (self._wanted_heading - state.heading + math.pi) % (2 * math.pi) - math.pi
+        turn = min(max(HEADING_GAIN * error, -LARGEST_YAW_RATE), LARGEST_YAW_RATE)
+        return np.array([asked[0], asked[1], turn])
+
+    def _weakened(self, targets: np.ndarray, policy: Policy, state: State) -> np.ndarray:
+        """Targets moved so near that no more than the torque limit is asked for now."""
+        braking = policy.kd * state.dq
+        kp = np.maximum(policy.kp, 1e-6)
+        low, high = state.q + (braking - self._torque) / kp, state.q + (braking + self._torque) / kp
+        return np.minimum(np.maximum(targets, low), high)
+
+    # ------------------------------------------------------------------------------------------ the log
+
+    def _described(self, row: Row) -> str:
+        """The mapping beside a log."""
+        policy = self.bundle.policies[row.policy]
+        keys = ("seconds", "vx", "vy", "yaw_rate")
+        facts: dict[str, Any] = {
+            "clock": "simulated" if self.link.simulated else "monotonic",
+            "policy_hash": row.policy_hash,
+            "kp": policy.kp.tolist(),
+            "kd": policy.kd.tolist(),
+            "session": row.session,
+            "block": row.block,
+            "role": row.role,
+            "schedule": {"commands": [dict(zip(keys, one, strict=True)) for one in row.commands]},
+            "notes": {
+                "unsteady_seconds": f"{self.bundle.manifest['control']['unsteady_seconds']:g}",
+                "recorded_by": "hts_go1_runtime",
+            },
+        }
+        if self.options.mass_kg is not None:
+            facts["mass_kg"] = self.options.mass_kg
+        return mapping(self._channels, self._idle, self.bundle.rate_hz, facts)
+
+    @staticmethod
+    def _complain(logs: Sequence[RowLog]) -> None:
+        for log in logs:
+            if log.fault:
+                raise RuntimeFault(f"{log.fault}. The robot sits; free space, then run the same again.")
+
+    def _recorded(self) -> None:
+        """Notes which logs are whole on the disk now."""
+        for log, row in list(self._open):
+            if log.closing().is_set():
+                self._open.remove((log, row))
+                self.done.append(row.log)
+                self.events.say("recorded", log=row.log, samples=log.rows)
+
+    def _wait_for_disk(self) -> None:
+        """The robot is damped. What is not on the disk yet waits in memory until there is space."""
+        said = False
+        while self._open or any(not log.closing(whole=False).is_set() for log in self._left):
+            self._recorded()
+            why = next((log.fault for log in [*self._left, *(one for one, _ in self._open)] if log.fault), "")
+            if why and not said:
+                self.events.say("waiting for the disk: free space, what was recorded is in memory", why=why)
+                said = True
+            time.sleep(0.02)
+
+    def _kept(self) -> dict[str, tuple[float, bool]]:
+        """Commands that were found for this bundle before."""
+        path = self.bundle.logs / "held.json"
+        if not path.is_file():
+            return {}
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            return {str(key): (float(value[0]), bool(value[1])) for key, value in found.items()}
+        except (ValueError, TypeError, IndexError, AttributeError) as error:
+            raise RuntimeFault(
+                f"{path}: damaged ({error}). Move it away, and record the head-to-heads anew."
+            ) from error
+
+
+def steps_of(commands: Sequence[tuple[float, float, float, float]], rate_hz: float) -> np.ndarray:
+    """Commands of each control step, (T, 3); T = round(seconds * rate), rounded in total as the twin does."""
+    rows, elapsed, done = [], 0.0, 0
+    for seconds, *command in commands:
+        elapsed += seconds
+        steps = round(elapsed * rate_hz) - done
+        done += steps
+        rows.append(np.tile(np.array(command, float), (steps, 1)))
+    return np.concatenate(rows)

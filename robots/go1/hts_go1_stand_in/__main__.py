@@ -1,0 +1,39 @@
+"""`python -m hts_go1_stand_in`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from hts_go1_stand_in.body import Body
+from hts_go1_stand_in.line import Line
+from hts_go1_stand_in.serve import serve
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Serve until nobody has spoken for a while. Exit code 0."""
+    parser = argparse.ArgumentParser(prog="hts_go1_stand_in", description="Play a Go1 over UDP.")
+    parser.add_argument("--port", type=int, required=True, help="on 127.0.0.1")
+    parser.add_argument("--reality", help="name or file of a reality; left out: the twin of the settings")
+    parser.add_argument("--seed", type=int, default=0, help="of noise, of the session, of the line")
+    parser.add_argument("--objective", action="append", help="whose instruments it carries (default: power)")
+    parser.add_argument("--lockstep", action="store_true", help="simulated time that waits for the runtime")
+    parser.add_argument("--loss", type=float, default=0.0, help="share of packets that never arrive, each way")
+    parser.add_argument("--late", type=float, default=0.0, help="share of packets that arrive late, each way")
+    parser.add_argument("--delay-ms", type=float, default=10.0, help="how late at most")
+    parser.add_argument("--quiet-seconds", type=float, default=20.0, help="end when nobody has spoken for so long")
+    given = parser.parse_args(arguments)
+    body = Body(given.reality, given.objective or ["power"], given.seed)
+    try:
+        line = Line(given.port, given.loss, given.late, given.delay_ms / 1e3, given.seed)
+        print(f"ready on 127.0.0.1:{line.port}, {body.mass_kg:g} kg", flush=True)
+        serve(body, line, given.lockstep, given.quiet_seconds)
+        print(f"{body.falls} falls, {body.clock:.1f} s, {line.lost} packets lost, {line.delayed} late", flush=True)
+    finally:
+        body.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

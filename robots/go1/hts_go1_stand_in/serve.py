@@ -1,0 +1,44 @@
+"""The robot's own loop: in real time, or in lockstep with the runtime."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from hts_go1_runtime.link import Command
+from hts_go1_runtime.packet import numbers_of_state
+from hts_go1_stand_in.body import STATE_SECONDS, Body
+from hts_go1_stand_in.line import Line
+
+BEHIND = 0.25  # s that a real-time robot may fall behind before it lets time go
+
+
+def serve(body: Body, line: Line, lockstep: bool, quiet: float) -> None:
+    """Until the runtime has been silent for `quiet` s."""
+    line.heard = time.monotonic()
+    while not line.greeted:
+        line.commands(0.0, 0.2)
+        if time.monotonic() - line.heard > 10 * quiet:
+            return
+    began, sequence = time.monotonic(), 0
+    while time.monotonic() - line.heard < quiet:
+        line.state(sequence, body.clock, numbers_of_state(body.state(sequence)))
+        if lockstep:
+            line.tick(sequence, body.clock)
+            if not line.done(sequence, body.clock, quiet):
+                return
+            _obey(body, line.commands(body.clock, 0.0))
+        else:
+            due = began + body.clock + STATE_SECONDS
+            while (left := due - time.monotonic()) > 0:
+                _obey(body, line.commands(body.clock, left))
+            if left < -BEHIND:
+                began += -left
+        body.advance()
+        sequence += 1
+
+
+def _obey(body: Body, commands: list[np.ndarray]) -> None:
+    for numbers in commands:
+        body.command(Command(*np.split(numbers, 3)))

@@ -1,0 +1,55 @@
+"""A link to a robot that is a few lines of script, on a clock of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from hts_go1_runtime.fake import standing
+from hts_go1_runtime.link import Command, Counts, Link, State
+
+STATE_SECONDS = 0.004
+
+
+class ScriptedLink(Link):
+    """The robot stands where it is told to; it walks at 0.9 of the command of `speed`. spoil(state) may change a state,
+    or return None: it is lost."""
+
+    simulated = True
+
+    def __init__(self, spoil: Callable[[State], State | None] = lambda state: state) -> None:
+        self.counts, self.sent = Counts(), []
+        self._spoil, self._clock, self._sequence = spoil, 0.0, 0
+        self._command: Command | None = None
+        self.speed = 0.0
+        self._random = np.random.default_rng(0)
+
+    def now(self) -> float:
+        return self._clock
+
+    def wait(self, until: float) -> list[State]:
+        self._clock += STATE_SECONDS
+        self._sequence += 1
+        state = standing(self._sequence, self._clock)
+        pose = state.q if self._command is None or not self._command.kp.any() else self._command.q
+        state = dataclasses.replace(
+            state,
+            received=self._clock,
+            q=pose + 1e-3 * self._random.standard_normal(12),
+            tau=self._random.standard_normal(12),
+            dq=0.1 * self._random.standard_normal(12),
+            velocity=np.array([self.speed, 0.0, 0.0]) + 1e-3 * self._random.standard_normal(3),
+            current=3.0 + 0.1 * self._random.standard_normal(),
+            voltage=22.0 + 0.01 * self._random.standard_normal(),
+        )
+        spoilt = self._spoil(state)
+        return [] if spoilt is None else [spoilt]
+
+    def send(self, command: Command) -> None:
+        self._command = command
+        self.sent.append((self._clock, command))
+
+    def close(self) -> None:
+        pass

@@ -1,0 +1,228 @@
+"""A whole session against a scripted robot, its logs, and what becomes of them in hts."""
+
+from __future__ import annotations
+
+import errno
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hts import plugins
+from hts.contracts import HoldSpeed
+from hts.recordings.mapping import load_mapping
+from hts.recordings.reading import read_log
+from hts.worlds.twin.trimming import Trimming as Twins
+from hts_go1_runtime.bundle import load_bundle
+from hts_go1_runtime.errors import RuntimeFault, Stopped
+from hts_go1_runtime.fake import failing, standing
+from hts_go1_runtime.link import DAMPING, NOTHING, Command
+from hts_go1_runtime.log import CHANNELS, Events, RowLog, samples
+from hts_go1_runtime.loop import Loop
+from hts_go1_runtime.machine import STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT, Limits
+from hts_go1_runtime.session import Options, Session, steps_of
+from hts_go1_runtime.trimming import Trimming
+
+SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
+scripted = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(scripted)
+
+
+def session(bundle: Path, link, options: Options | None = None) -> Session:
+    loop = Loop(link, 0.02, Limits())
+    options = options or Options(idle_seconds=0.2, warmup_seconds=0.0, mass_kg=13.0)
+    return Session(load_bundle(bundle), link, loop, options, Events(bundle / "logs" / "events.jsonl"))
+
+
+def events(bundle: Path, session: Session) -> list[dict]:
+    session.events.close()
+    return [json.loads(line) for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
+
+
+def test_a_session_records_its_rows_and_hts_reads_them_as_they_are(bundle):
+    link = scripted.ScriptedLink()
+    link.speed = 0.55
+    found = session(bundle, link)
+    assert found.run() == ["00", "01"]
+    robot, registry = plugins.load().make_robot("go1"), plugins.load()
+    trimmed = [one for one in events(bundle, found) if one["what"] == "trimmed"]
+    for name, hashed in (("00", load_bundle(bundle).rows[0].policy_hash), ("01", "e" * 64)):
+        mapping = load_mapping(bundle / "logs" / "mappings" / f"{name}.yaml")
+        recording = read_log(registry, [bundle / "logs" / f"{name}.csv"], mapping, robot)
+        assert (recording.policy_hash, recording.clock, recording.kp) == (hashed, "simulated", robot.spec.kp)
+        assert recording.mass_kg == 13.0
+        assert recording.idle == pytest.approx({"battery_current": 3.0, "battery_voltage": 22.0}, abs=0.2)
+        assert 50 - 2 <= recording.num_samples <= 50
+        assert set(robot.channels()) <= set(recording.channels)
+        sent = recording.values("command")[:, 0]
+        assert np.ptp(sent) < 1e-6  # frozen
+        assert sent[0] == pytest.approx(trimmed[int(name)]["command"], abs=1e-4)
+        assert sent[0] > 0.6  # the robot walks too slowly
+
+
+def test_the_robot_is_moved_without_a_jerk_and_within_its_range(bundle):
+    link = scripted.ScriptedLink()
+    session(bundle, link).run()
+    kinds = [command for _, command in link.sent]
+    assert kinds[0] is NOTHING  # idle is measured first
+    assert kinds[-1] is DAMPING
+    standing_up = [command for command in kinds[10:] if command.kp.any()][:150]
+    assert standing_up[0].kp.max() < 1.0  # gains grow from nothing
+    steps = np.diff([command.q for command in standing_up], axis=0)
+    assert np.abs(steps).max() < 0.06  # rad a step
+    targets = np.array([command.q for command in kinds if command.kp.any()])
+    assert (targets >= TARGET_LOW).all()
+    assert (targets <= TARGET_HIGH).all()
+
+
+def test_a_stop_leaves_the_rows_before_it_and_the_half_one_apart(bundle):
+    # 3.7 s of idling and standing up, then each row: 2 s of trimming and 1 s
+    robot = scripted.ScriptedLink(lambda state: failing(state, "over-current") if state.stamp > 9.2 else state)
+    found = session(bundle, robot)
+    with pytest.raises(Stopped, match=r"over-current: 35.0 A drawn from the pack, at most 30"):
+        found.run()
+    assert found.done == ["00"]
+    assert not (bundle / "logs" / "01.csv").exists()
+    assert [one["reason"] for one in events(bundle, found) if one["what"] == "stopped"] == ["over-current"]
+    assert robot.sent[-1][1] is DAMPING
+    again = session(bundle, scripted.ScriptedLink())  # goes on with the row that is missing, with the command it has
+    assert again.run() == ["01"]
+    with pytest.raises(RuntimeFault, match="every row has its log"):
+        session(bundle, scripted.ScriptedLink()).run()
+
+
+def test_a_robot_that_is_not_fit_does_not_start(bundle):
+    for fault, words in (
+        ("temperature", "not fit to start: temperature"),
+        ("low voltage", "not fit to start: low volt"),
+    ):
+        link = scripted.ScriptedLink(lambda state, fault=fault: failing(state, fault))
+        with pytest.raises(RuntimeFault, match=words):
+            session(bundle, link).run()
+        assert link.sent == []
+
+
+def test_holding_the_speed_needs_a_speed_sensor(bundle):
+    import dataclasses
+
+    link = scripted.ScriptedLink(lambda state: dataclasses.replace(state, velocity=np.full(3, np.nan)))
+    with pytest.raises(RuntimeFault, match="Connect the speed sensor"):
+        session(bundle, link).run()
+
+
+def test_a_first_run_is_slow_and_weak_and_records_nothing(bundle):
+    link = scripted.ScriptedLink()
+    found = session(bundle, link, Options(idle_seconds=0.0, first_run=True))
+    found._torque = 0.6 * TORQUE_LIMIT
+    policy = found.bundle.policies["policies/00-walk.onnx"]
+    state = standing(0, 0.0)
+    wild = state.q + 5.0
+    asked = policy.kp * (found._weakened(wild, policy, state) - state.q) - policy.kd * state.dq
+    assert asked == pytest.approx(0.6 * TORQUE_LIMIT)
+    assert found.run() == []
+    assert not list((bundle / "logs").glob("*.csv"))
+    assert [one["speed"] for one in events(bundle, found) if one["what"] == "first run"] == pytest.approx([0.3, 0.3])
+
+
+def test_trimming_is_the_twins():
+    hold = HoldSpeed((0.2, 1.5), 12.0)
+    ours, theirs = Trimming(0.8, hold.commands, 12.0, 0.02), Twins(np.array([0.8]), hold, 0.02)
+    rng, speed = np.random.default_rng(0), 0.0
+    for _ in range(600):
+        speed += 0.04 * (0.9 * ours.command - speed)
+        seen = speed + 0.05 * rng.standard_normal()
+        ours.see(seen)
+        theirs.see(np.array([seen]))
+        assert ours.command == pytest.approx(float(theirs.command[0]))
+    (expected,) = theirs.found()
+    assert ours.found() == (pytest.approx(expected.command), expected.saturated)
+
+
+def test_steps_are_rounded_in_total():
+    assert len(steps_of([(0.29, 0.5, 0.0, 0.0)] * 100, 50.0)) == 1450
+    assert steps_of([(0.04, 0.5, 0.1, 0.2)], 50.0).tolist() == [[0.5, 0.1, 0.2]] * 2
+
+
+# ------------------------------------------------------------------------------------------------ the log
+
+
+def rows(log: RowLog, count: int) -> None:
+    for number in range(count):
+        state = standing(number, 0.02 * number)
+        log.write(100 + 0.02 * number, samples(state, np.zeros(3), Command(STAND, STAND, STAND)), (0.0,) * 6)
+
+
+def test_a_full_disk_is_said_and_nothing_is_lost(tmp_path, monkeypatch):
+    real, full = os.write, threading.Event()
+    full.set()
+
+    def write(handle, data):
+        if full.is_set() and len(data) > 1000:
+            if len(data) > 3000:
+                return real(handle, data[:777])  # some of it fits
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(handle, data)
+
+    monkeypatch.setattr("hts_go1_runtime.log.os.write", write)
+    log = RowLog(tmp_path, "00", list(CHANNELS), "the mapping")
+    rows(log, 40)
+    end = time.monotonic() + 10
+    while not log.fault and time.monotonic() < end:
+        time.sleep(0.01)
+    assert log.fault.endswith("cannot be written (No space left on device)")
+    assert not log.closing().wait(0.2)
+    full.clear()
+    assert log.closing().wait(20)
+    table = np.loadtxt(tmp_path / "00.csv", delimiter=",", skiprows=1)
+    assert table[:, 0] == pytest.approx(100 + 0.02 * np.arange(40))
+    assert log.fault == ""
+    assert (tmp_path / "mappings" / "00.yaml").read_text() == "the mapping"
+
+
+def test_a_row_that_is_recorded_again_keeps_what_was_there(tmp_path):
+    for _ in range(2):
+        log = RowLog(tmp_path, "00", list(CHANNELS))
+        rows(log, 5)
+        assert log.closing(whole=False).wait(20)
+    log = RowLog(tmp_path, "00", list(CHANNELS))
+    rows(log, 7)
+    assert log.closing().wait(20)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [".00.csv.partial-0", ".00.csv.partial-1", "00.csv"]
+    assert len((tmp_path / "00.csv").read_text().splitlines()) == 8
+
+
+def test_a_process_that_is_killed_leaves_what_it_recorded(tmp_path):
+    code = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from hts_go1_runtime.fake import standing
+from hts_go1_runtime.link import Command
+from hts_go1_runtime.log import CHANNELS, RowLog, samples
+log = RowLog(Path(sys.argv[1]), "00", list(CHANNELS))
+for number in range(10_000):
+    log.write(0.02 * number, samples(standing(0, 0.0), np.zeros(3), Command(*np.zeros((3, 12)))), (0.0,) * 6)
+    if number == 100:
+        time.sleep(1.0)
+        print("there", flush=True)
+        time.sleep(60)
+"""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
+    writer = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)], env=environment, stdout=subprocess.PIPE, text=True
+    )
+    assert writer.stdout.readline() == "there\n"
+    writer.send_signal(signal.SIGKILL)
+    writer.wait()
+    writer.stdout.close()
+    assert not (tmp_path / "00.csv").exists()
+    assert len(np.loadtxt(tmp_path / ".00.csv.partial", delimiter=",", skiprows=1)) == 101

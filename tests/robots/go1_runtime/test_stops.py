@@ -1,0 +1,202 @@
+"""Each reason to stop: the damping command at once, nothing else after it, and a word that says why."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import math
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hts_go1_runtime.errors import Stopped
+from hts_go1_runtime.fake import FAULTS, failing, standing
+from hts_go1_runtime.link import DAMPING, Command
+from hts_go1_runtime.loop import Loop
+from hts_go1_runtime.machine import STAND, Limits
+from hts_go1_runtime.operator_key import StopFile
+from hts_go1_runtime.safety import REASONS, Guard
+
+SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
+scripted = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(scripted)
+ScriptedLink = scripted.ScriptedLink
+
+WALK = Command(STAND, np.full(12, 30.0), np.full(12, 0.6))
+FAILS_AT = 0.301  # s
+
+
+def is_damping(command: Command) -> bool:
+    return not command.kp.any() and (command.kd == DAMPING.kd).all()
+
+
+def run(link, steps=100, pressed=lambda: None, make=lambda state: WALK) -> Stopped:
+    loop = Loop(link, 0.02, Limits(), pressed)
+    loop.start()
+
+    def walk() -> None:
+        for _ in range(steps):
+            loop.tick(make)
+
+    with pytest.raises(Stopped) as stopped:
+        walk()
+    with pytest.raises(Stopped):  # for good
+        loop.tick(make)
+    return stopped.value
+
+
+IN_A_STATE = ("tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "not finite")
+
+
+def test_every_reason_of_a_state_can_be_played():
+    assert set(IN_A_STATE) <= set(FAULTS) & set(REASONS)
+
+
+@pytest.mark.parametrize("fault", IN_A_STATE)
+def test_a_bad_state_damps_the_robot_within_40_ms(fault):
+    def spoil(state):
+        return failing(state, fault) if state.stamp >= FAILS_AT else state
+
+    link = ScriptedLink(spoil)
+    stopped = run(link)
+    assert stopped.reason == fault
+    assert stopped.reason in REASONS
+    first = next(number for number, (_, command) in enumerate(link.sent) if is_damping(command))
+    assert all(is_damping(command) for _, command in link.sent[first:])
+    assert 0 <= link.sent[first][0] - FAILS_AT <= 0.04
+
+
+def test_silence_damps_the_robot_within_40_ms():
+    link = ScriptedLink(lambda state: None if state.stamp >= FAILS_AT else state)
+    stopped = run(link)
+    assert stopped.reason == "lost link"
+    assert is_damping(link.sent[-1][1])
+    assert link.sent[-1][0] - FAILS_AT <= 0.04
+
+
+def test_a_few_lost_states_stop_nobody():
+    link = ScriptedLink(lambda state: state if state.sequence % 5 == 0 else None)  # four of five are lost
+    loop = Loop(link, 0.02, Limits())
+    loop.start()
+    for _ in range(100):
+        loop.tick(lambda state: WALK)
+    assert len(link.sent) == 100
+
+
+def test_states_that_come_ever_later_are_a_lost_link():
+    guard = Guard(Limits())
+    for number in range(100):
+        now = 0.004 * number
+        state = dataclasses.replace(standing(number, 7.0 + now), received=now)
+        assert guard.silence(state, now) is None
+    state = dataclasses.replace(standing(100, 7.0 + 0.4 - 0.03), received=0.4)
+    assert guard.silence(state, 0.4) == ("lost link", "states arrive 30 ms late, at most 24")
+
+
+def test_clocks_that_drift_apart_are_no_lost_link():
+    guard = Guard(Limits())
+    for number in range(15_000):  # ten minutes
+        now = 0.04 * number
+        state = dataclasses.replace(standing(0, 0.0), sequence=number, stamp=now * (1 - 5e-5), received=now)
+        assert guard._stale(state) is None
+
+
+def test_the_silence_while_a_person_thought_is_no_lost_link():
+    class Slow(ScriptedLink):
+        silent = False
+
+        def wait(self, until):
+            found, self.silent = [] if self.silent else super().wait(until), False
+            return found
+
+    link = Slow()
+    loop = Loop(link, 0.02, Limits())
+    loop.start()
+    link._clock += 5.0
+    link.silent = True
+    loop.resume()
+    for _ in range(10):
+        loop.tick(lambda state: WALK)
+    assert len(link.sent) == 10
+
+
+def test_the_operators_file_damps_the_robot(tmp_path):
+    link, steps = ScriptedLink(), []
+
+    def make(state):
+        steps.append(state)
+        if len(steps) == 10:
+            (tmp_path / "STOP").touch()
+        return WALK
+
+    stopped = run(link, pressed=StopFile(tmp_path / "STOP"), make=make)
+    assert (stopped.reason, stopped.detail) == ("operator", "the file STOP is there")
+    assert len(steps) == 10
+
+
+def test_a_target_that_is_no_number_is_never_sent():
+    link = ScriptedLink()
+    stopped = run(link, make=lambda state: Command(np.full(12, math.nan), WALK.kp, WALK.kd))
+    assert stopped.reason == "not finite"
+    assert all(np.isfinite(command.q).all() for _, command in link.sent)
+
+
+def test_a_stop_from_another_thread_cannot_be_undone_by_a_step_that_is_under_way():
+    link = ScriptedLink()
+    loop = Loop(link, 0.02, Limits())
+    loop.start()
+
+    def make(state):
+        other = threading.Thread(target=loop.brake, args=("operator", "a key"))
+        other.start()
+        other.join()
+        return WALK
+
+    with pytest.raises(Stopped, match="operator"):
+        loop.tick(make)
+    assert [is_damping(command) for _, command in link.sent] == [True]
+
+
+def test_a_step_that_hangs_is_answered_while_it_hangs():
+    class RealTime(ScriptedLink):
+        simulated = False
+
+        def now(self):
+            return time.monotonic()
+
+        def wait(self, until):
+            time.sleep(0.002)
+            (state,) = super().wait(until)
+            return [dataclasses.replace(state, received=self.now(), stamp=self.now())]
+
+        def send(self, command):
+            self.sent.append((self.now(), command))
+
+    link, hung = RealTime(), []
+    loop = Loop(link, 0.02, Limits(late=0.1))
+    loop.start()
+
+    def make(state):
+        hung.append(loop.due)
+        time.sleep(0.5)
+        return WALK
+
+    loop.resume()
+    with pytest.raises(Stopped, match="late loop"):
+        loop.tick(make)
+    loop.close()
+    assert is_damping(link.sent[0][1])
+    assert 0.09 < link.sent[0][0] - hung[0] < 0.4  # while it hung: it took 0.5 s
+    assert len(link.sent) == 1
+
+
+def test_a_state_is_judged_by_the_robots_own_numbers():
+    guard = Guard(Limits())
+    assert guard.state(standing(0, 0.0)) is None
+    hot = dataclasses.replace(standing(0, 0.0), temperature=np.where(np.arange(12) == 7, 81.0, 40.0))
+    assert guard.state(hot) == ("temperature", "RR_thigh_joint at 81 degC, at most 80")
+    unknown = dataclasses.replace(standing(0, 0.0), temperature=np.full(12, math.nan), current=math.nan)
+    assert guard.state(unknown) is None
