@@ -54,7 +54,7 @@ def actor_state(checkpoint: Mapping[str, Any], path: str | Path) -> dict[str, to
             f"anchor_checkpoint: {path} has {_names(checkpoint)}; expected 'actor_state_dict' (rsl_rl 4 and later) or "
             "'model_state_dict'. Give a model_N.pt of PPO."
         )
-    return {SIGMAS.get(name, name): value for name, value in state.items()}
+    return {SIGMAS.get(str(name), str(name)): value for name, value in state.items()}
 
 
 def critic_state(checkpoint: Mapping[str, Any]) -> dict[str, torch.Tensor] | None:

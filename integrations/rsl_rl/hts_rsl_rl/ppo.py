@@ -64,6 +64,7 @@ class AnchoredPPO(PPO):
         ):
             if present:
                 raise AnchorError(f"AnchoredPPO does not support {setting}. Leave it out, or train with PPO.")
+        self.learning_rate: float
         self.lagrange = LagrangeMultiplier(kl_bound, multiplier_rate)
         self.centring = None if centring_rate is None else RunningMean(centring_rate, self.device)
         self._rewards: list[torch.Tensor] = []
