@@ -1,5 +1,5 @@
 # make run | test | check (lint and test) | docs | fields (its tables of settings) | wheels | smoke-wheels | changelog; each
-# installs first where needed, into .venv, from constraints.txt.
+# installs first where needed, into .venv, from constraints.txt. make test-rsl-rl has an environment of its own.
 
 # The first Python that really starts (a pyenv shim may exist and fail), is 3.11 or 3.12, and can make environments.
 SUPPORTED := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))
@@ -13,7 +13,10 @@ PINS := constraints.txt pyproject.toml hts/__init__.py $(wildcard plugins/*/pypr
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 WORKERS ?= 2
 
-.PHONY: install install-dev run test lint check format docs fields changelog hooks wheels smoke-wheels clean
+# An environment of its own: mjlab and rsl_rl as they are on the index, which hts's own environment cannot hold.
+RSL_RL := integrations/rsl_rl/.environment
+
+.PHONY: install install-dev run test test-rsl-rl lint check format docs fields changelog hooks wheels smoke-wheels clean
 .DEFAULT_GOAL := install
 
 install: .venv/installed
@@ -24,6 +27,9 @@ run: install
 
 test: install-dev
 	$(BIN)/python -m pytest -n $(WORKERS)
+
+test-rsl-rl: $(RSL_RL)/installed
+	$(RSL_RL)/bin/python -m pytest integrations/rsl_rl/tests
 
 check: lint test
 
@@ -59,7 +65,7 @@ smoke-wheels: wheels
 	.ci/smoke-wheels $(BIN)/python
 
 clean:
-	rm -rf .venv dist
+	rm -rf .venv dist $(RSL_RL)
 
 $(BIN)/python:
 	@$(if $(strip $(PYTHON)),,echo "No Python 3.11 or 3.12 found. Install one, or name it: make PYTHON=/path/to/python3.12" >&2; exit 1)
@@ -76,4 +82,9 @@ $(BIN)/python:
 
 .venv/installed-dev: .venv/installed
 	$(PIP) install --quiet --constraint constraints.txt --no-build-isolation -e '.[dev,gpu]'
+	@touch $@
+
+$(RSL_RL)/installed: integrations/rsl_rl/pyproject.toml
+	$(PYTHON) -m venv $(RSL_RL)
+	$(RSL_RL)/bin/python -m pip --disable-pip-version-check install --quiet torch==2.13.0 -e 'integrations/rsl_rl[test]'
 	@touch $@

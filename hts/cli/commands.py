@@ -13,7 +13,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "evaluate": ("hts.cli.evaluate", "A run's policy against the pretrained one, head to head"),
     "report": ("hts.cli.report", "Write a run's report.html and figures again"),
     "play": ("hts.cli.play", "See a policy walk, in a window or as a video"),
-    "export": ("hts.cli.export", "A policy as ONNX or TorchScript, for the robot"),
+    "export": ("hts.cli.export", "A policy as ONNX or TorchScript, for the robot; a measurement model for rsl_rl"),
     "policy": ("hts.cli.policy", "Policies made elsewhere, to start from: import"),
     "import": ("hts.cli.import_", "Real logs into a recording store"),
     "data": ("hts.cli.data", "What a recording store holds: ls, show, compare, validate"),

@@ -1,4 +1,4 @@
-"""`hts export`: a policy for the robot."""
+"""`hts export`: a policy for the robot, or a measurement model for those who train elsewhere."""
 
 from __future__ import annotations
 
@@ -21,13 +21,32 @@ def command(
         str | None, typer.Option(metavar="NAME", help="Whose it must be; another robot's policy is refused.")
     ] = None,
     format_: Annotated[str, typer.Option("--format", help="onnx or torchscript.")] = "onnx",
+    measurement_model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODEL",
+            help="Instead of a policy: of a run an objective, its last model; or a model.safetensors of `hts fit`.",
+        ),
+    ] = None,
 ) -> None:
     """Write a policy as ONNX or TorchScript, with all that the robot's computer must know about it.
 
     Of a run: hts export DIR --to best.onnx. Of a file: hts export --policy mine.safetensors --to mine.onnx.
+    A measurement model, for rsl_rl, mjlab and Isaac Lab: hts export DIR --measurement-model OBJECTIVE
+    --to model.safetensors.
     """
-    from hts.cli.run_folder import run_or_policy_file
+    from hts.cli.run_folder import existing_run, run_or_policy_file
 
+    if measurement_model is not None:
+        if policy is not None:
+            raise ConfigError("--policy and --measurement-model: one export writes one of them. Leave one out.")
+        from hts.measurement.export_command import export_measurement_model
+        from hts.plugins import load
+
+        place, registry = None if folder is None else existing_run(folder), load()
+        spec = None if robot is None else registry.make_robot(robot).spec
+        typer.echo(str(export_measurement_model(place, measurement_model, to, spec, registry)))
+        return
     if format_ not in FORMATS:
         raise ConfigError("--format: " + unknown_name("format", format_, FORMATS))
     chosen = run_or_policy_file(folder, policy)

@@ -19,7 +19,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = sorted(
     path
-    for folder in ("hts", "plugins", "robots")
+    for folder in ("hts", "plugins", "robots", "integrations")
     for path in (REPOSITORY / folder).rglob("*.py")
     if "__pycache__" not in path.parts
 )
