@@ -88,6 +88,7 @@ class _Replay:
         if self.action is None and self.target is not None:
             self.action = (self.target - self.pose) / self.scale
         self.offset: int | None = None  # O
+        self.asked = _changes(self.action)
 
     # -------------------------------------------------------------------------------------------- rate
 
@@ -95,7 +96,7 @@ class _Replay:
         moving = self.log.action if self.log.action is not None else self.target
         if self.log.time is None or moving is None or len(moving) < FEWEST:
             return _open("control_rate", "the log has no stamps" if self.log.time is None else "the log has too few rows")
-        changes = np.flatnonzero(np.any(np.diff(moving, axis=0) != 0, axis=1)) + 1
+        changes = _changes(moving)
         if len(changes) < FEWEST:
             return _open("control_rate", "its actions hardly change")
         seconds = float(np.median(np.diff(self.log.time[changes])))
@@ -195,9 +196,8 @@ class _Replay:
         assert self.action is not None
         offs = []
         for offset, one in enumerate(whole):
-            rows = slice(1, None)
-            given = one[rows]  # type: ignore[index]
-            offs.append(self._off(given, self.action[rows]) if len(given) >= FEWEST else np.inf)
+            given = one[self.asked]  # type: ignore[index]
+            offs.append(self._off(given, self.action[self.asked]) if len(given) >= FEWEST else np.inf)
             if offs[-1] <= SEEN_TOLERANCE * 10:
                 self.offset, self.given, self.rebuilt = offset, one, True
                 how = "with observations built from the log's channels"
@@ -268,7 +268,9 @@ class _Replay:
             return _open("observation", "the log has no observations")
         if self.rebuilt:
             return _shown("observation", "built from the log's channels, it gives the log's actions")
-        rows = slice(2, None)
+        rows = self.asked
+        if len(rows) < FEWEST:
+            return _open("observation", "the log has too few rows in which its actions change")
         unknown, offsets = [], {}
         for name, first, size in self.maps.parts:
             seen = self.given[rows, first : first + size]
@@ -298,7 +300,7 @@ class _Replay:
         """Raises PolicyError if the part is exactly that of the joints in another order."""
         if expected is None or seen.std(0).min() < 1e-6:
             return
-        off = np.abs(seen[:, :, None] - expected[2:][:, None, :]).max(0)  # (source entry, joint)
+        off = np.abs(seen[:, :, None] - expected[self.asked][:, None, :]).max(0)  # (source entry, joint)
         best = off.argmin(1)
         if np.all(off.min(1) <= SEEN_TOLERANCE) and np.any(best != np.arange(len(best))):
             joint = int(np.flatnonzero(best != np.arange(len(best)))[0])
@@ -386,6 +388,14 @@ class _Replay:
             f"{self.path}: the log {self.log.path} refutes its contract: {what}. Correct the contract (--layout), or "
             "replay a log of this policy."
         )
+
+
+def _changes(values: np.ndarray | None) -> np.ndarray:
+    """Rows, from the third on, in which the policy was asked: their action is not that of the row before."""
+    if values is None or len(values) < 3:
+        return np.zeros(0, int)
+    rows = np.flatnonzero(np.any(np.diff(values, axis=0) != 0, axis=1)) + 1
+    return rows[rows >= 2]
 
 
 def _open(item: str, why: str) -> dict[str, State]:
