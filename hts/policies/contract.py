@@ -99,7 +99,9 @@ def _matching(path: Path, what: str, values: Mapping[str, float], name: str) -> 
         return values[name]
     slow = [key for key in values if len(str(key)) > 200 or re.search(r"\)\s*[*+{?]", str(key))]
     if slow:  # such a pattern can take for ever
-        raise PolicyError(f"{path}: {what} has the pattern '{str(slow[0])[:60]}'. Name the joints in the layout instead.")
+        raise PolicyError(
+            f"{path}: {what} has the pattern '{str(slow[0])[:60]}'. Name the joints in the layout instead."
+        )
     try:
         found = {key: value for key, value in values.items() if re.fullmatch(str(key), name)}
     except re.error as error:

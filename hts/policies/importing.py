@@ -30,7 +30,8 @@ from hts.policies.layout import Layout, Seen, seen_in_velocity_task
 from hts.policies.onnx_layers import from_onnx
 from hts.policies.params import source_beside
 from hts.policies.rsl_rl import from_checkpoint
-from hts.policies.source import Source
+from hts.policies.source import Source, sized
+from hts.policies.terms import refuse_unmeasured
 from hts.policies.translate import Network, Translation, translated, translation
 from hts.policies.with_critic import NEW_CRITIC, with_new_critic
 from hts.rl.population import Sizes
@@ -120,7 +121,11 @@ def _finished(
     contract = contract.over(source.contract)
     if strict:
         ask(path, contract)
-    layout = replace(layout, observation=layout.observation or source.observation or tuple(seen.parts))
+    observation = layout.observation or sized(source.observation, robot.num_joints) or tuple(seen.parts)
+    for part in observation:
+        if "hold" not in part and "stand_in" not in part:
+            refuse_unmeasured(path, str(part["name"]))
+    layout = replace(layout, observation=observation)
     inputs, outputs = network.layers[0][0].shape[1], network.layers[-1][0].shape[0]
     size = sum(int(part["size"]) for part in layout.observation)
     if inputs != size or outputs != robot.num_joints:

@@ -13,16 +13,20 @@ MOST_NODES = 500
 MOST_CONSTANTS = 1000
 
 ARITHMETIC = frozenset({"Add", "Sub", "Mul", "Div", "Clip", "Gemm", "MatMul"})
-ACTIVATIONS = frozenset({"Elu", "Relu", "Tanh", "Sigmoid", "LeakyRelu", "Selu", "Softplus", "Gelu", "Swish", "HardSwish", "Erf"})
-SHAPES = frozenset({"Identity", "Cast", "Constant", "Reshape", "Flatten", "Transpose", "Unsqueeze", "Squeeze", "Slice", "Split", "Gather", "Concat", "Shape"})
+ACTIVATIONS = frozenset(
+    "Elu Relu Tanh Sigmoid LeakyRelu Selu Softplus Gelu Swish HardSwish Erf".split()  # noqa: SIM905 - shorter
+)
+SHAPES = frozenset(
+    "Identity Cast Constant Reshape Flatten Transpose Unsqueeze Squeeze Slice Split Gather Concat Shape".split()  # noqa: SIM905
+)
 NOISE = frozenset({"RandomNormal", "RandomNormalLike"})
 SMALL = frozenset({"Sqrt", "Neg", "Reciprocal", "Max", "Min", "Pow", "Exp", "Log", "Where", "ReduceMean"})
 ALLOWED = ARITHMETIC | ACTIVATIONS | SHAPES | NOISE | SMALL
 """Operators of a policy: none opens a file, holds a graph of its own, loops, or makes large things of small ones."""
 
 
-def read_checked(path: Path, content: bytes | None = None) -> Any:
-    """The ModelProto of a file, checked. content: its bytes, if read already.
+def read_checked(path: Path, content: bytes | None = None, what: str = "a whole ONNX file") -> Any:
+    """The ModelProto of a file, checked. content: its bytes, if read already; what: it should be.
 
     Raises PolicyError, one line, for a file that is none, too large, with constants in other files, functions or
     graphs inside nodes, other domains, or operators that no policy has.
@@ -36,19 +40,19 @@ def read_checked(path: Path, content: bytes | None = None) -> Any:
                 raise PolicyError(f"{path}: has more than {LARGEST_FILE >> 20} MB; no such policy has.")
             content = path.read_bytes()
         model = onnx.load_model_from_string(content)
-        _check(path, model)
+        _check(path, model, what)
     except (DecodeError, OSError, ValueError, RecursionError) as error:
         why = (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
-        raise PolicyError(f"{path}: not a whole ONNX file ({' '.join(why.split())[:120]}). Copy or export it again.") from error
+        raise PolicyError(f"{path}: not {what} ({' '.join(why.split())[:120]}). Copy or export it again.") from error
     return model
 
 
-def _check(path: Path, model: Any) -> None:
+def _check(path: Path, model: Any, what: str) -> None:
     from onnx import TensorProto
 
     graph = model.graph
     if not graph.node or not graph.output:
-        raise PolicyError(f"{path}: not a whole ONNX file (it computes nothing). Copy or export it again.")
+        raise PolicyError(f"{path}: not {what} (it computes nothing). Copy or export it again.")
     if len(model.functions) or len(graph.node) > MOST_NODES or len(graph.initializer) > MOST_CONSTANTS:
         raise PolicyError(
             f"{path}: its graph has {len(graph.node)} nodes, {len(graph.initializer)} constants and "
@@ -66,12 +70,16 @@ def _check(path: Path, model: Any) -> None:
     for tensor in tensors_of(graph):
         if tensor.data_location == TensorProto.EXTERNAL or len(tensor.external_data):
             # reading it would open whatever file it names
-            raise PolicyError(f"{path}: its constant '{_shown(tensor.name)}' lies in another file. Export it again with all inside.")
+            raise PolicyError(
+                f"{path}: its constant '{_shown(tensor.name)}' lies in another file. Export it again with all inside."
+            )
         count = 1
         for size in tensor.dims:
             count *= size
             if size < 0 or count > LARGEST_FILE:
-                raise PolicyError(f"{path}: its constant '{_shown(tensor.name)}' has the shape {list(tensor.dims)[:6]}.")
+                raise PolicyError(
+                    f"{path}: its constant '{_shown(tensor.name)}' has the shape {list(tensor.dims)[:6]}."
+                )
 
 
 def tensors_of(graph: Any) -> Iterator[Any]:

@@ -92,7 +92,9 @@ def _followed(path: Path, model: Any) -> Network:
         raise PolicyError(f"{path}: its graph does not say how many numbers it observes. Export it with a fixed width.")
     walk, current, left = _Walk(size), inputs[0].name, list(graph.node)
     while left:
-        node = next((one for one in left if one.op_type == "Constant" or all(n in constants for n in one.input if n)), None)
+        node = next(
+            (one for one in left if one.op_type == "Constant" or all(n in constants for n in one.input if n)), None
+        )
         if node is not None and (node.op_type == "Constant" or node.input):
             left.remove(node)
             constants[node.output[0]] = _folded(path, numpy_helper, node, constants)
@@ -182,7 +184,9 @@ def _step(path: Path, walk: _Walk, node: Any, current: str, constants: Mapping[s
             "means alone; the lines for brax in the manual do."
         )
     else:
-        raise PolicyError(f"{path}: its graph has a {kind} between observation and action. Only plain networks can be read.")
+        raise PolicyError(
+            f"{path}: its graph has a {kind} between observation and action. Only plain networks can be read."
+        )
     return str(node.output[0])
 
 
@@ -212,9 +216,13 @@ def _layer(path: Path, walk: _Walk, weight: np.ndarray, bias: np.ndarray) -> Non
     bias = bias if bias.size else np.zeros(len(weight))
     width = len(walk.layers[-1][1]) if walk.layers else walk.size
     if weight.shape[1] != width or bias.shape != (len(weight),) or len(weight) > MOST_UNITS or not len(weight):
-        raise PolicyError(f"{path}: a layer of its graph has the shapes {weight.shape} and {bias.shape} after {width} numbers.")
+        raise PolicyError(
+            f"{path}: a layer of its graph has the shapes {weight.shape} and {bias.shape} after {width} numbers."
+        )
     if walk.layers and not walk.bent:
-        raise PolicyError(f"{path}: two layers of its graph have no activation between them. Only plain networks can be read.")
+        raise PolicyError(
+            f"{path}: two layers of its graph have no activation between them. Only plain networks can be read."
+        )
     if len(walk.layers) >= MOST_LAYERS:
         raise PolicyError(f"{path}: its graph has more than {MOST_LAYERS} layers.")
     walk.layers.append((weight, bias))
@@ -244,13 +252,19 @@ def _refuse_branch(path: Path, following: list[Any]) -> None:
 
 def _network(path: Path, walk: _Walk) -> Network:
     if len(walk.layers) < 2 or walk.bent:
-        raise PolicyError(f"{path}: its graph is not a plain network with at least one hidden layer and none after its last.")
+        raise PolicyError(
+            f"{path}: its graph is not a plain network with at least one hidden layer and none after its last."
+        )
     numbers = [walk.scale, walk.shift, *(one for layer in walk.layers for one in layer)]
     if not all(np.isfinite(one).all() for one in numbers) or bool((walk.scale == 0).any()):
-        raise PolicyError(f"{path}: its graph holds numbers that are not finite, or divides by 0. Use an earlier checkpoint.")
+        raise PolicyError(
+            f"{path}: its graph holds numbers that are not finite, or divides by 0. Use an earlier checkpoint."
+        )
     # z = scale o + shift = (o - mean) / spread, the spread above 0: a sign goes into the first layer
     sign = np.sign(walk.scale)
-    layers = [(torch.from_numpy(np.ascontiguousarray(w)), torch.from_numpy(np.ascontiguousarray(b))) for w, b in walk.layers]
+    layers = [
+        (torch.from_numpy(np.ascontiguousarray(w)), torch.from_numpy(np.ascontiguousarray(b))) for w, b in walk.layers
+    ]
     layers[0] = layers[0][0] * torch.from_numpy(sign), layers[0][1]
     mean, spread = -walk.shift / walk.scale, 1.0 / np.abs(walk.scale)
     return Network(layers, torch.from_numpy(mean), torch.from_numpy(spread), walk.clip)

@@ -78,7 +78,9 @@ def _observation(path: Path, properties: Mapping[str, str], joints: int) -> tupl
     for name, entry in zip(names, scales, strict=True):
         values = set(_numbers(path, "observation_terms_scale", ",".join(entry)))
         if len(values) != 1:
-            raise PolicyError(f"{path}: its observation '{name[:60]}' has several scales; state its entries in a layout.")
+            raise PolicyError(
+                f"{path}: its observation '{name[:60]}' has several scales; state its entries in a layout."
+            )
         parts.append({"name": our_name(name), "scale": values.pop()})
     return sized(tuple(parts), joints)
 
@@ -93,19 +95,19 @@ def _numbers(path: Path, key: str, text: str, count: int | None = None) -> tuple
     return values
 
 
-def metadata_for(card: Any, delay_seconds: tuple[float, float] | None, sigma: Sequence[float]) -> dict[str, str]:
-    """What mjlab writes, of one of our policies, and what it lacks. card: its PolicyCard; delay_seconds: (least, most)
-    that it was trained with, None where nobody knows; sigma: of exploration, action units."""
+def metadata_of_policy(policy: Any) -> dict[str, str]:
+    """What mjlab writes, of one of our policies (a Policy), and what it lacks: control_dt s, action_sigma action units,
+    observation_terms_size, and action_delay_seconds (least and most that it was trained with) where its card says."""
+    card = policy.card
     parts = [(THEIRS.get(str(part["name"]), str(part["name"])), int(part["size"])) for part in card.observation]
     count = len(parts)
-    commands = [name for name, _ in parts if name == "command"]
     said = {
-        "run_path": str(card.made.get("run", "")) or "hts",
+        "run_path": "hts",
         "joint_names": ",".join(card.joint_names),
         "joint_stiffness": _csv(card.kp),
         "joint_damping": _csv(card.kd),
         "default_joint_pos": _csv(card.default_pose),
-        "command_names": ",".join(commands and ["twist"]),
+        "command_names": ",".join(name for name, _ in parts if name == "command"),
         "observation_names": ",".join(name for name, _ in parts),
         "observation_terms_size": ",".join(str(size) for _, size in parts),
         "observation_terms_scale": ",".join(["1.0"] * count),
@@ -114,10 +116,11 @@ def metadata_for(card: Any, delay_seconds: tuple[float, float] | None, sigma: Se
         "observation_terms_clip": ",".join(["-inf;inf"] * count),
         "action_scale": _csv(card.action_scale),
         "control_dt": repr(1.0 / card.control_rate_hz),
-        "action_sigma": _csv(sigma),
+        "action_sigma": _csv(policy.tensors["log_std"].exp().tolist()),
     }
-    if delay_seconds is not None:
-        said["action_delay_seconds"] = _csv(delay_seconds)
+    delay = card.made.get("delay_seconds") or (card.made.get("source") or {}).get("delay_seconds")
+    if isinstance(delay, list | tuple) and len(delay) == 2:
+        said["action_delay_seconds"] = _csv(delay)
     return said
 
 

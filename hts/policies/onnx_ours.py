@@ -10,7 +10,7 @@ import torch
 
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
-from hts.policies.export import CARD_KEY, CLIP, graph_nodes
+from hts.policies.export import CLIP, graph_nodes
 from hts.policies.files import Policy, check_robot, hash_tensors, parse_card
 from hts.policies.with_critic import NEW_CRITIC, with_new_critic
 

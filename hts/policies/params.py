@@ -15,7 +15,7 @@ import yaml
 from hts.errors import PolicyError
 from hts.policies.contract import Contract
 from hts.policies.onnx_metadata import read_metadata
-from hts.policies.source import OWN_NAMES, Source, sized
+from hts.policies.source import OWN_NAMES, Source
 from hts.policies.terms import ABSOLUTE, NOT_MEASURED, OURS, our_name
 
 LARGEST_FILE = 4 * 2**20  # bytes; mjlab's env.yaml has 40 kB
@@ -43,9 +43,6 @@ def source_beside(path: Path, params: Path | None = None) -> Source:
                 ) from error
     if found.contract.joint_names is None:
         found = found.over(_exported_beside(path))
-    groups = found.observation
-    if groups and found.contract.joint_names is not None:
-        found = Source(found.contract, sized(groups, len(found.contract.joint_names)), found.activation)
     return found
 
 
@@ -80,7 +77,7 @@ def _load(file: Path) -> Mapping[str, Any]:
     if file.stat().st_size > LARGEST_FILE:
         raise PolicyError(f"{file}: has more than {LARGEST_FILE >> 20} MB, which no such file has.")
     try:
-        found = yaml.load(file.read_text(encoding="utf-8"), _PlainLoader)  # noqa: S506 - a SafeLoader
+        found = yaml.load(file.read_text(encoding="utf-8"), _PlainLoader)
     except (yaml.YAMLError, OSError, ValueError, RecursionError) as error:
         what = "nested too deep" if isinstance(error, RecursionError) else " ".join(str(error).split())
         raise PolicyError(f"{file}: cannot be read ({what[:160]}).") from error

@@ -109,7 +109,16 @@ def check_rate(path: Path, contract: Contract, robot: RobotSpec) -> None:
 
 def written(contract: Contract) -> dict[str, Any]:
     """What the source says, for the card."""
-    keys = ("joint_names", "default_pose", "action_scale", "kp", "kd", "control_rate_hz", "delay_seconds", "action_clip")
+    keys = (
+        "joint_names",
+        "default_pose",
+        "action_scale",
+        "kp",
+        "kd",
+        "control_rate_hz",
+        "delay_seconds",
+        "action_clip",
+    )
     found = {key: getattr(contract, key) for key in keys if getattr(contract, key) is not None}
     plain = {
         key: dict(value) if isinstance(value, Mapping) else list(value) if isinstance(value, list | tuple) else value
@@ -121,8 +130,7 @@ def written(contract: Contract) -> dict[str, Any]:
 def as_card(states: States) -> dict[str, dict[str, str]]:
     """The states as a card holds them, under `made.proof`."""
     return {
-        item: {"state": one.state, "why": one.why, **({"by": one.by} if one.by else {})}
-        for item, one in states.items()
+        item: {"state": one.state, "why": one.why, **({"by": one.by} if one.by else {})} for item, one in states.items()
     }
 
 
@@ -154,10 +162,20 @@ def unproven(card: Any) -> list[str]:
         foreign = made.get("kind") in ("rsl_rl", "layers", "onnx")
         if foreign or "proof" in made:
             wanted = [*ITEMS, *(item for item in states if item not in ITEMS)]
-            open_items += [item for item in wanted if states.get(item, State(NOT_PROVEN, "")).state not in (PROVEN, ACCEPTED)]
+            open_items += [
+                item for item in wanted if states.get(item, State(NOT_PROVEN, "")).state not in (PROVEN, ACCEPTED)
+            ]
         start = made.get("start")
         made = start.get("made") if isinstance(start, Mapping) else None
     return list(dict.fromkeys(open_items))
+
+
+def inherited(made: Mapping[str, Any]) -> dict[str, Any]:
+    """What the card of a policy that starts from another one takes over from that one's `made`."""
+    kept = {key: made[key] for key in ("proof", "source") if key in made}
+    if "proof" not in made and unproven({"made": made}):
+        kept["proof"] = as_card({item: State(NOT_PROVEN, "imported before proofs were kept") for item in ITEMS})
+    return kept
 
 
 def accepted(states: States, items: Sequence[str], by: str) -> dict[str, State]:

@@ -53,7 +53,11 @@ def replay(path: Path, imported: Imported, log: Log, robot: RobotSpec) -> dict[s
     seeing = _Replay(path, imported, log, robot, contract, names)
     found: dict[str, State] = {}
     checks: Sequence[Callable[[], dict[str, State]]] = (
-        seeing.control_rate, seeing.targets, seeing.actions, seeing.observation, seeing.torques,
+        seeing.control_rate,
+        seeing.targets,
+        seeing.actions,
+        seeing.observation,
+        seeing.torques,
     )
     for check in checks:
         found |= check()
@@ -95,7 +99,9 @@ class _Replay:
     def control_rate(self) -> dict[str, State]:
         moving = self.log.action if self.log.action is not None else self.target
         if self.log.time is None or moving is None or len(moving) < FEWEST:
-            return _open("control_rate", "the log has no stamps" if self.log.time is None else "the log has too few rows")
+            return _open(
+                "control_rate", "the log has no stamps" if self.log.time is None else "the log has too few rows"
+            )
         changes = _changes(moving)
         if len(changes) < FEWEST:
             return _open("control_rate", "its actions hardly change")
@@ -177,8 +183,10 @@ class _Replay:
             return _open("actions", "a part that something stands in for differs from what the original saw")
         off = self._off(self.given, self.action)
         if not off <= TOLERANCE:
-            raise self._refuted(f"its actions are off by up to {off:.2g} from the log's. Is `observation` what the "
-                                "network was given, before its normaliser, and the action without noise")
+            raise self._refuted(
+                f"its actions are off by up to {off:.2g} from the log's. Is `observation` what the "
+                "network was given, before its normaliser, and the action without noise"
+            )
         return _shown("actions", f"{len(self.action)} actions replayed, off by at most {off:.1g}")
 
     def _off(self, given: np.ndarray, action: np.ndarray) -> float:
@@ -314,10 +322,16 @@ class _Replay:
     def torques(self) -> dict[str, State]:
         items = ("gains", "delay")
         if any(one is None for one in (self.target, self.position, self.velocity, self.torque)):
-            return {item: State(NOT_PROVEN, "the log has no joint torques with targets, angles and speeds") for item in items}
+            return {
+                item: State(NOT_PROVEN, "the log has no joint torques with targets, angles and speeds")
+                for item in items
+            }
         assert self.target is not None and self.torque is not None
         if len(self.target) < FEWEST + LONGEST_LAG:
-            return {item: State(NOT_PROVEN, f"the log has {len(self.target)} rows, expected {FEWEST + LONGEST_LAG}") for item in items}
+            return {
+                item: State(NOT_PROVEN, f"the log has {len(self.target)} rows, expected {FEWEST + LONGEST_LAG}")
+                for item in items
+            }
         fits = [self._fit(lag) for lag in range(LONGEST_LAG + 1)]
         left = np.array([fit[2] for fit in fits])  # share of variance not explained, worst joint last
         lag = int(left.argmin())

@@ -98,7 +98,11 @@ def _log_of(path: Path, arrays: Mapping[str, np.ndarray]) -> Log:
             continue
         width = {**dict.fromkeys(VECTORS, 3), **dict.fromkeys(JOINTS, len(names))}.get(key)
         shape = values.shape
-        if values.dtype.kind not in "fiu" or values.ndim != (1 if key == "time" else 2) or (width and shape[1] != width):
+        if (
+            values.dtype.kind not in "fiu"
+            or values.ndim != (1 if key == "time" else 2)
+            or (width and shape[1] != width)
+        ):
             raise PolicyError(
                 f"{path}: '{key}' has shape {shape} of {values.dtype}, expected numbers in the shape "
                 f"{'(n,)' if key == 'time' else f'(n, {width or chr(107)})'}."

@@ -17,7 +17,7 @@ OWN_NAMES = VECTORS | {"joint_position_offset", "joint_velocity", "last_action",
 
 @dataclass(frozen=True)
 class Source:
-    """What was found beside a policy. observation: parts as in a Layout, () if nothing says; activation: between its
+    """What was found beside a policy. observation: parts as in a Layout, sizes left out, () if nothing says; activation: between its
     layers, "" if nothing says."""
 
     contract: Contract = Contract()
@@ -41,7 +41,7 @@ class Source:
 
 
 def sized(parts: tuple[Mapping[str, Any], ...], joints: int) -> tuple[Mapping[str, Any], ...]:
-    """With sizes, where a name says them."""
+    """With the sizes that the names mean for so many joints, where a part has none."""
     made = []
     for part in parts:
         name = str(part["name"])

@@ -22,7 +22,7 @@ from hts.contracts import RobotSpec
 from hts.errors import PolicyError, unknown_name
 from hts.policies.contract import Contract, known_joints, per_joint
 from hts.policies.layout import Layout, Seen
-from hts.policies.terms import ABSOLUTE, our_name, refuse_unmeasured
+from hts.policies.terms import ABSOLUTE, our_name
 
 CLIP = 10.0  # of our normalised observations, as in `Population.normalised`
 # What may reach a policy, in our units: up to there a source without a clip must not meet ours.
@@ -134,9 +134,7 @@ def translation(path: Path, robot: RobotSpec, layout: Layout, seen: Seen, contra
         alpha.append(one)
         beta.append(zero)
         own.append(torch.ones(size, dtype=torch.bool))
-    made = Translation(
-        *(torch.cat(each) for each in (entry, alpha, beta, own)), joints, gain, shift, tuple(parts)
-    )
+    made = Translation(*(torch.cat(each) for each in (entry, alpha, beta, own)), joints, gain, shift, tuple(parts))
     twice = made.entry[made.own]
     if len(twice.unique()) != len(twice):
         raise PolicyError(f"{path}: its layout names a part of the observation twice.")
@@ -162,7 +160,6 @@ def _in_its_place(
         if other == "command":  # vx, vy, yaw rate: the third is no velocity along z
             width = 2
         return torch.where(torch.arange(size) < width, kept, -1), 1.0, 0.0
-    refuse_unmeasured(path, str(part["name"]))
     raise PolicyError(
         f"{path}: it observes what this task does not give. "
         + unknown_name("observation", our_name(str(part["name"])), [*starts, ABSOLUTE])

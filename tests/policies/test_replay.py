@@ -142,7 +142,10 @@ WRONG = {
     "kp": ({"kp": {".*_hip": 20.0, "a_knee": 33.0, "b_knee": 30.0}}, r"kp of a_knee is .* the contract says 33"),
     "kd": ({"kd": 0.5}, r"kd of ._knee is 0\.\d+ .* the contract says 0.5"),
     "delay": ({"delay_seconds": (0.025, 0.03)}, "the delay is 0 to 20 ms by the log's torques, delay_seconds says 25"),
-    "rate": ({"control_rate_hz": 100.0}, "its actions change 50 times a second by the log's stamps, control_rate_hz says 100"),
+    "rate": (
+        {"control_rate_hz": 100.0},
+        "its actions change 50 times a second by the log's stamps, control_rate_hz says 100",
+    ),
 }
 
 
