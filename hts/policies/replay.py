@@ -27,24 +27,27 @@ from hts.errors import PolicyError
 from hts.policies.contract import Contract, known_joints, per_joint
 from hts.policies.importing import Imported
 from hts.policies.layers import TOLERANCE, actions_of, difference
-from hts.policies.proof import NOT_PROVEN, PROVEN, State
+from hts.policies.proof import NOT_PROVEN, PROVEN, State, of_card
+from hts.policies.position_control import (
+    ALIKE,
+    FEWEST,
+    LONGEST_LAG,
+    REFUTED,
+    UNEXPLAINED,
+    Fit,
+    PositionControl,
+)
 from hts.policies.replay_log import Log
 
 TARGET_TOLERANCE = 1e-4  # rad: float32 of an angle, and of the sum that makes it
 SEEN_TOLERANCE = 1e-4  # of an observation's entry, relative where it is larger than 1
-FEWEST = 50  # rows
-KP_TOLERANCE, KD_TOLERANCE = 0.03, 0.1  # relative
-EXPLAINED = 0.95  # least share of a torque's variance that position control must explain
 MOVES = 1e-3  # action units: an action that varies less shows nothing of its joint
-LONGEST_LAG = 40  # rows
 RATE_TOLERANCE = 0.02
 WORST_FACTOR = 1.05  # a lag counts as good as the best up to this factor of the residual
 
 
 def replay(path: Path, imported: Imported, log: Log, robot: RobotSpec) -> dict[str, State]:
     """The states of all items after the log. Raises PolicyError for what the log refutes."""
-    from hts.policies.proof import of_card
-
     states = of_card(imported.policy.card.made)
     if imported.maps is None or imported.contract is None or imported.network is None:
         raise PolicyError(f"{path}: made by hts, so there is nothing to replay. Leave out --log.")
@@ -321,58 +324,43 @@ class _Replay:
 
     def torques(self) -> dict[str, State]:
         items = ("gains", "delay")
-        if any(one is None for one in (self.target, self.position, self.velocity, self.torque)):
-            return {
-                item: State(NOT_PROVEN, "the log has no joint torques with targets, angles and speeds")
-                for item in items
-            }
-        assert self.target is not None and self.torque is not None
-        if len(self.target) < FEWEST + LONGEST_LAG:
-            return {
-                item: State(NOT_PROVEN, f"the log has {len(self.target)} rows, expected {FEWEST + LONGEST_LAG}")
-                for item in items
-            }
-        fits = [self._fit(lag) for lag in range(LONGEST_LAG + 1)]
-        left = np.array([fit[2] for fit in fits])  # share of variance not explained, worst joint last
+        held = (self.target, self.position, self.velocity, self.torque)
+        if any(one is None for one in held):
+            return _all_open(items, "the log has no joint torques with targets, angles and speeds")
+        target, position, velocity, torque = (one for one in held if one is not None)
+        if len(target) < FEWEST + LONGEST_LAG:
+            return _all_open(items, f"the log has {len(target)} rows, expected {FEWEST + LONGEST_LAG}")
+        control = PositionControl(self.names, target, position, velocity, torque, self.limit())
+        fits = [control.fit(lag) for lag in range(LONGEST_LAG + 1)]
+        left = np.array([fit.left.max() for fit in fits])
         lag = int(left.argmin())
-        if left[lag] > 1 - EXPLAINED:
-            why = f"position control explains {100 * (1 - left[lag]):.0f} % of the log's torques, expected {100 * EXPLAINED:.0f} %"
-            return {item: State(NOT_PROVEN, why) for item in items}
-        return self._gains(fits[lag]) | self._delay(lag, left)
+        if left[lag] > UNEXPLAINED:
+            share = f"{100 * left[lag]:.0f} % of the log's torques, expected at most {100 * UNEXPLAINED:.0f} %"
+            return _all_open(items, f"position control leaves {share}")
+        return self._gains(control, fits[lag]) | self._delay(lag, left)
 
-    def _fit(self, lag: int) -> tuple[np.ndarray, np.ndarray, float]:
-        """kp and kd per joint by least squares for one lag, and the mean share of variance that they leave."""
-        assert self.target is not None and self.torque is not None
-        assert self.position is not None and self.velocity is not None
-        begin = LONGEST_LAG
-        target = self.target[begin - lag : len(self.target) - lag]
-        kp, kd, left = np.empty(len(self.names)), np.empty(len(self.names)), []
-        limit = dict(zip(self.robot.joint_names, self.robot.torque_limit, strict=True))
-        for joint, name in enumerate(self.names):
-            tau = self.torque[begin:, joint]
-            free = np.abs(tau) < 0.98 * limit[name]  # a torque at its limit says nothing of gains
-            error = (target[:, joint] - self.position[begin:, joint])[free]
-            design = np.stack([error, -self.velocity[begin:, joint][free]], 1)
-            if free.sum() < FEWEST or tau[free].std() < 1e-9:
-                return kp, kd, 1.0
-            (kp[joint], kd[joint]), *_ = np.linalg.lstsq(design, tau[free], rcond=None)
-            rest = tau[free] - design @ np.array([kp[joint], kd[joint]])
-            left.append(float(np.mean(np.square(rest)) / np.mean(np.square(tau[free]))))
-        return kp, kd, float(np.mean(left))
+    def limit(self) -> np.ndarray:
+        """Largest torques, N·m."""
+        own = dict(zip(self.robot.joint_names, self.robot.torque_limit, strict=True))
+        return np.array([own[name] for name in self.names])
 
-    def _gains(self, fit: tuple[np.ndarray, np.ndarray, float]) -> dict[str, State]:
-        for what, found, said, tolerance in (
-            ("kp", fit[0], self.kp, KP_TOLERANCE),
-            ("kd", fit[1], self.kd, KD_TOLERANCE),
-        ):
-            off = np.abs(found - said) / np.maximum(np.abs(said), 1e-9)
-            joint = int(off.argmax())
-            if off[joint] > tolerance:
-                raise self._refuted(
-                    f"{what} of {self.names[joint]} is {found[joint]:.4g} by the log's torques, the contract says "
-                    f"{said[joint]:.4g}"
-                )
-        return _shown("gains", f"torques are kp (target - angle) - kd speed, to {100 * fit[2] ** 0.5:.1g} %")
+    def _gains(self, control: PositionControl, fit: Fit) -> dict[str, State]:
+        said = control.left_by(self.kp, self.kd, fit.lag)
+        wrong = np.flatnonzero(~control.alike(self.kp, self.kd, fit))
+        if len(wrong):
+            worst = int(wrong[said[wrong].argmax()])
+            text = (
+                f"of {self.names[worst]} kp {fit.kp[worst]:.4g} and kd {fit.kd[worst]:.4g} explain the log's torques to "
+                f"{100 * fit.left[worst]:.1g} %, the contract's {self.kp[worst]:.4g} and {self.kd[worst]:.4g} to "
+                f"{100 * said[worst]:.2g} %"
+            )
+            if said[worst] > max(REFUTED, ALIKE * fit.left[worst]):
+                raise self._refuted(text)
+            return _open("gains", text)
+        unseen = control.unseen(self.kp, self.kd, fit.lag, said)
+        if unseen:
+            return _open("gains", f"another {unseen} would hardly change the log's torques")
+        return _shown("gains", f"torques are kp (target - angle) - kd speed, to {100 * said.max():.1g} %")
 
     def _delay(self, lag: int, left: np.ndarray) -> dict[str, State]:
         stated = self.stated.delay_seconds if self.stated is not None else None
@@ -410,6 +398,10 @@ def _changes(values: np.ndarray | None) -> np.ndarray:
         return np.zeros(0, int)
     rows = np.flatnonzero(np.any(np.diff(values, axis=0) != 0, axis=1)) + 1
     return rows[rows >= 2]
+
+
+def _all_open(items: Sequence[str], why: str) -> dict[str, State]:
+    return {item: State(NOT_PROVEN, why) for item in items}
 
 
 def _open(item: str, why: str) -> dict[str, State]:

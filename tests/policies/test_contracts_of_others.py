@@ -157,7 +157,7 @@ def test_a_policy_of_mjlab_or_isaac_lab_sends_the_same_targets(run, env, names):
     contract, policy = imported.contract, imported.policy
     torch.manual_seed(1)
     rate, gravity, command = torch.randn(3, 50, 3).unbind()
-    q, dq, sent = 0.3 * torch.randn(3, 50, 4).unbind()  # by SPEC's order; sent: the last targets, rad
+    q, dq, sent = (0.3 * torch.randn(3, 50, 4)).unbind()  # by SPEC's order; sent: the last targets, rad
     index = [NAMES.index(name) for name in names]
     pose, scale = (
         torch.tensor(per_joint("", key, getattr(contract, key), names)) for key in ("default_pose", "action_scale")
@@ -209,7 +209,7 @@ def test_a_constant_or_the_command_can_stand_in_for_the_velocity(run, instead):
     made = import_whole(path, SPEC, Layout(parts, NAMES), strict=True).policy
     torch.manual_seed(1)
     rate, gravity, command = torch.randn(3, 50, 3).unbind()
-    q, dq, sent = 0.3 * torch.randn(3, 50, 4).unbind()
+    q, dq, sent = (0.3 * torch.randn(3, 50, 4)).unbind()
     pose, scale = (
         torch.tensor(per_joint("", key, getattr(contract, key), NAMES)) for key in ("default_pose", "action_scale")
     )
