@@ -108,6 +108,6 @@ def _summary(policy: Policy) -> str:
 def _what_is_open(items: list[str]) -> None:
     if items:
         typer.echo(
-            f"not shown: {', '.join(items)}. For simulation that is enough; for a robot replay a log (--log), or vouch for "
-            "it: --accept ITEM --by NAME"
+            f"not shown: {', '.join(items)}. For simulation that is enough; for a robot replay a log (--log), or vouch "
+            "for it: --accept ITEM --by NAME"
         )

@@ -35,7 +35,7 @@ def trial_lines(robot: Robot, policy: Policy) -> list[str]:
         verdict = ("stands" if stands else "does it") if done else "does not"
         unit = "" if not task.can_hold else f" {task.unit}"
         lines.append(
-            f"in our simulation{task.at(point)}: {verdict} (fell in {one.falls} of {one.worlds} worlds, {task.quantity} "
-            f"{one.mean_speed:.2f}{unit})"
+            f"in our simulation{task.at(point)}: {verdict} (fell in {one.falls} of {one.worlds} worlds, "
+            f"{task.quantity} {one.mean_speed:.2f}{unit})"
         )
     return lines

@@ -39,6 +39,7 @@ from hts.rl.population import Sizes
 # Without a normaliser, ours would clip raw observations at 10.
 # This factor, exact in binary, moves that to 80 and changes no result.
 HEADROOM = 8.0
+MOST_WORDS = 1200  # characters of a message
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,16 @@ def import_whole(
 ) -> Imported:
     """`import_policy`, with what a replay needs. params: the folder with env.yaml and agent.yaml, if not beside the
     file; strict: ask (PolicyError) for what neither file nor layout says, instead of taking the robot's own."""
-    path, seen = Path(path), seen or seen_in_velocity_task(robot)
+    try:
+        return _import(Path(path), robot, layout, std, seen or seen_in_velocity_task(robot), params, strict)
+    except PolicyError as error:  # it may quote the file, which may hold anything
+        text = "".join(letter if letter.isprintable() else "?" for letter in " ".join(str(error).split()))
+        raise PolicyError(text[:MOST_WORDS]) from error.__cause__
+
+
+def _import(
+    path: Path, robot: RobotSpec, layout: Layout | None, std: float, seen: Seen, params: Path | None, strict: bool
+) -> Imported:
     if path.suffix == ".safetensors" and not path.with_suffix(".json").exists() and holds_layers(path):
         network, examples, made = layers_of(path, robot.num_joints)
         return _finished(path, robot, network, Source(), layout, seen, std, made, HEADROOM, examples=examples)
@@ -96,7 +106,8 @@ def import_whole(
         return _finished(path, robot, network, source, layout, seen, std, made, headroom, strict)
     else:
         raise PolicyError(
-            f"{path}: policies are read from .safetensors (with its .json), .onnx and .pt (rsl_rl), not '{path.suffix}'."
+            f"{path}: policies are read from .safetensors (with its .json), .onnx and .pt (rsl_rl), "
+            f"not '{path.suffix}'."
         )
     return _finished(path, robot, network, source, layout, seen, std, made, 1.0, strict)
 

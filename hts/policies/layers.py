@@ -157,7 +157,7 @@ def actions_of(
 
 
 def difference(found: torch.Tensor, wanted: torch.Tensor) -> float:
-    """The largest, in action units, relative where the wanted action is larger than 1; NaN for numbers that are none."""
+    """The largest, in action units, relative where the wanted one is larger than 1; NaN for numbers that are none."""
     return float(((found - wanted.double()).abs() / wanted.double().abs().clamp(min=1.0)).max())
 
 

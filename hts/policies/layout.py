@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -40,7 +40,7 @@ class Layout:
 
     observation: tuple[Mapping[str, Any], ...]
     joint_names: tuple[str, ...] | None = None
-    contract: Contract = Contract()
+    contract: Contract = field(default_factory=Contract)
 
 
 @dataclass(frozen=True)

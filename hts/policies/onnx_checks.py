@@ -56,7 +56,8 @@ def _check(path: Path, model: Any, what: str) -> None:
     if len(model.functions) or len(graph.node) > MOST_NODES or len(graph.initializer) > MOST_CONSTANTS:
         raise PolicyError(
             f"{path}: its graph has {len(graph.node)} nodes, {len(graph.initializer)} constants and "
-            f"{len(model.functions)} functions of its own; a policy has at most {MOST_NODES}, {MOST_CONSTANTS} and none."
+            f"{len(model.functions)} functions of its own; a policy has at most {MOST_NODES}, "
+            f"{MOST_CONSTANTS} and none."
         )
     if len(graph.sparse_initializer) or len(model.training_info):
         raise PolicyError(f"{path}: it has sparse constants or training information, which no policy needs.")
@@ -71,7 +72,8 @@ def _check(path: Path, model: Any, what: str) -> None:
         if tensor.data_location == TensorProto.EXTERNAL or len(tensor.external_data):
             # reading it would open whatever file it names
             raise PolicyError(
-                f"{path}: its constant '{_shown(tensor.name)}' lies in another file. Export it again with all inside."
+                f"{path}: its constant '{_shown(tensor.name)}' lies in another file. Export it again with all "
+                "inside (torch.onnx.export(…, external_data=False))."
             )
         count = 1
         for size in tensor.dims:

@@ -7,7 +7,7 @@ Nothing of it is run: constants are folded with numpy.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from hts.policies.onnx_ours import from_our_onnx
 from hts.policies.source import Source
 from hts.policies.translate import Network
 
-FOLDED = {
+FOLDED: dict[str, Callable[..., np.ndarray]] = {
     "Add": np.add,
     "Sub": np.subtract,
     "Mul": np.multiply,
@@ -38,6 +38,7 @@ FOLDED = {
     "Exp": np.exp,
 }
 ELU = "Elu"
+PLAIN = "Only plain networks can be read."
 
 
 def from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy | tuple[Network, Source]:
@@ -83,8 +84,8 @@ def _followed(path: Path, model: Any) -> Network:
     inputs = [value for value in graph.input if value.name not in constants]
     if len(inputs) != 1 or len(graph.output) != 1:
         raise PolicyError(
-            f"{path}: its graph reads {listed(v.name for v in inputs)} and gives {listed(v.name for v in graph.output)},"
-            " expected one observation and one action."
+            f"{path}: its graph reads {listed(v.name for v in inputs)} and gives "
+            f"{listed(v.name for v in graph.output)}, expected one observation and one action."
         )
     shape = inputs[0].type.tensor_type.shape.dim
     size = shape[-1].dim_value if shape else 0
@@ -112,6 +113,12 @@ def _followed(path: Path, model: Any) -> Network:
             f"{listed(node.op_type for node in left)}). Only plain networks can be read."
         )
     return _network(path, walk)
+
+
+def _is_constant(node: Any, constants: Mapping[str, np.ndarray]) -> bool:
+    """Whether a node makes a constant, of nothing or of constants that are known."""
+    given = [name for name in node.input if name]
+    return node.op_type == "Constant" or (bool(given) and all(name in constants for name in given))
 
 
 def _array(numpy_helper: Any, tensor: Any) -> np.ndarray:
@@ -157,8 +164,8 @@ def _step(path: Path, walk: _Walk, node: Any, current: str, constants: Mapping[s
         low, high = (float(one) for one in other) if len(other) == 2 else (attributes["min"].f, attributes["max"].f)
         if walk.layers or low != -high or not high > 0 or walk.clip is not None:
             raise PolicyError(
-                f"{path}: its graph keeps numbers between {low:g} and {high:g}; hts does so with normalised observations "
-                "only, as far either way. If these are its actions, export it without."
+                f"{path}: its graph keeps numbers between {low:g} and {high:g}; hts does so with normalised "
+                "observations only, as far either way. If these are its actions, export it without."
             )
         walk.clip = high
     elif kind in ("Gemm", "MatMul"):
@@ -234,8 +241,8 @@ def _activation(path: Path, walk: _Walk, kind: str, attributes: Mapping[str, Any
     if kind != ELU or alpha != 1.0 or walk.bent or not walk.layers:
         shown = kind if kind != ELU or alpha == 1.0 else f"ELU with alpha {alpha:g}"
         raise PolicyError(
-            f"{path}: its graph has the activation {shown}, hts computes ELU, between layers only. Train it with ELU, and "
-            "with actions that are not squashed (the manual says how in its library)."
+            f"{path}: its graph has the activation {shown}, hts computes ELU, between layers only. Train it with ELU, "
+            "and with actions that are not squashed (the manual says how in its library)."
         )
     walk.bent = True
 

@@ -146,8 +146,8 @@ def _action(file: Path, actions: Mapping[str, Any]) -> dict[str, Any]:
         raise PolicyError(f"{file}: its action '{name}' is a {kind[:60]}, expected a JointPositionAction.")
     if not term.get("use_default_offset"):
         raise PolicyError(
-            f"{file}: its action '{name}' is not counted from the default pose (use_default_offset). State default_pose "
-            "in a layout as the targets where its actions are zero, and move this file away."
+            f"{file}: its action '{name}' is not counted from the default pose (use_default_offset). State "
+            "default_pose in a layout as the targets where its actions are zero, and move this file away."
         )
     if term.get("clip"):
         raise PolicyError(f"{file}: its action '{name}' clips targets, which hts does not. Train it without clip.")
@@ -184,7 +184,7 @@ HARMLESS_TERM_CLIP = 50.0  # in any unit of ours: nothing that a robot measures 
 
 
 def _meaning(name: str, term: Mapping[str, Any]) -> str:
-    """Our name of a term: by its function or the sensor that this reads, and by its own name only where there is none."""
+    """Our name of a term: by its function or the sensor that this reads, by its own name only where there is none."""
     function = str(term.get("func") or "").replace(":", ".").rsplit(".", 1)[-1]
     sensor = str((term.get("params") or {}).get("sensor_name") or "").rsplit("/", 1)[-1]
     if function == "joint_pos":  # in both libraries the angles themselves, whatever the term is called

@@ -10,7 +10,7 @@ from typing import Any
 
 from hts.contracts import RobotSpec
 from hts.errors import ConfigError, PolicyError, unknown_name
-from hts.policies.contract import Contract, known_joints, per_joint
+from hts.policies.contract import ASKED, Contract, known_joints, per_joint
 
 ITEMS = {
     "actions": "the network gives the original's actions",
@@ -109,16 +109,7 @@ def check_rate(path: Path, contract: Contract, robot: RobotSpec) -> None:
 
 def written(contract: Contract) -> dict[str, Any]:
     """What the source says, for the card."""
-    keys = (
-        "joint_names",
-        "default_pose",
-        "action_scale",
-        "kp",
-        "kd",
-        "control_rate_hz",
-        "delay_seconds",
-        "action_clip",
-    )
+    keys = [*ASKED, "action_clip"]
     found = {key: getattr(contract, key) for key in keys if getattr(contract, key) is not None}
     plain = {
         key: dict(value) if isinstance(value, Mapping) else list(value) if isinstance(value, list | tuple) else value

@@ -27,7 +27,6 @@ from hts.errors import PolicyError
 from hts.policies.contract import Contract, known_joints, per_joint
 from hts.policies.importing import Imported
 from hts.policies.layers import TOLERANCE, actions_of, difference
-from hts.policies.proof import NOT_PROVEN, PROVEN, State, of_card
 from hts.policies.position_control import (
     ALIKE,
     FEWEST,
@@ -37,9 +36,10 @@ from hts.policies.position_control import (
     Fit,
     PositionControl,
 )
+from hts.policies.proof import NOT_PROVEN, PROVEN, State, of_card
 from hts.policies.replay_log import Log
+from hts.policies.replay_targets import TARGET_TOLERANCE, explained
 
-TARGET_TOLERANCE = 1e-4  # rad: float32 of an angle, and of the sum that makes it
 SEEN_TOLERANCE = 1e-4  # of an observation's entry, relative where it is larger than 1
 MOVES = 1e-3  # action units: an action that varies less shows nothing of its joint
 RATE_TOLERANCE = 0.02
@@ -134,46 +134,11 @@ class _Replay:
         if np.all(off <= TARGET_TOLERANCE):
             why = f"{len(action)} targets are default pose + scale x action, by name, to {off.max():.1g} rad"
             return {item: State(PROVEN, why) for item in items}
-        self._explain_targets(action, target, off)
+        wrong = explained(self.names, self.pose, self.scale, action, target)
+        if wrong:
+            raise self._refuted(wrong)
         why = f"targets are not default pose + scale x action (off by {off.max():.2g} rad; filtered, or clipped?)"
         return {item: State(NOT_PROVEN, why) for item in items}
-
-    def _explain_targets(self, action: np.ndarray, target: np.ndarray, off: np.ndarray) -> None:
-        """Raises PolicyError if other order, scale or pose explain the targets exactly."""
-        slope, level, best = np.empty(len(off)), np.empty(len(off)), np.empty(len(off), int)
-        centred = action - action.mean(0)
-        for joint in range(len(off)):
-            wanted = target[:, joint] - target[:, joint].mean()
-            slopes = (centred * wanted[:, None]).sum(0) / np.square(centred).sum(0)
-            left = np.abs(wanted[:, None] - slopes * centred).max(0)
-            best[joint] = int(left.argmin())
-            if left[best[joint]] > TARGET_TOLERANCE:
-                return
-            slope[joint] = slopes[best[joint]]
-            level[joint] = target[:, joint].mean() - slope[joint] * action[:, best[joint]].mean()
-        for joint, name in enumerate(self.names):
-            if best[joint] != joint:
-                raise self._refuted(
-                    f"joint_order is another: {name}'s target follows action {best[joint]}, the contract says {joint}. "
-                    f"By the log it is {', '.join(self._log_order(best))}"
-                )
-        for joint, name in enumerate(self.names):
-            if abs(slope[joint] - self.scale[joint]) * np.abs(action[:, joint]).max() > TARGET_TOLERANCE:
-                raise self._refuted(
-                    f"action_scale of {name} is {slope[joint]:.5g} rad by the log's targets, the contract says "
-                    f"{self.scale[joint]:.5g}"
-                )
-        joint = int(off.argmax())
-        raise self._refuted(
-            f"default_pose of {self.names[joint]} is {level[joint]:.5g} rad by the log's targets, the contract says "
-            f"{self.pose[joint]:.5g}"
-        )
-
-    def _log_order(self, best: np.ndarray) -> list[str]:
-        order = [""] * len(best)
-        for joint, action in enumerate(best):
-            order[action] = self.names[joint]
-        return order
 
     # ----------------------------------------------------------------------------------------- actions
 
@@ -350,8 +315,8 @@ class _Replay:
         if len(wrong):
             worst = int(wrong[said[wrong].argmax()])
             text = (
-                f"of {self.names[worst]} kp {fit.kp[worst]:.4g} and kd {fit.kd[worst]:.4g} explain the log's torques to "
-                f"{100 * fit.left[worst]:.1g} %, the contract's {self.kp[worst]:.4g} and {self.kd[worst]:.4g} to "
+                f"of {self.names[worst]} kp {fit.kp[worst]:.4g} and kd {fit.kd[worst]:.4g} explain the log's torques "
+                f"to {100 * fit.left[worst]:.1g} %, the contract's {self.kp[worst]:.4g} and {self.kd[worst]:.4g} to "
                 f"{100 * said[worst]:.2g} %"
             )
             if said[worst] > max(REFUTED, ALIKE * fit.left[worst]):

@@ -16,9 +16,9 @@ LARGEST = 2**30  # bytes, unpacked
 VECTORS = ("angular_velocity", "projected_gravity", "command")
 JOINTS = ("joint_target", "joint_position", "joint_velocity", "joint_torque")
 KEYS = ("time", "joint_names", "observation", "action", *JOINTS, *VECTORS)
-"""What a NumPy file may hold: time (n,) s; joint_names (J,); observation (n, O), what the network was given, before its
-normaliser; action (n, A), what it gave, without noise; targets and angles rad, speeds rad/s, torques N·m, all (n, J) in
-the order of joint_names; angular_velocity rad/s, projected_gravity, command, each (n, 3). All but the two are optional."""
+"""What a NumPy file may hold, all optional: time (n,) s; joint_names (J,); observation (n, O), what the network was
+given, before its normaliser; action (n, A), what it gave, without noise; targets and angles rad, speeds rad/s, torques
+N·m, all (n, J) in the order of joint_names; angular_velocity rad/s, projected_gravity, command, each (n, 3)."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,10 @@ OWN_NAMES = VECTORS | {"joint_position_offset", "joint_velocity", "last_action",
 
 @dataclass(frozen=True)
 class Source:
-    """What was found beside a policy. observation: parts as in a Layout, sizes left out, () if nothing says; activation: between its
-    layers, "" if nothing says."""
+    """What was found beside a policy. observation: parts as in a Layout, sizes left out, () if nothing says;
+    activation: between its layers, "" if nothing says."""
 
-    contract: Contract = Contract()
+    contract: Contract = field(default_factory=Contract)
     observation: tuple[Mapping[str, Any], ...] = ()
     activation: str = ""
 

@@ -134,7 +134,8 @@ def translation(path: Path, robot: RobotSpec, layout: Layout, seen: Seen, contra
         alpha.append(one)
         beta.append(zero)
         own.append(torch.ones(size, dtype=torch.bool))
-    made = Translation(*(torch.cat(each) for each in (entry, alpha, beta, own)), joints, gain, shift, tuple(parts))
+    whole_entry, whole_alpha, whole_beta, whole_own = (torch.cat(each) for each in (entry, alpha, beta, own))
+    made = Translation(whole_entry, whole_alpha, whole_beta, whole_own, joints, gain, shift, tuple(parts))
     twice = made.entry[made.own]
     if len(twice.unique()) != len(twice):
         raise PolicyError(f"{path}: its layout names a part of the observation twice.")

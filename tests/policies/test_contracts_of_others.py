@@ -47,8 +47,16 @@ scene:
       spec_fn: !!python/name:mjlab.asset_zoo.robots.unitree_go1.go1_constants.get_spec ''
       articulation:
         actuators: !!python/tuple
-        - {target_names_expr: !!python/tuple [.*_hip], stiffness: 20.0, damping: 0.5, delay_min_lag: 0, delay_max_lag: 2}
-        - {target_names_expr: !!python/tuple [.*_calf], stiffness: 20.0, damping: 0.5, delay_min_lag: 1, delay_max_lag: 2}
+        - target_names_expr: !!python/tuple [.*_hip]
+          stiffness: 20.0
+          damping: 0.5
+          delay_min_lag: 0
+          delay_max_lag: 2
+        - target_names_expr: !!python/tuple [.*_calf]
+          stiffness: 20.0
+          damping: 0.5
+          delay_min_lag: 1
+          delay_max_lag: 2
 sim:
   mujoco: {timestep: 0.005}
 observations:
@@ -67,7 +75,11 @@ observations:
       actions: {func: !!python/name:mjlab.envs.mdp.observations.last_action '', params: {}, scale: null}
       command: {func: !!python/name:mjlab.envs.mdp.observations.generated_commands '', params: {command_name: twist}}
 actions:
-  joint_pos: {actuator_names: !!python/tuple [.*], scale: {.*_hip: 0.3, .*_calf: 0.2}, offset: 0.0, use_default_offset: true, clip: null}
+  joint_pos:
+    actuator_names: !!python/tuple [.*]
+    scale: {.*_hip: 0.3, .*_calf: 0.2}
+    use_default_offset: true
+    clip: null
 """
 ISAAC = """
 sim: {dt: 0.005}
@@ -87,15 +99,21 @@ observations:
   policy:
     concatenate_terms: true
     history_length: null
-    base_ang_vel: {func: 'isaaclab.envs.mdp.observations:base_ang_vel', params: {}, clip: null, scale: 0.25, history_length: 0}
+    base_ang_vel:
+      {func: 'isaaclab.envs.mdp.observations:base_ang_vel', params: {}, clip: null, scale: 0.25, history_length: 0}
     projected_gravity: {func: 'isaaclab.envs.mdp.observations:projected_gravity', params: {}, scale: null}
-    velocity_commands: {func: 'isaaclab.envs.mdp.observations:generated_commands', params: {command_name: base_velocity}}
+    velocity_commands:
+      {func: 'isaaclab.envs.mdp.observations:generated_commands', params: {command_name: base_velocity}}
     joint_pos: {func: 'isaaclab.envs.mdp.observations:joint_pos_rel', params: {}, scale: 1.0}
     joint_vel: {func: 'isaaclab.envs.mdp.observations:joint_vel_rel', params: {}, scale: null}
     actions: {func: 'isaaclab.envs.mdp.observations:last_action', params: {}}
     height_scan: null
 actions:
-  joint_pos: {class_type: 'isaaclab.envs.mdp.actions.joint_actions:JointPositionAction', joint_names: [.*], scale: 0.25, use_default_offset: true}
+  joint_pos:
+    class_type: isaaclab.envs.mdp.actions.joint_actions:JointPositionAction
+    joint_names: [.*]
+    scale: 0.25
+    use_default_offset: true
 """
 BREADTH_FIRST = ("FL_hip", "FR_hip", "FL_calf", "FR_calf")
 
@@ -230,7 +248,7 @@ CHANGES = {
     "is clipped at": (MJLAB.replace("scale: 0.05", "scale: 0.05, clip: [-2.0, 2.0]"), None),
     "asked 25 times a second, robot 'dog' asks 50": (MJLAB.replace("decimation: 4", "decimation: 8"), None),
     "not counted from the default pose": (MJLAB.replace("use_default_offset: true", "use_default_offset: false"), None),
-    "clips targets": (MJLAB.replace("true, clip: null", "true, clip: {.*: [-1, 1]}"), None),
+    "clips targets": (MJLAB.replace("true\n    clip: null", "true\n    clip: {.*: [-1, 1]}"), None),
     "action_scale gives joint 'FR_calf' no number": (MJLAB.replace("0.3, .*_calf: 0.2", "0.3"), None),
     "has the pattern": (MJLAB.replace(".*calf: -1.8", "(.*)+calf: -1.8"), None),
     "only plain networks can be read": (MJLAB, "policy: {class_name: ActorCriticRecurrent}"),

@@ -139,7 +139,10 @@ WRONG = {
     ),
     "scale": ({"action_scale": (0.3, 0.2, 0.25, 0.36)}, r"action_scale of a_knee is 0.35 rad .* says 0.36"),
     "pose": ({"default_pose": 0.0}, "default_pose of"),
-    "kp": ({"kp": {".*_hip": 20.0, "a_knee": 33.0, "b_knee": 30.0}}, r"of a_knee kp 3\d\.?\d* and .* the contract's 33 and"),
+    "kp": (
+        {"kp": {".*_hip": 20.0, "a_knee": 33.0, "b_knee": 30.0}},
+        r"of a_knee kp 3\d\.?\d* and .* the contract's 33 and",
+    ),
     "kd": ({"kd": 0.5}, r"of ._knee kp .* and kd 0\.[78]\d* .* the contract's 30 and 0.5"),
     "delay": ({"delay_seconds": (0.025, 0.03)}, "the delay is 0 to 20 ms by the log's torques, delay_seconds says 25"),
     "rate": (
