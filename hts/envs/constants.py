@@ -27,3 +27,9 @@ def delays_and_offsets(config: EnvConfig, spec: RobotSpec, count: int) -> tuple[
     if not r.enabled:
         delay, offset = np.zeros_like(delay), np.zeros_like(offset)
     return delay, offset
+
+
+def delay_seconds(config: EnvConfig, spec: RobotSpec) -> tuple[float, float]:
+    """The least and the longest action delay of the env instances, s."""
+    least, most = config.randomisation.delay_steps if config.randomisation.enabled else (0, 0)
+    return least * spec.physics_dt, most * spec.physics_dt

@@ -13,6 +13,7 @@ import onnxruntime
 
 from hts.errors import PolicyError
 from hts.policies.card_checks import check_card
+from hts.policies.onnx_checks import read_checked
 
 CARD_KEY, NOISE_KEY = "hts", "hts_exploration"
 
@@ -29,9 +30,12 @@ class DeployedPolicy:
         try:
             # The bytes, not the path: a graph whose constants lie in other files would make onnxruntime open those.
             content = Path(path).read_bytes()
+            read_checked(Path(path), content, "an exported policy")
             self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
             meta = self._session.get_modelmeta().custom_metadata_map
             card: dict[str, Any] = json.loads(meta[CARD_KEY])
+        except PolicyError:
+            raise
         except Exception as error:  # onnxruntime raises its own classes for each way a file can be broken
             raise PolicyError(
                 f"{path}: not an exported policy ({type(error).__name__}: {str(error)[:120]}). Export it again with "

@@ -16,6 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from hts.atomic import atomic_write
 from hts.policies.files import Policy
+from hts.policies.onnx_metadata import metadata_of_policy
 
 CARD_KEY = "hts"
 CLIP = 10.0  # of normalised observations, as in `Population.normalised`
@@ -39,7 +40,7 @@ def to_onnx(policy: Policy, path: Path) -> Path:
         initial,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    helper.set_model_props(model, {CARD_KEY: json.dumps(asdict(policy.card))})
+    helper.set_model_props(model, {**metadata_of_policy(policy), CARD_KEY: json.dumps(asdict(policy.card))})
     onnx.checker.check_model(model)
     return atomic_write(Path(path), model.SerializeToString())
 

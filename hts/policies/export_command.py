@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,10 +16,13 @@ def export_policy(folder: Path | None, policy: str, format: str, to: Path, robot
 
     policy: "best", "pretrained", a candidate's id or a .safetensors file, without a folder always a file; format:
     "onnx" or "torchscript"; robot: whose the policy must be, None for any.
+    Before it is there, its actions are compared with the policy's on random observations, and on those of the run's
+    recordings.
     Raises PolicyError for a policy that is not there, is damaged or another robot's, RunError if `to` exists: nothing
     is overwritten.
     """
     from hts.policies import export
+    from hts.policies.export_checks import check_export, random_observations, recorded_observations
     from hts.policies.files import load_policy
 
     if to.exists():
@@ -27,7 +32,16 @@ def export_policy(folder: Path | None, policy: str, format: str, to: Path, robot
     else:
         path = find_policy(folder, policy)
     found = load_policy(path, robot)
-    return export.to_onnx(found, to) if format == "onnx" else export.to_torchscript(found, to)
+    observations = [random_observations(found)]
+    if folder is not None and (folder / "data.zarr").is_dir():
+        observations.append(recorded_observations(found, folder / "data.zarr"))
+    to.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".export-", dir=to.parent) as beside:
+        trial = Path(beside) / to.name
+        written = export.to_onnx(found, trial) if format == "onnx" else export.to_torchscript(found, trial)
+        check_export(found, written, format, observations)
+        os.replace(written, to)
+    return to
 
 
 def given_file(policy: str | Path, endings: Sequence[str]) -> Path:

@@ -23,21 +23,15 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch.nn import functional as F
 
-from hts.contracts import RobotSpec
 from hts.errors import PolicyError
 from hts.policies.card_checks import LARGEST_OBSERVATION, MOST_LAYERS, MOST_UNITS
 from hts.policies.export import CLIP
-from hts.policies.files import Policy, make_card
-from hts.policies.layout import Layout, Seen, order
-from hts.policies.with_critic import NEW_CRITIC, with_new_critic
-from hts.rl.population import Sizes
+from hts.policies.translate import Network
 
 FIRST = "layer.0.weight"
 TOLERANCE = 1e-5
 """Largest difference of a replayed action, action units, or relative where actions are larger than 1."""
 FEWEST_EXAMPLES = 16
-UNCLIPPED = 80.0
-"""Standard deviations: where we clip what the original does not clip."""
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -51,50 +45,36 @@ def holds_layers(path: Path) -> bool:
         return False
 
 
-def from_layers(path: Path, robot: RobotSpec, layout: Layout | None, seen: Seen, std: float) -> Policy:
-    """The policy in a file of plain layers. layout: what it observes; None: what our env shows, in our order.
-
-    Raises PolicyError naming the file and what was found: layers that do not fit, or actions that are not the
-    original's.
-    """
+def layers_of(path: Path, joints: int) -> tuple[Network, tuple[torch.Tensor, torch.Tensor], dict[str, Any]]:
+    """The network in a file of plain layers, its examples (observations (n, I), actions (n, A)), and what the card
+    should say. Raises PolicyError naming the file and what was found."""
     given = _read(path)
     layers = _layers(path, given)
-    layout = layout or Layout(tuple(seen.parts))
-    size = sum(int(part["size"]) for part in layout.observation)
     inputs, outputs = layers[0][0].shape[1], layers[-1][0].shape[0]
-    if outputs == 2 * robot.num_joints:  # means and sigmas side by side
-        layers[-1] = tuple(value[: robot.num_joints] for value in layers[-1])  # type: ignore[assignment]
-        outputs = robot.num_joints
-    if inputs != size or outputs != robot.num_joints:
-        raise PolicyError(
-            f"{path}: its layers map {inputs} observations to {outputs} actions, expected {size} to "
-            f"{robot.num_joints} for robot '{robot.name}'. Say with --layout what it observes, or use a policy of this "
-            "robot."
-        )
-    observations, actions = _examples(path, given, inputs, robot.num_joints)
-    columns, scale, joints = order(path, robot, layout, seen.parts)
-    mean, spread, gain = _normaliser(path, given, inputs)
-    tensors = {"observation_mean": mean[columns] / scale, "observation_std": spread[columns] / scale}
-    for index, (weight, bias) in enumerate(layers):
-        if index == 0:
-            weight = weight[:, columns] * gain
-        if index == len(layers) - 1:
-            weight, bias = weight[joints], bias[joints]
-        tensors |= {f"actor.{index}.weight": weight.contiguous(), f"actor.{index}.bias": bias.contiguous()}
+    if outputs == 2 * joints:  # means and sigmas side by side
+        layers[-1] = tuple(value[:joints] for value in layers[-1])  # type: ignore[assignment]
+        outputs = joints
+    if outputs != joints:
+        raise PolicyError(f"{path}: its layers map {inputs} observations to {outputs} actions, expected {joints}.")
+    examples = _examples(path, given, inputs, outputs)
+    mean, std, clip = _normaliser(path, given, inputs)
+    log_std = None
     if "log_std" in given:
         if given["log_std"].numel() != outputs:
             raise PolicyError(f"{path}: 'log_std' has {given['log_std'].numel()} numbers for {outputs} joints.")
-        tensors["log_std"] = given["log_std"].flatten()[joints]
-    hidden = tuple(weight.shape[0] for weight, _ in layers[:-1])
-    sizes = Sizes(len(columns), seen.critic, outputs, hidden)
-    whole = with_new_critic(path, tensors, sizes, std)
-    ours = observations[:, columns] / scale
-    off = _difference(_actions(whole, len(layers), ours), actions[:, joints])
+        log_std = given["log_std"].flatten()
+    return Network(layers, mean, std, clip, log_std), examples, {"kind": "layers"}
+
+
+def replay_examples(path: Path, tensors: Tensors, layers: int, ours: torch.Tensor, wanted: torch.Tensor) -> float:
+    """How far the policy is from the original's actions at most. ours (n, O), wanted (n, J): in our order and units.
+
+    Raises PolicyError, with the reason as far as the examples show it, for more than 1e-5.
+    """
+    off = difference(actions_of(tensors, layers, ours), wanted)
     if not off <= TOLERANCE:
-        raise PolicyError(f"{path}: {_why(whole, len(layers), ours, actions[:, joints], off)}")
-    made: dict[str, Any] = {"imported_from": path.name, "kind": "layers", "critic": NEW_CRITIC}
-    made |= {"replayed": len(actions), "largest_difference": off}
-    return Policy(whole, make_card(robot, whole, [dict(part) for part in seen.parts], sizes, **made))
+        raise PolicyError(f"{path}: {_why(tensors, layers, ours, wanted, off)}")
+    return off
 
 
 def _read(path: Path) -> dict[str, torch.Tensor]:
@@ -146,22 +126,21 @@ def _examples(path: Path, given: Tensors, inputs: int, outputs: int) -> tuple[to
     return found[0], found[1]
 
 
-def _normaliser(path: Path, given: Tensors, inputs: int) -> tuple[torch.Tensor, torch.Tensor, float]:
-    """Mean, spread and a gain on the first layer, such that ours, which clips at 10, does what the original does."""
+def _normaliser(path: Path, given: Tensors, inputs: int) -> tuple[torch.Tensor, torch.Tensor, float | None]:
+    """Mean, spread, and the limit of normalised observations, None for none."""
     mean, std = given.get("mean", torch.zeros(inputs)), given.get("std", torch.ones(inputs))
     if mean.shape != (inputs,) or std.shape != (inputs,) or bool((std <= 0).any()):
         raise PolicyError(
             f"{path}: mean and std have the shapes {tuple(mean.shape)} and {tuple(std.shape)}, expected ({inputs},) "
             "each, std above 0."
         )
-    clip = float(given["clip"]) if "clip" in given and given["clip"].numel() == 1 else UNCLIPPED
-    if clip <= 0:
+    clip = float(given["clip"]) if "clip" in given and given["clip"].numel() == 1 else None
+    if clip is not None and clip <= 0:
         raise PolicyError(f"{path}: clip is {clip:g}, expected a number above 0; leave it out if nothing is clipped.")
-    gain = clip / CLIP
-    return mean, std * gain, gain
+    return mean, std, clip
 
 
-def _actions(
+def actions_of(
     tensors: Tensors,
     layers: int,
     observations: torch.Tensor,
@@ -177,7 +156,8 @@ def _actions(
     return x
 
 
-def _difference(found: torch.Tensor, wanted: torch.Tensor) -> float:
+def difference(found: torch.Tensor, wanted: torch.Tensor) -> float:
+    """The largest, in action units, relative where the wanted one is larger than 1; NaN for numbers that are none."""
     return float(((found - wanted.double()).abs() / wanted.double().abs().clamp(min=1.0)).max())
 
 
@@ -185,17 +165,17 @@ def _why(tensors: Tensors, layers: int, observations: torch.Tensor, wanted: torc
     """What the original does otherwise, as far as the examples show it."""
     text = f"its actions are not those of its examples, off by up to {off:.2g}"
     for name, activation in (("Tanh", torch.tanh), ("ReLU", F.relu), ("SiLU", F.silu), ("GELU", F.gelu)):
-        if _difference(_actions(tensors, layers, observations, activation), wanted) <= TOLERANCE:
+        if difference(actions_of(tensors, layers, observations, activation), wanted) <= TOLERANCE:
             return f"{text}: its activation is {name}, hts computes ELU. Train it with ELU."
-    found = _actions(tensors, layers, observations)
-    if _difference(found.tanh(), wanted) <= TOLERANCE:
+    found = actions_of(tensors, layers, observations)
+    if difference(found.tanh(), wanted) <= TOLERANCE:
         return f"{text}: the original squashes actions by tanh, hts does not. Use a distribution that does not squash."
     low, high = wanted.double().amin(0), wanted.double().amax(0)
-    if _difference(torch.minimum(torch.maximum(found, low), high), wanted) <= TOLERANCE:
+    if difference(torch.minimum(torch.maximum(found, low), high), wanted) <= TOLERANCE:
         return (
             f"{text}: the original clips actions at {float(high.max()):g}, hts does not. Widen its action space, or "
             "give the actions before they are clipped."
         )
-    if _difference(_actions(tensors, layers, observations, clip=float("inf")), wanted) <= TOLERANCE:
+    if difference(actions_of(tensors, layers, observations, clip=float("inf")), wanted) <= TOLERANCE:
         return f"{text}: the original does not clip observations so tightly. Correct or leave out `clip`."
     return f"{text}. Check the order of the layers, mean and std, and that the observations are raw."

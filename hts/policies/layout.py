@@ -1,21 +1,23 @@
-"""What a policy observes: as its maker had it, as our env has it, and from one to the other."""
+"""What a policy observes: as its maker had it, and as our env has it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-import torch
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from hts.config import Config, EnvConfig
 from hts.contracts import Robot, RobotSpec
 from hts.envs.observation import critic_observation_size, observation_layout
 from hts.envs.velocity_robot import VelocityRobot
-from hts.errors import ConfigError, PolicyError, unknown_name
+from hts.errors import ConfigError
 from hts.explain import explain
+from hts.policies.card_checks import LARGEST_OBSERVATION
+from hts.policies.contract import Contract
 from hts.rl.task_env import TaskEnv
 from hts.yaml_text import load_mapping_file
 
@@ -23,17 +25,22 @@ if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
 
+LONGEST_DELAY = 1.0  # s
+
+
 @dataclass(frozen=True)
 class Layout:
     """What a checkpoint without a card cannot say of itself.
 
-    observation: parts in the checkpoint's order, [{name, size, scale}]; names as in our own observation; the network
-    was given scale x value (1 if missing). joint_names: the checkpoint's joint order; none: the robot's.
-    Default pose, action scale, gains and control rate must be the robot's, and the hidden layers' activation ELU.
+    observation: parts in the checkpoint's order, [{name, size, scale}]; names as in our own observation or as mjlab,
+    Isaac Lab, legged_gym and mujoco_playground call them; the network was given scale x value (1 if missing);
+    `stand_in` (a part of ours, whose first numbers are taken) or `hold` (a number) in the place of what no robot
+    measures. joint_names: the checkpoint's joint order; none: the robot's. contract: what else its maker states.
     """
 
     observation: tuple[Mapping[str, Any], ...]
     joint_names: tuple[str, ...] | None = None
+    contract: Contract = field(default_factory=Contract)
 
 
 @dataclass(frozen=True)
@@ -44,26 +51,63 @@ class Seen:
     critic: int
 
 
+Numbers = float | list[float] | dict[str, float]
+
+
 class _Part(Config):
-    name: str = Field(description="as the robot's own observation calls it")
-    size: int = Field(ge=1, description="numbers")
-    scale: float = Field(1.0, gt=0, description="the network was given scale x value")
+    name: str = Field(description="as the robot's own observation calls it, or as the library does")
+    size: int = Field(ge=1, le=LARGEST_OBSERVATION, description="numbers")
+    scale: float = Field(1.0, description="the network was given scale x value")
+    stand_in: str | None = Field(None, description="a part of ours that takes the place of what no robot measures")
+    hold: float | None = Field(None, description="a constant that takes its place")
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> _Part:
+        if self.stand_in is not None and self.hold is not None:
+            raise ValueError("give stand_in or hold, not both")
+        if not math.isfinite(self.scale) or self.scale == 0:
+            raise ValueError("scale must be a finite number other than 0")
+        return self
 
 
 class LayoutFile(Config):
     """A layout as YAML."""
 
-    observation: tuple[_Part, ...] = Field(min_length=1, description="parts in the order of the policy")
+    observation: tuple[_Part, ...] | None = Field(
+        None, min_length=1, description="parts in the order of the policy; left out: as the source says"
+    )
     joint_names: tuple[str, ...] | None = Field(None, description="joints in the order of the policy")
+    default_pose: Numbers | None = Field(None, description="joint angles where an action is zero, rad")
+    action_scale: Numbers | None = Field(None, description="rad per action unit")
+    kp: Numbers | None = Field(None, description="gains of the joint controllers it was trained with, N*m/rad")
+    kd: Numbers | None = Field(None, description="gains of the joint controllers it was trained with, N*m*s/rad")
+    control_rate_hz: float | None = Field(None, gt=0, le=1e5, description="how often the policy was asked, Hz")
+    delay_seconds: float | tuple[float, float] | None = Field(
+        None, description="from observation to the target's effect that it was trained with, s, or [least, most]"
+    )
+    action_clip: float | None = Field(None, gt=0, description="actions were kept within this, + and -")
+    rest: Literal["robot"] | None = Field(None, description="robot: what is left out is the robot's own")
 
 
-def load_layout(file: Path) -> Layout:
-    """The layout in a YAML file. Raises ConfigError naming the file and the key."""
+def load_layout(file: Path, robot: RobotSpec | None = None) -> Layout:
+    """The layout in a YAML file; robot: whose numbers `rest: robot` means. Raises ConfigError naming file and key."""
     try:
         found = LayoutFile.model_validate(load_mapping_file(file, "layout of a policy"))
     except ValidationError as error:
         raise ConfigError(f"{file}: {explain(error, LayoutFile)}") from error
-    return Layout(tuple(part.model_dump() for part in found.observation), found.joint_names)
+    delay = found.delay_seconds
+    least, most = delay if isinstance(delay, tuple) else (delay or 0.0, delay or 0.0)
+    if not 0 <= least <= most <= LONGEST_DELAY:
+        raise ConfigError(f"{file}: delay_seconds: {delay}, expected 0 to {LONGEST_DELAY:g} s, the least first.")
+    keys = ("joint_names", "default_pose", "action_scale", "kp", "kd", "control_rate_hz", "action_clip")
+    said = {key: getattr(found, key) for key in keys if getattr(found, key) is not None}
+    if delay is not None:
+        said["delay_seconds"] = (float(least), float(most))
+    contract = Contract(**said, said_by=dict.fromkeys(said, file.name))
+    if found.rest == "robot" and robot is not None:
+        contract = contract.of_robot(robot)
+    parts = tuple(part.model_dump(exclude_none=True) for part in found.observation or ())
+    return Layout(parts, found.joint_names, contract)
 
 
 def seen_in_velocity_task(robot: RobotSpec) -> Seen:
@@ -104,36 +148,3 @@ def layout_of(env: EnvBase, robot: str) -> list[dict[str, Any]]:
             "policy's card must hold. Give it observation_layout = [{'name': …, 'size': …}, …]."
         )
     return env.observation_layout
-
-
-def order(
-    path: Path, robot: RobotSpec, layout: Layout, ours: Sequence[Mapping[str, Any]]
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """For each of our observation entries the checkpoint's column and scale, and for each of our joints its index.
-
-    Parts that begin with joint_ and `last_action` follow the joints. Raises PolicyError for other joints or parts.
-    """
-    names = layout.joint_names or robot.joint_names
-    if sorted(names) != sorted(robot.joint_names):
-        raise PolicyError(f"{path}: its joints {sorted(names)} are not those of robot '{robot.name}'.")
-    joints = torch.tensor([names.index(name) for name in robot.joint_names])
-    starts, start = {}, 0
-    for part in layout.observation:
-        starts[part["name"]] = (start, part)
-        start += int(part["size"])
-    known = {str(part["name"]) for part in ours}
-    for name in starts:
-        if name not in known:
-            raise PolicyError(
-                f"{path}: it observes what this task does not give. " + unknown_name("observation", name, known)
-            )
-    columns, scales = [], []
-    for part in ours:
-        name, size = str(part["name"]), int(part["size"])
-        if name not in starts or int(starts[name][1]["size"]) != size:
-            raise PolicyError(f"{path}: its layout has no part '{name}' of size {size}.")
-        first, theirs = starts[name]
-        of_joints = size == robot.num_joints and (name.startswith("joint_") or name == "last_action")
-        columns.append(first + (joints if of_joints else torch.arange(size)))
-        scales.append(torch.full((size,), float(theirs.get("scale", 1.0))))
-    return torch.cat(columns), torch.cat(scales), joints

@@ -25,6 +25,7 @@ from hts.measurement.fit_command import fit_and_check
 from hts.measurement.fit_report import doubts
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
+from hts.policies.proof import inherited
 from hts.recordings.recording import Recording
 from hts.rl.population import Population
 from hts.run.front import PRETRAINED, real_front
@@ -166,6 +167,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
             "kl_bound": str(c.kl_bound),
             "kl": one.kl,
             "iteration": iteration,
+            **inherited(anchor.card.made),
         }
         card = make_card(
             job.robot.spec, one.tensors, [dict(part) for part in anchor.card.observation], anchor.card.sizes(), **made

@@ -11,6 +11,7 @@ from typing import Any
 from hts.atomic import atomic_write
 from hts.config import PretrainConfig
 from hts.contracts import Robot
+from hts.envs.constants import delay_seconds
 from hts.policies.files import Policy, make_card, save_policy
 from hts.policies.layout import layout_of
 from hts.rl.population import Population, Sizes
@@ -57,6 +58,7 @@ def pretrain_policy(
         "steps": trainer.batches * trainer.steps_per_batch,
         "seconds": round(time.perf_counter() - started, 1),
         "final": curve[-1],
+        "delay_seconds": delay_seconds(env_config, robot.spec),
     }
     card = make_card(robot.spec, tensors, layout, sizes, **made)
     path = save_policy(Path(out) / "pretrained.safetensors", Policy(tensors, card))

@@ -15,8 +15,10 @@ from hts.envs.observation import observation_layout
 from hts.errors import PolicyError, RunError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.export import to_onnx, to_torchscript
+from hts.policies.export_checks import check_export, random_observations, recorded_observations
 from hts.policies.export_command import export_policy
 from hts.policies.files import Policy, make_card, save_policy
+from hts.policies.onnx_metadata import read_metadata
 from hts.rl.population import Population, Sizes
 
 SPEC = RobotSpec(
@@ -102,6 +104,75 @@ def test_numbers_are_exported_in_full_precision(exported, policy):
     arrays = {t.name: numpy_helper.to_array(t) for t in onnx.load(str(exported)).graph.initializer}
     for name, key in (("mean", "observation_mean"), ("std", "observation_std"), ("weight1", "actor.1.weight")):
         assert np.array_equal(arrays[name], policy.tensors[key].numpy()), name
+
+
+def test_the_onnx_says_what_mjlabs_say_and_what_they_lack(exported, policy):
+    meta = onnxruntime.InferenceSession(str(exported)).get_modelmeta().custom_metadata_map
+    written_by_mjlab = {  # get_base_metadata of mjlab/rl/exporter_utils.py, 1.6
+        "run_path", "joint_names", "joint_stiffness", "joint_damping", "default_joint_pos", "command_names",
+        "observation_names", "observation_terms_scale", "observation_terms_flatten_history_dim",
+        "observation_terms_history_length", "observation_terms_clip", "action_scale",
+    }  # fmt: skip
+    assert written_by_mjlab <= set(meta)
+    assert meta["observation_names"] == "base_ang_vel,projected_gravity,command,joint_pos,joint_vel,actions"
+    assert (meta["joint_names"], meta["action_scale"], meta["control_dt"]) == ("left,right", "0.25,0.5", "0.02")
+    assert [float(one) for one in meta["action_sigma"].split(",")] == policy.tensors["log_std"].exp().tolist()
+    assert "action_delay_seconds" not in meta  # its card does not say
+
+
+def test_metadata_are_read_back_as_the_contract_they_were(policy, tmp_path):
+    card = dataclasses.replace(policy.card, made={"delay_seconds": [0.0, 0.015]}, kp=(20.123456789, 20.0))
+    source = read_metadata(to_onnx(Policy(policy.tensors, card), tmp_path / "walk.onnx"))
+    contract = source.contract
+    assert (contract.joint_names, contract.default_pose, contract.kp) == (SPEC.joint_names, (0.1, -0.1), card.kp)
+    assert (contract.action_scale, contract.control_rate_hz) == ((0.25, 0.5), 50.0)
+    assert contract.delay_seconds == (0.0, 0.015) and contract.missing() == []
+    assert [(part["name"], part["size"]) for part in source.observation] == [
+        (part["name"], part["size"]) for part in observation_layout(2)
+    ]
+
+
+def test_an_export_that_acts_otherwise_is_not_written(policy, tmp_path, monkeypatch):
+    """A runtime that rounds, or a fault of ours: here other weights reach the file."""
+    from hts.policies import export
+
+    right = export.to_onnx
+
+    def wrong(given, path):
+        tensors = {**given.tensors, "actor.2.bias": given.tensors["actor.2.bias"] + 1e-4}
+        return right(Policy(tensors, given.card), path)
+
+    monkeypatch.setattr(export, "to_onnx", wrong)
+    file = save_policy(tmp_path / "mine", policy)
+    with pytest.raises(PolicyError, match="actions are off by up to 0.0001 on 512 observations"):
+        export_policy(None, str(file), "onnx", tmp_path / "mine.onnx")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.json", "mine.safetensors"]
+
+
+@pytest.mark.parametrize("format", ["onnx", "torchscript"])
+def test_exports_act_as_the_policy_on_random_and_recorded_observations(policy, tmp_path, format):
+    from hts.channels import standard_channels
+    from hts.recordings import RecordingStore
+    from hts.recordings.recording import Series
+    from hts.testing.made_up_recordings import known_recording
+
+    rng, rows = np.random.default_rng(0), 120
+    shapes = {name: channel for name, channel in standard_channels(2, 2).items() if name != "joint_torque"}
+    made_up = {name: Series(one, rng.normal(size=(rows, *one.shape))) for name, one in shapes.items()}
+    base = known_recording([8.0] * 1)
+    recording = base.replace(
+        robot="dog", joint_names=SPEC.joint_names, kp=SPEC.kp, kd=SPEC.kd, rate_hz=50.0, time=np.arange(rows) / 50,
+        channels=made_up, idle={},
+    )  # fmt: skip
+    store = RecordingStore(tmp_path / "data.zarr", create=True)
+    store.write(recording)
+    recorded = recorded_observations(policy, tmp_path / "data.zarr")
+    assert recorded.shape == (rows, 15)
+    np.testing.assert_allclose(
+        recorded[1:, 13:], (made_up["joint_target"].values[:-1] - [0.1, -0.1]) / [0.25, 0.5], 1e-4
+    )
+    path = (to_onnx if format == "onnx" else to_torchscript)(policy, tmp_path / f"walk.{format}")
+    assert check_export(policy, path, format, [random_observations(policy), recorded]) < 1e-5
 
 
 def readings(robots: int, seed: int = 0) -> dict[str, np.ndarray]:

@@ -190,7 +190,7 @@ def test_a_layout_is_yaml_and_its_mistakes_are_named(tmp_path):
     layout = load_layout(file)
     assert [part["scale"] for part in layout.observation] == [2.0, 0.25, 1.0, 1.0, 0.05, 1.0]
     assert layout.joint_names == ("right", "left")
-    for wrong, expected in (("size: 3", "sizes: 3"), ("scale: 0.25", "scale: -1")):
+    for wrong, expected in (("size: 3", "sizes: 3"), ("scale: 0.25", "scale: 0")):
         file.write_text(text.replace(wrong, expected))
         with pytest.raises(ConfigError, match=r"layout.yaml: observation"):
             load_layout(file)

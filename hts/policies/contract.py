@@ -1,0 +1,129 @@
+"""What the maker of a policy has to say of it beside its numbers: read from the source, or asked for, never guessed."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from hts.contracts import RobotSpec
+from hts.errors import PolicyError
+
+Values = float | Sequence[float] | Mapping[str, float]
+"""One number for all joints, one for each in the source's order, or by name or pattern of names."""
+
+ASKED = {
+    "joint_names": "the source's joint order, by the robot's names",
+    "default_pose": "joint angles where an action is zero, rad",
+    "action_scale": "rad per action unit",
+    "kp": "gains of the joint controllers, N*m/rad",
+    "kd": "gains of the joint controllers, N*m*s/rad",
+    "control_rate_hz": "how often the policy was asked, Hz",
+    "delay_seconds": "from observation to the target's effect that it was trained with, s: one number or [low, high]",
+}
+"""Every key that has to be stated, and what it means."""
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What a source says of its policy; None: it does not say.
+
+    joint_names: in the source's order; default_pose rad, action_scale rad per action unit, kp N·m/rad, kd N·m·s/rad:
+    one number for all joints, a sequence in the source's order, or a mapping of names or regular expressions;
+    control_rate_hz Hz; delay_seconds: (least, most) that it was trained with; action_clip: actions were kept within
+    ± this, None for not; said_by: key -> where it was read.
+    """
+
+    joint_names: tuple[str, ...] | None = None
+    default_pose: Values | None = None
+    action_scale: Values | None = None
+    kp: Values | None = None
+    kd: Values | None = None
+    control_rate_hz: float | None = None
+    delay_seconds: tuple[float, float] | None = None
+    action_clip: float | None = None
+    said_by: Mapping[str, str] = field(default_factory=dict)
+
+    def missing(self) -> list[str]:
+        """Keys that the source does not state."""
+        return [key for key in ASKED if getattr(self, key) is None]
+
+    def over(self, other: Contract) -> Contract:
+        """This one, and where it says nothing the other."""
+        keys = [*ASKED, "action_clip"]
+        taken = {key: getattr(other, key) for key in keys if getattr(self, key) is None}
+        said = {**other.said_by, **{key: value for key, value in self.said_by.items() if key not in taken}}
+        return replace(self, **taken, said_by=said)
+
+    def of_robot(self, robot: RobotSpec) -> Contract:
+        """This one, and where it says nothing the robot's own numbers. A delay is of no robot: it stays unsaid."""
+        order = self.joint_names or robot.joint_names
+        own = {
+            key: dict(zip(robot.joint_names, getattr(robot, key), strict=True))
+            for key in ("default_pose", "action_scale", "kp", "kd")
+        }
+        named: dict[str, Any] = {"joint_names": order, "control_rate_hz": robot.control_rate_hz, **own}
+        return self.over(Contract(**named, said_by=dict.fromkeys(named, "the robot")))
+
+
+def known_joints(path: Path, contract: Contract, robot: RobotSpec) -> tuple[str, ...]:
+    """The source's joint order. Raises PolicyError unless it names the robot's joints."""
+    names = contract.joint_names or robot.joint_names
+    if sorted(names) != sorted(robot.joint_names):
+        odd = sorted(set(names) ^ set(robot.joint_names)) or sorted(names)
+        raise PolicyError(
+            f"{path}: its joints {sorted(names)} are not those of robot '{robot.name}' (in one only, or twice: {odd}). "
+            "Give joint_names in the layout: the robot's names, in the policy's order."
+        )
+    return tuple(names)
+
+
+def per_joint(path: Path, what: str, values: Values, names: Sequence[str]) -> tuple[float, ...]:
+    """One number per joint, in the order of names. Raises PolicyError naming the joint that has none, or two."""
+    if isinstance(values, bool):
+        raise PolicyError(f"{path}: {what} is {values}, expected numbers.")
+    if isinstance(values, int | float):
+        return (_number(path, what, values),) * len(names)
+    if isinstance(values, Mapping):
+        return tuple(_number(path, what, _matching(path, what, values, name)) for name in names)
+    if isinstance(values, str) or len(values) != len(names):
+        raise PolicyError(f"{path}: {what} has {len(values)} numbers for {len(names)} joints.")
+    return tuple(_number(path, what, value) for value in values)
+
+
+def _matching(path: Path, what: str, values: Mapping[str, float], name: str) -> Any:
+    if name in values:
+        return values[name]
+    slow = [key for key in values if len(str(key)) > 200 or re.search(r"\)\s*[*+{?]", str(key))]
+    if slow:  # such a pattern can take for ever
+        raise PolicyError(
+            f"{path}: {what} has the pattern '{str(slow[0])[:60]}'. Name the joints in the layout instead."
+        )
+    try:
+        found = {key: value for key, value in values.items() if re.fullmatch(str(key), name)}
+    except re.error as error:
+        raise PolicyError(f"{path}: {what} has a pattern that is none ({error}).") from error
+    if len(set(found.values())) != 1:
+        which = "no number" if not found else f"several ({', '.join(map(str, found))})"
+        raise PolicyError(f"{path}: {what} gives joint '{name}' {which}. State it by the joint's name in the layout.")
+    return next(iter(found.values()))
+
+
+def _number(path: Path, what: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or abs(value) > 1e5:
+        raise PolicyError(f"{path}: {what} is {str(value)[:60]}, expected finite numbers up to 1e5.")
+    return float(value)
+
+
+def ask(path: Path, contract: Contract) -> None:
+    """Raises PolicyError that names all that the source does not state, and how to state it."""
+    missing = contract.missing()
+    if missing:
+        wanted = "; ".join(f"{key} ({ASKED[key]})" for key in missing)
+        raise PolicyError(
+            f"{path}: neither it nor what lies beside it says {wanted}. State them in a layout (--layout L.yaml); "
+            "`rest: robot` there says that what it leaves out is the robot's own."
+        )
