@@ -104,7 +104,13 @@ def start_policy(config: RunConfig, robot: OracleRobot) -> Policy | None:
             f"{path}: expected a policy file that exists, ending in .safetensors, such as "
             "runs/MINE/policies/best.safetensors."
         )
-    return load_policy(path, robot.spec)
+    policy, pretrained = load_policy(path, robot.spec), pretrained_policy(robot)
+    if policy.card.sizes() != pretrained.card.sizes():
+        raise PolicyError(
+            f"{path}: has networks of {policy.card.sizes()}, the pretrained policy of {pretrained.card.sizes()}; both "
+            "are judged side by side and must be alike. Start from a policy that was fine-tuned from it."
+        )
+    return policy
 
 
 def control_steps_per_second(config: RunConfig, registry: Registry) -> float:

@@ -25,9 +25,14 @@ def command(
     from hts.cli.run_folder import existing_run
 
     existing_run(folder)
+    from hts.config_loading import read_config
     from hts.evaluation.final import evaluate_run
     from hts.report.table import print_evaluation
 
+    if read_config(folder / "config.yaml").reward_source == "oracle":
+        from hts.worlds.oracle import NOTE
+
+        typer.echo(NOTE)
     found = evaluate_run(folder, speeds=speed or None, policy=policy, world=world, seed=seed, sessions=sessions)
     print_evaluation(found)
     typer.echo(str(folder / "evaluation.json"))

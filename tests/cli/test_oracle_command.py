@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from hts.cli.main import main
 from hts.plugins import load
+from hts.rl.population import Population
 from hts.run import algorithm
 from hts.worlds.oracle import NOTE
 
@@ -77,6 +79,20 @@ def test_no_run_may_look_inside(tmp_path, capsys, options):
     assert main(["run", *given, *options]) != 0
     assert "looks into the reality, which no run can" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_a_start_of_another_size_is_one_line(tmp_path, capsys):
+    from hts.policies.files import Policy, load_policy, make_card, save_policy
+
+    robot = load().make_robot("go1")
+    shipped = load_policy(robot.pretrained_policy(), robot.spec)
+    sizes = replace(shipped.card.sizes(), hidden=(8,))
+    tensors = Population(sizes, 1).candidate(0)
+    card = make_card(robot.spec, tensors, [dict(part) for part in shipped.card.observation], sizes)
+    path = save_policy(tmp_path / "small.safetensors", Policy(tensors, card))
+    assert main(["oracle", *TINY, "--start", str(path), "--out", str(tmp_path / "run")]) != 0
+    err = capsys.readouterr().err.strip()
+    assert "\n" not in err and "small.safetensors: has networks of" in err and "fine-tuned from it" in err
 
 
 def test_a_run_starts_from_no_other_policy(tmp_path, capsys):

@@ -133,6 +133,14 @@ def test_the_policy_sees_what_sensors_show_and_the_critic_the_state(registry):
     env.close()
 
 
+def test_a_floor_slopes_for_the_critic_too_another_way_in_each_session(registry):
+    env = oracle(registry, dynamics={"structure": {"floor_slope": 2.0}}).make_env("", 1, 3, CONFIG, seeds=[1])
+    down = env.reset()["critic_observation"][0, :, 3:6]
+    assert down[:, :2].norm(dim=-1).tolist() == pytest.approx([np.sin(np.radians(2.0))] * 3, rel=1e-4)
+    assert len({round(one, 4) for one in down[:, 0].tolist()}) == 3
+    env.close()
+
+
 def test_sessions_end_together_and_other_ones_begin(registry, monkeypatch):
     monkeypatch.setattr(sessions, "SESSION_SECONDS", 0.07)
     env = oracle(registry, reality="dev-03").make_env("", 1, 3, CONFIG, seeds=[7])

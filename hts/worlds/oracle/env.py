@@ -57,10 +57,9 @@ class OracleEnv(VelocityEnv):
         """A reality cannot be saved in mid-session: a fine-tuning that is stopped starts again."""
         return None
 
-    def start_episodes(self, mask: torch.Tensor) -> None:
-        """The robots of mask are set down at rest in the default pose, some in another session."""
-        super().start_episodes(mask)
-        self._down = self.engine.down.view(*self.shape2, 3).clone()
+    def _read_engine(self) -> None:
+        self._down = self.engine.down.view(*self.shape2, 3)  # a floor may slope, another way in each session
+        super()._read_engine()
 
     def _prepare_next(self, seen: RewardInputs) -> dict[str, torch.Tensor]:
         flags = super()._prepare_next(seen)
