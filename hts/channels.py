@@ -35,6 +35,14 @@ SPEED_ERROR = Channel(
 )
 """What training holds at zero on average; made in simulation only."""
 
+SPEED_ERROR_TREND = Channel(
+    "speed_error_trend", "1", (), "speed_error times where the command lies in its range, from -1 (slowest) to 1 (fastest)"
+)
+"""Held at zero on average, too: else a policy that walks at one speed whatever it is told has no error on average."""
+
+HELD_CHANNELS = {channel.name: channel for channel in (SPEED_ERROR, SPEED_ERROR_TREND)}
+"""Made by the env of the velocity task, beside the channels of its robot."""
+
 
 def standard_channels(num_joints: int, num_feet: int) -> dict[str, Channel]:
     """The sim channels of a legged robot: what simulation and robot both give.

@@ -51,6 +51,14 @@ class Commands:
         error = forward / torch.where(counts, asked, 1.0) - 1.0
         return torch.where(counts, error, 0.0)
 
+    def speed_error_trend(self, forward: torch.Tensor, seconds: torch.Tensor) -> torch.Tensor:
+        """Channel `speed_error_trend`, [P, N]; as `speed_error`."""
+        high = max(abs(end) for end in self.config.vx)
+        low = max(LEAST_SPEED, min(self.config.vx))
+        middle, half = (high + low) / 2, max((high - low) / 2, 1e-6)
+        place = ((self.value[..., 0].abs() - middle) / half).clamp(-1.0, 1.0)
+        return self.speed_error(forward, seconds) * place
+
     def resample(self, mask: torch.Tensor, draws: torch.Tensor, yaw: torch.Tensor) -> None:
         """New commands where mask [P, N]; draws [P, N, DRAWS] uniform in [0, 1); yaw [P, N] rad now."""
         c = self.config

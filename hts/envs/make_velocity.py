@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hts.channels import SPEED_ERROR
+from hts.channels import HELD_CHANNELS
 from hts.config import EnvConfig
 from hts.contracts import Robot
 from hts.cores import available
@@ -33,8 +33,7 @@ def make_velocity_env(
     known = robot.channels()
     pool = variants(robot, config.randomisation, config.seed)
     seeds = list(seeds) if seeds is not None else [config.seed + index for index in range(num_candidates)]
-    extra = {SPEED_ERROR.name: SPEED_ERROR}
-    wanted = {name: extra.get(name) or known[name] for name in (channels or known)}
+    wanted = {name: HELD_CHANNELS.get(name) or known[name] for name in (channels or known)}
     if engine == "auto":
         engine = select_engine(engine, config.device)
 

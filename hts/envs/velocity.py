@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
 
-from hts.channels import SPEED_ERROR, Channel
+from hts.channels import SPEED_ERROR, SPEED_ERROR_TREND, Channel
 from hts.config import EnvConfig
 from hts.contracts import RobotSpec
 from hts.envs.commands import DRAWS, Commands, WalksAsTold
@@ -345,6 +345,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
             return self.commands.value
         if name == SPEED_ERROR.name:
             return self.commands.speed_error(self._velocity[..., 0], self.steps * self.dt)
+        if name == SPEED_ERROR_TREND.name:
+            return self.commands.speed_error_trend(self._velocity[..., 0], self.steps * self.dt)
         return getattr(self, CHANNEL_FIELDS[name])
 
     # ------------------------------------------------------------------------------------- saving the whole state

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from hts.channels import SPEED_ERROR
+from hts.channels import SPEED_ERROR, SPEED_ERROR_TREND
 from hts.contracts import Robot
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ class VelocityRobot(Robot):
     A robot that wants the task slightly different overrides `make_env` and hands a changed `config` to `super()`.
     """
 
-    held_at_zero = MappingProxyType({SPEED_ERROR.name: 0.02})
+    held_at_zero = MappingProxyType({SPEED_ERROR.name: 0.02, SPEED_ERROR_TREND.name: 0.01})
 
     def make_env(
         self,

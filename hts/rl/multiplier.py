@@ -6,6 +6,7 @@ import torch
 from torch import nn
 
 LARGEST_EXCESS = 2.0  # of KL / c - 1 in one update: one bad batch must not spend the training on getting back
+LARGEST_ERROR = 10.0  # of m / scale, likewise. Much smaller and the proportional part cannot damp what the integral swings
 
 
 class LagrangeMultiplier(nn.Module):
@@ -81,7 +82,7 @@ class EqualityMultiplier(nn.Module):
     def update(self, mean: torch.Tensor, strength: float | torch.Tensor = 1.0) -> torch.Tensor:
         """mean: of e over the batch, of the shape of `value`; strength: how strong the rewards are that pull the mean
         away, in reward per second, since a price is found the sooner the larger it has to be. Returns the new value."""
-        excess = (mean / self.scale).clamp(-LARGEST_EXCESS, LARGEST_EXCESS) * strength
+        excess = (mean / self.scale).clamp(-LARGEST_ERROR, LARGEST_ERROR) * strength
         self.integral = self.integral - self.rate * excess
         self.value = self.integral - self.gain * excess
         return self.value

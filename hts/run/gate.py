@@ -54,7 +54,7 @@ def gate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         able = [one for one in able if rows.get(one.id, {}).get("passed", True)]
         if all(rows[name]["passed"] for name in waiting):
             break
-        chosen = selector.elites(able, job.config.selection.elites)
+        chosen = selector.elites(able, job.elites(iteration))
         report(min(0.9, len(rows) / max(1, len(rows) + len(able))))
     elites = [name for name in chosen if rows[name]["passed"]]
     refused = [row["refused"] for row in rows.values() if not row["passed"]]

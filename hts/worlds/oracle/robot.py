@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from hts.channels import SPEED_ERROR, Channel
+from hts.channels import HELD_CHANNELS, Channel
 from hts.contracts import FollowVelocity, Objective, Robot, Settings, Task
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, SimulationError, UnfitWorldError
@@ -86,7 +86,7 @@ class OracleRobot(Robot):
         """See `Robot.make_env`; engine: not asked, physics is the twin's."""
         from hts.worlds.oracle.engine import RealityEngine
 
-        known = {**self.channels(), SPEED_ERROR.name: SPEED_ERROR}
+        known = {**self.channels(), **HELD_CHANNELS}
         own = list(seeds) if seeds is not None else [config.seed + index for index in range(num_candidates)]
         made = RealityEngine(self._robot, self._settings, self._instruments, num_envs, own, config.threads)
         wanted = {name: known[name] for name in (channels or self.channels())}
