@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from hts.errors import RecordingError
@@ -23,10 +24,7 @@ def check_alike(recordings: Sequence[Recording], channels: Sequence[str]) -> Non
         ),
     }
     for name in channels:
-        facts[f"shape of '{name}'"] = (
-            lambda one, name=name: one.channels[name].channel.shape,
-            "Import all with one mapping",
-        )
+        facts[f"shape of '{name}'"] = (partial(_shape, name), "Import all with one mapping")
     for what, (fact, remedy) in facts.items():
         groups: dict[object, list[Recording]] = {}
         for recording in recordings:
@@ -41,6 +39,10 @@ def check_alike(recordings: Sequence[Recording], channels: Sequence[str]) -> Non
             units.setdefault(first if same_unit(unit, first) else unit, []).append(recording)
         if len(units) > 1:
             raise _unlike(f"unit of '{name}'", units, "Import the logs again, so that all are in one")
+
+
+def _shape(name: str, recording: Recording) -> tuple[int, ...]:
+    return recording.channels[name].channel.shape
 
 
 def _unlike(what: str, groups: dict[str, list[Recording]], remedy: str) -> RecordingError:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -62,13 +63,28 @@ def stand_ins(objective: Objective, signals: Signals) -> dict[str, StandIn]:
     sizes = dict(zip(signals.names, signals.sizes, strict=True))
     found: dict[str, StandIn] = {}
     for one in sizes:
-        found[f"Σ|{one}|"] = lambda c, one=one: np.abs(_flat(c[one])).sum(1)
-        found[f"Σ {one}²"] = lambda c, one=one: np.square(_flat(c[one])).sum(1)
+        found[f"Σ|{one}|"] = partial(_sum_of, one, None, np.abs)
+        found[f"Σ {one}²"] = partial(_sum_of, one, one, np.asarray)
     for one, two in itertools.combinations(sizes, 2):
         if sizes[one] == sizes[two]:
-            found[f"Σ|{one}·{two}|"] = lambda c, a=one, b=two: np.abs(_flat(c[a]) * _flat(c[b])).sum(1)
-            found[f"Σ max({one}·{two}, 0)"] = lambda c, a=one, b=two: (_flat(c[a]) * _flat(c[b])).clip(0).sum(1)
+            found[f"Σ|{one}·{two}|"] = partial(_sum_of, one, two, np.abs)
+            found[f"Σ max({one}·{two}, 0)"] = partial(_sum_of, one, two, _positive)
     return found
+
+
+def _sum_of(
+    first: str,
+    second: str | None,
+    shape: Callable[[np.ndarray], np.ndarray],
+    channels: Mapping[str, np.ndarray],
+) -> np.ndarray:
+    """Σ over components of a channel, or of its product with another, each bent by `shape`: (T,)."""
+    values = _flat(channels[first])
+    return shape(values if second is None else values * _flat(channels[second])).sum(1)
+
+
+def _positive(values: np.ndarray) -> np.ndarray:
+    return np.maximum(values, 0.0)
 
 
 def fit_best(

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
-from hts.config import MeasurementConfig, Named
+from hts.config import MeasurementConfig
 from hts.contracts import MeasurementModel, ModelContext, chosen_model
 from hts.errors import ConfigError, RecordingError, RunError, unknown_name
 from hts.layers import in_full
-from hts.measurement import comparison, files
+from hts.measurement import files
 from hts.measurement.alike import check_alike
-from hts.measurement.baseline import stand_ins
+from hts.measurement.candidates import Candidates, compared, table_rows
 from hts.measurement.checks import check
 from hts.measurement.data import recorded_signals
 from hts.measurement.fit_settings import FitSettings
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from hts.plugins import Registry
     from hts.recordings.recording import Recording
     from hts.recordings.store import RecordingStore
-
-COMPARED = ("linear", "lstm")
-"""Models that `best` chooses among, beside the objective's own, where nobody names any."""
 
 
 @dataclass
@@ -195,8 +192,10 @@ def fit_store(
     recordings, left_out = _usable(store, objective, wanted.robot)
     dataset = store.dataset([one.id for one in recordings])
     parts, shared = _split(objective, recordings, checks, config, wanted.robot)
-    candidates = _Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)
-    choice, rows, tried = _compared(candidates, parts, checks, _spec(registry, parts.training[0]), say)
+    candidates = Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)
+    choice, rows, tried = compared(
+        candidates, parts, checks.models, checks.best, _spec(registry, parts.training[0]), say
+    )
     say(f"fitting {choice.name}")
     how = replace(candidates.how, progress=progress)
     result = fit_split(objective, candidates.made(choice), parts, how, _spec(registry, parts.training[0]))
@@ -209,7 +208,7 @@ def fit_store(
         "store": str(store_path),
         "test": None if checks.test is None else str(checks.test),
     }
-    report["compared"] = _table(report, rows)
+    report["compared"] = table_rows(report, rows)
     try:
         files.save(result.model, Path(out) / "model", {"objective": objective.name, "dataset": dataset.sha256})
         atomic_write(report_file, json.dumps(report, indent=2, allow_nan=False) + "\n")
@@ -234,12 +233,13 @@ def _name(objective_name: str | None, wanted: Wanted) -> str:
 def _plain(store: RecordingStore, wanted: Wanted) -> Plain:
     """The target as the first recording that has it holds it. Raises RecordingError for a channel that none has."""
     known: set[str] = set()
+    target = str(wanted.target)
     for recording_id in store.ids():
         arrays = set(store.attributes(recording_id)["arrays"]) - {"time"}
         known |= arrays
-        if wanted.target in arrays:
-            return Plain(store.read(recording_id, [wanted.target]).channels[wanted.target].channel, wanted.inputs)
-    raise RecordingError(f"{store.path}: " + unknown_name("channel", str(wanted.target), known))
+        if target in arrays:
+            return Plain(store.read(recording_id, [target]).channels[target].channel, wanted.inputs)
+    raise RecordingError(f"{store.path}: " + unknown_name("channel", target, known))
 
 
 def _usable(store: RecordingStore, objective: Objective, robot: str | None) -> tuple[list[Recording], dict[str, str]]:
@@ -299,91 +299,6 @@ def _split(
 def _spec(registry: Registry, recording: Recording) -> RobotSpec | None:
     """Of the robot that made a recording, if it is installed."""
     return registry.make_robot(recording.robot).spec if recording.robot in registry.robots else None
-
-
-# ------------------------------------------------------------------------------------------------ what is compared
-
-
-@dataclass(frozen=True)
-class _Candidates:
-    """Measurement models by choice, unfitted, for the channels of one recording."""
-
-    objective: Objective
-    settings: Settings
-    registry: Registry
-    like: Recording
-    config: MeasurementConfig
-    progress: Progress | None
-
-    @property
-    def how(self) -> FitSettings:
-        return FitSettings(self.config.seed, self.config.epochs, self.config.max_seconds)
-
-    def made(self, choice: Named) -> MeasurementModel:
-        context = ModelContext(recorded_signals(self.objective, self.like), self.objective.measurement_model())
-        return self.registry.make_measurement_model(choice.name, choice.settings, context)
-
-    def fitter(self, choice: Named) -> comparison.Fitter:
-        def fit(training: Sequence[Recording]) -> tuple[comparison.Predictor, str]:
-            model = self.made(choice)
-            report = model.fit(training, **vars(replace(self.how, progress=self.progress)))
-            told = [f"{key} {report[key]:.3g}" for key in ("ridge", "pooling", "lag_seconds") if key in report]
-            return comparison.of_model(model), ", ".join(told)
-
-        return fit
-
-
-def _compared(
-    candidates: _Candidates,
-    parts: Split,
-    checks: FitChecks,
-    spec: RobotSpec | None,
-    say: Callable[[str], None],
-) -> tuple[Named, list[comparison.Row], dict[str, float | None] | None]:
-    """The model to keep, the rows of all others, and cross-validated R² where the best is wanted."""
-    objective = candidates.objective
-    target = objective.target.name
-    own = chosen_model(objective, candidates.settings)
-    names = dict.fromkeys((own.name, *checks.models, *(COMPARED if checks.best and not checks.models else ())))
-    choices = {name: own if name == own.name else Named(name=name) for name in names}
-    for choice in choices.values():
-        candidates.made(choice)  # a wrong name is one line before anything is spent
-    training, held_out, _ = masked_split(parts.training, parts.held_out, (*objective.inputs, target), spec)
-    fixed = comparison.references(target, stand_ins(objective, recorded_signals(objective, candidates.like)))
-    fitters = {name: candidates.fitter(choice) for name, choice in choices.items()}
-    tried = comparison.cross_validated({**fixed, **fitters}, target, training, say) if checks.best else None
-    kept = own
-    if tried is not None:
-        known = {name: r2 for name in choices if (r2 := tried[name]) is not None}
-        if not known:
-            raise RecordingError("Too little is left to cross-validate: leave --best out, or record more.")
-        kept = choices[max(known, key=lambda name: known[name])]
-    found = tried or {}
-    rows = [
-        comparison.row(name, "reference", fitter, target, training, held_out, found.get(name))
-        for name, fitter in fixed.items()
-    ]
-    others = {name: fitter for name, fitter in fitters.items() if name != kept.name}
-    if "linear" not in fitters:
-        others["linear"] = candidates.fitter(Named(name="linear"))
-    for name, fitter in others.items():
-        say(f"fitting {name}, to compare")
-        rows.append(comparison.row(name, "model", fitter, target, training, held_out, found.get(name)))
-    return kept, rows, tried
-
-
-def _table(report: Mapping[str, Any], rows: Sequence[comparison.Row]) -> list[dict[str, Any]]:
-    """All rows, the kept model's among them; worst first, as the table is printed."""
-    held, name = report["held_out"], report["model"]["name"]
-    fit = report["fit"]
-    told = ", ".join(f"{key} {fit[key]:.3g}" for key in ("ridge", "pooling", "lag_seconds") if key in fit)
-    own = comparison.Row(
-        name, "kept", held["r2"], held["r2_interval"], held["rmse"], (report["best_of"] or {}).get(name), told,
-        float(fit.get("seconds", 0.0)),
-    )  # fmt: skip
-    references = [one for one in rows if one.kind == "reference"]
-    models = [*(one for one in rows if one.kind == "model"), own]
-    return comparison.as_json([*references, *sorted(models, key=lambda one: one.r2 if one.r2 is not None else -1e9)])
 
 
 # --------------------------------------------------------------------------------------------------- settings
