@@ -13,6 +13,7 @@ import numpy as np
 
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow
+from hts.recordings.messages import fields_of, messages, topics
 
 MOST_ROWS = 5000
 MOST_LINE = 1 << 20
@@ -178,8 +179,6 @@ def _lerobot(path: Path) -> Glance:
 
 
 def _ros(path: Path) -> Glance:
-    from hts.recordings.messages import messages, topics
-
     kinds = topics(path)
     best: tuple[str, list[Any], list[int]] = ("", [], [])
     for topic in sorted(kinds)[:50]:
@@ -204,7 +203,7 @@ def _ros(path: Path) -> Glance:
 def _leaves(content: Any, prefix: str = "") -> dict[str, float]:
     """Every number in a message, by its path."""
     found: dict[str, float] = {}
-    for name in getattr(type(content), "__slots__", ()):
+    for name in fields_of(content):
         value = getattr(content, name)
         path = f"{prefix}{name}"
         if isinstance(value, (bool, int, float)):

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from hts.atomic import atomic_write
 from hts.errors import RecordingError, unknown_name
 from hts.recordings.arrow import needs_pyarrow
 from hts.recordings.partial import partial_folder, publish
@@ -179,8 +180,8 @@ def _write(
         "video_path": None,
         "features": dict(features),
     }
-    (folder / "meta/info.json").write_text(json.dumps(info, indent=4), encoding="utf-8")
-    (folder / "meta/stats.json").write_text(json.dumps({k: _stats(v) for k, v in whole.items()}), encoding="utf-8")
+    atomic_write(folder / "meta/info.json", json.dumps(info, indent=4))
+    atomic_write(folder / "meta/stats.json", json.dumps({name: _stats(values) for name, values in whole.items()}))
 
 
 def _task(recording: Recording) -> str:

@@ -6,7 +6,8 @@
 
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
-the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits` and `check_idle` for values.
+the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion` and `check_idle`
+for values.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from hts.recordings.mapping import (
     parse_mapping,
     remedy,
 )
+from hts.recordings.motion import check_motion
 from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.plausible import check_idle, check_limits
 from hts.recordings.recording import Recording, Series
@@ -49,6 +51,7 @@ __all__ = [
     "Table",
     "check_idle",
     "check_limits",
+    "check_motion",
     "common_grid",
     "recording_from_columns",
     "recording_from_tables",
@@ -152,6 +155,7 @@ def _one(
     stated = _stated_limits(channels, log)
     check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
     check(recording, where)
+    check_motion(channels, robot.spec, log.rate_hz, where, stated)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
     return recording
 

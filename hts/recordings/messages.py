@@ -40,6 +40,11 @@ class _Raw(NamedTuple):
     definition: bytes
 
 
+def fields_of(content: Any) -> tuple[str, ...]:
+    """The names of a decoded message's fields; none of what is no message."""
+    return tuple(vars(type(content)).get("__slots__", ()))
+
+
 def needs_mcap(path: Path) -> None:
     """Raises RecordingError, one line, where the extra is not installed."""
     if any(find_spec(name) is None for name in NEEDED):

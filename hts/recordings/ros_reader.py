@@ -20,7 +20,7 @@ from hts.contracts import LogReader, Robot
 from hts.errors import ConfigError, RecordingError
 from hts.recordings.logs import LogMapping, Table, recording_from_tables, recordings_from_tables, table_of
 from hts.recordings.mapping import parse_mapping
-from hts.recordings.messages import Message, messages, no_topic
+from hts.recordings.messages import Message, fields_of, messages, no_topic
 from hts.recordings.recording import Recording
 from hts.recordings.table import ColumnName
 
@@ -84,7 +84,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Tab
             stamps.append(stamp(message))
             for column, get in getters.items():
                 values[column].append(float(get(message.content)))
-        except (AttributeError, LookupError, TypeError, ValueError, OverflowError) as error:
+        except (LookupError, TypeError, ValueError, OverflowError) as error:
             what = " ".join(str(error).split())
             raise RecordingError(
                 f"{path}: message {count + 1} of '{topic}' does not give what the mapping asks for: {what:.160}. It "
@@ -149,7 +149,7 @@ def _stamp(column: str) -> Callable[[Message], int | float]:
 
     def read(message: Message) -> int | float:
         value = get(message.content)
-        if hasattr(value, "sec") and hasattr(value, "nanosec"):  # a ROS time is whole nanoseconds
+        if {"sec", "nanosec"} <= set(fields_of(value)):  # a ROS time is whole nanoseconds
             return int(value.sec) * 1_000_000_000 + int(value.nanosec)
         return value
 
@@ -175,6 +175,8 @@ def _getter(column: str) -> Callable[[Any], Any]:
             elif step.startswith("["):
                 value = value[_place(holder, step[1:])]
             else:
+                if step not in fields_of(value):  # and nothing else that Python objects have
+                    raise LookupError(f"there is no field '{step}'")
                 holder, value = value, getattr(value, step)
         return value
 
@@ -182,12 +184,11 @@ def _getter(column: str) -> Callable[[Any], Any]:
 
 
 def _place(holder: Any, name: str) -> int:
-    names = list(getattr(holder, "name", ()))
+    names = list(holder.name) if "name" in fields_of(holder) else []
     if name not in names:
         raise LookupError(f"'{name}' is not among its names ({', '.join(map(str, names[:20])) or 'it has no `name`'})")
     return names.index(name)
 
 
 def _fields(content: Any) -> str:
-    names = list(getattr(type(content), "__slots__", ()))
-    return ", ".join(names[:40]) or "no fields"
+    return ", ".join(fields_of(content)[:40]) or "no fields"

@@ -101,7 +101,7 @@ def test_definitions_may_come_from_a_file_where_the_bag_has_none(tmp_path, made,
             {"channels": {"joint_torque": {"columns": ["name[0]", "name[1]"], "unit": "N*m"}}},
             "could not convert string",
         ),
-        ({"time": {"column": "header.stamps", "unit": "ns"}}, "has no attribute 'stamps'"),
+        ({"time": {"column": "header.stamps", "unit": "ns"}}, "there is no field 'stamps'"),
     ],
 )
 def test_a_field_that_is_not_there_is_one_line(tmp_path, made, bag_mapping, two_joints, changes, expected):

@@ -23,7 +23,8 @@ needs_ros = pytest.mark.skipif(
 
 
 def low_state(step: int) -> dict:
-    """Motor m: q = m / 100 beside its range's middle, dq = step / 10, tau = m / 4 + step / 100, 30 + m degrees; the pack gives 2000 + step mA."""
+    """Motor m: q = m / 100 beside a stance, dq = step / 10, tau = m / 4 + step / 100, 30 + m degrees; the pack gives
+    2000 + step mA."""
     motors = [
         {
             "mode": 1,
