@@ -80,6 +80,7 @@ QUICK: dict[str, Any] = {
         "env": {"commands": HELD, "randomisation": VARIED},
     },
     "simulation_test": {**OURS["simulation_test"], "num_envs": 24, "seconds": 8.0},
+    "gate": {"num_envs": 8, "seconds": 4.0},
 }
 
 # Ours at the size of the paper: four iterations, at most 384,000 real samples before the final.

@@ -115,7 +115,8 @@ def prediction(values: Sequence[float]) -> dict[str, Any]:
     mean = float(np.mean(values)) if count else math.nan
     interval = None
     if count > 1:
-        wide = float(stats.t.ppf((1 + LEVEL) / 2, count - 1)) * float(np.std(values, ddof=1)) * math.sqrt(1 + 1 / count)
+        scatter = float(np.std(values, ddof=1)) * math.sqrt(1 + 1 / count)
+        wide = float(stats.t.ppf((1 + LEVEL) / 2, count - 1)) * scatter
         interval = [mean - wide, mean + wide]
     quantiles = {f"{q:g}": float(np.quantile(values, q)) for q in QUANTILES} if count else {}
     return {"runs": count, "mean": mean, "interval95": interval, "quantiles": quantiles}
@@ -137,7 +138,7 @@ def compared(expected: Mapping[str, Any], summary: Mapping[str, Any]) -> list[di
                 value, interval = measured[float(key)]["improvement"], measured[float(key)].get("improvement_ci95")
             else:
                 continue
-            low, high = one["interval95"] or (None, None)
+            bounds = one["interval95"]
             rows.append(
                 {
                     "objective": objective,
@@ -148,7 +149,7 @@ def compared(expected: Mapping[str, Any], summary: Mapping[str, Any]) -> list[di
                     "measured": value,
                     "measured_ci95": interval,
                     "error": value - one["mean"] if one["runs"] else None,
-                    "inside": None if low is None else low <= value <= high,
+                    "inside": None if bounds is None else bounds[0] <= value <= bounds[1],
                 }
             )
     if not rows:

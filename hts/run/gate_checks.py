@@ -30,9 +30,9 @@ class Worst:
     """The worst of one check over all env instances of a policy.
 
     value: torque: largest share of an instance's time in which one joint is at `torque_level` of its limit;
-    joint_range: smallest distance inside the limits, rad; tilt: largest angle, degrees; action_rate: root mean square of
-    a joint target's rate, as a share of the velocity limit; falls: env instances that fell. joint, set_point, instance,
-    second: where and when it was (from the start of the trial; of torque and action rate, which are shares, none).
+    joint_range: smallest distance inside the limits, rad; tilt: largest angle, degrees; action_rate: root mean square
+    of a joint target's rate, as a share of the velocity limit; falls: env instances that fell. joint, set_point,
+    instance, second: where and when it was (from the start of the trial; torque and action rate, shares, have none).
     peak: of torque, the largest of all as a share of the limit.
     """
 

@@ -3,11 +3,11 @@
     idle          the idle levels that somebody read off
     standing      stretches at the command 0 in which no joint moves
     walking       straight stretches of the policy to start from, one figure per asked speed
-    tolerance     t_{n-1} s √(1 + 1/n) around the mean of n stretches with standard deviation s: where the next stretch of
-                  that robot lies in 95 of 100 cases; at least LEAST and at most MOST of the mean
+    tolerance     t_{n-1} s √(1 + 1/n) around the mean of n stretches with standard deviation s: where the next
+                  stretch of that robot lies in 95 of 100 cases; at least LEAST and at most MOST of the mean
 
-A draw is recorded as the robot was: recordings of head-to-heads (role `reference`) are of a warm robot that walks at one
-speed; where there are none, those of a collection, which begin with cold motors, are repeated schedule and all.
+A draw is recorded as the robot was: recordings of head-to-heads (role `reference`) are of a warm robot that walks at
+one speed; where there are none, those of a collection, which begin with cold motors, are repeated schedule and all.
 
 The next stretch and not the mean: a draw is held against them in a session of its own, as warm and as charged as it
 happens to be. LEAST is what figures of one robot differ by between days (charge, temperature, floor) though a single
@@ -99,8 +99,9 @@ def likeness(
     if not asked:
         known = ", ".join(sorted({one.policy_hash[:12] for one in own}))
         raise RecordingError(
-            f"No straight stretch of at least {SETTLING + SHORTEST:g} s that the policy {policy_hash[:12]} walked; found "
-            f"recordings of {known}. Record it at one speed or several, or name the policy that was recorded: --policy."
+            f"No straight stretch of at least {SETTLING + SHORTEST:g} s that the policy {policy_hash[:12]} walked; "
+            f"found recordings of {known}. Record it at one speed or several, or name the policy that was recorded: "
+            "--policy."
         )
     standing = [one for recording in own for one in _stretches([recording]) if one.asked == 0 and _still(one)]
     found = [*_idle(own, instruments), *_of(standing, "standing", 0.0, 0.0, instruments)]
