@@ -25,7 +25,7 @@ from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
-from hts.worlds.field_logs import check_hash, described
+from hts.worlds.field_logs import check_ran, described
 from hts.worlds.field_manifest import Facts, run_configuration
 
 
@@ -211,12 +211,13 @@ class FieldWorld(World):
         from hts.recordings.reading import read_log
 
         registry = self._registry
+        card = DeployedPolicy(order.policy).card
         mapping, where = described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
-        check_hash(where, facts, DeployedPolicy(order.policy).card.policy_hash, order.policy.name)
+        check_ran(where, facts, card, order.policy.name)
         facts |= {
             "world": self.name,
-            "policy_hash": DeployedPolicy(order.policy).card.policy_hash,
+            "policy_hash": card.policy_hash,
             "session": order.session,
             "schedule": order.schedule.model_dump(mode="json"),
             "block": order.block,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from hts.errors import RecordingError
@@ -28,13 +29,21 @@ def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> 
         level = one.get("idle") if isinstance(one, Mapping) else None
         if level is not None and isinstance(channels.get(channel), Mapping):
             channels[channel] = {**channels[channel], "idle": level}
-    facts = {key: value for key, value in dict(own.get("recording") or {}).items() if value is not None}
-    return {**mapping, "channels": channels, "recording": {**dict(mapping.get("recording") or {}), **facts}}, path
+    facts = dict(mapping.get("recording") or {})
+    facts |= {key: value for key, value in dict(own.get("recording") or {}).items() if value is not None}
+    return {**mapping, "channels": channels, "recording": facts}, path
 
 
-def check_hash(where: Path, facts: Mapping[str, Any], expected: str, policy: str) -> None:
-    """Raise RecordingError if the mapping says that another policy ran than the one that was asked for."""
-    found = facts.get("policy_hash")
+def check_ran(where: Path, facts: Mapping[str, Any], card: SimpleNamespace, policy: str) -> None:
+    """Raise RecordingError if the mapping says that another policy ran than the one that was asked for, or with other
+    gains. card: of that policy; a mapping that says neither is believed."""
+    found, expected = facts.get("policy_hash"), card.policy_hash
+    for key in ("kp", "kd"):
+        if facts.get(key) is not None and list(facts[key]) != list(getattr(card, key)):
+            raise RecordingError(
+                f"{where}: {key} {str(list(facts[key]))[:40]}… was sent, {policy} was trained with "
+                f"{str(list(getattr(card, key)))[:40]}… Record the row again with the policy's own gains."
+            )
     if found and found != expected:
         raise RecordingError(
             f"{where}: policy {str(found)[:12]}… ran, asked for was {policy} ({expected[:12]}…). Put the log of that "

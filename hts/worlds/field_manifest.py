@@ -155,7 +155,7 @@ def _part(part: Mapping[str, Any]) -> dict[str, Any]:
 
 def _trained(card: SimpleNamespace, facts: Facts) -> dict[str, Any] | None:
     """From the card where it says so, else from the run; None where nobody knows."""
-    made = getattr(card, "made", {})
+    made = vars(card).get("made")
     for source, env in (
         ("card of the policy", _inside(made, "config", "env")),
         ("run that fine-tuned it", _inside(facts.run, "finetune", "env")),

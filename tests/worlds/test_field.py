@@ -239,6 +239,11 @@ def test_a_log_that_describes_itself_needs_no_filled_in_mapping(run, policy, rob
     with pytest.raises(RecordingError, match=r"00.yaml: policy ffffffffffff… ran, asked for was walk.onnx"):
         field(run).collect([policy], walking(0.5, SECONDS))
     own["policy_hash"] = DeployedPolicy(policy).card.policy_hash
+    own["kp"] = [20.0] * 12
+    (logs / "mappings" / "00.yaml").write_text(yaml.safe_dump(described))
+    with pytest.raises(RecordingError, match=r"00.yaml: kp \[20.0, .* walk.onnx was trained with \[30.0"):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    own["kp"] = [30.0] * 12
     (logs / "mappings" / "00.yaml").write_text(yaml.safe_dump(described))
     (found,) = field(run).collect([policy], walking(0.5, SECONDS))
     assert (found.clock, found.mass_kg) == ("monotonic", 12.5)

@@ -115,6 +115,8 @@ def _read(folder: Path, name: str, sums: Mapping[str, str]) -> bytes:
     if not path.resolve().is_relative_to(folder.resolve()):
         raise RuntimeFault(f"{folder / CHECKSUMS}: names '{name}', which is not in the bundle. Do not run it.")
     try:
+        if path.exists() and not path.is_file():
+            raise RuntimeFault(f"{path}: no file. Copy the bundle again.")
         if path.stat().st_size > LARGEST_FILE:
             raise RuntimeFault(f"{path}: larger than {LARGEST_FILE:,} bytes. Do not run it.")
         content = path.read_bytes()

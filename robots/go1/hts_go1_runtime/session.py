@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import sys
@@ -174,10 +173,9 @@ class Session:
         if self.options.first_run:
             self._first_runs(rows)
             return
-        for _, blocks in itertools.groupby(rows, key=lambda row: row.session):
-            self._warm_up(rows[0])
-            for row in blocks:
-                self._row(row)
+        self._warm_up(rows[0])
+        for row in rows:
+            self._row(row)
         self._stroll(self.bundle.policies[rows[-1].policy], (0.0, 0.0, 0.0), LETTING_GO)
 
     def _first_runs(self, rows: Sequence[Row]) -> None:
@@ -191,7 +189,7 @@ class Session:
         self._stroll(self.bundle.policies[rows[-1].policy], (0.0, 0.0, 0.0), LETTING_GO)
 
     def _warm_up(self, row: Row) -> None:
-        """Walk before a session of a head-to-head, so that the motors are warm."""
+        """Walk before the first head-to-head, so that the motors are warm; the others follow without a pause."""
         asked = self.options.warmup_seconds
         seconds = float(self.bundle.manifest["warmup_seconds"]) if asked is None else asked
         if row.role != "collection" and seconds > 0:

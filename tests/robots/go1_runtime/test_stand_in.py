@@ -1,0 +1,106 @@
+"""The process that plays a robot, alone and with the runtime in another process."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hts import plugins
+from hts.recordings.mapping import load_mapping
+from hts.recordings.reading import read_log
+from hts_go1_runtime.link import NOTHING, Command
+from hts_go1_runtime.machine import STAND
+from hts_go1_stand_in.body import FIRMWARE_PATIENCE, STATE_SECONDS, Body
+from hts_go1_stand_in.line import Line
+
+HOLD = Command(STAND, np.full(12, 40.0), np.full(12, 1.0))
+
+
+@pytest.fixture
+def body():
+    made = Body("dev-03", ["power"], 0)
+    yield made
+    made.close()
+
+
+def states(body: Body, count: int, command: Command | None) -> list:
+    seen = []
+    for number in range(count):
+        seen.append(body.state(number))
+        if command is not None:
+            body.command(command)
+        body.advance()
+    return seen
+
+
+def test_it_hangs_on_a_stool_until_it_is_told_to_stand_and_damps_itself_in_silence(body):
+    from hts.testing.twin import TwinSettings, instruments_of_reality, resolved_settings
+
+    registry = plugins.load()
+    settings = resolved_settings(TwinSettings(reality="dev-03"), "go1")
+    robot = registry.make_robot("go1")
+    (gauge,) = instruments_of_reality(registry, robot, {"power": {}}, settings.instruments, False).values()
+    idle = states(body, 250, NOTHING)
+    level = np.mean([state.current for state in idle[50:]])
+    assert level == pytest.approx(gauge.idle()["battery_current"], rel=0.1)
+    assert np.abs(idle[-1].q - idle[0].q).max() < 0.15  # noise of the encoders
+    stood = states(body, 250, HOLD)
+    assert stood[-1].gravity[2] < -0.97
+    assert stood[-1].current > 1.3 * level  # standing is not idle
+    states(body, round(FIRMWARE_PATIENCE / STATE_SECONDS) + 200, None)
+    assert np.abs(body.state(0).q - STAND).max() > 0.3  # it has sunk down
+    assert np.abs(body.state(0).dq).max() < 3.0  # braked
+
+
+def test_a_line_loses_and_delays_the_shares_it_is_told_to():
+    line = Line(0, 0.1, 0.2, 0.01, 0)
+    fates = [line._fate(1.0) for _ in range(5000)]
+    assert np.mean([fate is None for fate in fates]) == pytest.approx(0.1, abs=0.02)
+    late = [fate - 1.0 for fate in fates if fate is not None and fate > 1.0]
+    assert len(late) / 5000 == pytest.approx(0.18, abs=0.02)  # of those that are not lost
+    assert 0 < min(late) < max(late) <= 0.01
+    line._socket.close()
+
+
+@pytest.mark.slow
+def test_a_visit_over_a_bad_line_ends_with_logs_that_hts_reads(bundle):
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
+    options = ["--reality", "dev-03", "--lockstep", "--loss", "0.02", "--late", "0.02"]
+    robot = subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-m", "hts_go1_stand_in", "--port", "0", *options],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    try:
+        port = robot.stdout.readline().split(":")[1].split(",")[0]
+        command = ["run", str(bundle), "--link", f"udp://127.0.0.1:{port}", "--lockstep", "--yes", "--mass", "12.2"]
+        done = subprocess.run(
+            [sys.executable, "-m", "hts_go1_runtime", *command, "--idle-seconds", "1", "--warmup", "2"],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+        )
+    finally:
+        robot.kill()
+        robot.wait()
+        robot.stdout.close()
+    assert done.returncode == 0, done.stdout + done.stderr
+    registry = plugins.load()
+    for name in ("00", "01"):
+        mapping = load_mapping(bundle / "logs" / "mappings" / f"{name}.yaml")
+        recording = read_log(registry, [bundle / "logs" / f"{name}.csv"], mapping, registry.make_robot("go1"))
+        assert recording.values("base_velocity")[:, 0].mean() == pytest.approx(0.6, abs=0.15)
+        assert recording.values("projected_gravity")[:, 2].max() < -0.8
+        assert 0.5 < recording.idle["battery_current"] < 3.0
+    said = [json.loads(line) for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
+    packets = next(one for one in said if one["what"] == "figures")["packets"]
+    assert packets["lost"] > 0
+    assert packets["late"] > 0
