@@ -60,6 +60,7 @@ def main(folder: Path) -> None:
     runner.save(str(folder / "model_2.pt"))
     policy = runner.get_inference_policy("cpu")
     seen = 3 * torch.randn(300, OBSERVATIONS)
+    seen[:, 3:6] = seen[:, 3:6].clamp(-1.0, 1.0)  # a direction, in the layout of the test
     with torch.no_grad():
         actions = policy(TensorDict({"policy": seen}, [300]))
     np.savez(folder / "pairs.npz", observation=seen.numpy(), action=actions.numpy())
