@@ -57,7 +57,7 @@ Numbers = float | list[float] | dict[str, float]
 class _Part(Config):
     name: str = Field(description="as the robot's own observation calls it, or as the library does")
     size: int = Field(ge=1, le=LARGEST_OBSERVATION, description="numbers")
-    scale: float = Field(1.0, description="the network was given scale x value")
+    scale: float | tuple[float, ...] = Field(1.0, description="the network was given scale x value; one, or one each")
     stand_in: str | None = Field(None, description="a part of ours that takes the place of what no robot measures")
     hold: float | None = Field(None, description="a constant that takes its place")
 
@@ -65,8 +65,9 @@ class _Part(Config):
     def _one_of_both(self) -> _Part:
         if self.stand_in is not None and self.hold is not None:
             raise ValueError("give stand_in or hold, not both")
-        if not math.isfinite(self.scale) or self.scale == 0:
-            raise ValueError("scale must be a finite number other than 0")
+        scales = self.scale if isinstance(self.scale, tuple) else (self.scale,) * self.size
+        if len(scales) != self.size or not all(math.isfinite(one) and one != 0 for one in scales):
+            raise ValueError(f"scale must be 1 or {self.size} finite numbers other than 0")
         return self
 
 

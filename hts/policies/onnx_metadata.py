@@ -76,12 +76,8 @@ def _observation(path: Path, properties: Mapping[str, str], joints: int) -> tupl
         raise PolicyError(f"{path}: its metadata have {len(scales)} scales for {len(names)} observations.")
     parts = []
     for name, entry in zip(names, scales, strict=True):
-        values = set(_numbers(path, "observation_terms_scale", ",".join(entry)))
-        if len(values) != 1:
-            raise PolicyError(
-                f"{path}: its observation '{name[:60]}' has several scales; state its entries in a layout."
-            )
-        parts.append({"name": our_name(name), "scale": values.pop()})
+        values = _numbers(path, "observation_terms_scale", ",".join(entry))
+        parts.append({"name": our_name(name), "scale": values[0] if len(values) == 1 else values})
     return sized(tuple(parts), joints)
 
 

@@ -172,11 +172,11 @@ def _terms(file: Path, group: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...
         if clip and max(abs(float(clip[0])), abs(float(clip[1]))) < HARMLESS_TERM_CLIP:
             raise PolicyError(f"{file}: its observation '{name}' is clipped at {clip}, which hts does not do.")
         scale = term.get("scale")
-        if isinstance(scale, list | tuple) and len({float(one) for one in scale}) == 1:
-            scale = scale[0]
-        if isinstance(scale, list | tuple | Mapping):
-            raise PolicyError(f"{file}: its observation '{name}' has several scales; state its entries in a layout.")
-        parts.append({"name": _meaning(str(name), term), "scale": 1.0 if scale is None else float(scale)})
+        if isinstance(scale, list | tuple):
+            scale = [float(one) for one in scale]
+        elif scale is not None:
+            scale = float(scale)
+        parts.append({"name": _meaning(str(name), term), "scale": 1.0 if scale is None else scale})
     return tuple(parts)
 
 

@@ -206,28 +206,13 @@ class _Replay:
         if value is None or value.shape[1] != size:
             return None
         if name == "last_action":  # in the source's own units already
-            return value * self._factor(first)
+            return value * self.maps.factor[first : first + size].numpy()
         if name == "joint_position_offset":
             value = value - self.pose
         shifted = np.vstack([value[:1]] * offset + [value[: len(value) - offset]]) if offset else value
         if name == "command":  # what was asked of the policy in this row, whenever the state was read
             shifted = value
-        return shifted * self._factor(first)
-
-    def _factor(self, first: int) -> float:
-        return self._scales[first]
-
-    @property
-    def _scales(self) -> dict[int, float]:
-        """First entry of each part -> scale of the layout."""
-        found = {}
-        for name, first, _ in self.maps.parts:
-            alpha = float(self.maps.alpha[first])
-            if name == "last_action":
-                ours = self.names.index(self.robot.joint_names[0])
-                alpha = float(self.maps.alpha[first + ours] * self.maps.gain[0])
-            found[first] = alpha
-        return found
+        return shifted * self.maps.factor[first : first + size].numpy()
 
     def _built(self, offset: int) -> np.ndarray | None:
         assert self.action is not None

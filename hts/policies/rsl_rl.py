@@ -90,8 +90,8 @@ def _parts(
     strange = [name for name in state if not name.startswith((prefix, *extra))]
     if strange:
         raise PolicyError(
-            f"{path}: its actor is more than layers and a normaliser (it has '{str(strange[0])[:60]}'): only plain rsl_rl actors "
-            "can be read."
+            f"{path}: its actor is more than layers and a normaliser ('{str(strange[0])[:60]}'): only plain rsl_rl "
+            "actors can be read."
         )
     layers = {name.removeprefix(prefix): value.float() for name, value in state.items() if name.startswith(prefix)}
     inside = {name.split(".")[-1]: value for name, value in state.items() if name.startswith(extra[0])}
@@ -99,9 +99,7 @@ def _parts(
     normaliser = None
     if found:
         if "_mean" not in found or "_std" not in found:
-            raise PolicyError(
-                f"{path}: its normaliser has the parts {sorted(map(str, found))[:8]}, expected '_mean' and '_std'."
-            )
+            raise PolicyError(f"{path}: its normaliser has {sorted(map(str, found))[:8]}, expected '_mean' and '_std'.")
         normaliser = found["_mean"].float().flatten(), found["_std"].float().flatten() + EPSILON
     std = state.get("std", state.get("distribution.std_param"))
     log_std = state.get("log_std", state.get("distribution.log_std_param"))

@@ -53,14 +53,16 @@ class Translation:
     """The maps between source and robot. I source entries, O of ours, A actions.
 
     entry (I,) int: ours that a source entry is made of, -1: a constant; alpha, beta (I,): z = alpha o + beta; own (I,)
-    bool: false where a part of ours only stands in; joints (A,): for each of our joints the source's action; gain,
-    shift (A,), in our order: a_r = gain a_s + shift; parts: (our name or the source's, first entry, size).
+    bool: false where a part of ours only stands in; factor (I,): the layout's scale; joints (A,): for each of our
+    joints the source's action; gain, shift (A,), in our order: a_r = gain a_s + shift; parts: (our name or the
+    source's, first entry, size).
     """
 
     entry: torch.Tensor
     alpha: torch.Tensor
     beta: torch.Tensor
     own: torch.Tensor
+    factor: torch.Tensor
     joints: torch.Tensor
     gain: torch.Tensor
     shift: torch.Tensor
@@ -100,13 +102,14 @@ def translation(path: Path, robot: RobotSpec, layout: Layout, seen: Seen, contra
     for part in seen.parts:
         starts[str(part["name"])] = (first, int(part["size"]))
         first += int(part["size"])
-    entry, alpha, beta, own, parts, at = [], [], [], [], [], 0
+    entry, alpha, beta, own, factors, parts, at = [], [], [], [], [], [], 0
     for part in layout.observation:
-        name, size, factor = our_name(str(part["name"])), int(part["size"]), float(part.get("scale", 1.0))
-        one = torch.full((size,), factor, dtype=torch.float64)
+        name, size = our_name(str(part["name"])), int(part["size"])
+        factor = one = _scales(path, part, size)
         zero = torch.zeros(size, dtype=torch.float64)
         parts.append((name, at, size))
         at += size
+        factors.append(factor)
         if name not in starts and name != ABSOLUTE:
             kept, a, b = _in_its_place(path, part, starts, size)
             entry.append(kept)
@@ -134,12 +137,30 @@ def translation(path: Path, robot: RobotSpec, layout: Layout, seen: Seen, contra
         alpha.append(one)
         beta.append(zero)
         own.append(torch.ones(size, dtype=torch.bool))
-    whole_entry, whole_alpha, whole_beta, whole_own = (torch.cat(each) for each in (entry, alpha, beta, own))
-    made = Translation(whole_entry, whole_alpha, whole_beta, whole_own, joints, gain, shift, tuple(parts))
+    made = Translation(
+        entry=torch.cat(entry),
+        alpha=torch.cat(alpha),
+        beta=torch.cat(beta),
+        own=torch.cat(own),
+        factor=torch.cat(factors),
+        joints=joints,
+        gain=gain,
+        shift=shift,
+        parts=tuple(parts),
+    )
     twice = made.entry[made.own]
     if len(twice.unique()) != len(twice):
         raise PolicyError(f"{path}: its layout names a part of the observation twice.")
     return made
+
+
+def _scales(path: Path, part: Mapping[str, Any], size: int) -> torch.Tensor:
+    """(size,) what a part is multiplied by, from one number or one for each of its entries."""
+    given = part.get("scale", 1.0)
+    values = list(given) if isinstance(given, list | tuple) else [given] * size
+    if len(values) != size or not all(isinstance(one, int | float) and math.isfinite(one) and one for one in values):
+        raise PolicyError(f"{path}: the scale of '{part['name']}' is {str(given)[:60]}, expected 1 or {size} numbers.")
+    return torch.tensor(values, dtype=torch.float64)
 
 
 def _in_our_order(values: Sequence[float], joints: torch.Tensor) -> torch.Tensor:

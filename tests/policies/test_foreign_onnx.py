@@ -226,9 +226,14 @@ KEYS = ("mlp.0.weight", "mlp.0.bias", "mlp.2.weight", "mlp.2.bias", "distributio
         "obs_normalizer._std", "log_std", "mlp.1.weight", "other")  # fmt: skip
 
 
+OUTER = ("iter", "infos", "model_state_dict", "actor_state_dict", "obs_norm_state_dict")
+
+
 @FUZZ
-@given(changes=st.dictionaries(st.sampled_from(KEYS), LEAVES, max_size=4), outer=st.dictionaries(
-    st.sampled_from(["iter", "infos", "model_state_dict", "actor_state_dict", "obs_norm_state_dict"]), LEAVES, max_size=2))  # fmt: skip
+@given(
+    changes=st.dictionaries(st.sampled_from(KEYS), LEAVES, max_size=4),
+    outer=st.dictionaries(st.sampled_from(OUTER), LEAVES, max_size=2),
+)
 def test_a_checkpoint_with_any_parts_is_read_or_refused_in_one_line(tmp_path, changes, outer):
     net = nn.Sequential(nn.Linear(15, 8), nn.ELU(), nn.Linear(8, 2))
     state = {f"mlp.{name}": value for name, value in net.state_dict().items()}

@@ -43,7 +43,7 @@ SPEC = RobotSpec(
 THEIRS = ("b_knee", "a_hip", "b_hip", "a_knee")
 PARTS = (
     {"name": "base_ang_vel", "size": 3, "scale": 0.25},
-    {"name": "velocity_commands", "size": 3, "scale": 2.0},
+    {"name": "velocity_commands", "size": 3, "scale": (2.0, 2.0, 0.25)},
     {"name": "projected_gravity", "size": 3},
     {"name": "joint_pos", "size": 4},
     {"name": "joint_vel", "size": 4, "scale": 0.05},
@@ -85,7 +85,9 @@ def walk(delay: float = 0.005, every: int = TICK, noise: float = 0.0) -> dict[st
         command = np.array([0.5 + 0.5 * np.sin(0.5 * time), 0.1, -0.2])
         before = {"joint_position": q.copy(), "joint_velocity": dq.copy(), "joint_torque": tau.copy()}
         if step % TICK == 0:
-            seen = np.concatenate([0.25 * body, 2.0 * command, gravity, q - POSE, 0.05 * dq, last])
+            seen = np.concatenate(
+                [0.25 * body, np.array([2.0, 2.0, 0.25]) * command, gravity, q - POSE, 0.05 * dq, last]
+            )
             with torch.no_grad():
                 last = net(torch.from_numpy(seen)).numpy()
             target = POSE + SCALE * last
