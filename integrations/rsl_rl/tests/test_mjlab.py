@@ -154,7 +154,8 @@ def test_the_bound_is_held_while_the_return_moves(tmp_path):
     runner.alg.update = watched
     runner.learn(batches, init_at_random_ep_len=True)
     after, held = steps_upright(runner, runner.alg.actor), sum(kl[-20:]) / 20
-    print(f"KL of the last 20 batches {held / bound:.3f} c, single ones {min(kl[-20:]) / bound:.2f} to "
-          f"{max(kl[-20:]) / bound:.2f} c, sigma {widened[-1]:.3f}; {before:.0f} -> {after:.0f} steps upright")  # fmt: skip
+    low, high = min(kl[-20:]) / bound, max(kl[-20:]) / bound
+    print(f"KL of the last 20 batches {held / bound:.3f} c, single ones {low:.2f} to {high:.2f} c", end="; ")
+    print(f"sigma {widened[-1]:.3f} of the anchor's; {before:.0f} -> {after:.0f} steps upright")
     assert 0.9 * bound <= held <= 1.1 * bound
     assert after > 1.5 * before
