@@ -28,8 +28,8 @@ run: install
 test: install-dev
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-test-rsl-rl: $(RSL_RL)/installed
-	$(RSL_RL)/bin/python -m pytest integrations/rsl_rl/tests
+test-rsl-rl: $(RSL_RL)/installed install
+	HTS_PYTHON=$(abspath $(BIN)/python) $(RSL_RL)/bin/python -m pytest integrations/rsl_rl/tests
 
 check: lint test
 

@@ -160,6 +160,31 @@ def test_a_killed_run_goes_on_with_its_multiplier_and_another_anchor_begins_anew
     assert other.alg.lagrange.value == 0.0 and other.alg.anchor_sha256 != first.alg.anchor_sha256
 
 
+def test_what_was_trained_leaves_as_any_policy_of_rsl_rl_with_the_same_actions(path, tmp_path):
+    """Into a runner of plain PPO, TorchScript and ONNX; the largest difference of an action is below 1e-5."""
+    from onnx.reference import ReferenceEvaluator
+    from rsl_rl.runners import OnPolicyRunner
+    from slope import Slope, anchored, config
+
+    runner = anchored(path, 0.2)
+    runner.learn(2)
+    runner.save(str(tmp_path / "model_2.pt"))
+    plain = OnPolicyRunner(Slope(), config(), device="cpu")
+    plain.load(str(tmp_path / "model_2.pt"))
+    seen = Slope(seed=3).get_observations()
+    with torch.no_grad():
+        actions = runner.alg.get_policy()(seen)
+        assert torch.equal(plain.alg.get_policy()(seen), actions)
+        runner.export_policy_to_jit(str(tmp_path))
+        scripted = torch.jit.load(tmp_path / "policy.pt")(seen["policy"])
+    assert (scripted - actions).abs().max() < 1e-5
+    runner.export_policy_to_onnx(str(tmp_path))
+    network = ReferenceEvaluator(str(tmp_path / "policy.onnx"))
+    for observation, action in zip(seen["policy"][:8], actions, strict=False):
+        (found,) = network.run(None, {"obs": observation[None].numpy()})
+        assert abs(found[0] - action.numpy()).max() < 1e-5
+
+
 def test_the_normaliser_stands_still_unless_it_is_let_go(path):
     from rsl_rl.runners import OnPolicyRunner
     from slope import Slope, config
