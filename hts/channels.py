@@ -36,7 +36,10 @@ SPEED_ERROR = Channel(
 """What training holds at zero on average; made in simulation only."""
 
 SPEED_ERROR_TREND = Channel(
-    "speed_error_trend", "1", (), "speed_error times where the command lies in its range, from -1 (slowest) to 1 (fastest)"
+    "speed_error_trend",
+    "1",
+    (),
+    "speed_error times where the command lies in its range, from -1 (slowest) to 1 (fastest)",
 )
 """Held at zero on average, too: else a policy that walks at one speed whatever it is told has no error on average."""
 

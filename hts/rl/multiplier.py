@@ -6,7 +6,9 @@ import torch
 from torch import nn
 
 LARGEST_EXCESS = 2.0  # of KL / c - 1 in one update: one bad batch must not spend the training on getting back
-LARGEST_ERROR = 10.0  # of m / scale, likewise. Much smaller and the proportional part cannot damp what the integral swings
+LARGEST_ERROR = (
+    10.0  # of m / scale, likewise. Much smaller and the proportional part cannot damp what the integral swings
+)
 
 
 class LagrangeMultiplier(nn.Module):
