@@ -113,8 +113,8 @@ class PPOConfig(Config):
     max_grad_norm: float = Field(1.0, gt=0, description="per candidate")
     multiplier_rate: float = Field(0.05, gt=0, description="eta: step of the Lagrange multiplier per batch")
     centring_rate: float = Field(0.05, gt=0, le=1, description="beta of reward centring, per batch")
-    hold_rate: float = Field(0.1, ge=0, description="step of the multipliers of held means per batch and error")
-    hold_gain: float = Field(0.5, ge=0, description="their proportional part, per error that matters")
+    hold_rate: float = Field(0.05, ge=0, description="step of the multipliers of held means per batch and error")
+    hold_gain: float = Field(2.0, ge=0, description="their proportional part, per error that matters")
     warmup_batches: int = Field(0, ge=0, description="first batches that only fit the critic")
     tf32: bool = Field(True, description="on a GPU: matrix products of policy and critic in TF32 (10 bits of mantissa)")
     fuse: bool | None = Field(

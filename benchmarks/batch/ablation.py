@@ -11,8 +11,9 @@ so a held and an open-loop figure are not of one kind.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from statistics import mean, variance
+from typing import Any
 
 from scipy import stats
 
@@ -27,8 +28,8 @@ def ablation(groups: Sequence[Group], against: str = "ours") -> str:
     """Rows: methods, each less the whole; columns: over realities, then each reality with its interval."""
     whole = next((group for group in groups if group.name == against), None)
     if whole is None:
-        found = ", ".join(group.name for group in groups)
-        raise EvaluationError(f"No line is of '{against}', which the others are held against. There are: {found}.")
+        known = ", ".join(group.name for group in groups)
+        raise EvaluationError(f"No line is of '{against}', which the others are held against. There are: {known}.")
     others = [group for group in groups if group is not whole and set(group.values()) & set(whole.values())]
     names = [name for name in whole.values() if any(name in group.values() for group in others)]
     show = differences(whole.unit)
@@ -37,14 +38,12 @@ def ablation(groups: Sequence[Group], against: str = "ours") -> str:
         kind = "chosen" if _held(group) == _held(whole) else "open_loop"
         ours, theirs = whole.values(kind=kind), group.values(kind=kind)
         found = paired(theirs, ours)
-        shared = {
-            name: [mean(map(float, theirs[name])) - mean(map(float, ours[name]))] for name in theirs if name in ours
-        }  # type: ignore[arg-type]
+        shared = {name: _over_seeds(theirs[name]) - _over_seeds(ours[name]) for name in theirs if name in ours}
         rows.append(
             [
                 group.name + (" (at equal commands)" if kind == "open_loop" else ""),
                 with_interval(found, show),
-                f"{sum(value[0] < 0 for value in shared.values())} of {len(shared)}",
+                f"{sum(value < 0 for value in shared.values())} of {len(shared)}",
                 f"{group.count_refused() - whole.count_refused():+d}",
                 *(_cell(group, whole, name, kind) if name in shared else NONE for name in names),
             ]
@@ -102,3 +101,8 @@ def _half_width(result: Result, objective: str, kind: str) -> float | None:
             return None
         squares += ((one.improvement_ci95[1] - one.improvement_ci95[0]) / 2) ** 2
     return math.sqrt(squares) / len(result.asked_speeds)
+
+
+def _over_seeds(values: Iterable[Any]) -> float:
+    """Mean of a reality's seeds."""
+    return mean([float(one) for one in values])

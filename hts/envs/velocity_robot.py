@@ -22,7 +22,7 @@ class VelocityRobot(Robot):
     A robot that wants the task slightly different overrides `make_env` and hands a changed `config` to `super()`.
     """
 
-    held_at_zero = MappingProxyType({SPEED_ERROR.name: 0.02, SPEED_ERROR_TREND.name: 0.01})
+    held_at_zero = MappingProxyType({SPEED_ERROR.name: 0.02, SPEED_ERROR_TREND.name: 0.02})
 
     def make_env(
         self,

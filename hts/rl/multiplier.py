@@ -48,33 +48,39 @@ class LagrangeMultiplier(nn.Module):
 class EqualityMultiplier(nn.Module):
     """Holds the mean of an error e at zero: nu e is added to the reward, and nu moves against the mean.
 
-    nu = I - gain m / scale with I <- I - rate m / scale once per batch, m the batch's mean error: the integral finds
-    the price at which nothing is gained by erring, the proportional part damps its swinging (Stooke, Achiam and Abbeel
-    2020, "Responsive Safety in Reinforcement Learning by PID Lagrangian Methods", 2007.03964). nu has either sign.
+    nu = I - gain m / scale with I <- I - rate m / scale once per batch, m the batches' mean error, smoothed: the
+    integral finds the price at which nothing is gained by erring, the proportional part damps its swinging (Stooke,
+    Achiam and Abbeel 2020, "Responsive Safety in Reinforcement Learning by PID Lagrangian Methods", 2007.03964), and
+    the smoothing (of m, with the share `smoothing` of the new batch) keeps one batch's noise out of it. nu has either
+    sign. A policy answers a price within ten batches or so, by a speed of change that is limited: gain / rate well
+    above that number is what keeps it from swinging.
 
     scale: an error that matters, in e's unit, so that rate and gain are per such an error; count: P for one multiplier
-    per candidate. Buffers value (nu) and integral, both [P], reward per second and unit of e.
+    per candidate. Buffers value (nu) and integral, reward per second and unit of e, and smoothed, in e's unit, all [P].
     """
 
     value: torch.Tensor
     integral: torch.Tensor
+    smoothed: torch.Tensor
 
     def __init__(
         self,
         scale: float,
         count: int | None = None,
         *,
-        rate: float = 0.1,
-        gain: float = 0.5,
+        rate: float = 0.05,
+        gain: float = 2.0,
+        smoothing: float = 0.3,
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
         if not scale > 0:
             raise ValueError(f"scale is {scale}; expected a positive number, an error that matters.")
-        self.scale, self.rate, self.gain = scale, rate, gain
+        self.scale, self.rate, self.gain, self.smoothing = scale, rate, gain, smoothing
         shape = () if count is None else (count,)
         self.register_buffer("value", torch.zeros(shape, device=device))
         self.register_buffer("integral", torch.zeros(shape, device=device))
+        self.register_buffer("smoothed", torch.zeros(shape, device=device))
 
     def forward(self, error: torch.Tensor) -> torch.Tensor:
         """nu e, of error's shape; its first dimension is P where there are several. Changes nothing."""
@@ -84,7 +90,8 @@ class EqualityMultiplier(nn.Module):
     def update(self, mean: torch.Tensor, strength: float | torch.Tensor = 1.0) -> torch.Tensor:
         """mean: of e over the batch, of the shape of `value`; strength: how strong the rewards are that pull the mean
         away, in reward per second, since a price is found the sooner the larger it has to be. Returns the new value."""
-        excess = (mean / self.scale).clamp(-LARGEST_ERROR, LARGEST_ERROR) * strength
+        self.smoothed = self.smoothed + self.smoothing * (mean - self.smoothed)
+        excess = (self.smoothed / self.scale).clamp(-LARGEST_ERROR, LARGEST_ERROR) * strength
         self.integral = self.integral - self.rate * excess
         self.value = self.integral - self.gain * excess
         return self.value

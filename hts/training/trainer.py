@@ -320,8 +320,8 @@ class PopulationTrainer:
                 vector.copy_(state["vectors", str(index)])
             for name, buffer in self.population.named_buffers():
                 buffer.copy_(state["normaliser", name])
-        saved = state["optimiser"]
-        self.steps.load_state({name: dict(saved[name].items()) for name in saved.keys()})  # noqa: SIM118
+        rows = state["optimiser"]
+        self.steps.load_state({name: dict(rows[name].items()) for name in rows.keys()})  # noqa: SIM118
         self.steps.rates = state["rates"].tolist()
         self.noise.load_state_dict(state["noise"])
         self.order.load_state_dict(state["order"])
@@ -329,7 +329,8 @@ class PopulationTrainer:
         for name, measured in self.measured.items():
             measured.centring.load_state_dict(dict(state["centres", name].items()))
         for name, multiplier in self.held.items():
-            multiplier.load_state_dict(dict(state["held", name].items()))
+            saved = {"smoothed": torch.zeros_like(multiplier.smoothed), **dict(state["held", name].items())}
+            multiplier.load_state_dict(saved)  # checkpoints of before smoothed nothing
         self.kl = state["kl"].to(self.kl.device)
         self.batches = int(state["batches"])
         self.stopped = {

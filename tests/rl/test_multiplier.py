@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from hts.rl.multiplier import EqualityMultiplier
+from hts.rl.multiplier import LARGEST_ERROR, EqualityMultiplier
 
 
 def follow(multiplier: EqualityMultiplier, pull: torch.Tensor, updates: int, strength: float = 1.0) -> torch.Tensor:
@@ -22,7 +22,7 @@ def follow(multiplier: EqualityMultiplier, pull: torch.Tensor, updates: int, str
 def test_the_price_cancels_what_pulls_the_mean_away_whatever_its_sign():
     pull = torch.tensor([-2.0, 0.0, 4.0])
     multiplier = EqualityMultiplier(0.02, 3)
-    errors = follow(multiplier, pull, 300)
+    errors = follow(multiplier, pull, 500)
     assert errors[:, [0, 2]].abs().amax(0).min() > 0.005  # it was pulled away at first
     assert errors[-1].abs().max() < 2e-4
     assert torch.allclose(multiplier.value, -pull, atol=0.05)
@@ -34,10 +34,34 @@ def test_a_strong_pull_is_answered_the_sooner():
     assert fast < 0.3 * slow
 
 
+def swung(multiplier: EqualityMultiplier, batches: int = 156) -> float:
+    """Largest error of the last 30 batches of a learner that answers a price three batches later, the slower the
+    closer it is to what it wants, and never by more than 0.006 a batch; each batch shows its error with noise."""
+    random, error, prices, rows = torch.Generator().manual_seed(0), 0.0, [0.0] * 3, []
+    for _ in range(batches):
+        seen = torch.tensor(error) + 0.02 * torch.randn((), generator=random)
+        prices.append(float(multiplier.update(seen, 6.0)))
+        pull = prices.pop(0) - 20.0
+        error += 0.006 * pull / (abs(pull) + 50.0)
+        rows.append(abs(error))
+    return max(rows[-30:])
+
+
+def test_a_learner_of_limited_speed_is_not_swung_about():
+    assert swung(EqualityMultiplier(0.02)) < 0.02
+    assert swung(EqualityMultiplier(0.02, rate=0.1, gain=0.2)) > 0.04  # too little damping for so much integral
+
+
 def test_one_bad_batch_cannot_spend_the_price():
     multiplier = EqualityMultiplier(0.02, rate=0.1, gain=0.5)
     multiplier.update(torch.tensor(50.0))
-    assert multiplier.value == pytest.approx(-1.2)  # (0.1 + 0.5) x 2
+    assert multiplier.value == pytest.approx(-0.6 * LARGEST_ERROR)  # (0.1 + 0.5) of it
+
+
+def test_one_batch_is_believed_in_part():
+    multiplier = EqualityMultiplier(0.02, rate=0.0, gain=1.0, smoothing=0.25)
+    first, second = (float(multiplier.update(torch.tensor(mean))) for mean in (0.02, 0.0))
+    assert first == pytest.approx(-0.25) and second == pytest.approx(-0.1875)
 
 
 def test_it_is_added_to_each_candidates_own_errors():

@@ -7,7 +7,8 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
 
-from hts.config import EnvConfig, FinetuneConfig, PPOConfig, RandomisationConfig
+from hts.config import CommandConfig, EnvConfig, FinetuneConfig, PPOConfig, RandomisationConfig
+from hts.envs.commands import Commands
 from hts.errors import SimulationError
 from hts.policies.files import load_policy
 from hts.rl.population import Population
@@ -105,6 +106,19 @@ def test_finetuning_holds_a_velocity_robots_speed_and_goes_on_from_a_checkpoint(
             tune(tmp_path / "checkpoint")
     monkeypatch.undo()
     assert tune(tmp_path / "checkpoint").history == whole.history
+
+
+def test_the_trend_tells_a_policy_that_walks_at_one_speed_whatever_it_is_told():
+    commands = Commands(CommandConfig(vx=(0.2, 1.4)), (1, 5), 0.02, torch.device("cpu"))
+    commands.value[0, :, 0] = torch.tensor([0.4, 0.85, 1.3, 0.85, 0.2])
+    seconds = torch.tensor([[9.0, 9.0, 9.0, 0.5, 9.0]])  # the fourth has just been stood up, the fifth hardly moves
+    same, held = torch.full((1, 5), 0.85), commands.value[..., 0].clone()
+    error, trend = commands.speed_error(same, seconds), commands.speed_error_trend(same, seconds)
+    assert error[0, 0] > 1.0 and error[0, 2] < -0.3
+    places = torch.tensor([(0.4 - 0.85) / 0.55, 0.0, (1.3 - 0.85) / 0.55])
+    torch.testing.assert_close(trend[0, :3], error[0, :3] * places)
+    assert (trend[0, [0, 2]] < 0).all() and (trend[0, 3:] == 0).all()
+    assert (commands.speed_error_trend(held, seconds).abs() < 1e-6).all()
 
 
 def test_a_channel_that_the_env_does_not_write_is_refused():

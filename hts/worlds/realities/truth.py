@@ -199,7 +199,7 @@ def _entry(objective: Objective, sessions: Sequence[Means], speed: float) -> dic
 
     tables = [[np.array([[one[role][name] for name in names]]) for one in sessions] for role in ROLES]
     whole = compared(*(np.concatenate(table).mean(axis=0) for table in tables))
-    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, *tables)
+    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, tables[0], tables[1])
 
     def over(role: str, name: str) -> np.ndarray:
         return np.array([one[role][name] for one in sessions])
