@@ -39,9 +39,9 @@ def check_motion(
     moving = np.flatnonzero((slope.std(0) > MOVING) & (velocity.std(0) > MOVING))
     if not len(moving):
         return
-    (slopes, slope_size), (velocities, size) = _standard(slope[:, moving]), _standard(velocity[:, moving])
-    alike = slopes.T @ velocities / len(position)  # [position's joint, velocity's joint]
-    own, ratio = np.median(np.diag(alike)), float(np.median(size / slope_size))
+    (slopes, slope_spread), (speeds, speed_spread) = _standard(slope[:, moving]), _standard(velocity[:, moving])
+    alike = slopes.T @ speeds / len(position)  # [position's joint, velocity's joint]
+    own, ratio = np.median(np.diag(alike)), float(np.median(speed_spread / slope_spread))
     hint = ""
     if own < -ALIKE:
         hint = "one of them is counted the other way: say sign: -1"
