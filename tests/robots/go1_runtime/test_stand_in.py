@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,12 +69,12 @@ def test_a_line_loses_and_delays_the_shares_it_is_told_to():
     line._socket.close()
 
 
-@pytest.mark.slow
-def test_a_visit_over_a_bad_line_ends_with_logs_that_hts_reads(bundle):
+def visit(bundle: Path, *options: str) -> None:
+    """The runtime in one process, the stand-in with a bad line in another, in lockstep."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
-    options = ["--reality", "dev-03", "--lockstep", "--loss", "0.02", "--late", "0.02"]
+    line = ["--reality", "dev-03", "--lockstep", "--loss", "0.02", "--late", "0.02"]
     robot = subprocess.Popen(
-        [sys.executable, "-W", "ignore", "-m", "hts_go1_stand_in", "--port", "0", *options],
+        [sys.executable, "-W", "ignore", "-m", "hts_go1_stand_in", "--port", "0", *line],
         stdout=subprocess.PIPE,
         text=True,
         env=environment,
@@ -81,7 +83,7 @@ def test_a_visit_over_a_bad_line_ends_with_logs_that_hts_reads(bundle):
         port = robot.stdout.readline().split(":")[1].split(",")[0]
         command = ["run", str(bundle), "--link", f"udp://127.0.0.1:{port}", "--lockstep", "--yes", "--mass", "12.2"]
         done = subprocess.run(
-            [sys.executable, "-m", "hts_go1_runtime", *command, "--idle-seconds", "1", "--warmup", "2"],
+            [sys.executable, "-m", "hts_go1_runtime", *command, *options],
             env=environment,
             capture_output=True,
             text=True,
@@ -93,6 +95,11 @@ def test_a_visit_over_a_bad_line_ends_with_logs_that_hts_reads(bundle):
         robot.wait()
         robot.stdout.close()
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_a_visit_over_a_bad_line_ends_with_logs_that_hts_reads(bundle):
+    visit(bundle, "--idle-seconds", "1", "--warmup", "2")
     registry = plugins.load()
     for name in ("00", "01"):
         mapping = load_mapping(bundle / "logs" / "mappings" / f"{name}.yaml")
@@ -104,3 +111,17 @@ def test_a_visit_over_a_bad_line_ends_with_logs_that_hts_reads(bundle):
     packets = next(one for one in said if one["what"] == "figures")["packets"]
     assert packets["lost"] > 0
     assert packets["late"] > 0
+
+
+@pytest.mark.slow
+def test_in_lockstep_two_visits_with_one_seed_give_one_log(bundle):
+    tables = []
+    for _ in range(2):
+        visit(bundle, "--idle-seconds", "0", "--warmup", "0", "--rows", "00")
+        with (bundle / "logs" / "00.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        tables.append([{name: value for name, value in row.items() if name != "step_ms"} for row in rows])
+        for path in (bundle / "logs" / "00.csv", bundle / "logs" / "held.json"):
+            path.unlink()
+    assert len(tables[0]) == 50
+    assert tables[0] == tables[1]
