@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from hts.atomic import atomic_write
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError, RunError, unknown_name
 
@@ -40,8 +40,7 @@ def export_policy(folder: Path | None, policy: str, format: str, to: Path, robot
         trial = Path(beside) / to.name
         written = export.to_onnx(found, trial) if format == "onnx" else export.to_torchscript(found, trial)
         check_export(found, written, format, observations)
-        os.replace(written, to)
-    return to
+        return atomic_write(to, written.read_bytes())
 
 
 def given_file(policy: str | Path, endings: Sequence[str]) -> Path:
