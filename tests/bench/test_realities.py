@@ -496,3 +496,17 @@ def test_the_commit_is_what_is_said_else_what_git_says(command, monkeypatch, tmp
     monkeypatch.setattr(command, "REPOSITORY", tmp_path)  # no git there
     with pytest.raises(ConfigError, match="Say it: --commit"):
         command.commit_of(None)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_tiny_oracle_gets_a_line_that_says_what_it_is(tmp_path):
+    small = ["finetune.steps=48", "finetune.num_envs=4", "finetune.ppo.horizon=12", "sweep.weights.power=[1.0]"]
+    small += ["simulation_test.num_envs=2", "simulation_test.seconds=3", "world.block_seconds=3"]
+    made = jobs(methods=["oracle"], realities=["dev-03"], settings=small)
+    slots, lines = [Slot(tuple(sorted(os.sched_getaffinity(0))), "")], tmp_path / "lines.jsonl"
+    assert run_batch(made, slots, folders=tmp_path / "runs", lines=lines, known=[], batch="b") == 0
+    (found,) = read_lines([lines])
+    assert found.result.note == "oracle: saw inside the reality; no method"
+    assert found.result.tried[0].kl_bound is None and found.result.candidates == 1
+    assert groups_of([found])[0].saw_inside
