@@ -36,17 +36,19 @@ def ablation(groups: Sequence[Group], against: str = "ours") -> str:
     for group in others:
         kind = "chosen" if _held(group) == _held(whole) else "open_loop"
         ours, theirs = whole.values(kind=kind), group.values(kind=kind)
-        found = paired(theirs, ours)
+        gap = paired(theirs, ours)
         shared = {
-            name: [mean(map(float, theirs[name])) - mean(map(float, ours[name]))] for name in theirs if name in ours
-        }  # type: ignore[arg-type]
+            name: difference(_runs(group, name), _runs(whole, name), whole.objective, kind)
+            for name in theirs
+            if name in ours
+        }
         rows.append(
             [
                 group.name + (" (at equal commands)" if kind == "open_loop" else ""),
-                with_interval(found, show),
-                f"{sum(value[0] < 0 for value in shared.values())} of {len(shared)}",
+                with_interval(gap, show),
+                f"{sum(one < 0 for one, _ in shared.values())} of {len(shared)}",
                 f"{group.count_refused() - whole.count_refused():+d}",
-                *(_cell(group, whole, name, kind) if name in shared else NONE for name in names),
+                *(_cell(group, *shared[name]) if name in shared else NONE for name in names),
             ]
         )
     head = ["method", f"less {against}: mean over realities, 95 %", "worse on", "more speeds refused", *names]
@@ -61,11 +63,9 @@ def _held(group: Group) -> bool:
     return not outcomes or any(one.held is not None for one in outcomes)
 
 
-def _cell(group: Group, whole: Group, reality: str, kind: str) -> str:
-    show = differences(group.unit)
-    found, width = difference(_runs(group, reality), _runs(whole, reality), group.objective, kind)
+def _cell(group: Group, gap: float, width: float | None) -> str:
+    value, unit = differences(group.unit)(gap).rsplit(" ", 1)
     bounds = "" if width is None else f" ± {differences(group.unit, signed=False)(width).rsplit(' ', 1)[0]}"
-    value, unit = show(found).rsplit(" ", 1)
     return f"{value}{bounds} {unit}"
 
 

@@ -146,7 +146,7 @@ def doubt(groups: Sequence[Group]) -> str:
                 ratio(within[1]),
                 ratio(within[2]),
                 number(float(np.sqrt((errors**2).mean() / (spreads**2).mean()))),
-                number(spearman(spreads, errors)),
+                number(spearman(spreads.tolist(), errors.tolist())),
                 _percent(float(errors[spreads <= low].mean())),
                 _percent(float(errors[spreads >= high].mean())),
             ]

@@ -41,7 +41,8 @@ def interval_of(
     named = [_by_session(*one) for one in (policy, reference)]
     common = [name for name in named[0] if name in named[1]]
     if len(common) > 1:
-        return over_sessions(statistic, *([found[name] for name in common] for found in named), level=level)
+        first, second = ([found[name] for name in common] for found in named)
+        return over_sessions(statistic, first, second, level)
     blocks = [
         [table[found.block == number] for number in np.unique(found.block)] for found, table in (policy, reference)
     ]
