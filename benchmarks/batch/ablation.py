@@ -11,9 +11,8 @@ so a held and an open-loop figure are not of one kind.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from statistics import mean, variance
-from typing import Any
 
 from scipy import stats
 
@@ -28,8 +27,8 @@ def ablation(groups: Sequence[Group], against: str = "ours") -> str:
     """Rows: methods, each less the whole; columns: over realities, then each reality with its interval."""
     whole = next((group for group in groups if group.name == against), None)
     if whole is None:
-        known = ", ".join(group.name for group in groups)
-        raise EvaluationError(f"No line is of '{against}', which the others are held against. There are: {known}.")
+        found = ", ".join(group.name for group in groups)
+        raise EvaluationError(f"No line is of '{against}', which the others are held against. There are: {found}.")
     others = [group for group in groups if group is not whole and set(group.values()) & set(whole.values())]
     names = [name for name in whole.values() if any(name in group.values() for group in others)]
     show = differences(whole.unit)
@@ -37,15 +36,19 @@ def ablation(groups: Sequence[Group], against: str = "ours") -> str:
     for group in others:
         kind = "chosen" if _held(group) == _held(whole) else "open_loop"
         ours, theirs = whole.values(kind=kind), group.values(kind=kind)
-        found = paired(theirs, ours)
-        shared = {name: _over_seeds(theirs[name]) - _over_seeds(ours[name]) for name in theirs if name in ours}
+        gap = paired(theirs, ours)
+        shared = {
+            name: difference(_runs(group, name), _runs(whole, name), whole.objective, kind)
+            for name in theirs
+            if name in ours
+        }
         rows.append(
             [
                 group.name + (" (at equal commands)" if kind == "open_loop" else ""),
-                with_interval(found, show),
-                f"{sum(value < 0 for value in shared.values())} of {len(shared)}",
+                with_interval(gap, show),
+                f"{sum(one < 0 for one, _ in shared.values())} of {len(shared)}",
                 f"{group.count_refused() - whole.count_refused():+d}",
-                *(_cell(group, whole, name, kind) if name in shared else NONE for name in names),
+                *(_cell(group, *shared[name]) if name in shared else NONE for name in names),
             ]
         )
     head = ["method", f"less {against}: mean over realities, 95 %", "worse on", "more speeds refused", *names]
@@ -60,11 +63,9 @@ def _held(group: Group) -> bool:
     return not outcomes or any(one.held is not None for one in outcomes)
 
 
-def _cell(group: Group, whole: Group, reality: str, kind: str) -> str:
-    show = differences(group.unit)
-    found, width = difference(_runs(group, reality), _runs(whole, reality), group.objective, kind)
+def _cell(group: Group, gap: float, width: float | None) -> str:
+    value, unit = differences(group.unit)(gap).rsplit(" ", 1)
     bounds = "" if width is None else f" ± {differences(group.unit, signed=False)(width).rsplit(' ', 1)[0]}"
-    value, unit = show(found).rsplit(" ", 1)
     return f"{value}{bounds} {unit}"
 
 
@@ -101,8 +102,3 @@ def _half_width(result: Result, objective: str, kind: str) -> float | None:
             return None
         squares += ((one.improvement_ci95[1] - one.improvement_ci95[0]) / 2) ** 2
     return math.sqrt(squares) / len(result.asked_speeds)
-
-
-def _over_seeds(values: Iterable[Any]) -> float:
-    """Mean of a reality's seeds."""
-    return mean([float(one) for one in values])

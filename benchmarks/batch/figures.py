@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+TAIL = 1.05
 COLOURS = (ACCENT, WARN, "#3a5a98", "#7a4a8c", "#5b7f2b", SOFT)
 
 
@@ -95,7 +96,8 @@ def robot_time(groups: Sequence[Group]) -> Figure | None:
         last = float(np.median([one.samples[-1] for runs in found.values() for one in runs]))
         end = population(group.values(), quantile(0.5)).estimate
         kept = samples <= max(last, samples[1])
-        x, y = np.append(samples[kept], last) / 1000, factor * np.append(heights[kept], heights[kept][-1])
+        x = np.append(samples[kept], TAIL * last) / 1000  # a stretch behind the last step, so that its height shows
+        y = factor * np.append(heights[kept], heights[kept][-1])
         panel.step(x, y, where="post", color=_colour(row), label=group.name, linewidth=1.6)
         panel.plot([last / 1000], [factor * end], "D", color=_colour(row), markerfacecolor="white", markersize=6)
     if not drawn:
@@ -138,8 +140,11 @@ def doubt(groups: Sequence[Group]) -> Figure | None:
     left.set_title("Promised (open) and measured (full)")
     left.set_xlabel(f"improvement, mean over what was tried, {unit}")
     right.set_title("Error of a level against its doubt")
-    right.set_xlabel("standard deviation that the model gave, % of the level")
+    right.set_xlabel("standard deviation by the model, % of the level")
     right.set_ylabel("error of the mean, % of the level")
+    for row, group in enumerate(groups):
+        left.plot([], [], "o", color=_colour(row), markersize=3.5, label=group.name)
+    drawing.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=len(groups))
     limit = max(right.get_xlim()[1], 1e-6)
     for times, style in ((1, "-"), (2, "--")):
         label = f"{times} standard deviation{'s' if times > 1 else ''}"

@@ -41,8 +41,8 @@ def interval_of(
     named = [_by_session(*one) for one in (policy, reference)]
     common = [name for name in named[0] if name in named[1]]
     if len(common) > 1:
-        mine, other = ([found[name] for name in common] for found in named)
-        return over_sessions(statistic, mine, other, level)
+        first, second = ([found[name] for name in common] for found in named)
+        return over_sessions(statistic, first, second, level)
     blocks = [
         [table[found.block == number] for number in np.unique(found.block)] for found, table in (policy, reference)
     ]

@@ -197,9 +197,9 @@ def _entry(objective: Objective, sessions: Sequence[Means], speed: float) -> dic
     def compared(policy: np.ndarray, reference: np.ndarray) -> Any:
         return objective.compare(*(dict(zip(names, map(float, one), strict=True)) for one in (policy, reference)))
 
-    tables = [[np.array([[one[role][name] for name in names]]) for one in sessions] for role in ROLES]
-    whole = compared(*(np.concatenate(table).mean(axis=0) for table in tables))
-    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, tables[0], tables[1])
+    first, second = ([np.array([[one[role][name] for name in names]]) for one in sessions] for role in ROLES)
+    whole = compared(np.concatenate(first).mean(axis=0), np.concatenate(second).mean(axis=0))
+    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, first, second)
 
     def over(role: str, name: str) -> np.ndarray:
         return np.array([one[role][name] for one in sessions])
