@@ -118,7 +118,8 @@ class Robot(ABC):
 
     The value is an error that matters, above 0, in the channel's unit: a mean that far from zero is answered at once
     (`hts.rl.EqualityMultiplier`). The velocity task holds `speed_error`, a share of the command, with 0.02: 2 % of the
-    speed, and its trend over commands. `make_env` is asked for such a channel like for any other; recordings need not have it."""
+    speed, and its trend over commands. `make_env` is asked for such a channel like for any other; recordings need not
+    have it."""
 
     @abstractmethod
     def mjcf(self) -> Any | None:

@@ -63,6 +63,8 @@ def gate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     for line in lines:
         job.stages.progress.say(f"iteration {iteration:02d}: {line}")
     settings = job.config.gate
+    for name, row in rows.items():
+        job.note_gate(name, {"instances": trials.instances, "set_points": list(trials.set_points), **row})
     return {
         "format": FORMAT,
         "checks": list(trials.checks),

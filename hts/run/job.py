@@ -126,6 +126,10 @@ class Job:
         """The ONNX file of a policy of this run."""
         return self.policy_path(name).with_suffix(".onnx")
 
+    def note_gate(self, name: str, found: Mapping[str, Any]) -> None:
+        """What the gate found of a policy, beside its ONNX file: worlds that are machines pass it on."""
+        write_json(self.exported(name).with_suffix(".gate.json"), found)
+
     # ---------------------------------------------------------------------------------------- world and recordings
 
     @cached_property

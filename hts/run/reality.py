@@ -18,7 +18,7 @@ from hts.evaluation.final import (
 from hts.evaluation.held import ask_to_hold
 from hts.recordings.recording import Recording
 from hts.run.job import Job
-from hts.run.stages import write_json
+from hts.run.stages import read_json, write_json
 
 Report = Callable[[float], None]
 
@@ -41,6 +41,9 @@ def final(job: Job, best: str, report: Report) -> dict[str, Any]:
     """
     config = job.config
     job.save("best", job.policy(best))
+    gate = job.exported(best).with_suffix(".gate.json")
+    if gate.exists():
+        job.note_gate("best", read_json(gate))
     if best == "pretrained":
         return {"policy": best, "objectives": {}, "recordings": [], "samples": 0}
     held: list[Recording] = []

@@ -15,9 +15,11 @@ import yaml
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import VELOCITY, FollowVelocity, RobotSpec, Task
+from hts.errors import WorldError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
-from hts.worlds.field_manifest import FIRST_RUNS, Facts, manifest, policy_entry
+from hts.policies.proof import unproven
+from hts.worlds.field_manifest import Facts, first_runs, manifest, policy_entry
 
 UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
 CHECKSUMS = "SHA256SUMS"
@@ -67,9 +69,14 @@ def mapping_template(spec: RobotSpec, sim: Mapping[str, Channel], real: Sequence
 
 
 def instructions(
-    orders: Sequence[Order], mapping: Path, command: str, task: Task = VELOCITY, hold: Sequence[str] = ()
+    orders: Sequence[Order],
+    mapping: Path,
+    command: str,
+    task: Task,
+    hold: Sequence[str],
+    first: Mapping[str, float],
 ) -> str:
-    """README of the bundle. hold: lines about holding the speed, where it is to be held."""
+    """README of the bundle. hold: lines about holding the speed, where it is to be held; first: `first_runs`."""
     rows = [
         f"| {order.name} | {order.session} | {order.block} | {order.role} | policies/{order.policy.name} | "
         + ", then ".join(_asked(task, one) for one in order.schedule.commands)
@@ -111,7 +118,7 @@ def instructions(
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
         f"4. Type: `{command}`",
         "",
-        _WATCH,
+        _watch(first),
         "",
     ]
     return "\n".join(lines)
@@ -126,13 +133,15 @@ runtime that comes with the robot's package does the rows by itself, writes `log
 A policy that explores has its noise inside its graph: run it as any other, add none. Each exploring row has a graph of
 its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`."""
 
-_WATCH = f"""\
+
+def _watch(first: Mapping[str, float]) -> str:
+    return f"""\
 ## Before a policy walks for the first time on this machine
 
-Hang the robot or keep a hand on its handle. Walk each new policy for {FIRST_RUNS["seconds"]:g} s at
-{FIRST_RUNS["speed_scale"]:.0%} of the speed with the torque limited to {FIRST_RUNS["torque_scale"]:.0%}, record
-nothing, and look whether it walks as in simulation. `manifest.json` says under `gate` whether it was tried over many
-simulated machines; null: it was not.
+Hang the robot or keep a hand on its handle. Walk each new policy for {first["seconds"]:g} s at
+{first["speed_scale"]:.0%} of the speed with the torque limited to {first["torque_scale"]:.0%}, record nothing, and
+look whether it walks as in simulation. `manifest.json` says under `gate` whether it was tried over many simulated
+machines; null: it was not.
 
 ## What to watch
 
@@ -167,6 +176,24 @@ def write_bundle(
         return
     temporary = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        _fill(temporary, orders, mapping, command, facts, task, hold)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    temporary.rename(folder)
+
+
+def _fill(
+    temporary: Path,
+    orders: Sequence[Order],
+    mapping: Path,
+    command: str,
+    facts: Facts,
+    task: Task,
+    hold: Sequence[str],
+) -> None:
+    """Everything of a bundle into an empty folder."""
     (temporary / "policies").mkdir(parents=True)
     (temporary / "logs").mkdir()
     shown, entries = _write_policies(temporary, orders, facts)
@@ -186,9 +213,10 @@ def write_bundle(
     rows = [{**row, "trim": row.get("trim", False), "policy_hash": hashes[row["policy"]]} for row in plan]
     _write_json(temporary / "plan.json", plan)
     _write_json(temporary / "manifest.json", manifest(facts, entries, rows))
-    (temporary / "README.md").write_text(instructions(shown, mapping, command, task, hold), encoding="utf-8")
+    (temporary / "README.md").write_text(
+        instructions(shown, mapping, command, task, hold, first_runs(facts.run)), encoding="utf-8"
+    )
     (temporary / CHECKSUMS).write_text(checksums(temporary), encoding="utf-8")
-    temporary.rename(folder)
 
 
 def checksums(folder: Path) -> str:
@@ -208,6 +236,12 @@ def _write_policies(folder: Path, orders: Sequence[Order], facts: Facts) -> tupl
     entries, shown = [], []
     for order in orders:
         card = DeployedPolicy(order.policy).card
+        if still_open := unproven(vars(card)):
+            raise WorldError(
+                f"{order.policy}: comes from elsewhere, and nobody has shown or vouched for its "
+                f"{', '.join(still_open)}. It is not bundled for a machine: import it with a log that shows them "
+                "(hts policy import … --log LOG), or put your name to them (--accept ITEM --by NAME), and begin anew."
+            )
         explores = bool(card.exploration_std)
         key = (order.policy, order.name if explores else "")
         if key not in named:

@@ -29,14 +29,12 @@ import yaml
 
 import hts
 from hts.channels import Channel
+from hts.config_gate import FirstRunConfig
 from hts.contracts import HoldSpeed, RobotSpec
 from hts.policies.export import CLIP
 
 SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
 WARMUP_SECONDS = 600.0  # of walking before a head-to-head: windings take about that long
-FIRST_RUNS = {"speed_scale": 0.5, "torque_scale": 0.6, "seconds": 20.0}
-"""Of a policy that never ran on this machine: walk it so first, recording nothing."""
-
 PARTS = {
     "angular_velocity": ("rad/s", "of the trunk, in the trunk frame"),
     "projected_gravity": ("1", "unit vector of gravity in the trunk frame; (0, 0, -1) upright"),
@@ -78,6 +76,12 @@ def run_configuration(folder: Path) -> Mapping[str, Any]:
     return found if isinstance(found, Mapping) else {}
 
 
+def first_runs(run: Mapping[str, Any]) -> dict[str, float]:
+    """How a policy that never ran on this machine is walked first, recording nothing: `gate.first_run` of the run."""
+    said = _inside(run, "gate", "first_run")
+    return FirstRunConfig.model_validate(said if isinstance(said, Mapping) else {}).model_dump()
+
+
 def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The whole manifest. policies: `policy_entry` of each graph; rows: the plan's."""
     spec = facts.spec
@@ -115,7 +119,7 @@ def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence
             for channel in (*facts.sim.values(), *facts.real)
         },
         "warmup_seconds": WARMUP_SECONDS if compared else 0.0,
-        "first_runs": FIRST_RUNS,
+        "first_runs": first_runs(facts.run),
     }
 
 

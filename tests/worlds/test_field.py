@@ -13,8 +13,9 @@ import yaml
 from hts import plugins
 from hts.config import ScheduleConfig
 from hts.contracts import HoldSpeed, WorldContext
-from hts.errors import ConfigError, RecordingError, WaitingForRobot
+from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.policies.deploy import DeployedPolicy
+from hts.policies.proof import ITEMS
 from hts.worlds.base import walking
 from hts.worlds.field import make_field
 
@@ -198,6 +199,7 @@ def test_each_exploring_row_has_a_graph_of_its_own_with_a_noise_of_its_own(run, 
 def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, policy):
     (run / "config.yaml").write_text(
         "finetune: {env: {randomisation: {delay_steps: [1, 2]}, commands: {vx: [0.2, 1.5]}}}\n"
+        "gate: {first_run: {speed_scale: 0.4}}\n"
     )
     policy.with_suffix(".gate.json").write_text('{"passed": true}')
     with pytest.raises(WaitingForRobot):
@@ -210,7 +212,28 @@ def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, p
     assert manifest["channels"]["battery_current"] == {"unit": "A", "size": 0, "real": True}
     text = (bundle(run) / "README.md").read_text()
     assert "## When to stop" in text
-    assert "torque limited to 60%" in text
+    assert "at\n40% of the speed with the torque limited to 70%" in text
+    assert manifest["first_runs"] == {"speed_scale": 0.4, "torque_scale": 0.7, "seconds": 20.0}
+
+
+def test_a_policy_that_nobody_vouches_for_is_not_bundled(run, tmp_path, robot):
+    from hts.policies.export import to_onnx
+    from hts.policies.files import load_policy
+
+    pretrained = load_policy(robot.pretrained_policy())
+    proof = {item: {"state": "proven", "why": "a log", "by": ""} for item in ITEMS}
+
+    def walk(states):
+        card = dataclasses.replace(pretrained.card, made={"kind": "rsl_rl", "proof": states})
+        return to_onnx(dataclasses.replace(pretrained, card=card), tmp_path / "walk.onnx")
+
+    doubtful = {"gains": {"state": "differs", "why": "kp"}, "delay": {"state": "not proven", "why": "no log"}}
+    foreign = walk({**proof, **doubtful})
+    with pytest.raises(WorldError, match=r"shown or vouched for its gains, delay\. It is not bundled.*--accept ITEM"):
+        field(run).collect([foreign], walking(0.5, SECONDS))
+    assert not list(run.rglob("policies"))  # nor half of it
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([walk(proof)], walking(0.5, SECONDS))
 
 
 def test_a_bundle_of_before_is_left_as_it_is_and_read(run, policy, robot):
