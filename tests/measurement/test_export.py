@@ -177,6 +177,15 @@ FAULTS = {
     "would make": lambda card, _: card["programs"]["reward"]["operations"].insert(
         0, ["aten.full.default", [[10**6, 10**6], 0.0], {}]
     ),
+    "sizes are whole numbers": lambda card, _: card["programs"]["reward"]["operations"].insert(
+        0, ["int.mul", [[1], 10**9], {}]
+    ),
+    "more than 64 bits": lambda card, _: card["programs"]["reward"]["operations"].insert(
+        0, ["int.mul", [2**40, 2**40], {}]
+    ),
+    "getitem takes one of several": lambda card, _: card["programs"]["reward"]["operations"].insert(
+        0, ["getitem", [{"value": 0}, 0], {}]
+    ),
     "format version 9": lambda card, _: card.__setitem__("version", 9),
     "no exported measurement model": lambda card, _: card.__setitem__("format", "other"),
     "KeyError": lambda card, _: card.pop("rate_hz"),

@@ -9,7 +9,7 @@ list, never imported or evaluated. Before it runs, it is walked through with ten
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -32,12 +32,35 @@ NAMES = (
     "squeeze.dim squeeze.dims stack.default sub.Scalar sub.Tensor sum.default sum.dim_IntList sym_size.int tan.default "
     "tanh.default unbind.int unsqueeze.default var.correction view.default where.self zeros_like.default"
 )
+
+
+def _of_sizes(operation: Callable[[int, int], int]) -> Callable[[int, int], int]:
+    """Arithmetic on sizes: of whole numbers alone (a list times a million is a list), which stay in 64 bits."""
+
+    def checked(one: int, other: int) -> int:
+        if type(one) is not int or type(other) is not int:
+            raise TypeError(f"sizes are whole numbers, not {type(one).__name__} and {type(other).__name__}")
+        found = operation(one, other)
+        if abs(found) >= 2**63:
+            raise ValueError("a size of more than 64 bits")
+        return found
+
+    return checked
+
+
+def _one_of(several: Sequence[Tensor], index: int) -> Tensor:
+    """One of an operation's results."""
+    if not isinstance(several, list | tuple) or type(index) is not int:
+        raise TypeError("getitem takes one of several results")
+    return several[index]
+
+
 OPERATIONS: dict[str, Any] = {
-    "int.add": operator.add,
-    "int.sub": operator.sub,
-    "int.mul": operator.mul,
-    "int.floordiv": operator.floordiv,
-    "getitem": operator.getitem,
+    "int.add": _of_sizes(operator.add),
+    "int.sub": _of_sizes(operator.sub),
+    "int.mul": _of_sizes(operator.mul),
+    "int.floordiv": _of_sizes(operator.floordiv),
+    "getitem": _one_of,
 }
 for _one in NAMES.split():
     _packet, _overload = _one.split(".")
@@ -75,7 +98,7 @@ class Program:
                 self._steps.append((name, self._checked(list(given), count), self._by_name(named, count)))
                 count += 1
             self._results = self._checked(written["results"], count)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, RecursionError) as error:
             raise ModelFileError(
                 f"{where}: not a program ({type(error).__name__}: {error}). Export the model again."
             ) from error
@@ -111,7 +134,7 @@ class Program:
         bare = {name: value.to("meta") for name, value in self._constants.items()}
         try:
             return self._run([value.to("meta") for value in arguments], bare, torch.device("meta"), MOST_NUMBERS)
-        except (RuntimeError, TypeError, IndexError, ValueError, NotImplementedError, OverflowError) as error:
+        except (RuntimeError, TypeError, IndexError, ValueError, ArithmeticError, AttributeError) as error:
             line = " ".join(str(error).split())[:160]
             raise ModelFileError(f"{self._where}: does not fit together ({line}). Export the model again.") from error
 
