@@ -24,6 +24,11 @@ class GateConfig(Config):
     """Elites are tried over varied dynamics before they are tried for real; docs/safety.md argues each default."""
 
     enabled: bool = Field(True, description="false: only who fell while being judged is kept from a machine")
+    strict: bool | None = Field(
+        None,
+        description="keep from the world who fails, or fell while being judged; false: say it and try them; null: "
+        "strict where the world may be a machine",
+    )
     num_envs: int = Field(16, ge=1, description="env instances per policy and set-point, each with its own dynamics")
     seconds: float = Field(5.0, ge=2.0, description="length of each trial, s")
     friction: tuple[float, float] = Field((0.3, 1.3), description="sliding friction of the floor, 1")

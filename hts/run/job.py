@@ -126,6 +126,12 @@ class Job:
         """The ONNX file of a policy of this run."""
         return self.policy_path(name).with_suffix(".onnx")
 
+    @property
+    def gate_is_strict(self) -> bool:
+        """Whether who fails at the gate is kept from the world. One that does not say what it is may be a machine."""
+        strict = self.config.gate.strict
+        return self.world.simulated is not True if strict is None else strict
+
     def note_gate(self, name: str, found: Mapping[str, Any]) -> None:
         """What the gate found of a policy, beside its ONNX file: worlds that are machines pass it on."""
         write_json(self.exported(name).with_suffix(".gate.json"), found)

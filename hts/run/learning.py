@@ -240,7 +240,7 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         for row in rows
     ]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
-    lenient = job.world.simulated is True and not config.gate.enabled
+    lenient = job.world.simulated is True and not (config.gate.enabled and job.gate_is_strict)
     able = [one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], lenient)]
     elites = selector.elites(able, job.elites(iteration))
     details = {

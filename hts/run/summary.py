@@ -128,7 +128,18 @@ def _with_gate(task: Mapping[str, Any], gated: Mapping[str, Any] | None) -> dict
     """What became of the task, and of the candidates at the gate; nothing of a run without one."""
     if gated is None:
         return dict(task)
-    keys = ("checks", "untold", "accepted_untold", "limits", "proposed", "elites", "kept_out", "first_run", "lines")
+    keys = (
+        "strict",
+        "checks",
+        "untold",
+        "accepted_untold",
+        "limits",
+        "proposed",
+        "elites",
+        "kept_out",
+        "first_run",
+        "lines",
+    )
     told = {key: gated[key] for key in keys}
     refused = [name for name, row in gated["policies"].items() if not row["passed"]]
     return {**task, "warnings": [*task.get("warnings", ()), *gated["lines"]], "gate": {**told, "refused": refused}}

@@ -252,7 +252,7 @@ def outcomes(monkeypatch, fails):
 
 def run(path, **settings):
     with kit_installed():
-        return tiny_run(path, settings={"sweep.kl_bounds": [0.5, 1.0, 2.0], **settings})
+        return tiny_run(path, settings={"sweep.kl_bounds": [0.5, 1.0, 2.0], "gate.strict": True, **settings})
 
 
 def test_who_fails_is_replaced_by_the_next_best_and_never_tried(tmp_path, monkeypatch, capsys):
@@ -287,7 +287,7 @@ def test_where_all_fail_nobody_is_tried_and_the_run_says_so(tmp_path, monkeypatc
 
 
 @pytest.mark.slow
-def test_who_fell_while_being_judged_is_not_tried_in_a_simulated_world_either(tmp_path, monkeypatch):
+def test_who_fell_while_being_judged_is_not_tried(tmp_path, monkeypatch):
     judge = learning._judge
 
     def all_but_the_last_fall(row, *rest):
@@ -299,6 +299,20 @@ def test_who_fell_while_being_judged_is_not_tried_in_a_simulated_world_either(tm
     result = json.loads((tmp_path / "run/iterations/00/gate.json").read_text())
     assert result["elites"] == ["00-02"]
     assert result["kept_out"]["00-00"] == "fell while being judged, in 1 env instance"
+
+
+def test_a_simulated_world_tries_who_fails_and_says_what_a_machine_would_not_get(tmp_path, monkeypatch, capsys):
+    asked = outcomes(monkeypatch, lambda name: name != "pretrained")
+    found = run(tmp_path / "run", **{"gate.strict": None})
+    result = json.loads((tmp_path / "run/iterations/00/gate.json").read_text())
+    (elite,) = result["elites"]
+    assert asked == [[elite], ["pretrained"]]
+    assert result["strict"] is False and result["policies"][elite]["passed"] is False
+    iteration = found.summary["iterations"][0]
+    assert iteration["gate"]["refused"] == [elite]
+    assert next(row for row in iteration["candidates"] if row["id"] == elite)["elite"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"a machine would not get {elite}; this world is simulated, so they are tried" in said
 
 
 @pytest.mark.slow
