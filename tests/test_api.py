@@ -85,7 +85,14 @@ def test_evaluate_passes_on_speeds_policy_world_and_seed(folder, monkeypatch):
 
     monkeypatch.setattr(final, "evaluate_run", lambda place, **given: {"folder": place, **given})
     found = api.evaluate(folder, [0.8], policy="pretrained", seed=1)
-    assert found == {"folder": folder, "speeds": [0.8], "policy": "pretrained", "world": None, "seed": 1}
+    assert found == {
+        "folder": folder,
+        "speeds": [0.8],
+        "policy": "pretrained",
+        "world": None,
+        "seed": 1,
+        "sessions": None,
+    }
 
 
 def test_load_gives_configuration_and_summary_of_a_finished_run(folder):

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
 
-from hts.channels import SPEED_ERROR, SPEED_ERROR_TREND, Channel
+from hts.channels import HELD_CHANNELS, Channel
 from hts.config import EnvConfig
 from hts.contracts import RobotSpec
 from hts.envs.commands import DRAWS, Commands, WalksAsTold
@@ -343,10 +343,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
             return self._sensors[..., self._torques if name == "joint_torque" else self._touch]
         if name == "command":
             return self.commands.value
-        if name == SPEED_ERROR.name:
-            return self.commands.speed_error(self._velocity[..., 0], self.steps * self.dt)
-        if name == SPEED_ERROR_TREND.name:
-            return self.commands.speed_error_trend(self._velocity[..., 0], self.steps * self.dt)
+        if name in HELD_CHANNELS:  # a method of the commands each
+            return getattr(self.commands, name)(self._velocity[..., 0], self.steps * self.dt)
         return getattr(self, CHANNEL_FIELDS[name])
 
     # ------------------------------------------------------------------------------------- saving the whole state

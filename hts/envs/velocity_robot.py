@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from hts.channels import SPEED_ERROR, SPEED_ERROR_TREND
 from hts.contracts import Robot
+from hts.errors import ConfigError
 
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase
@@ -36,4 +37,9 @@ class VelocityRobot(Robot):
         """The velocity task, see `Robot.make_env`. Raises ConfigError for a robot without a model or a wrong engine."""
         from hts.envs.make_velocity import make_velocity_env
 
+        if self.mjcf() is None:
+            raise ConfigError(
+                f"Robot '{self.spec.name}' is log-only: it has no model, so there is nothing to train in. `hts import` "
+                "and `hts fit` are for it."
+            )
         return make_velocity_env(self, engine, num_candidates, num_envs, config, channels, seeds)

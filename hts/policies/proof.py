@@ -144,7 +144,7 @@ def unproven(card: Any) -> list[str]:
 
     Empty for a policy that was trained here. A policy made from an imported one (`made.start`) is as unproven as that.
     """
-    made = card.get("made") if isinstance(card, Mapping) else getattr(card, "made", None)
+    made = card.get("made") if isinstance(card, Mapping) else card.made
     open_items: list[str] = []
     seen = 0
     while isinstance(made, Mapping) and seen < 100:

@@ -158,6 +158,8 @@ class LogMapping(Config):
         if self.cut is not None and not self.cut[0] < self.cut[1]:
             raise ValueError(f"cut is {list(self.cut)}; its end must come after its beginning")
         for name, channel in self.channels.items():
+            if channel.columns == ():
+                raise ValueError(f"channel '{name}': columns are none; name one at least")
             if channel.sum and follows_joints(name, channel):
                 raise ValueError(f"channel '{name}' follows the joints, so it is no `sum`; say per_joint: false")
             if channel.limits is not None and not channel.limits[0] < channel.limits[1]:

@@ -18,11 +18,14 @@ def compile_model(robot: Robot) -> mujoco.MjModel:
     """The robot's nominal model at its training time step. Raises ConfigError for a robot without one."""
     root = robot.mjcf()
     if root is None:
-        raise ConfigError(
-            f"Robot '{robot.spec.name}' has no model to simulate here: it is log-only (then `hts import` and `hts fit` "
-            "are for it) or brings an env of its own (then `hts run` and `hts evaluate` use that). What plays or "
-            "compares the velocity task needs its mjcf()."
-        )
+        if type(robot).make_env is Robot.make_env:
+            why = "it is log-only, for `hts import` and `hts fit`."
+        else:
+            why = (
+                "it brings an env of its own, which is what `hts run` and `hts evaluate` use. What plays or compares "
+                "the velocity task needs its mjcf()."
+            )
+        raise ConfigError(f"Robot '{robot.spec.name}' has no model to simulate here: {why}")
     model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
     model.opt.timestep = robot.spec.physics_dt
     return model

@@ -118,7 +118,7 @@ def instructions(
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
         f"4. Type: `{command}`",
         "",
-        _watch(first),
+        _watch(first, task),
         "",
     ]
     return "\n".join(lines)
@@ -134,14 +134,15 @@ A policy that explores has its noise inside its graph: run it as any other, add 
 its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`."""
 
 
-def _watch(first: Mapping[str, float]) -> str:
+def _watch(first: Mapping[str, float], task: Task) -> str:
+    walks = isinstance(task, FollowVelocity)
     return f"""\
-## Before a policy walks for the first time on this machine
+## Before a policy {"walks" if walks else "moves"} for the first time on this machine
 
-Hang the robot or keep a hand on its handle. Walk each new policy for {first["seconds"]:g} s at
-{first["speed_scale"]:.0%} of the speed with the torque limited to {first["torque_scale"]:.0%}, record nothing, and
-look whether it walks as in simulation. `manifest.json` says under `gate` whether it was tried over many simulated
-machines; null: it was not.
+Hang the robot or keep a hand on its handle. {"Walk" if walks else "Run"} each new policy for {first["seconds"]:g} s at
+{first["speed_scale"]:.0%} of the {"speed" if walks else "set-point"} with the torque limited to
+{first["torque_scale"]:.0%}, record nothing, and look whether it {"walks" if walks else "moves"} as in simulation.
+`manifest.json` says under `gate` whether it was tried over many simulated machines; null: it was not.
 
 ## What to watch
 

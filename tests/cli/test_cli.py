@@ -17,6 +17,7 @@ import typer
 from hts.cli.commands import COMMANDS
 from hts.cli.main import main
 from hts.cli.one_line import disk_fault, resumable
+from hts.config_loading import dump_config, load_config
 from hts.errors import RunError, WaitingForRobot
 
 FAKES = """
@@ -175,7 +176,8 @@ def test_resume_wants_a_run_folder(fake_run, tmp_path, capsys):
     assert "there is no such folder" in one_line_of(capsys)
     assert main(["resume", str(tmp_path)]) == 2
     assert "no config.yaml" in one_line_of(capsys)
-    (tmp_path / "config.yaml").write_text("")
+    resolved = load_config(objectives=["anything"], robot="go1", preset="smoke")
+    (tmp_path / "config.yaml").write_text(dump_config(resolved))
     assert main(["resume", str(tmp_path)]) == 0
     assert fake_run.calls == [tmp_path]
 

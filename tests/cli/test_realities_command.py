@@ -56,7 +56,7 @@ def test_check_says_whether_a_reality_agrees_with_the_facts(capsys, monkeypatch,
 
 
 def test_a_folder_that_holds_other_things_is_not_drawn_into(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "exported_policy", lambda robot, folder: folder / "p.onnx")
+    monkeypatch.setattr(batch, "exported_policy", lambda robot, folder, file=None: folder / "p.onnx")
     (tmp_path / "mine.txt").write_text("x")
     assert main(["realities", "draw", "--count", "1", "--seed", "s", "--robot", "go1", "--out", str(tmp_path)]) == 2
     said = capsys.readouterr().err.strip()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib.util
 import os
 import random
@@ -204,7 +205,7 @@ KEYS = [
 @given(key=st.sampled_from(KEYS), value=VALUES, inside=st.booleans())
 def test_any_value_in_a_mapping_is_read_or_one_line(tmp_path, two_joints, mapping, key, value, inside):
     log = table.case(tmp_path, 1)
-    path = log.write()
+    path, mapping = log.write(), copy.deepcopy(mapping)  # one fixture for all examples
     if inside:
         mapping["channels"]["draw"][key if key in ("file", "limits") else "columns"] = value
     else:

@@ -247,7 +247,7 @@ def start_race(folder: Path, **settings) -> None:
         **settings,
     }
     path.write_text(yaml.safe_dump(config))
-    for stage in ("iterations/00/simulate", "iterations/00/test", "final", "summary"):
+    for stage in ("iterations/00/simulate", "iterations/00/gate", "iterations/00/test", "final", "summary"):
         (folder / f"{stage}.json").unlink()
     (folder / "report.html").unlink()
 

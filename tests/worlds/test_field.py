@@ -212,7 +212,7 @@ def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, p
     assert manifest["channels"]["battery_current"] == {"unit": "A", "size": 0, "real": True}
     text = (bundle(run) / "README.md").read_text()
     assert "## When to stop" in text
-    assert "at\n40% of the speed with the torque limited to 70%" in text
+    assert "40% of the speed with the torque limited to\n70%" in text
     assert manifest["first_runs"] == {"speed_scale": 0.4, "torque_scale": 0.7, "seconds": 20.0}
 
 

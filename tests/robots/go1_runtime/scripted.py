@@ -11,11 +11,14 @@ from hts_go1_runtime.fake import standing
 from hts_go1_runtime.link import Command, Counts, Link, State
 
 STATE_SECONDS = 0.004
+LAG = 0.05  # s
 
 
 class ScriptedLink(Link):
-    """The robot stands where it is told to; it walks at 0.9 of the command of `speed`. spoil(state) may change a state,
-    or return None: it is lost."""
+    """The joints go where they are told to, within some LAG; the robot walks at 0.9 of the command of `speed`.
+
+    spoil(state) may change a state, or return None: it is lost.
+    """
 
     simulated = True
 
@@ -24,6 +27,7 @@ class ScriptedLink(Link):
         self._spoil, self._clock, self._sequence = spoil, 0.0, 0
         self._command: Command | None = None
         self.speed = 0.0
+        self._pose: np.ndarray | None = None
         self._random = np.random.default_rng(0)
 
     def now(self) -> float:
@@ -33,13 +37,16 @@ class ScriptedLink(Link):
         self._clock += STATE_SECONDS
         self._sequence += 1
         state = standing(self._sequence, self._clock)
-        pose = state.q if self._command is None or not self._command.kp.any() else self._command.q
+        wanted = state.q if self._command is None or not self._command.kp.any() else self._command.q
+        pose = wanted if self._pose is None else self._pose
+        velocity = (wanted - pose) / LAG
+        self._pose = pose = pose + STATE_SECONDS * velocity
         state = dataclasses.replace(
             state,
             received=self._clock,
-            q=pose + 1e-3 * self._random.standard_normal(12),
+            q=pose + 1e-4 * self._random.standard_normal(12),
             tau=self._random.standard_normal(12),
-            dq=0.1 * self._random.standard_normal(12),
+            dq=velocity + 0.01 * self._random.standard_normal(12),
             velocity=np.array([self.speed, 0.0, 0.0]) + 1e-3 * self._random.standard_normal(3),
             current=3.0 + 0.1 * self._random.standard_normal(),
             voltage=22.0 + 0.01 * self._random.standard_normal(),
