@@ -7,7 +7,7 @@ from statistics import mean, median
 
 import numpy as np
 
-from batch.groups import Group, chosen
+from batch.groups import Group, chosen, saving
 from batch.lines import Result, Tried
 from hts.errors import EvaluationError
 from hts.evaluation.population import Population, Values, paired, population, quantile, spread
@@ -240,6 +240,23 @@ def samples(groups: Sequence[Group]) -> str:
     return table(["method", "first data", "selection", "final", "all real samples", "minutes of computing"], rows)
 
 
+def seeds(groups: Sequence[Group]) -> str:
+    """Run by run: the saving at each speed, what was refused, and minutes of computing; the mean of each method's."""
+    show, speeds, rows = shown(groups[0].unit), groups[0].speeds, []
+    for group in groups:
+        runs = sorted(group.results, key=lambda one: (one[0].reality, one[0].seed))
+        figures = [[saving(result, group.objective, speed) for speed in speeds] for _, result in runs]
+        for (line, result), row in zip(runs, figures, strict=True):
+            outcome = result.objectives.get(group.objective)
+            refused = ", ".join(outcome.refused) if outcome is not None and outcome.refused else "none"
+            minutes = f"{result.seconds['total'] / 60:.1f}"
+            rows.append([group.name, line.reality, str(line.seed), *map(show, row), refused, minutes])
+        if len(runs) > 1:
+            means = [show(float(one)) for one in np.mean(figures, axis=0)]
+            rows.append([group.name, "**mean**", "", *(f"**{one}**" for one in means), "", ""])
+    return table(["method", "reality", "seed", *(f"{one} m/s" for one in speeds), "refused", "minutes"], rows)
+
+
 def variation(groups: Sequence[Group]) -> str:
     """How much of the scatter is the realities', how much the seeds'."""
     rows = []
@@ -318,6 +335,7 @@ TABLES: dict[str, Callable[[Sequence[Group]], str]] = {
     "open-loop": open_loop,
     "prediction": prediction,
     "samples": samples,
+    "seeds": seeds,
     "variation": variation,
 }
 """By name; `pairs` and `ablation` take the method they are against besides."""

@@ -397,6 +397,14 @@ def test_figures_are_drawn_and_the_same_lines_give_the_same_bytes(tmp_path):
     assert [path.read_bytes() for path in made] == [path.read_bytes() for path in again]
 
 
+def test_runs_stand_one_by_one_with_their_mean():
+    rows = [line(reality="default", seed=seed, saved=(0.1 * (seed + 1),) * 3) for seed in (1, 0)]
+    shown = tables.TABLES["seeds"](groups_of(rows)).splitlines()
+    assert shown[0].startswith("| method | reality | seed | 0.5 m/s | 0.8 m/s | 1.1 m/s | refused | minutes |")
+    assert [row.split(" | ")[2:4] for row in shown[2:4]] == [["0", "10.0 %"], ["1", "20.0 %"]]
+    assert "| **mean** |" in shown[4] and "**15.0 %**" in shown[4]
+
+
 # ------------------------------------------------------------------------------------------------ numbers in pages
 
 
