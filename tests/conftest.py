@@ -14,8 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from hts.testing.packages import write_package
+
+# The same examples everywhere: what a search finds is for the one who searches, not for whoever runs the tests next.
+settings.register_profile("same", derandomize=True, database=None)
+settings.register_profile("search", settings.get_profile("default"))
+settings.load_profile(os.environ.get("HTS_HYPOTHESIS", "same"))
 
 # One thread each: tests run side by side on few cores. Set before torch is imported anywhere.
 os.environ.setdefault("OMP_NUM_THREADS", "1")

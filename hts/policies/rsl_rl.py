@@ -46,14 +46,20 @@ def weights_of(path: Path) -> Mapping[str, Any]:
     if path.stat().st_size > LARGEST_FILE:
         raise PolicyError(f"{path}: has more than {LARGEST_FILE >> 20} MB; no such policy has.")
     if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            if sum(entry.file_size for entry in archive.infolist()) > LARGEST_FILE:
-                raise PolicyError(f"{path}: unpacks to more than {LARGEST_FILE >> 20} MB; no such policy does.")
-            if any(name.endswith("constants.pkl") for name in archive.namelist()):
-                raise PolicyError(
-                    f"{path}: a TorchScript file. That is a program, and loading it would run it. "
-                    "Use the checkpoint it was exported from, or a .safetensors or .onnx of the policy."
-                )
+        try:
+            with zipfile.ZipFile(path) as archive:
+                entries = archive.infolist()
+        except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+            raise PolicyError(
+                f"{path}: a damaged archive ({error}). Copy it again from where it was trained."
+            ) from error
+        if sum(entry.file_size for entry in entries) > LARGEST_FILE:
+            raise PolicyError(f"{path}: unpacks to more than {LARGEST_FILE >> 20} MB; no such policy does.")
+        if any(entry.filename.endswith("constants.pkl") for entry in entries):
+            raise PolicyError(
+                f"{path}: a TorchScript file. That is a program, and loading it would run it. "
+                "Use the checkpoint it was exported from, or a .safetensors or .onnx of the policy."
+            )
     try:
         data = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many classes, one for each way a file can be broken or unsafe

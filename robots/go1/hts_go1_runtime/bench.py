@@ -89,7 +89,10 @@ def stopped(policy: Policy, fault: str, at: float) -> tuple[float, str]:
             os.close(writing)
             said = _end(robot, loop)
         failed = hung if fault == LATE else said["failed"]
-        assert failed is not None
+        if failed is None:
+            raise RuntimeFault(
+                f"{fault}: stopped for '{reason}' before the fault came. This machine is too busy to measure stops on."
+            )
         return said["damped"] - failed, reason
 
 
