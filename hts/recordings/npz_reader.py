@@ -10,22 +10,19 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from hts.config import Config
-from hts.contracts import LogReader, Robot
 from hts.errors import RecordingError
-from hts.recordings.logs import LogMapping, Table, recording_from_tables, recordings_from_tables, table_of
-from hts.recordings.mapping import parse_mapping
-from hts.recordings.recording import Recording
+from hts.recordings.logs import LogMapping, Table, table_of
 from hts.recordings.table import ColumnName, no_column
+from hts.recordings.table_reader import TableReader
 
 if TYPE_CHECKING:
-    from hts.contracts import Settings
+    from hts.contracts import LogReader, Settings
 
 MOST_BYTES = 1 << 30
 """Of one array: a hundred numbers at 1 kHz for twenty minutes."""
@@ -34,29 +31,9 @@ UNPACKED = 1 << 26
 MOST_SQUEEZED = 100
 
 
-class NpzSettings(Config):
-    """The reader has no settings; everything is in the mapping."""
-
-
 def make(settings: Settings) -> LogReader:
     """Factory of the log reader `npz`."""
-    NpzSettings.model_validate(dict(settings))
-    return NpzReader()
-
-
-class NpzReader(LogReader):
-    """Arrays to channels, as the reader `csv` does it; only those that the mapping names are read, none of objects."""
-
-    def read(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
-        """One recording from one file, or from several that the mapping's `files` tells apart.
-
-        Raises ConfigError for a wrong mapping, RecordingError naming file, array and what to do for a wrong log.
-        """
-        return recording_from_tables(files, parse_mapping(mapping), robot, read_table)
-
-    def read_all(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Sequence[Recording]:
-        """The same for every run that the mapping's `runs` or `labels` tell apart."""
-        return recordings_from_tables(files, parse_mapping(mapping), robot, read_table)
+    return TableReader(settings, read_table, LogMapping)
 
 
 def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Table:
