@@ -43,7 +43,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
         with zipfile.ZipFile(path) as file:
             members = {name.removesuffix(".npy"): one for one in file.infolist() if (name := one.filename)}
             places = {column: _place(path, str(column), list(members)) for column in (time, *wanted)}
-            arrays = {name: _array(path, name, file, members[name]) for name in {name for name, _ in places.values()}}
+            arrays = {name: read_array(path, name, file, members[name]) for name in {name for name, _ in places.values()}}
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
@@ -70,8 +70,8 @@ def _place(path: Path, column: str, names: Sequence[str]) -> tuple[str, int | No
     raise RecordingError(f"{path}: {no_column(column, names)}")
 
 
-def _array(path: Path, name: str, file: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    """One array, once its header promises no more than the file holds."""
+def read_array(path: Path, name: str, file: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    """One array, once its header promises no more than the file holds. Raises RecordingError."""
     with file.open(member) as opened:
         shape, dtype, header = _header(path, name, opened)
         size = math.prod(shape) * dtype.itemsize
