@@ -109,6 +109,7 @@ def _tried(iteration: int, row: Json) -> Tried:
         falls=max((sum(one["falls"] for one in found.values()) for found in real.values()), default=0),
         fell=bool(row.get("fell")),
         refused=bool(row.get("refused")),
+        why=row.get("refused") or None,
     )
 
 

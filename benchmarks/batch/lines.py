@@ -65,6 +65,7 @@ class Tried(Part):
     falls: int = 0
     fell: bool = False
     refused: bool = False
+    why: str | None = Field(None, description="why it was refused; none in lines of before it was kept")
 
 
 class Pair(Part):
