@@ -43,7 +43,9 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
         with zipfile.ZipFile(path) as file:
             members = {name.removesuffix(".npy"): one for one in file.infolist() if (name := one.filename)}
             places = {column: _place(path, str(column), list(members)) for column in (time, *wanted)}
-            arrays = {name: read_array(path, name, file, members[name]) for name in {name for name, _ in places.values()}}
+            arrays = {
+                name: read_array(path, name, file, members[name]) for name in {name for name, _ in places.values()}
+            }
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
