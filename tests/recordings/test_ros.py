@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import sqlite3
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,11 +21,9 @@ needs_ros = pytest.mark.skipif(
 
 @pytest.fixture
 def made():
-    path = Path(__file__).with_name("bags.py")
-    spec = importlib.util.spec_from_file_location("made_up_bags", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    import bags  # needs the extra
+
+    return bags
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -131,9 +130,8 @@ def test_arrays_of_an_npz_and_lists_of_a_parquet_are_understood(tmp_path, two_jo
 
 @pytest.mark.skipif(importlib.util.find_spec("mcap_ros2") is None, reason="the extra hard-to-sim[ros] is not installed")
 def test_the_fullest_topic_of_a_bag_is_taken(tmp_path, two_joints):
-    spec = importlib.util.spec_from_file_location("made_up_bags", Path(__file__).with_name("bags.py"))
-    bags = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(bags)
+    import bags
+
     given = yaml.safe_load(suggested_mapping(bags.mcap(tmp_path / "a.mcap"), two_joints))
     assert (given["reader"], given["topic"]) == ("ros", "/joint_states")
     assert given["time"] == {"column": "log_time", "unit": "ns"}
