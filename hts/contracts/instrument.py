@@ -95,7 +95,8 @@ class Instrument(ABC):
         """What `read` would show without noise, rounding, filter and delay: means since the last call of this,
         channel name -> (W, *shape). For who holds measurements against the truth on a twin; never recorded.
 
-        By default empty: this instrument cannot tell.
+        The channel itself, its idle level included; what an objective makes of it is `truth`. By default empty: this
+        instrument cannot tell.
         """
         return {}
 

@@ -110,19 +110,8 @@ def entry_both_ways(
     return entry, segment_scores(results or beside)
 
 
-def final_entry(
-    objective: Objective,
-    recordings_by_speed: Mapping[float, Sequence[Recording]],
-    config: EvaluationConfig,
-    seed: int = 0,
-) -> dict[str, Any]:
-    """`final.objectives.<name>` of `summary.json`: {"unit", "speeds": {"0.8": {...}}}."""
-    results = {speed: compare(objective, group, config, seed) for speed, group in recordings_by_speed.items()}
-    return entry_of(objective, results)
-
-
 def entry_of(objective: Objective, results: Mapping[float, HeadToHead]) -> dict[str, Any]:
-    """The same from comparisons already made."""
+    """`final.objectives.<name>` of `summary.json`: {"unit", "speeds": {"0.8": {...}}}."""
     return {
         "unit": objective.unit,
         "speeds": {speed_key(speed): result.entry() for speed, result in sorted(results.items())},

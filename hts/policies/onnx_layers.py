@@ -110,15 +110,9 @@ def _followed(path: Path, model: Any) -> Network:
     if current != graph.output[0].name or left:
         raise PolicyError(
             f"{path}: its graph is not one line from observation to action (left over: "
-            f"{listed(node.op_type for node in left)}). Only plain networks can be read."
+            f"{listed(node.op_type for node in left)}). {PLAIN}"
         )
     return _network(path, walk)
-
-
-def _is_constant(node: Any, constants: Mapping[str, np.ndarray]) -> bool:
-    """Whether a node makes a constant, of nothing or of constants that are known."""
-    given = [name for name in node.input if name]
-    return node.op_type == "Constant" or (bool(given) and all(name in constants for name in given))
 
 
 def _array(numpy_helper: Any, tensor: Any) -> np.ndarray:
@@ -158,7 +152,7 @@ def _step(path: Path, walk: _Walk, node: Any, current: str, constants: Mapping[s
         return str(node.output[0])
     if kind in ("Add", "Sub", "Mul", "Div"):
         if len(other) != 1 or (kind == "Div" and not first):
-            raise PolicyError(f"{path}: its {kind} combines two parts of the network. Only plain networks can be read.")
+            raise PolicyError(f"{path}: its {kind} combines two parts of the network. {PLAIN}")
         _elementwise(path, walk, kind, other[0].astype(np.float64), first)
     elif kind == "Clip":
         low, high = (float(one) for one in other) if len(other) == 2 else (attributes["min"].f, attributes["max"].f)
@@ -170,12 +164,12 @@ def _step(path: Path, walk: _Walk, node: Any, current: str, constants: Mapping[s
         walk.clip = high
     elif kind in ("Gemm", "MatMul"):
         if not first or len(other) not in (1, 2) or other[0].ndim != 2:
-            raise PolicyError(f"{path}: its {kind} is no linear layer. Only plain networks can be read.")
+            raise PolicyError(f"{path}: its {kind} is no linear layer. {PLAIN}")
         weight = other[0].astype(np.float64)
         bias = np.zeros(0)
         if kind == "Gemm":
             if "transA" in attributes and attributes["transA"].i:
-                raise PolicyError(f"{path}: its Gemm is no linear layer. Only plain networks can be read.")
+                raise PolicyError(f"{path}: its Gemm is no linear layer. {PLAIN}")
             weight = weight if "transB" in attributes and attributes["transB"].i else weight.T
             weight = weight * (attributes["alpha"].f if "alpha" in attributes else 1.0)
             if len(other) == 2:
@@ -191,9 +185,7 @@ def _step(path: Path, walk: _Walk, node: Any, current: str, constants: Mapping[s
             "means alone; the lines for brax in the manual do."
         )
     else:
-        raise PolicyError(
-            f"{path}: its graph has a {kind} between observation and action. Only plain networks can be read."
-        )
+        raise PolicyError(f"{path}: its graph has a {kind} between observation and action. {PLAIN}")
     return str(node.output[0])
 
 
@@ -202,7 +194,7 @@ def _elementwise(path: Path, walk: _Walk, kind: str, value: np.ndarray, first: b
     value = value.reshape(-1)
     if value.size not in (1, width) or walk.bent:
         where = "after an activation" if walk.bent else f"of {value.size} numbers, where {width} are"
-        raise PolicyError(f"{path}: its graph has a {kind} {where}. Only plain networks can be read.")
+        raise PolicyError(f"{path}: its graph has a {kind} {where}. {PLAIN}")
     scale, shift = {
         "Add": (1.0, value),
         "Sub": (1.0, -value) if first else (-1.0, value),
@@ -227,9 +219,7 @@ def _layer(path: Path, walk: _Walk, weight: np.ndarray, bias: np.ndarray) -> Non
             f"{path}: a layer of its graph has the shapes {weight.shape} and {bias.shape} after {width} numbers."
         )
     if walk.layers and not walk.bent:
-        raise PolicyError(
-            f"{path}: two layers of its graph have no activation between them. Only plain networks can be read."
-        )
+        raise PolicyError(f"{path}: two layers of its graph have no activation between them. {PLAIN}")
     if len(walk.layers) >= MOST_LAYERS:
         raise PolicyError(f"{path}: its graph has more than {MOST_LAYERS} layers.")
     walk.layers.append((weight, bias))
@@ -254,7 +244,7 @@ def _refuse_branch(path: Path, following: list[Any]) -> None:
             f"{path}: its graph has the activation Swish (SiLU), hts computes ELU. Train it with ELU, in brax: "
             "activation=flax.linen.elu and distribution_type='normal'."
         )
-    raise PolicyError(f"{path}: its graph divides into {listed(sorted(kinds))}. Only plain networks can be read.")
+    raise PolicyError(f"{path}: its graph divides into {listed(sorted(kinds))}. {PLAIN}")
 
 
 def _network(path: Path, walk: _Walk) -> Network:

@@ -68,11 +68,6 @@ class Translation:
     shift: torch.Tensor
     parts: tuple[tuple[str, int, int], ...]
 
-    def to_source(self, observations: torch.Tensor) -> torch.Tensor:
-        """(n, I) of ours (n, O), double."""
-        given = observations.double()[:, self.entry.clamp(min=0)] * self.alpha.double() + self.beta.double()
-        return torch.where(self.entry < 0, self.beta.double(), given)
-
     def to_ours(self, given: torch.Tensor, size: int) -> torch.Tensor:
         """(n, O) of what the source's network was given (n, I), double; zeros where it says nothing."""
         ours = torch.zeros(len(given), size, dtype=torch.float64)

@@ -148,12 +148,12 @@ def _rectangle(rows: list[Any]) -> np.ndarray:
 def _npz(path: Path) -> Glance:
     import zipfile
 
-    from hts.recordings.npz_reader import _array
+    from hts.recordings.npz_reader import read_array
 
     try:
         with zipfile.ZipFile(path) as file:
             arrays = {
-                one.filename.removesuffix(".npy"): _array(path, one.filename, file, one) for one in file.infolist()
+                one.filename.removesuffix(".npy"): read_array(path, one.filename, file, one) for one in file.infolist()
             }
     except zipfile.BadZipFile as error:
         raise RecordingError(f"{path}: not a whole NPZ file. Copy it again.") from error

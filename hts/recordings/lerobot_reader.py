@@ -16,27 +16,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
-from hts.config import Config
-from hts.contracts import LogReader, Robot
 from hts.errors import RecordingError, unknown_name
-from hts.recordings.logs import LogMapping, Table, recording_from_tables, recordings_from_tables
-from hts.recordings.mapping import RunsMapping, TimeMapping, parse_mapping
+from hts.recordings.logs import LogMapping, Table
+from hts.recordings.mapping import RunsMapping, TimeMapping
 from hts.recordings.parquet_reader import read_table as read_parquet
-from hts.recordings.recording import Recording
 from hts.recordings.table import ColumnName
+from hts.recordings.table_reader import TableReader
 
 if TYPE_CHECKING:
-    from hts.contracts import Settings
+    from hts.contracts import LogReader, Settings
 
 VERSION = "v3"
 MOST_INFO = 1 << 24
 MOST_NUMBERS = 1 << 28
 NEARLY_A_FRAME = 0.02
 """Periods by which a float32 stamp may miss its frame."""
-
-
-class LerobotSettings(Config):
-    """The reader has no settings; everything is in the mapping."""
 
 
 class LerobotMapping(LogMapping):
@@ -52,23 +46,7 @@ class LerobotMapping(LogMapping):
 
 def make(settings: Settings) -> LogReader:
     """Factory of the log reader `lerobot`."""
-    LerobotSettings.model_validate(dict(settings))
-    return LerobotReader()
-
-
-class LerobotReader(LogReader):
-    """Features to channels, as the reader `csv` does it with columns."""
-
-    def read(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
-        """One recording from a dataset's folder that holds one episode, or of which `runs` takes one.
-
-        Raises ConfigError for a wrong mapping, RecordingError naming folder, feature and what to do for a wrong log.
-        """
-        return recording_from_tables(files, parse_mapping(mapping, LerobotMapping), robot, read_table)
-
-    def read_all(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Sequence[Recording]:
-        """One recording for each episode."""
-        return recordings_from_tables(files, parse_mapping(mapping, LerobotMapping), robot, read_table)
+    return TableReader(settings, read_table, LerobotMapping)
 
 
 def read_table(path: Path, wanted: Sequence[ColumnName], log: LerobotMapping) -> Table:

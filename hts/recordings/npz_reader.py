@@ -10,22 +10,19 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from hts.config import Config
-from hts.contracts import LogReader, Robot
 from hts.errors import RecordingError
-from hts.recordings.logs import LogMapping, Table, recording_from_tables, recordings_from_tables, table_of
-from hts.recordings.mapping import parse_mapping
-from hts.recordings.recording import Recording
+from hts.recordings.logs import LogMapping, Table, table_of
 from hts.recordings.table import ColumnName, no_column
+from hts.recordings.table_reader import TableReader
 
 if TYPE_CHECKING:
-    from hts.contracts import Settings
+    from hts.contracts import LogReader, Settings
 
 MOST_BYTES = 1 << 30
 """Of one array: a hundred numbers at 1 kHz for twenty minutes."""
@@ -34,29 +31,9 @@ UNPACKED = 1 << 26
 MOST_SQUEEZED = 100
 
 
-class NpzSettings(Config):
-    """The reader has no settings; everything is in the mapping."""
-
-
 def make(settings: Settings) -> LogReader:
     """Factory of the log reader `npz`."""
-    NpzSettings.model_validate(dict(settings))
-    return NpzReader()
-
-
-class NpzReader(LogReader):
-    """Arrays to channels, as the reader `csv` does it; only those that the mapping names are read, none of objects."""
-
-    def read(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
-        """One recording from one file, or from several that the mapping's `files` tells apart.
-
-        Raises ConfigError for a wrong mapping, RecordingError naming file, array and what to do for a wrong log.
-        """
-        return recording_from_tables(files, parse_mapping(mapping), robot, read_table)
-
-    def read_all(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Sequence[Recording]:
-        """The same for every run that the mapping's `runs` or `labels` tell apart."""
-        return recordings_from_tables(files, parse_mapping(mapping), robot, read_table)
+    return TableReader(settings, read_table, LogMapping)
 
 
 def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Table:
@@ -66,7 +43,9 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
         with zipfile.ZipFile(path) as file:
             members = {name.removesuffix(".npy"): one for one in file.infolist() if (name := one.filename)}
             places = {column: _place(path, str(column), list(members)) for column in (time, *wanted)}
-            arrays = {name: _array(path, name, file, members[name]) for name in {name for name, _ in places.values()}}
+            arrays = {
+                name: read_array(path, name, file, members[name]) for name in {name for name, _ in places.values()}
+            }
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
@@ -93,8 +72,8 @@ def _place(path: Path, column: str, names: Sequence[str]) -> tuple[str, int | No
     raise RecordingError(f"{path}: {no_column(column, names)}")
 
 
-def _array(path: Path, name: str, file: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    """One array, once its header promises no more than the file holds."""
+def read_array(path: Path, name: str, file: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    """One array, once its header promises no more than the file holds. Raises RecordingError."""
     with file.open(member) as opened:
         shape, dtype, header = _header(path, name, opened)
         size = math.prod(shape) * dtype.itemsize

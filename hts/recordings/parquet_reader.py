@@ -3,46 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hts.config import Config
-from hts.contracts import LogReader, Robot
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
-from hts.recordings.logs import LogMapping, Table, recording_from_tables, recordings_from_tables
-from hts.recordings.mapping import parse_mapping
-from hts.recordings.recording import Recording
+from hts.recordings.logs import LogMapping, Table
 from hts.recordings.table import ColumnName, no_column, whole_rows
+from hts.recordings.table_reader import TableReader
 
 if TYPE_CHECKING:
-    from hts.contracts import Settings
-
-
-class ParquetSettings(Config):
-    """The reader has no settings; everything is in the mapping."""
+    from hts.contracts import LogReader, Settings
 
 
 def make(settings: Settings) -> LogReader:
     """Factory of the log reader `parquet`."""
-    ParquetSettings.model_validate(dict(settings))
-    return ParquetReader()
-
-
-class ParquetReader(LogReader):
-    """Columns to channels, as the reader `csv` does it; only the columns that the mapping names are read."""
-
-    def read(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
-        """One recording from one file, or from several that the mapping's `files` tells apart.
-
-        Raises ConfigError for a wrong mapping, RecordingError naming file, column and what to do for a wrong log.
-        """
-        return recording_from_tables(files, parse_mapping(mapping), robot, read_table)
-
-    def read_all(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Sequence[Recording]:
-        """The same for every run that the mapping's `runs` or `labels` tell apart."""
-        return recordings_from_tables(files, parse_mapping(mapping), robot, read_table)
+    return TableReader(settings, read_table, LogMapping)
 
 
 def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Table:

@@ -7,7 +7,7 @@ name stands at the same place of the message's own `name`, as in a JointState.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,26 +15,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
-from hts.config import Config
-from hts.contracts import LogReader, Robot
 from hts.errors import ConfigError, RecordingError
-from hts.recordings.logs import LogMapping, Table, recording_from_tables, recordings_from_tables, table_of
-from hts.recordings.mapping import parse_mapping
+from hts.recordings.logs import LogMapping, Table, table_of
 from hts.recordings.messages import Message, fields_of, messages, no_topic
-from hts.recordings.recording import Recording
 from hts.recordings.table import ColumnName
+from hts.recordings.table_reader import TableReader
 
 if TYPE_CHECKING:
-    from hts.contracts import Settings
+    from hts.contracts import LogReader, Settings
 
 LOG_TIME, PUBLISH_TIME = "log_time", "publish_time"
 SEPARATOR = re.compile(r"^=+\s*$", re.MULTILINE)
 MOST_TEXT = 1 << 20
 MOST_NUMBERS = 1 << 28
-
-
-class RosSettings(Config):
-    """The reader has no settings; everything is in the mapping."""
 
 
 class RosMapping(LogMapping):
@@ -49,23 +42,7 @@ class RosMapping(LogMapping):
 
 def make(settings: Settings) -> LogReader:
     """Factory of the log reader `ros`."""
-    RosSettings.model_validate(dict(settings))
-    return RosReader()
-
-
-class RosReader(LogReader):
-    """Fields of messages to channels, as the reader `csv` does it with columns."""
-
-    def read(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Recording:
-        """One recording from a .mcap, a .db3 or a bag's folder, or from several that the mapping's `files` tells apart.
-
-        Raises ConfigError for a wrong mapping, RecordingError naming file, topic, field and what to do for a wrong log.
-        """
-        return recording_from_tables(files, parse_mapping(mapping, RosMapping), robot, read_table)
-
-    def read_all(self, files: Sequence[Path], mapping: Mapping[str, Any], robot: Robot) -> Sequence[Recording]:
-        """The same for every run that the mapping's `runs` or `labels` tell apart."""
-        return recordings_from_tables(files, parse_mapping(mapping, RosMapping), robot, read_table)
+    return TableReader(settings, read_table, RosMapping)
 
 
 def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Table:

@@ -42,7 +42,7 @@ class MujocoEngine(Engine):
                 f"The model has {size} state numbers, expected time, qpos and qvel only ({1 + model.nq + model.nv}): "
                 "actuators with an internal state are not supported by the mujoco engine."
             )
-        self._nq, self._nv, self._dt = model.nq, model.nv, model.opt.timestep
+        self._nq, self._dt = model.nq, model.opt.timestep
         self._state = np.zeros((worlds, size))
         self._states = np.zeros((worlds, substeps, size))
         self._sensors = np.zeros((worlds, substeps, model.nsensordata))

@@ -112,7 +112,3 @@ def file_hash(path: Any) -> str:
     """SHA-256 of a file's content, for naming requests."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def speeds_text(speeds: Sequence[float]) -> str:
-    return ", ".join(f"{speed:g}" for speed in speeds) + " m/s"

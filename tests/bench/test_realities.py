@@ -1,4 +1,4 @@
-"""Batches of runs: each gets one line, whatever happens, and tables say what the lines say."""
+"""Batches of runs: each gets one line, whatever happens, and the command that makes them."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from batch import blocks, tables
-from batch.all_tables import ALL
-from batch.groups import groups_of, saving
-from batch.harvest import result_of
-from batch.lines import append, read_lines
+from batch import tables
+from batch.groups import groups_of
+from batch.lines import read_lines
 from batch.methods import METHODS, Method, jobs_of, read_methods, realities_of, seeds_of
 from batch.queue import STOPPED, Slot, run_batch, slots_of
 from fake_lines import line
 
-from hts.errors import ConfigError, EvaluationError, RunError
+from hts.errors import ConfigError
 
 FAKE = (sys.executable, str(Path(__file__).parent / "fake_hts.py"))
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -127,6 +125,17 @@ def test_an_oracle_is_made_like_a_method_and_is_nobodys_rival():
         assert "1 of 1" in rows["ours"] and "0 of 1" in rows["baseline"]
         assert text.endswith("`oracle`: saw inside the reality; no method, and no rival here.")
     assert tables.methods(groups[:2]).endswith("|")
+
+
+def test_the_papers_recipe_is_never_ours_by_another_name():
+    ours, exact = jobs(methods=["ours", "paper-exact"], preset="quick")
+    assert ours.method_hash != exact.method_hash
+    assert "objectives.power.model={name: battery_current, products: false}" in exact.arguments
+    assert (
+        "objectives.power.criterion=net" in exact.arguments and "sweep.weights.power=[0.5, 1.0, 5.0]" in exact.arguments
+    )
+    assert "sweep.kl_bounds=[0.2, 0.5, 1.0]" in exact.arguments and "finetune.hold=false" in exact.arguments
+    assert exact.arguments[exact.arguments.index("--preset") + 1] == "quick"
 
 
 def test_what_is_compared_is_made_together(reality):
@@ -253,212 +262,6 @@ def test_killed_at_any_moment_nothing_is_lost_and_nothing_runs_on(place, monkeyp
     lines = (place / "lines.jsonl").read_text().splitlines()
     assert sorted(json.loads(text)["seed"] for text in lines) == [0, 1, 2, 3]
     assert list((place / "runs").iterdir()) == []
-
-
-# -------------------------------------------------------------------------------------------------- files of lines
-
-
-def test_a_line_that_was_torn_is_no_line_and_spoils_no_other(tmp_path):
-    path = tmp_path / "lines.jsonl"
-    append(path, line(seed=0))
-    whole = path.read_bytes()
-    path.write_bytes(whole + whole[:40])  # killed in the midst of the second
-    assert [row.seed for row in read_lines([path])] == [0]
-    append(path, line(seed=1))
-    assert [row.seed for row in read_lines([path])] == [0, 1]
-    assert path.read_bytes().startswith(whole)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [({"version": 2}, "version: Input should be 1"), ({"seed": None}, "seed"), ({"stranger": 1}, "stranger: Extra")],
-)
-def test_a_line_of_another_shape_is_refused_with_its_place(tmp_path, change, said):
-    path = tmp_path / "lines.jsonl"
-    good = line().model_dump_json()
-    path.write_text(good + "\n" + json.dumps({**json.loads(good), **change}) + "\n")
-    with pytest.raises(RunError, match=rf"lines.jsonl, line 2: {said}"):
-        read_lines([path])
-
-
-def test_a_number_that_is_not_finite_cannot_become_a_line():
-    with pytest.raises(ValueError, match="finite"):
-        line(saved=(0.1, float("nan"), 0.1))
-
-
-def test_a_failure_never_takes_the_place_of_a_finished_run(tmp_path):
-    path = tmp_path / "lines.jsonl"
-    for row in (line(), line(status="failed", error="boom", result=None)):
-        append(path, row)
-    assert [row.status for row in read_lines([path])] == ["done"]
-
-
-# ---------------------------------------------------------------------------------------------------------- tables
-
-
-def two_methods():
-    ours = [line("ours", f"dev-{n:02d}", seed, (0.1 * n,) * 3) for n in (1, 2, 3) for seed in (0, 1)]
-    other = [
-        line("baseline", f"dev-{n:02d}", 0, (0.1 * n - gap,) * 3) for n, gap in ((1, 0.02), (2, -0.02), (3, -0.005))
-    ]
-    return groups_of([*ours, *other])
-
-
-def row_of(text, method):
-    (found,) = [row for row in text.splitlines() if row.startswith(f"| {method} |")]
-    return [cell.strip() for cell in found.strip("|").split("|")]
-
-
-def test_a_table_over_realities_can_be_checked_on_paper():
-    row = row_of(tables.methods(two_methods()), "ours")
-    assert row[1:7] == ["3 × 2", "0", "20.0 %", "20.0 %", "20.0 %", "20.0 %"]
-    assert row[7].startswith("20.0 % (")
-    assert row[8:10] == ["11.0 %", "10.0 %"]  # 5th percentile between 10 and 20: 10 + 0.1 * 10
-    assert row[-2] == "2 of 3"  # behind by 2 points, ahead by 2, behind by half a point: the first is 2 ahead
-    assert row[-1].startswith("−0.2 points (")
-
-
-def test_what_was_refused_counts_as_nothing_saved_and_is_counted():
-    groups = groups_of([line(saved=(None, 0.3, 0.3)), line(reality="dev-01", saved=(None, None, None))])
-    assert [saving(result, "power") for _, result in groups[0].results] == pytest.approx([0.2, 0.0])
-    row = row_of(tables.methods(groups), "ours")
-    assert row[11] == "1 of 6"  # the second one stayed with the pretrained policy: nothing was refused
-
-
-def test_a_failed_run_has_no_saving_and_is_counted():
-    groups = groups_of([line(), line(seed=1, status="failed", error="boom", result=None)])
-    assert row_of(tables.methods(groups), "ours")[1:4] == ["1 × 1", "1", "10.0 %"]
-
-
-def test_a_changed_method_is_another_row():
-    groups = groups_of([line(), line(commit="d" * 40)])
-    assert [group.name for group in groups] == ["ours@ccccccc", "ours@ddddddd"]
-
-
-def test_an_ablation_is_paired_by_reality():
-    row = row_of(tables.pairs(two_methods(), "ours"), "baseline")
-    assert row[1] == "3" and row[2].startswith("+0.2 points (") and row[4] == "2 of 3"
-
-
-def test_the_best_other_is_another_one_on_each_reality():
-    a = [line("a", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.20), (2, 0.10), (3, 0.30))]
-    b = [line("b", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.10), (2, 0.20), (3, 0.00))]
-    ours = [line("ours", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.22), (2, 0.16), (3, 0.33))]
-    row = row_of(tables.best_other(groups_of([*ours, *a, *b])), "ours")
-    assert row[1] == "3" and row[2].startswith("+0.3 points") and row[3].startswith("+2.0 points")
-    assert row[4].startswith("1.10 (") and row[4].endswith(" on 3") and row[5] == "2 of 3"
-
-
-def test_the_papers_recipe_is_never_ours_by_another_name():
-    ours, exact = jobs(methods=["ours", "paper-exact"], preset="quick")
-    assert ours.method_hash != exact.method_hash
-    assert "objectives.power.model={name: battery_current, products: false}" in exact.arguments
-    assert (
-        "objectives.power.criterion=net" in exact.arguments and "sweep.weights.power=[0.5, 1.0, 5.0]" in exact.arguments
-    )
-    assert "sweep.kl_bounds=[0.2, 0.5, 1.0]" in exact.arguments and "finetune.hold=false" in exact.arguments
-    assert exact.arguments[exact.arguments.index("--preset") + 1] == "quick"
-
-
-@pytest.mark.parametrize(
-    ("lines", "said"),
-    [
-        ([], "No line has"),
-        ([line(), line(preset="paper", key="other")], "presets paper, quick"),
-        ([line(), line(reality_hash="other", key="other")], "two realities named 'dev-00'"),
-    ],
-)
-def test_what_does_not_belong_together_is_not_averaged(lines, said):
-    with pytest.raises(EvaluationError, match=said):
-        groups_of(lines)
-
-
-@pytest.mark.parametrize("name", list(ALL))
-def test_every_table_has_a_row_for_each_method(name):
-    text = ALL[name](two_methods())
-    if name == "realities":
-        assert text.splitlines()[0] == "| reality | ours | baseline |"
-    else:
-        assert {"ours", "baseline"} <= {row.split("|")[1].strip() for row in text.splitlines()[2:]}
-    assert len({row.count("|") for row in text.splitlines()}) == 1
-
-
-@pytest.mark.slow
-def test_figures_are_drawn_and_the_same_lines_give_the_same_bytes(tmp_path):
-    from batch.figures import draw
-
-    made = draw(two_methods(), tmp_path / "a", "x")
-    assert {path.name for path in made} == {
-        f"x-{name}.{kind}"
-        for name in ("savings", "prediction", "doubt", "robot-time", "open-loop")
-        for kind in ("svg", "png")
-    }
-    again = draw(two_methods(), tmp_path / "b", "x")
-    assert [path.read_bytes() for path in made] == [path.read_bytes() for path in again]
-
-
-def test_runs_stand_one_by_one_with_their_mean():
-    rows = [line(reality="default", seed=seed, saved=(0.1 * (seed + 1),) * 3) for seed in (1, 0)]
-    shown = tables.TABLES["seeds"](groups_of(rows)).splitlines()
-    assert shown[0].startswith("| method | reality | seed | 0.5 m/s | 0.8 m/s | 1.1 m/s | refused | minutes |")
-    assert [row.split(" | ")[2:4] for row in shown[2:4]] == [["0", "10.0 %"], ["1", "20.0 %"]]
-    assert "| **mean** |" in shown[4] and "**15.0 %**" in shown[4]
-
-
-# ------------------------------------------------------------------------------------------------ numbers in pages
-
-
-@pytest.fixture
-def lines(tmp_path):
-    for row in (line(reality=f"dev-{n:02d}", saved=(0.1 * n,) * 3) for n in (1, 2, 3)):
-        append(tmp_path / "a.jsonl", row)
-    return tmp_path
-
-
-def test_blocks_are_filled_from_lines_and_filling_twice_changes_nothing(lines):
-    text = (
-        "Saves <!-- results: value lines=a.jsonl method=ours -->9.9 %<!-- end --> in the median, "
-        "falls <!-- results: value lines=a.jsonl statistic=falls --><!-- end -->.\n"
-        "<!-- results: methods lines=a.jsonl -->\nold\n<!-- end -->\nafter"
-    )
-    made = blocks.written(text, lines)
-    assert "-->20.0 %<!-- end --> in the median" in made and "-->0<!-- end -->." in made
-    assert "| ours | 3 × 1 |" in made and "old" not in made and made.endswith("after")
-    assert blocks.written(made, lines) == made
-
-
-@pytest.mark.parametrize(
-    ("block", "said"),
-    [
-        ("<!-- results: methods -->x<!-- end -->", "expected lines=FILE"),
-        ("<!-- results: dance lines=a.jsonl --><!-- end -->", "No table named 'dance'"),
-        ("<!-- results: value lines=a.jsonl method=x --><!-- end -->", "No method in these lines named 'x'"),
-        ("<!-- results: value lines=a.jsonl statistic=x --><!-- end -->", "No statistic named 'x'"),
-        ("<!-- results: methods lines=a.jsonl -->", "begins and does not end"),
-    ],
-)
-def test_a_block_that_cannot_be_made_is_one_line(lines, block, said):
-    with pytest.raises(EvaluationError, match=said):
-        blocks.written(block, lines)
-
-
-def test_a_number_outside_of_blocks_is_seen_unless_it_stood_there_before():
-    text = "Saves 15.6 % and 3 dB(A). <!-- results: value lines=a.jsonl -->20.0 %<!-- end --> | 7.25 |"
-    assert blocks.strangers("README.md", text, {}) == ["15.6", "3"]
-    assert blocks.strangers("docs/results.md", text, {"15.6": 1}) == ["3", "7.25"]
-    assert blocks.remaining("README.md", text, {"15.6": 2, "8.8": 1}) == {"15.6": 1}
-
-
-# ------------------------------------------------------------------------------------------------- real run folders
-
-
-@pytest.mark.slow
-def test_a_real_run_folder_becomes_a_result(small_run):
-    found, summary = result_of(small_run.folder), small_run.summary_of()
-    assert found.real_samples["total"] == summary["real_samples"]
-    assert sum(value for stage, value in found.real_samples.items() if stage != "total") == summary["real_samples"]
-    assert found.candidates == 2 and len(found.tried) == 1
-    assert found.models[0].objective == "power" and found.models[0].pairs
 
 
 # ------------------------------------------------------------------------------------------------- the command line

@@ -11,7 +11,7 @@ from hts.config import EvaluationConfig
 from hts.config_loading import dump_config, load_config
 from hts.contracts import Comparison, World
 from hts.errors import EvaluationError, PolicyError
-from hts.evaluation.final import candidate_result, evaluate_run, final_entry, head_to_heads, policy_file, segment_scores
+from hts.evaluation.final import candidate_result, entry_of, evaluate_run, head_to_heads, policy_file, segment_scores
 from hts.evaluation.head_to_head import TooFewSegments, compare
 from hts.evaluation.intervals import interval, lag_one_correlation, variance_of_mean
 from hts.plugins import Entry, Registry
@@ -191,7 +191,7 @@ def test_falls_of_the_policy_are_counted_apart_from_the_reference_s():
 
 
 def test_the_final_entry_has_the_keys_of_the_summary():
-    entry = final_entry(OBJECTIVE, {0.8: known_head_to_head(8.0, 10.0)}, QUICK)
+    entry = entry_of(OBJECTIVE, {0.8: compare(OBJECTIVE, known_head_to_head(8.0, 10.0), QUICK)})
     assert entry["unit"] == "1"
     speed = entry["speeds"]["0.8"]
     assert {"improvement", "improvement_ci95", "segments", "falls", "mean_speed", "metrics"} <= set(speed)

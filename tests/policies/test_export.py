@@ -9,8 +9,8 @@ import numpy as np
 import onnxruntime
 import pytest
 import torch
+from dog import UNEVEN as SPEC
 
-from hts.contracts import RobotSpec
 from hts.envs.observation import observation_layout
 from hts.errors import PolicyError, RunError
 from hts.policies.deploy import DeployedPolicy
@@ -21,21 +21,6 @@ from hts.policies.files import Policy, make_card, save_policy
 from hts.policies.onnx_metadata import read_metadata
 from hts.rl.population import Population, Sizes
 
-SPEC = RobotSpec(
-    name="dog",
-    joint_names=("left", "right"),
-    default_pose=(0.1, -0.1),
-    kp=(20.0, 20.0),
-    kd=(0.5, 0.5),
-    action_scale=(0.25, 0.5),
-    torque_limit=(10.0, 10.0),
-    velocity_limit=(20.0, 20.0),
-    position_limit=((-1.0, 1.0), (-1.0, 1.0)),
-    control_rate_hz=50.0,
-    physics_dt=0.005,
-    substeps=4,
-    base_height=0.3,
-)
 SIZES = Sizes(15, 21, 2, (16, 8))
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+from dog import UNEVEN as SPEC
 from onnx import TensorProto, helper, numpy_helper
 
-from hts.contracts import RobotSpec
 from hts.errors import PolicyError
 from hts.policies.card_checks import check_card
 from hts.policies.deploy import CARD_KEY, DeployedPolicy
@@ -20,21 +20,6 @@ from hts.policies.files import Policy, load_policy, make_card, save_policy
 from hts.policies.importing import import_policy
 from hts.rl.population import Population, Sizes
 
-SPEC = RobotSpec(
-    name="dog",
-    joint_names=("left", "right"),
-    default_pose=(0.1, -0.1),
-    kp=(20.0, 20.0),
-    kd=(0.5, 0.5),
-    action_scale=(0.25, 0.5),
-    torque_limit=(10.0, 10.0),
-    velocity_limit=(20.0, 20.0),
-    position_limit=((-1.0, 1.0), (-1.0, 1.0)),
-    control_rate_hz=50.0,
-    physics_dt=0.005,
-    substeps=4,
-    base_height=0.3,
-)
 SIZES = Sizes(4, 6, 2, (8,))
 
 

@@ -7,12 +7,12 @@ import onnx
 import onnxruntime
 import pytest
 import torch
+from dog import SPEC
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from hts.contracts import RobotSpec
 from hts.errors import PolicyError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.importing import import_policy, import_whole
@@ -21,22 +21,6 @@ from hts.policies.onnx_checks import read_checked
 from hts.policies.onnx_layers import network_of
 from hts.rl.population import Population
 
-SPEC = RobotSpec(
-    name="dog",
-    joint_names=("left", "right"),
-    default_pose=(0.1, -0.1),
-    kp=(20.0, 20.0),
-    kd=(0.5, 0.5),
-    action_scale=(0.25, 0.25),
-    torque_limit=(10.0, 10.0),
-    velocity_limit=(20.0, 20.0),
-    position_limit=((-1.0, 1.0), (-1.0, 1.0)),
-    control_rate_hz=50.0,
-    physics_dt=0.005,
-    substeps=4,
-    base_height=0.3,
-    foot_sites=("left_foot", "right_foot"),
-)
 MJLABS = {  # the metadata that mjlab 1.6 writes, for two joints
     "joint_names": "right,left",
     "joint_stiffness": "20.000,20.000",
@@ -78,25 +62,37 @@ def node(kind, given, gives, **attributes):
 def gemms(first="n", activation="Elu"):
     """As torch's exporter writes them."""
     return [
-        node("Gemm", f"{first} w0 b0", "h0", transB=1), node(activation, "h0", "e0"),
-        node("Gemm", "e0 w1 b1", "h1", transB=1), node(activation, "h1", "e1"),
+        node("Gemm", f"{first} w0 b0", "h0", transB=1),
+        node(activation, "h0", "e0"),
+        node("Gemm", "e0 w1 b1", "h1", transB=1),
+        node(activation, "h1", "e1"),
         node("Gemm", "e1 w2 b2", "actions", transB=1),
-    ]  # fmt: skip
+    ]
 
 
 NORMALISED = [node("Sub", "obs mean", "c"), node("Div", "c std", "n")]
 MATMULS = [
-    node("Sub", "obs mean", "c"), node("Mul", "c inverse", "n"),
-    node("MatMul", "n t0", "m0"), node("Add", "b0 m0", "h0"), node("Elu", "h0", "e0", alpha=1.0),
-    node("MatMul", "e0 t1", "m1"), node("Add", "m1 b1", "h1"), node("Elu", "h1", "e1"),
-    node("MatMul", "e1 t2", "m2"), node("Add", "m2 b2", "i"), node("Identity", "i", "actions"),
-]  # fmt: skip
+    node("Sub", "obs mean", "c"),
+    node("Mul", "c inverse", "n"),
+    node("MatMul", "n t0", "m0"),
+    node("Add", "b0 m0", "h0"),
+    node("Elu", "h0", "e0", alpha=1.0),
+    node("MatMul", "e0 t1", "m1"),
+    node("Add", "m1 b1", "h1"),
+    node("Elu", "h1", "e1"),
+    node("MatMul", "e1 t2", "m2"),
+    node("Add", "m2 b2", "i"),
+    node("Identity", "i", "actions"),
+]
 FOLDS = [
     node("Constant", "", "eps", value=numpy_helper.from_array(np.float32(0.25))),
-    node("Sub", "std eps", "less"), node("Add", "less eps", "spread"),
-    node("Sub", "mean obs", "c"), node("Neg", "spread", "minus"), node("Div", "c minus", "n"),
+    node("Sub", "std eps", "less"),
+    node("Add", "less eps", "spread"),
+    node("Sub", "mean obs", "c"),
+    node("Neg", "spread", "minus"),
+    node("Div", "c minus", "n"),
     *gemms(),
-]  # fmt: skip
+]
 READ = {"as mjlab writes it": [*NORMALISED, *gemms()], "matrix products": MATMULS, "folded": FOLDS}
 
 
@@ -132,11 +128,18 @@ def test_metadata_of_mjlab_say_order_and_meaning_and_the_rest_is_asked_for(tmp_p
 def brax():
     """As the notebook of mujoco_playground writes it: swish, means and sigmas, tanh."""
     return [
-        *NORMALISED, node("MatMul", "n t0", "m0"), node("Add", "m0 b0", "h0"), node("Sigmoid", "h0", "s0"),
-        node("Mul", "h0 s0", "e0"), node("MatMul", "e0 t1", "m1"), node("Add", "m1 b1", "h1"),
-        node("Sigmoid", "h1", "s1"), node("Mul", "h1 s1", "e1"), node("MatMul", "e1 t2", "m2"),
+        *NORMALISED,
+        node("MatMul", "n t0", "m0"),
+        node("Add", "m0 b0", "h0"),
+        node("Sigmoid", "h0", "s0"),
+        node("Mul", "h0 s0", "e0"),
+        node("MatMul", "e0 t1", "m1"),
+        node("Add", "m1 b1", "h1"),
+        node("Sigmoid", "h1", "s1"),
+        node("Mul", "h1 s1", "e1"),
+        node("MatMul", "e1 t2", "m2"),
         node("Tanh", "m2", "actions"),
-    ]  # fmt: skip
+    ]
 
 
 def cut(values):
@@ -218,12 +221,28 @@ def test_metadata_of_any_kind_are_read_or_refused_in_one_line(tmp_path, meta):
 
 
 LEAVES = st.one_of(
-    st.none(), st.integers(-5, 5), st.floats(), st.text(max_size=5), st.lists(st.integers(0, 3), max_size=3),
-    st.builds(lambda *size: torch.ones(*size), st.integers(0, 20), st.integers(0, 20)), st.just(torch.ones(())),
-    st.just(torch.full((15,), float("nan"))), st.just(torch.ones(8, dtype=torch.bool)),
-)  # fmt: skip
-KEYS = ("mlp.0.weight", "mlp.0.bias", "mlp.2.weight", "mlp.2.bias", "distribution.std_param", "obs_normalizer._mean",
-        "obs_normalizer._std", "log_std", "mlp.1.weight", "other")  # fmt: skip
+    st.none(),
+    st.integers(-5, 5),
+    st.floats(),
+    st.text(max_size=5),
+    st.lists(st.integers(0, 3), max_size=3),
+    st.builds(lambda *size: torch.ones(*size), st.integers(0, 20), st.integers(0, 20)),
+    st.just(torch.ones(())),
+    st.just(torch.full((15,), float("nan"))),
+    st.just(torch.ones(8, dtype=torch.bool)),
+)
+KEYS = (
+    "mlp.0.weight",
+    "mlp.0.bias",
+    "mlp.2.weight",
+    "mlp.2.bias",
+    "distribution.std_param",
+    "obs_normalizer._mean",
+    "obs_normalizer._std",
+    "log_std",
+    "mlp.1.weight",
+    "other",
+)
 
 
 OUTER = ("iter", "infos", "model_state_dict", "actor_state_dict", "obs_norm_state_dict")

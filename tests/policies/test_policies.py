@@ -7,9 +7,9 @@ import json
 
 import pytest
 import torch
+from dog import SPEC
 from torch import nn
 
-from hts.contracts import RobotSpec
 from hts.envs.observation import critic_observation_size, observation_layout
 from hts.errors import PolicyError
 from hts.policies.export import to_onnx, to_torchscript
@@ -18,22 +18,6 @@ from hts.policies.importing import Layout, import_policy
 from hts.policies.proof import ITEMS, unproven
 from hts.rl.population import Population, Sizes
 
-SPEC = RobotSpec(
-    name="dog",
-    joint_names=("left", "right"),
-    default_pose=(0.1, -0.1),
-    kp=(20.0, 20.0),
-    kd=(0.5, 0.5),
-    action_scale=(0.25, 0.25),
-    torque_limit=(10.0, 10.0),
-    velocity_limit=(20.0, 20.0),
-    position_limit=((-1.0, 1.0), (-1.0, 1.0)),
-    control_rate_hz=50.0,
-    physics_dt=0.005,
-    substeps=4,
-    base_height=0.3,
-    foot_sites=("left_foot", "right_foot"),
-)
 SIZES = Sizes(15, critic_observation_size(2, 2), 2, (8, 4))  # 9 + 3 x 2
 
 

@@ -1,13 +1,18 @@
-"""A two-joint machine of which only logs exist, and a mapping of its logs."""
+"""A two-joint machine of which only logs exist, and a mapping of its logs. Helpers are found beside the tests."""
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from hts.channels import Channel
 from hts.contracts import LogOnlyRobot, RobotSpec
+from hts.recordings import RecordingStore
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture
@@ -37,3 +42,9 @@ def mapping() -> dict[str, Any]:
             "draw": {"columns": "amps", "unit": "A", "idle": 1.5},
         },
     }
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> RecordingStore:
+    """An empty one."""
+    return RecordingStore(tmp_path / "data.zarr", create=True)

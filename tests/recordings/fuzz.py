@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import hashlib
-import importlib.util
 import io
 import resource
 import sys
@@ -22,10 +21,10 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import malformed as table
 import numpy as np
 import yaml
 
-HERE = Path(__file__).parent
 MOST_MEGABYTES = 500
 """By which all cases together may raise the highest use of memory."""
 FORBIDDEN = ("pickle.find_class", "os.system", "os.exec", "os.posix_spawn", "subprocess.Popen", "socket.connect")
@@ -33,23 +32,11 @@ _ran: list[str] = []
 _watching = False
 
 
-def malformed() -> Any:
-    """The table of kinds beside this file."""
-    name = "made_up_malformed_logs"
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, HERE / "malformed.py")
-        assert spec is not None and spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[name] = module
-        spec.loader.exec_module(module)
-    return sys.modules[name]
-
-
 class Registry:
     """One robot, and the readers that come with hts."""
 
     def make_robot(self, name: str) -> Any:
-        return malformed().ROBOT()
+        return table.ROBOT()
 
     def make_log_reader(self, name: str, settings: Any = None) -> Any:
         from hts import builtin
@@ -150,7 +137,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=6, help="cases of each kind")
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args(arguments)
-    table = malformed()
     watch()
     counts: Counter[str] = Counter()
     wrong: list[str] = []

@@ -6,9 +6,10 @@ import copy
 import importlib.util
 import os
 import random
-import sys
 from pathlib import Path
 
+import fuzz
+import malformed as table
 import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
@@ -25,16 +26,6 @@ LOGS = Path(os.environ.get("HTS_REAL_LOGS", Path(__file__).parents[3] / "shared"
 EXTRA = importlib.util.find_spec("mcap_ros2") is not None
 
 
-def beside(name):
-    spec = importlib.util.spec_from_file_location(f"beside_{name}", Path(__file__).with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-fuzz = beside("fuzz")
-table = fuzz.malformed()
 KINDS = [(e, n) for e, group in (("bad", table.BAD), ("either", table.EITHER), ("good", table.GOOD)) for n in group]
 
 

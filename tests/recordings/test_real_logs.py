@@ -1,5 +1,5 @@
 """Logs of real robots, recorded by others: suggested mappings, labels, joined clocks, lag. Their import itself is in
-test_import.py. They stay out of the repository."""
+test_real_log_import.py. They stay out of the repository."""
 
 from __future__ import annotations
 

@@ -1,14 +1,9 @@
-"""The recording store: what it refuses, what it survives, and how it names things."""
+"""The recording store: what it keeps, what it refuses, and how it names things."""
 
 from __future__ import annotations
 
-import errno
-import json
 import os
 import shutil
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,58 +12,22 @@ import zarr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from walker_recording import a_recording
 
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.errors import RecordingError
-from hts.recordings import Recording, RecordingStore, Series, partial
+from hts.recordings import Recording, RecordingStore, Series
 from hts.recordings.checks import check
 from hts.recordings.header import array_digest
 
 DATA = Path(__file__).parents[1] / "data"
 
 
-def a_recording(samples: int = 50, **changes: object) -> Recording:
-    """Two joints and one measured channel at 50 Hz, every number exact in binary."""
-    steps = np.arange(samples)
-    channels = {
-        "joint_torque": Series(Channel("joint_torque", "N*m", (2,)), np.stack([steps / 4, -steps / 8], axis=1)),
-        "command": Series(Channel("command", "1", (3,), may_be_constant=True), np.tile([0.5, 0.0, 0.0], (samples, 1))),
-        "draw": Series(Channel("draw", "A"), 1.5 + (steps % 4) / 2),
-        "warmth": Series(Channel("warmth", "degC", may_be_constant=True), np.full(samples, 40.0)),
-    }
-    recording = Recording(
-        robot="walker",
-        world="bench",
-        policy_hash="abc",
-        iteration=1,
-        joint_names=("hip", "knee"),
-        kp=(20.0, 20.0),
-        kd=(0.5, 0.5),
-        rate_hz=50.0,
-        schedule=ScheduleConfig(commands=(Command(seconds=samples / 50, vx=0.5),)),
-        idle={"draw": 1.25, "warmth": 25.0},
-        clock="simulated",
-        time=steps / 50,
-        channels=channels,
-        mass_kg=12.5,
-        session="s1",
-        block=2,
-        role="policy",
-        notes={"by": "hand"},
-    )
-    return recording.replace(**changes)
-
-
 def with_channel(
     recording: Recording, name: str, unit: str, values: np.ndarray, shape: tuple[int, ...] = ()
 ) -> Recording:
     return recording.replace(channels={**recording.channels, name: Series(Channel(name, unit, shape), values)})
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> RecordingStore:
-    return RecordingStore(tmp_path / "data.zarr", create=True)
 
 
 # ---------------------------------------------------------------------------------------- writing and reading
@@ -258,247 +217,6 @@ def test_a_digest_does_not_depend_on_memory_layout() -> None:
     values = np.arange(12, dtype=np.float32).reshape(4, 3)
     assert array_digest(np.asfortranarray(values)) == array_digest(values) == array_digest(values.astype(">f4"))
     assert array_digest(values.reshape(3, 4)) != array_digest(values)
-
-
-# ------------------------------------------------------------------------------------------------------ damage
-
-
-def damages() -> dict[str, str]:
-    return {
-        "truncated chunk": "draw: damaged (ValueError: c/0 holds 25 numbers, not 50)",
-        "missing chunk": "draw: damaged (FileNotFoundError",
-        "flipped bit": "draw: damaged: its samples hash to",
-        "missing array": "draw: damaged (FileNotFoundError",
-        "garbled array metadata": "draw: damaged (JSONDecodeError",
-        "missing zarr.json": "zarr.json: missing",
-        "garbled zarr.json": "zarr.json: damaged (JSONDecodeError",
-        "changed attribute": "zarr.json: damaged: the attributes are not those that",
-        "NaN attribute": "zarr.json: damaged: the attributes are not those that",
-        "newer version": "zarr.json: schema version 99, this hts reads 1",
-    }
-
-
-def damage(name: str, folder: Path) -> None:
-    chunk, header = folder / "draw" / "c" / "0", folder / "zarr.json"
-    content = chunk.read_bytes()
-    attributes = json.loads(header.read_text())
-    if name == "truncated chunk":
-        chunk.write_bytes(content[: len(content) // 2])
-    elif name == "missing chunk":
-        chunk.unlink()
-    elif name == "flipped bit":
-        chunk.write_bytes(bytes([content[0] ^ 1]) + content[1:])
-    elif name == "missing array":
-        shutil.rmtree(folder / "draw")
-    elif name == "garbled array metadata":
-        (folder / "draw" / "zarr.json").write_text("{")
-    elif name == "missing zarr.json":
-        header.unlink()
-    elif name == "garbled zarr.json":
-        header.write_bytes(b"\x00\xff garbage")
-    elif name == "changed attribute":
-        attributes["attributes"]["mass_kg"] = 10.0
-        header.write_text(json.dumps(attributes))
-    elif name == "NaN attribute":
-        attributes["attributes"]["mass_kg"] = float("nan")
-        header.write_text(json.dumps(attributes))
-    elif name == "newer version":
-        attributes["attributes"]["schema_version"] = 99
-        header.write_text(json.dumps(attributes))
-
-
-@pytest.mark.parametrize("name", list(damages()))
-def test_damage_is_named_in_one_line_and_other_recordings_stay_usable(store: RecordingStore, name: str) -> None:
-    bad, good = store.write(a_recording()), store.write(a_recording(block=3))
-    damage(name, store.path / bad)
-    opened = RecordingStore(store.path)
-    with pytest.raises(RecordingError) as refused:
-        opened.read(bad)
-    assert damages()[name] in str(refused.value)
-    assert str(store.path / bad) in str(refused.value)
-    assert "\n" not in str(refused.value)
-    found = opened.validate()
-    assert [one.id for one in found] == [bad]
-    assert opened.read(good).block == 3
-    with pytest.raises(RecordingError):
-        opened.dataset([good, bad])
-
-
-def test_the_remedy_for_damage_works(store: RecordingStore) -> None:
-    recording_id = store.write(a_recording())
-    damage("truncated chunk", store.path / recording_id)
-    shutil.rmtree(store.path / recording_id)
-    assert store.write(a_recording()) == recording_id
-    assert store.validate() == []
-
-
-def test_a_stray_file_in_a_store_is_reported(store: RecordingStore) -> None:
-    (store.path / "notes.txt").write_text("mine")
-    assert [one.id for one in store.validate()] == ["notes.txt"]
-
-
-def test_a_path_that_is_no_store_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="no recording store"):
-        RecordingStore(tmp_path / "nothing.zarr")
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "letter.txt").write_text("dear")
-    with pytest.raises(RecordingError, match="holds 'letter.txt' and no zarr.json.*Choose a new or empty folder"):
-        RecordingStore(tmp_path / "mine", create=True)
-    with pytest.raises(RecordingError, match="making the store failed"):
-        RecordingStore(tmp_path / "mine" / "letter.txt" / "data.zarr", create=True)
-    zarr.open_group(str(tmp_path / "other.zarr"), mode="w")
-    with pytest.raises(RecordingError, match="zarr.json: damaged"):
-        RecordingStore(tmp_path / "other.zarr")
-
-
-def test_a_damaged_root_is_named_and_its_remedy_keeps_the_recordings(store: RecordingStore) -> None:
-    recording_id = store.write(a_recording())
-    (store.path / "zarr.json").write_text('{"zarr_format"')
-    with pytest.raises(RecordingError, match="zarr.json: damaged.*delete the file"):
-        RecordingStore(store.path)
-    (store.path / "zarr.json").unlink()
-    assert RecordingStore(store.path, create=True).ids() == (recording_id,)
-
-
-def test_an_unknown_recording_is_named_with_the_closest(store: RecordingStore) -> None:
-    recording_id = store.write(a_recording())
-    wrong = recording_id[:-1] + ("0" if recording_id[-1] != "0" else "1")
-    with pytest.raises(RecordingError, match=f"no recording '{wrong}' among 1. Did you mean '{recording_id}'"):
-        store.read(wrong)
-
-
-# ----------------------------------------------------------------------------------- being killed, and full disks
-
-WRITER = """
-import os, signal, sys
-sys.path.insert(0, {tests!r})
-from test_recordings import a_recording
-from hts.recordings import RecordingStore
-store = RecordingStore({store!r}, create=True)
-rename = os.rename
-def deadly(old, new):
-    if {when!r} == "after":
-        rename(old, new)
-    os.kill(os.getpid(), signal.SIGKILL)
-os.rename = deadly
-store.write(a_recording())
-"""
-
-
-def run_python(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
-
-
-@pytest.mark.parametrize("when", ["before", "after"])
-def test_a_killed_writer_leaves_nothing_or_everything(store: RecordingStore, when: str) -> None:
-    done = run_python(WRITER.format(tests=str(Path(__file__).parent), store=str(store.path), when=when))
-    assert done.returncode == -9, done.stderr
-    reader = RecordingStore(store.path)
-    assert len(reader.ids()) == (1 if when == "after" else 0)
-    assert reader.validate() == []
-    assert len(list(store.path.glob(".partial-*"))) == (0 if when == "after" else 1)  # reading cleans nothing
-    writer = RecordingStore(store.path)
-    recording_id = writer.write(a_recording())
-    assert writer.ids() == (recording_id,)
-    assert sorted(os.listdir(store.path)) == sorted([recording_id, "zarr.json"])
-
-
-BUSY_WRITER = """
-import sys
-sys.path.insert(0, {tests!r})
-from test_recordings import a_recording
-from hts.recordings import RecordingStore
-store = RecordingStore({store!r}, create=True)
-for block in range(100_000):
-    store.write(a_recording(block=block))
-"""
-
-
-@pytest.mark.parametrize("milliseconds", [3, 37, 71])
-def test_a_writer_killed_at_any_moment_leaves_only_whole_recordings(store: RecordingStore, milliseconds: int) -> None:
-    code = BUSY_WRITER.format(tests=str(Path(__file__).parent), store=str(store.path))
-    with subprocess.Popen([sys.executable, "-c", code]) as writer:
-        while not store.ids():
-            assert writer.poll() is None
-            time.sleep(0.001)
-        time.sleep(milliseconds / 1000)
-        writer.kill()
-    assert store.ids() and store.validate() == []
-    blocks = sorted(store.read(recording_id).block for recording_id in store.ids())
-    assert blocks == list(range(len(blocks)))  # none before the last one is lost
-
-
-def test_a_writer_at_work_is_not_cleaned_away(store: RecordingStore) -> None:
-    with partial.partial_folder(store.path) as alive:
-        RecordingStore(store.path, create=True).write(a_recording())
-        assert alive.is_dir()
-    assert not alive.exists()
-
-
-def test_a_store_half_made_when_its_writer_was_killed_is_made_whole(tmp_path: Path) -> None:
-    (tmp_path / "data.zarr" / ".partial-0123").mkdir(parents=True)
-    RecordingStore(tmp_path / "data.zarr", create=True)
-    assert os.listdir(tmp_path / "data.zarr") == ["zarr.json"]
-
-
-def test_two_writers_of_one_recording_do_not_disturb_each_other(
-    store: RecordingStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    publish = partial.publish
-
-    def after_another(folder: Path, final: Path) -> bool:
-        monkeypatch.setattr(partial, "publish", publish)
-        RecordingStore(store.path).write(a_recording())
-        return publish(folder, final)
-
-    monkeypatch.setattr(partial, "publish", after_another)
-    recording_id = store.write(a_recording())
-    assert sorted(os.listdir(store.path)) == sorted([recording_id, "zarr.json"])
-    assert store.validate() == []
-
-
-@pytest.mark.parametrize(
-    ("number", "remedy"), [(errno.ENOSPC, "The disk is full: free some space"), (errno.EROFS, "choose another place")]
-)
-@pytest.mark.parametrize("place", ["mkdir", "fsync", "rename"])
-def test_a_full_or_read_only_disk_leaves_nothing_behind(
-    store: RecordingStore, monkeypatch: pytest.MonkeyPatch, number: int, remedy: str, place: str
-) -> None:
-    kept = store.write(a_recording())
-
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(number, os.strerror(number))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(partial.os, place, fail)
-        with pytest.raises(RecordingError, match=remedy) as refused:
-            store.write(a_recording(block=3))
-    assert str(store.path) in str(refused.value)
-    assert sorted(os.listdir(store.path)) == sorted([kept, "zarr.json"])
-    store.write(a_recording(block=3))
-    assert store.validate() == []
-
-
-def test_an_array_that_does_not_fit_on_the_disk_leaves_nothing_behind(store: RecordingStore) -> None:
-    """A real failing write inside zarr: the kernel refuses files above 20 kB in the child process."""
-    code = f"""
-import resource, signal, sys
-sys.path.insert(0, {str(Path(__file__).parent)!r})
-from test_recordings import a_recording
-from hts.errors import RecordingError
-from hts.recordings import RecordingStore
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-store = RecordingStore({str(store.path)!r})
-recording = a_recording(10_000)
-resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-try:
-    store.write(recording)
-except RecordingError as error:
-    print(error)
-"""
-    done = run_python(code)
-    assert "writing a recording failed (File too large)" in done.stdout, done.stdout + done.stderr
-    assert os.listdir(store.path) == ["zarr.json"]
 
 
 # ------------------------------------------------------------------------------------------------ stored before

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import yaml
 
-from hts import plugins
 from hts.config import ScheduleConfig
 from hts.contracts import HoldSpeed, WorldContext
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
@@ -20,11 +19,6 @@ from hts.worlds.base import walking
 from hts.worlds.field import make_field
 
 SECONDS = 3.0
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return plugins.load().make_robot("go1")
 
 
 @pytest.fixture

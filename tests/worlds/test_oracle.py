@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from hts import plugins
 from hts.config import CommandConfig, EnvConfig
 from hts.contracts import Objective
 from hts.errors import ConfigError, UnfitWorldError
@@ -25,11 +24,6 @@ from hts.worlds.twin.session import Batch
 pytest.importorskip("hts_power", reason="its gauge knows the truth")
 POWER = TRUE + "battery_current"
 CONFIG = EnvConfig(commands=CommandConfig(vx=(0.6, 0.8), straight=1.0), threads=1)
-
-
-@pytest.fixture(scope="module")
-def registry():
-    return plugins.load()
 
 
 def oracle(registry, **world) -> OracleRobot:

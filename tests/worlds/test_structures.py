@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hts import plugins
 from hts.contracts import Instrument, PhysicsSample
 from hts.worlds.base import Operator, request_id, seed_sequence, walking
 from hts.worlds.twin.dynamics import Dynamics
@@ -26,11 +25,6 @@ PLAIN = {
     "full_torque_speed": 0.5,
     "actuation_delay": 0.0,
 }
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return plugins.load().make_robot("go1")
 
 
 class Witness(Instrument):

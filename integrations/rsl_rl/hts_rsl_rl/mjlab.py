@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from mjlab.rl import RslRlPpoAlgorithmCfg
-from torch import Tensor
 
-from hts_rsl_rl.reward import CENTRING, Channel, term_of
+from hts_rsl_rl.reward import ManagedTerm
 
 IN_JOINTS = {
     "joint_torque": "qfrc_actuator",  # N m at the joint, of all actuators together
@@ -19,34 +17,16 @@ IN_JOINTS = {
 """Channels that an entity of mjlab has: name -> field of `entity.data`, one number a joint."""
 
 
-class MeasuredReward:
+class MeasuredReward(ManagedTerm):
     """A reward term:
 
         RewardTermCfg(func=MeasuredReward, weight=6.0, params={"model": "cost.safetensors", "entity": "robot"})
 
-    weight: lambda, reward per second and unit of the measured reward. params: model, the exported file; entity, whose
-    joints; joint_names, theirs in the order of the recordings, None: as the file says; channels, name -> function of
-    the env, for inputs that are not torque, velocity and position of joints, or that are to be read in another way;
-    centring, beta per control step, None for none.
+    weight: lambda, reward per second and unit of the measured reward. params: those of `ManagedTerm`.
     """
 
     def __init__(self, cfg: Any, env: Any) -> None:
-        self.term = term_of(cfg.params, env, IN_JOINTS)
-
-    def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        self.term.reset(env_ids)
-
-    def __call__(
-        self,
-        env: Any,
-        model: str = "",
-        entity: str = "robot",
-        joint_names: Sequence[str] | None = None,
-        channels: Mapping[str, Channel] | None = None,
-        centring: float | None = CENTRING,
-    ) -> Tensor:
-        """The params were read when the term was made."""
-        return self.term(env)
+        super().__init__(cfg, env, IN_JOINTS)
 
 
 @dataclass

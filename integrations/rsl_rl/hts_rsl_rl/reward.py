@@ -93,10 +93,39 @@ class MeasuredTerm:
         return reward - self.centre.mean
 
 
+class ManagedTerm:
+    """What a `MeasuredReward` is to a manager: made with cfg and env, called with the params by their names.
+
+    params: model, the exported file; entity, whose joints; joint_names, theirs in the order of the recordings, None: as
+    the file says; channels, name -> function of the env, for inputs that are not torque, velocity and position of
+    joints, or that are to be read in another way; centring, beta per control step, None for none.
+    """
+
+    def __init__(self, cfg: Any, env: Any, fields: Mapping[str, str]) -> None:
+        """fields: as in `term_of`."""
+        self.term = term_of(cfg.params, env, fields)
+
+    def reset(self, env_ids: Tensor | Sequence[int] | slice | None = None) -> None:
+        """New episodes in these instances; all where None."""
+        self.term.reset(env_ids)
+
+    def __call__(
+        self,
+        env: Any,
+        model: str = "",
+        entity: str = "robot",
+        joint_names: Sequence[str] | None = None,
+        channels: Mapping[str, Channel] | None = None,
+        centring: float | None = CENTRING,
+    ) -> Tensor:
+        """The params were read when the term was made; managers want them named here."""
+        return self.term(env)
+
+
 def term_of(params: Mapping[str, Any], env: Any, fields: Mapping[str, str]) -> MeasuredTerm:
     """The term that a manager's params ask for. Raises ModelFileError.
 
-    params: model, entity, joint_names, channels, centring, see `hts_rsl_rl.mjlab.MeasuredReward`; env: has num_envs,
+    params: as in `ManagedTerm`; env: has num_envs,
     device, step_dt and scene; fields: name of a channel -> field of the entity's data, one number a joint.
     """
     given = {"entity": "robot", "joint_names": None, "channels": None, "centring": CENTRING, **params}

@@ -1,0 +1,184 @@
+"""`hts fit` and the fit of a run: what is written, refused, and told to a person."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import ClassVar
+
+import pytest
+import torch
+
+from hts.config import MeasurementConfig
+from hts.errors import ConfigError, RunError
+from hts.measurement import files, fit_command, fit_report
+from hts.measurement.data import input_tensor
+from hts.measurement.lstm import LSTMSettings
+from hts.testing.known_signals import SIGNALS, KnownHeat
+from hts.testing.known_signals import known_heat as recording
+
+SMALL = LSTMSettings(hidden=16, products=True, stream=250, batch=4)
+
+
+# ------------------------------------------------------------------------------------------------ hts fit
+
+
+@pytest.fixture
+def store(tmp_path, monkeypatch):
+    from hts import plugins
+    from hts.recordings.store import RecordingStore
+
+    cool = {"cool": plugins.Entry("cool", lambda settings: KnownHeat(), "test")}
+    known = replace(plugins.load(), objectives=cool)
+    monkeypatch.setattr(plugins, "load", lambda: known)
+    made = RecordingStore(tmp_path / "data.zarr", create=True)
+    for seed in (1, 2, 3):
+        made.write(recording(seed))
+    blind = recording(4)
+    made.write(blind.replace(channels={n: s for n, s in blind.channels.items() if n != "heat"}, idle={}))
+    return made
+
+
+def test_fit_writes_a_model_and_its_checks_and_overwrites_nothing(store, tmp_path):
+    few = ("measurement.epochs=3", "measurement.held_out=0.3")
+    path = fit_command.fit_store("cool", store.path, tmp_path / "out", overrides=few)
+    report = json.loads(path.read_text())
+    assert path == tmp_path / "out" / "fit.json"
+    assert len(report["training"]) == 2 and len(report["held_out"]["recordings"]) == 1
+    assert report["fit"]["epochs"] == 3 and report["rank_correlation"] is None
+    assert list(report["left_out"].values()) == ["has no channel 'heat'"]
+    assert report["dataset"] == store.dataset([i for i in store.ids() if i not in report["left_out"]]).sha256
+    assert files.load(tmp_path / "out" / "model").config == SMALL
+    assert report["model"] == {"name": "lstm", **SMALL.model_dump()}
+    assert report["held_out"]["linear"]["r2"] is not None
+    assert "R²" in fit_report.summary_line(report)
+    with pytest.raises(RunError, match="nothing is overwritten"):
+        fit_command.fit_store("cool", store.path, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["epochs=3", "measurement.epoch=3", "objectives.warm.x=1", "measurement.epochs=0", "objectives.cool.model.=1"],
+)
+def test_a_wrong_setting_of_fit_is_one_line(store, tmp_path, text):
+    with pytest.raises(ConfigError, match="--set") as caught:
+        fit_command.fit_store("cool", store.path, tmp_path / "out", overrides=(text,))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_model_that_is_returned_has_seen_what_was_held_out():
+    recordings = [recording(seed, seconds=8.0) for seed in range(4)]
+    settings = {"model": "linear"}
+    checked, again = (
+        fit_command.fit_and_check(KnownHeat(), recordings, MeasurementConfig(refit=refit), settings=settings)
+        for refit in (False, True)
+    )
+    assert checked.report["refit"] is None and checked.report["fit"]["recordings"] == 3
+    assert again.report["refit"]["recordings"] == 4
+    assert again.report["held_out_r2"] == checked.report["held_out_r2"]  # of a fit without them
+    whole = fit_command.new_model(KnownHeat(), recordings[0], settings)
+    whole.fit(recordings)
+    inputs = input_tensor(SIGNALS, recordings[0])[None]
+    found, same, other = (one.sequence(inputs)[0].mean for one in (again.model, whole, checked.model))
+    assert torch.equal(found, same) and not torch.equal(found, other)
+
+
+def test_fit_and_check_uses_the_given_configuration():
+    config = MeasurementConfig(epochs=2, held_out=0.5)
+    report = fit_command.fit_and_check(
+        KnownHeat(), [recording(1, seconds=6.0), recording(2, seconds=6.0)], config
+    ).report
+    assert report["fit"]["epochs"] == 2
+    assert report["held_out_r2"] == report["held_out"]["r2"]
+
+
+# --------------------------------------------------------------------------------------- what a person should know
+
+
+def a_report(r2, linear, spread=None):
+    held = {"r2": r2, "linear": {"r2": linear}, "spread": spread}
+    return {"objective": "warm", "target": "heat", "held_out": held}
+
+
+@pytest.mark.parametrize(
+    ("found", "linear", "expected"),
+    [
+        (-0.5, -0.2, "heat: held-out R² -0.500 is below 0.*more than about a second.*the loss that heats instead"),
+        (
+            0.5,
+            0.75,
+            "heat: held-out R² 0.500 is 0.250 below that of `linear`, 0.750.*--set objectives.warm.model=linear",
+        ),
+    ],
+)
+def test_a_model_that_is_worse_than_nothing_or_than_linear_is_told_with_its_cure(found, linear, expected):
+    (line,) = fit_report.doubts(a_report(found, linear))
+    assert re.match(expected, line) and "\n" not in line
+
+
+@pytest.mark.parametrize(("found", "linear"), [(0.95, 0.99), (0.0, None), (None, None), (0.9, 0.2)])
+def test_of_a_sound_model_or_one_without_held_out_data_nothing_is_said(found, linear):
+    assert fit_report.doubts(a_report(found, linear)) == []
+
+
+def test_a_stand_in_with_a_negative_scale_is_told_with_its_likely_causes():
+    report = a_report(0.9, 0.9)
+    report["held_out"]["proxy"] = {"smoothed": {"scale": -0.5, "r2": 0.8}}
+    (line,) = fit_report.doubts(report)
+    assert "negative scale, -0.5" in line and "sign: -1" in line
+    report["held_out"]["proxy"]["smoothed"]["scale"] = 0.5
+    assert fit_report.doubts(report) == []
+
+
+def test_a_spread_that_is_too_small_is_told():
+    (line,) = fit_report.doubts(a_report(0.9, 0.9, {"within_1": 0.21, "error_over_spread": 3.4}))
+    assert "0.21 of its errors lie within one of its standard deviations" in line and "3.4 times" in line
+    assert fit_report.doubts(a_report(0.9, 0.9, {"within_1": 0.6, "error_over_spread": 1.2})) == []
+
+
+def test_the_command_prints_what_is_doubtful_after_its_summary(store, tmp_path, monkeypatch, capsys):
+    from hts.cli import fit as fit_cli
+
+    monkeypatch.setattr(fit_report, "doubts", lambda report: [f"doubt of {report['target']}"])
+    fit_cli.command(store.path, tmp_path / "out", "cool", set_=["measurement.epochs=1"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("model") and [line.split()[0] for line in lines[1:4]] == ["mean", "proxy", "proxy,"]
+    summary = lines.index(next(line for line in lines if line.startswith("heat: R²")))
+    assert lines[summary + 1] == "doubt of heat" and lines[-1].endswith("fit.json")
+
+
+def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_path, monkeypatch):
+    from hts.run import learning
+
+    results = {}
+
+    class Job:
+        """As much of a run as its fit stage asks for."""
+
+        folder, objectives, registry = tmp_path, {"warm": KnownHeat()}, None
+        config = SimpleNamespace(measurement=None, objectives={"warm": {}})
+        said: ClassVar[list[str]] = []
+        stages = SimpleNamespace(progress=SimpleNamespace(say=said.append))
+
+        known = staticmethod(lambda iteration: [])
+        recordings = staticmethod(lambda ids: [])
+        dataset = staticmethod(lambda ids: SimpleNamespace(sha256="", ids=()))
+        read = staticmethod(lambda name: results[name])
+
+    def fitted(r2):
+        report = a_report(r2, 0.9)
+        monkeypatch.setattr(learning, "fit_and_check", lambda *given, **more: fit_command.FitResult(None, report))
+
+    monkeypatch.setattr(learning.files, "save", lambda *given: None)
+    fitted(-0.5)
+    results["iterations/00/fit"] = learning.fit(Job, 0, print)
+    assert len(Job.said) == 1 and "is below 0" in Job.said[0]
+    results["iterations/01/fit"] = learning.fit(Job, 1, print)
+    assert len(Job.said) == 1
+    fitted(0.9)
+    results["iterations/02/fit"] = learning.fit(Job, 2, print)
+    fitted(0.7)
+    learning.fit(Job, 3, print)
+    assert len(Job.said) == 2 and "below that of `linear`" in Job.said[1]

@@ -1,0 +1,145 @@
+"""`hts import` and `hts data` on a log of two joints: what is stored, said and refused."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from two_joint_log import TWO_JOINTS, a_log, a_mapping
+
+from hts.cli import data, import_
+from hts.cli.main import main
+from hts.contracts import Robot
+from hts.errors import ConfigError, HtsError, RecordingError
+from hts.recordings import RecordingStore
+from hts.recordings.csv_reader import make
+
+
+class OneRobot:
+    """A registry with one robot and the csv reader."""
+
+    def make_robot(self, name: str) -> Robot:
+        assert name == "logger"
+        return TWO_JOINTS
+
+    def make_log_reader(self, name: str) -> Any:
+        assert name == "csv"
+        return make({})
+
+
+@pytest.fixture
+def commands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    importlib.import_module("hts.cli.group")  # it keeps the `load` that it finds when it is imported
+    monkeypatch.setattr("hts.plugins.load", OneRobot)
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(a_mapping()))
+    return tmp_path
+
+
+def hts_import(folder: Path, *files: Path, drop: list[str] | None = None) -> None:
+    import_.command(list(files), "logger", folder / "m.yaml", folder / "data.zarr", drop)
+
+
+def test_import_stores_one_recording_a_file_and_again_changes_nothing(
+    commands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{20 * i},{i},{i},{-500 * i}" for i in range(10)]
+    files = [a_log(commands), a_log(commands, rows, name="other.csv")]
+    hts_import(commands, *files)
+    hts_import(commands, *files)
+    output = capsys.readouterr().out
+    assert len(RecordingStore(commands / "data.zarr").ids()) == 2
+    assert output.count("(was there already)") == 2
+    assert "other.csv: 0.20 s at 50 Hz, draw, joint_torque" in output
+
+
+def test_import_stores_nothing_if_one_of_the_files_is_refused(commands: Path) -> None:
+    bad = a_log(commands, [f"{20 * i},{i},{i},58" for i in range(10)], name="bad.csv")
+    with pytest.raises(RecordingError, match="bad.csv: 'draw' is -0.058 A in all 10 samples.*Nothing was stored"):
+        hts_import(commands, a_log(commands), bad)
+    assert not (commands / "data.zarr").exists()
+
+
+def test_every_refused_file_of_a_batch_is_named(commands: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = a_log(commands, [f"{20 * i},{i},{i},58" for i in range(10)], name="bad.csv")
+    short = a_log(commands, ["0,1,1,1"], name="short.csv")
+    with pytest.raises(RecordingError, match=r"^2 of 3 logs are refused, see above\. Nothing was stored"):
+        hts_import(commands, bad, a_log(commands), short)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2 and "bad.csv: 'draw' is" in lines[0] and "short.csv: 1 rows with data" in lines[1]
+    assert not (commands / "data.zarr").exists()
+
+
+def test_a_pipe_is_refused_and_not_waited_for(commands: Path) -> None:
+    os.mkfifo(commands / "pipe.csv")
+    with pytest.raises(RecordingError, match=r"pipe.csv: a pipe or a device, expected a file"):
+        hts_import(commands, commands / "pipe.csv")
+
+
+def test_the_line_of_an_import_says_that_the_robots_order_was_taken(
+    commands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hts_import(commands, a_log(commands))
+    assert "joint_order" not in capsys.readouterr().out
+    listed = {"joint_torque": {"columns": ["H_tau", "K_tau"], "unit": "N*m"}}
+    (commands / "m.yaml").write_text(yaml.safe_dump(a_mapping(channels=listed, joints=None)))
+    hts_import(commands, commands / "log.csv")
+    assert "[schedule not stated in the mapping; no joint_order: columns taken in the robot's, hip, knee]" in (
+        capsys.readouterr().out
+    )
+
+
+def test_what_a_terminal_would_obey_is_written_as_escapes(commands: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [f"{20 * i},{i},{i},{-500 * i}" for i in range(10)]
+    hts_import(commands, a_log(commands, rows, name="a\x1b[2J\udcff.csv"))
+    shown = capsys.readouterr().out
+    assert r"a\x1b[2J\udcff.csv: 0.20 s" in shown and "\x1b" not in shown
+    store = commands / "data.zarr"
+    assert main(["data", "show", str(store), RecordingStore(store).ids()[0][:8]]) == 0
+    assert "\x1b" not in capsys.readouterr().out
+    bad = a_log(commands, [*rows[:4], "80,4,\x1b]0;mine\x07high,3"], name="b.csv")
+    assert main(["import", str(bad), "--robot", "logger", "--mapping", str(commands / "m.yaml"), "--to", "x"]) == 2
+    said = capsys.readouterr().err
+    assert r"\x1b]0;mine\x07high" in said and "\x1b" not in said
+
+
+def test_a_channel_can_be_dropped_and_a_misspelt_one_is_named(commands: Path) -> None:
+    bad = a_log(commands, [f"{20 * i},{i},{i},58" for i in range(10)])
+    hts_import(commands, bad, drop=["draw"])
+    store = RecordingStore(commands / "data.zarr")
+    (recording_id,) = store.ids()
+    assert list(store.read(recording_id).channels) == ["joint_torque"]
+    with pytest.raises(ConfigError, match="--drop: No channel named 'drew'. Did you mean 'draw'"):
+        hts_import(commands, bad, drop=["drew"])
+
+
+def test_data_lists_shows_compares_and_validates(commands: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hts_import(
+        commands, a_log(commands), a_log(commands, [f"{20 * i},{i},{i},{-500 * i}" for i in range(10)], name="b.csv")
+    )
+    path = commands / "data.zarr"
+    first, second = RecordingStore(path).ids()
+    capsys.readouterr()
+    assert main(["data", "ls", str(path)]) == 0
+    assert capsys.readouterr().out.count("logger") == 2
+    assert main(["data", "show", str(path), first[:8]]) == 0
+    shown = capsys.readouterr().out
+    assert "joint hip: kp 20 N*m/rad" in shown and "draw" in shown
+    assert main(["data", "compare", str(path), first, second]) == 0
+    assert "mean 1" in capsys.readouterr().out
+    assert main(["data", "validate", str(path)]) == 0
+    assert "2 recordings, all whole" in capsys.readouterr().out
+    (path / first / "draw" / "c" / "0").write_bytes(b"short")
+    assert main(["data", "validate", str(path)]) == 2
+    assert f"{first}/draw: damaged" in capsys.readouterr().out
+
+
+def test_data_says_what_it_cannot_find(tmp_path: Path) -> None:
+    with pytest.raises(HtsError, match="no recording store"):
+        data.ls(tmp_path)
+    RecordingStore(tmp_path / "s.zarr", create=True)
+    with pytest.raises(HtsError, match="recording named 'abc'"):
+        data.show(tmp_path / "s.zarr", "abc")
