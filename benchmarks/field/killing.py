@@ -10,7 +10,8 @@ from field import stages
 from field.books import Books
 from field.processes import kill
 
-SHARE = 0.45  # of the seconds that the same stage took an iteration before
+SHARE = 0.45  # of the least seconds that the same stage took in an earlier iteration
+LAST_SHARE = 0.15  # in the last iteration: a first one is slow where something is loaded or compiled
 BLIND = 1.0  # s into a stage of which no earlier one tells how long it is, where there is one iteration only
 
 
@@ -50,12 +51,12 @@ class Killer:
                 return False
         else:
             moment = self._moment(name)
-            if moment is None or into < moment:
+            if not self._checkpoint(name) and (moment is None or into < moment):
                 return False
+        left = self._checkpoint(name)
         kill(process)
         if (self._run / f"{name}.json").exists():  # just too late
             return False
-        left = bool(list(self._run.glob(f"{Path(name).parent}/checkpoint*"))) and stages.kind_of(name) == "finetune"
         self._note(stages.kind_of(name), name, into, recordings_stored=stored, checkpoint=left)
         return True
 
@@ -74,9 +75,15 @@ class Killer:
     def _moment(self, name: str) -> float | None:
         """Seconds into a stage at which to kill it; None: not in this iteration."""
         known = [v for k, v in stages.seconds(self._run).items() if stages.kind_of(k) == stages.kind_of(name)]
+        iterations = stages.iterations(self._run)
         if known:
-            return SHARE * known[-1]
-        return BLIND if stages.iterations(self._run) == 1 else None
+            last = name.startswith(f"iterations/{iterations - 1:02d}/")
+            return (LAST_SHARE if last else SHARE) * min(known)
+        return BLIND if iterations == 1 else None
+
+    def _checkpoint(self, name: str) -> bool:
+        """Whether fine-tuning has left something to go on from: the best moment there is."""
+        return stages.kind_of(name) == "finetune" and any(self._run.glob(f"{Path(name).parent}/checkpoint*"))
 
     def _note(self, what: str, stage: str, into: float, **more: object) -> None:
         print(f"killed {what} ({stage}) {into:.1f} s into it", flush=True)
