@@ -52,7 +52,7 @@ def main() -> int:
     if given.seconds:
         threading.Thread(target=_time_is_up, args=(given.seconds,), daemon=True).start()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(WAITING))
-    operator = Operator(given.out, ["--out", str(run), *given.run], books, killer, recorder)
+    operator = Operator(given.out, ["--out", str(run), *given.run], books, killer, recorder, given.bundles)
     try:
         code = operator.work()
     except (CannotRecord, KeyboardInterrupt) as error:
@@ -75,28 +75,37 @@ def main() -> int:
 class Operator:
     """Starts `hts`, records what it waits for, starts it again."""
 
-    def __init__(self, out: Path, options: list[str], books: Books, killer: Killer, recorder: Recorder) -> None:
+    def __init__(
+        self, out: Path, options: list[str], books: Books, killer: Killer, recorder: Recorder, bundles: int
+    ) -> None:
         self._out, self._run, self._books, self._killer, self._recorder = out, out / "run", books, killer, recorder
+        self._bundles = bundles  # after which it ends; 0: with the run
         self._first = ["run", "--objective", "power", "--robot", "go1", "--world", "field", *options]
         self._importing = ThreadPoolExecutor(1)
         self._imports: list[Future[None]] = []
         self._process: subprocess.Popen[str] | None = None
 
     def work(self) -> int:
-        """Until the run is finished; its exit code."""
+        """Until the run is finished, or enough is recorded; its exit code."""
         fruitless, before = 0, ""
         while True:
             self._record()
+            if 0 < self._bundles <= len(self._books.entries("bundles")):
+                return self._imported(0)
             code = self._hts()
             if code not in (None, WAITING):
-                for one in self._imports:
-                    one.result()
-                return code
+                return self._imported(code)
             waiting = [bundle.name for bundle in self._recorder.waiting()]
             now = f"{stages.stamps(self._run)} {waiting} {len(self._books.entries('kills'))}"
             fruitless, before = (fruitless + 1 if now == before else 0), now
             if fruitless >= MOST_WITHOUT_PROGRESS:
                 raise CannotRecord(f"hts waits, and nothing is to be recorded: {tail(self._out / 'hts.txt')}")
+
+    def _imported(self, code: int) -> int:
+        """The exit code, once the imports beside have ended."""
+        for one in self._imports:
+            one.result()
+        return code
 
     def close(self) -> None:
         """Leave no process behind."""
@@ -178,6 +187,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robots", type=int, default=1, help="side by side, a session each; 1: one visit a bundle")
     parser.add_argument("--kill", default="", help=f"`all` or some of {','.join(EVERYTHING)}")
     parser.add_argument("--seconds", type=float, default=0.0, help="stop after so many; 0: when it is done")
+    parser.add_argument("--bundles", type=int, default=0, help="end once so many are recorded; 0: with the run")
     parser.add_argument("--seed", type=int, default=0, help="of the robots and their lines")
     parser.add_argument("run", nargs="*", help="options of `hts run`")
     return parser

@@ -40,11 +40,21 @@ def outcome(run: Path, books: Books, wanted: tuple[str, ...]) -> dict[str, Any]:
             "line_lost_both_ways": sum(one["line"]["lost"] for one in visits),
             "line_late_both_ways": sum(one["line"]["late"] for one in visits),
         },
+        "timing": _timing(visits),
         "kills": [{key: value for key, value in one.items() if key != "finished"} for one in kills],
         "not_killed": [one for one in wanted if one not in killed],
         "stages_done_again": sorted(again),
         "imports": books.entries("imports"),
     }
+
+
+def _timing(visits: list[dict[str, Any]]) -> dict[str, Any]:
+    """The worst of all visits; in real time a step that left a whole period late is a missed deadline."""
+    timed = [one for one in visits if "missed_deadlines" in one]
+    found: dict[str, Any] = {"steps": sum(one["steps"] for one in timed)}
+    for key in ("step_ms_mean", "step_ms_p999", "step_ms_worst", "late_ms_p999", "late_ms_worst", "memory_mb"):
+        found[key] = max((one[key] for one in timed), default=None)
+    return {**found, "missed_deadlines": sum(one["missed_deadlines"] for one in timed)}
 
 
 def _of_the_run(run: Path) -> dict[str, Any]:

@@ -23,7 +23,10 @@ from field.processes import kill, start, tail
 
 MOST_TRIES = 8  # of one visit
 CONTROL_MS = 20.0
-TIMES = ("step_ms_mean", "step_ms_p999", "step_ms_worst", "missed_deadlines")
+TIMES = (
+    *("steps", "step_ms_mean", "step_ms_p999", "step_ms_worst", "late_ms_p999", "late_ms_worst"),
+    *("missed_deadlines", "memory_mb"),
+)
 ENDED = re.compile(r"(\d+) falls, ([\d.]+) s, (\d+) packets lost, (\d+) late")
 
 
@@ -142,7 +145,7 @@ class Recorder:
                 mass = ready.split(", ")[1].split()[0]  # "ready on ..., 12.2 kg": as on a scale
                 asked = ["--rows", ",".join(rows), "--idle-seconds", "2", "--mass", mass, "--yes", *lockstep]
                 asked += [] if line.warmup is None else ["--warmup", str(line.warmup)]
-                asked += [] if line.real_time else ["--priority", "0"]
+                asked += [] if line.real_time else ["--priority", "0"]  # a simulation waits
                 link = f"udp://127.0.0.1:{port}"
                 command = ["-m", "hts_go1_runtime", "run", str(place), "--link", link, *asked]
                 runtime = start(command, told, told)
