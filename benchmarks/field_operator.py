@@ -24,6 +24,7 @@ import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from field import stages
 from field.books import Books
@@ -49,26 +50,34 @@ def main() -> int:
     killer = Killer(wanted, run, books)
     line = Line(given.reality, given.loss, given.late, given.real_time, given.warmup, given.robots, given.seed)
     recorder = Recorder(line, run, given.out / "visits", books, killer)
-    if given.seconds:
-        threading.Thread(target=_time_is_up, args=(given.seconds,), daemon=True).start()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(WAITING))
     operator = Operator(given.out, ["--out", str(run), *given.run], books, killer, recorder, given.bundles)
+
+    def result() -> dict[str, Any]:
+        how = ("reality", "loss", "late", "robots", "real_time")
+        found = {**{key: vars(given)[key] for key in how}, **outcome(run, books, wanted)}
+        atomic_write(given.out / "result.json", json.dumps(found, indent=1) + "\n")
+        print(given.out / "result.json", flush=True)
+        return found
+
+    def leave(*_: object) -> None:
+        """Everything that was started ends with this process."""
+        result()
+        print("not finished; the same command goes on", flush=True)
+        os._exit(WAITING)
+
+    signal.signal(signal.SIGTERM, leave)
+    signal.signal(signal.SIGINT, leave)
+    if given.seconds:
+        timer = threading.Timer(given.seconds, leave)
+        timer.daemon = True
+        timer.start()
     try:
         code = operator.work()
-    except (CannotRecord, KeyboardInterrupt) as error:
-        print(f"{error or 'stopped'}", file=sys.stderr, flush=True)
+    except CannotRecord as error:
+        print(error, file=sys.stderr, flush=True)
         code = 1
-    except SystemExit:
-        print("the time is up; the same command goes on", flush=True)
-        code = WAITING
-    finally:
-        operator.close()
-        described = {"reality": given.reality, "loss": given.loss, "late": given.late, "robots": given.robots}
-        found = {**described, "real_time": given.real_time, **outcome(run, books, wanted)}
-        atomic_write(given.out / "result.json", json.dumps(found, indent=1) + "\n")
-    print(given.out / "result.json", flush=True)
-    if not found["finished"]:
-        os._exit(code)  # visits may still be under way: they end with this process
+    operator.close()
+    result()
     return code
 
 
@@ -159,11 +168,6 @@ class Operator:
             process = start(["-m", "hts.cli.main", "import", str(log), *options], said, said)
             code = process.wait()
         self._books.add("imports", log=f"{bundle.name}/{log.name}", code=code)
-
-
-def _time_is_up(seconds: float) -> None:
-    time.sleep(seconds)
-    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _wanted(text: str) -> tuple[str, ...]:

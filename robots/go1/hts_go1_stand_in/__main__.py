@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
+from hts_go1_runtime.cli import hurry
 from hts_go1_stand_in.body import STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
 from hts_go1_stand_in.serve import serve
@@ -25,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--delay-ms", type=float, default=10.0, help="how late at most")
     parser.add_argument("--quiet-seconds", type=float, default=20.0, help="end when nobody has spoken for so long")
     parser.add_argument("--tick-ms", type=float, default=4.0, help="in lockstep: how often the simulation waits")
+    parser.add_argument("--priority", type=int, default=0, help="real-time, 1 to 99, where the system allows it")
     given = parser.parse_args(arguments)
     states = round(given.tick_ms / 1e3 / STATE_SECONDS)
     if states < 1 or abs(given.tick_ms / 1e3 - states * STATE_SECONDS) > 1e-9:
@@ -33,6 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     body = Body(given.reality, given.objective or ["power"], given.seed)
     try:
         line = Line(given.port, given.loss, given.late, given.delay_ms / 1e3, given.seed)
+        if given.priority:
+            hurry(given.priority)
         print(f"ready on 127.0.0.1:{line.port}, {body.mass_kg:g} kg", flush=True)
         try:
             serve(body, line, given.lockstep, given.quiet_seconds, states)
