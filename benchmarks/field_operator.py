@@ -134,7 +134,7 @@ class Operator:
         command = ["resume", str(self._run)] if (self._run / "config.yaml").exists() else self._first
         began = time.monotonic()
         with (self._out / "hts.txt").open("a") as said:
-            self._process = process = start(["-m", "hts.cli.main", *command], subprocess.PIPE, subprocess.STDOUT)
+            self._process = process = start("hts.cli.main", command, subprocess.PIPE, subprocess.STDOUT)
             reader = threading.Thread(target=self._read, args=(process, said), daemon=True)
             reader.start()
             killed = False
@@ -165,7 +165,7 @@ class Operator:
         described = bundle / "logs" / "mappings" / f"{log.stem}.yaml"
         options = ["--mapping", str(described), "--robot", "go1", "--to", str(self._out / "imported.zarr")]
         with (self._out / "import.txt").open("a") as said:
-            process = start(["-m", "hts.cli.main", "import", str(log), *options], said, said)
+            process = start("hts.cli.main", ["import", str(log), *options], said, said)
             code = process.wait()
         self._books.add("imports", log=f"{bundle.name}/{log.name}", code=code)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import signal
 import subprocess
@@ -12,20 +11,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any
 
-DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
+WITH_PARENT = Path(__file__).with_name("with_parent.py")
+Output = int | IO[Any] | None
 
 
-def start(command: Sequence[str], output: int | IO[Any] | None, errors: int | IO[Any] | None) -> subprocess.Popen[str]:
-    """`python ARGUMENTS` in a process group of its own."""
+def start(
+    module: str, arguments: Sequence[str], output: Output, errors: Output, **variables: str
+) -> subprocess.Popen[str]:
+    """`python -m MODULE ARGUMENTS` in a process group of its own. variables: of its environment."""
     return subprocess.Popen(
-        [sys.executable, *command],
+        [sys.executable, str(WITH_PARENT), str(os.getpid()), module, *arguments],
         stdout=output,
         stderr=errors,
         stdin=subprocess.DEVNULL,
         text=True,
-        env={**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "200"},
+        env={**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "200", **variables},
         start_new_session=True,
-        preexec_fn=_with_parent if sys.platform == "linux" else None,  # noqa: PLW1509 - two system calls, no locks
     )
 
 
@@ -43,8 +44,3 @@ def tail(path: Path, lines: int = 3) -> str:
     with contextlib.suppress(OSError):
         return "\n".join(path.read_text(errors="replace").strip().splitlines()[-lines:])
     return ""
-
-
-def _with_parent() -> None:
-    """Whoever started it may be killed: then nothing goes on that a second start would meet."""
-    ctypes.CDLL(None).prctl(DIE_WITH_PARENT, signal.SIGKILL)

@@ -23,6 +23,7 @@ from field.processes import kill, start, tail
 
 MOST_TRIES = 8  # of one visit
 CONTROL_MS = 20.0
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # pairs side by side need no more
 ROBOTS_PRIORITY = "10"  # a robot's own computer serves nobody else; the runtime's is higher
 TIMES = (
     *("steps", "step_ms_mean", "step_ms_p999", "step_ms_worst", "late_ms_p999", "late_ms_worst"),
@@ -136,7 +137,7 @@ class Recorder:
             port = free.getsockname()[1]
         options = ["--port", str(port), "--reality", line.reality, *lockstep, *ticks, *bad]
         with (place / "robot.txt").open("a") as said, (place / "runtime.txt").open("a") as told:
-            robot = start(["-W", "ignore", "-m", "hts_go1_stand_in", *options], subprocess.PIPE, said)
+            robot = start("hts_go1_stand_in", options, subprocess.PIPE, said, **ONE_THREAD, PYTHONWARNINGS="ignore")
             runtime = None
             try:
                 assert robot.stdout is not None
@@ -148,8 +149,9 @@ class Recorder:
                 asked += [] if line.warmup is None else ["--warmup", str(line.warmup)]
                 asked += [] if line.real_time else ["--priority", "0"]  # a simulation waits
                 link = f"udp://127.0.0.1:{port}"
-                command = ["-m", "hts_go1_runtime", "run", str(place), "--link", link, *asked]
-                runtime = start(command, told, told)
+                runtime = start(
+                    "hts_go1_runtime", ["run", str(place), "--link", link, *asked], told, told, **ONE_THREAD
+                )
                 code = self._watch(runtime, place, rows, kind, stage)
                 return self._noted(place, rows, stage, robot, code, began)
             finally:

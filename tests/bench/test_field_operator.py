@@ -36,9 +36,11 @@ def run(tmp_path):
 
 
 @pytest.fixture
-def sleeper():
+def sleeper(tmp_path, monkeypatch):
     """A process that does nothing for a minute."""
-    made = processes.start(["-c", "import time; time.sleep(60)"], subprocess.PIPE, None)
+    (tmp_path / "sleeper.py").write_text("import time\ntime.sleep(60)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    made = processes.start("sleeper", [], subprocess.PIPE, None)
     yield made
     processes.kill(made)
 
@@ -90,6 +92,17 @@ def test_nobody_is_killed_in_a_stage_of_which_no_time_is_known_unless_there_is_n
     (run / "config.yaml").write_text("iterations: 3\n")
     (run / "log" / "stages.json").write_text(json.dumps({"iterations/00/fit": 2.0}))
     assert killer._moment("iterations/01/fit") == SHARE * 2.0
+
+
+def test_what_was_started_ends_with_who_started_it(tmp_path):
+    (tmp_path / "waits.py").write_text("import os, time\nprint(os.getpid(), flush=True)\ntime.sleep(60)\n")
+    code = "from field import processes; import sys; made = processes.start('waits', [], None, None); made.wait()"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(BENCHMARKS), *sys.path[1:]])}
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment) as operator:
+        assert operator.stdout is not None
+        started = int(operator.stdout.readline())
+        operator.kill()
+    until(lambda: not Path(f"/proc/{started}").exists() or "Z (zombie)" in Path(f"/proc/{started}/status").read_text())
 
 
 def test_a_stage_in_the_world_is_killed_while_recordings_are_stored(run, sleeper, tmp_path):
