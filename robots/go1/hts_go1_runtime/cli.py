@@ -120,7 +120,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--yes", action="store_true", help="begin without asking")
     bench = commands.add_parser("bench", help="step times and stops on this computer, against a made-up robot")
     bench.add_argument("bundle", type=Path)
-    bench.add_argument("--seconds", type=float, default=120.0)
+    bench.add_argument("--seconds", type=float, default=120.0, help="of walking; 0: stops only")
     bench.add_argument("--stops", type=int, default=3, help="how often to try each reason to stop")
     for one in (run, bench):
         one.add_argument("--priority", type=int, default=20, help="real-time, 1 to 99; 0: none")

@@ -12,6 +12,7 @@ import os
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -105,13 +106,15 @@ def mapping(channels: Sequence[str], idle: Mapping[str, float], rate_hz: float, 
 class RowLog:
     """Writes one row's log into a folder. channels: which; described: its mapping. `write` once a step, then `closing`.
 
-    All that touches the disk is done by a thread: the rows, then the mapping, then the file gets its name.
+    All that touches the disk is done by a thread: the mapping, so that what a killed process or a full disk leaves of
+    the rows can be read too, then the rows, then the file gets its name.
     """
 
     def __init__(self, folder: Path, name: str, channels: Sequence[str], described: str = "") -> None:
         self._target, self._partial = folder / f"{name}.csv", folder / f".{name}.csv.partial"
         self._mapping, self._described = folder / "mappings" / f"{name}.yaml", described
         self._channels, self.rows, self.fault = list(channels), 0, ""
+        self._waiting = b""
         columns = ["time", *(column for name in channels for column in columns_of(name)), *NOTED]
         # Stamps to the microsecond; values to seven digits, what a float32 holds.
         self._format = ",".join(["%.6f"] + ["%.7g"] * (len(columns) - 1 - len(NOTED)) + ["%.6f"] + ["%.6g"] * 5) + "\n"
@@ -140,7 +143,7 @@ class RowLog:
 
     def _work(self) -> None:
         """The writing thread."""
-        waiting, handle, synced, over = b"", -1, time.monotonic(), False
+        handle, synced, over = -1, time.monotonic(), False
         while True:
             time.sleep(0.0 if over else 0.1)
             while not self._queue.empty():
@@ -148,12 +151,11 @@ class RowLog:
                 if item is None:
                     over = True
                 else:
-                    waiting += (item if isinstance(item, str) else self._format % tuple(item)).encode()
+                    self._waiting += (item if isinstance(item, str) else self._format % tuple(item)).encode()
             try:
                 if handle < 0:
                     handle = self._open()
-                while waiting:
-                    waiting = waiting[os.write(handle, waiting) :]
+                self._pour(handle)
                 if over or time.monotonic() - synced > SYNC_SECONDS:
                     os.fsync(handle)
                     synced = time.monotonic()
@@ -169,20 +171,36 @@ class RowLog:
         os.close(handle)
         self._done.set()
 
+    def _pour(self, handle: int) -> None:
+        """What waits, onto the disk, in whole lines: a disk that fills up within one gets none of that one."""
+        lines, left = self._waiting, self._waiting
+        try:
+            while left:
+                left = left[os.write(handle, left) :]
+            self._waiting = b""
+        except OSError:
+            done = len(lines) - len(left)
+            whole = lines.rfind(b"\n", 0, done) + 1
+            end = os.lseek(handle, 0, os.SEEK_CUR) - (done - whole)
+            os.ftruncate(handle, end)
+            os.lseek(handle, end, os.SEEK_SET)
+            self._waiting = lines[whole:]
+            raise
+
     def _open(self) -> int:
         """The partial file, new; one that an earlier visit left is kept under another name."""
         self._partial.parent.mkdir(parents=True, exist_ok=True)
+        if self._described:
+            write_whole(self._mapping, self._described)
         if self._partial.exists():
             left = len(list(self._partial.parent.glob(f"{self._partial.name}-*")))
             self._partial.replace(self._partial.with_name(f"{self._partial.name}-{left}"))
         return os.open(self._partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
 
     def _name(self) -> None:
-        """The mapping first, so that whoever sees the log sees what it is."""
+        """The mapping is there already, so whoever sees the log sees what it is."""
         if not self._whole or self._target.exists():
             return
-        if self._described:
-            write_whole(self._mapping, self._described)
         self._partial.replace(self._target)
         folder = os.open(self._target.parent, os.O_RDONLY)
         try:
@@ -202,45 +220,66 @@ def write_whole(path: Path, text: str) -> None:
     temporary.replace(path)
 
 
+def append_whole(path: Path, line: str) -> None:
+    """A line at the end of a file, or nothing. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    try:
+        size, left = os.fstat(handle).st_size, line.encode()
+        try:
+            while left:
+                left = left[os.write(handle, left) :]
+        except OSError:
+            os.ftruncate(handle, size)  # of a full disk: half a line is worse than none
+            raise
+    finally:
+        os.close(handle)
+
+
 class Events:
     """What happened in a session, one JSON line each, in logs/events.jsonl; said aloud too. By a thread: neither a disk
-    nor a terminal makes a step late."""
+    nor a terminal makes a step late. What a full disk refuses waits, in order, and is written once there is space; what
+    is said aloud does not wait for it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[tuple[str, Callable[[], None]] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
     def say(self, what: str, **numbers: Any) -> None:
         """Note something."""
-        line = json.dumps({"at": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "what": what, **numbers})
-        self._queue.put(lambda: print(what, *(f"{key}={value}" for key, value in numbers.items()), flush=True))
-        self._queue.put(lambda: self._append(line + "\n"))
+        line = json.dumps({"at": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "what": what, **numbers}) + "\n"
+        shown = " ".join([what, *(f"{key}={value}" for key, value in numbers.items())])
+        self._queue.put((shown, lambda: append_whole(self._path, line)))
 
     def keep(self, path: Path, text: str) -> None:
         """Write a small file."""
-        self._queue.put(lambda: write_whole(path, text))
+        self._queue.put(("", lambda: write_whole(path, text)))
 
     def close(self, seconds: float = 10.0) -> None:
         """Wait until all is written, at most so long."""
         self._queue.put(None)
         self._thread.join(seconds)
 
-    def _append(self, line: str) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(line)
-
     def _work(self) -> None:
-        said = False
-        while (task := self._queue.get()) is not None:
-            while True:
-                try:
-                    task()
-                    break
-                except OSError as error:
-                    if not said:
-                        print(f"{error.filename or self._path}: {error.strerror}", flush=True)
-                    said = True
-                    time.sleep(TRY_AGAIN_SECONDS)
+        waiting: deque[Callable[[], None]] = deque()
+        over = said = False
+        while not over or waiting:
+            try:
+                item = self._queue.get(timeout=TRY_AGAIN_SECONDS if waiting else None)
+                over = over or item is None
+                if item is not None:
+                    if item[0]:
+                        print(item[0], flush=True)
+                    waiting.append(item[1])
+            except queue.Empty:
+                pass
+            try:
+                while waiting:
+                    waiting[0]()
+                    waiting.popleft()
+            except OSError as error:
+                if not said:
+                    print(f"{error.filename or self._path}: cannot be written yet ({error.strerror})", flush=True)
+                said = True

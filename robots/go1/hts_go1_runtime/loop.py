@@ -23,6 +23,7 @@ from hts_go1_runtime.safety import Guard
 
 FIRST_STATE = 10.0  # s to wait for a robot that says nothing yet
 AFRESH = 0.1  # s of letting go of states that waited on the line
+CLOSE = 1e-6  # s: a simulation's clock and the deadlines are sums of different floats
 KEPT_TIMES = 200_000  # steps whose times are kept: more than an hour
 
 Make = Callable[[State], Command]
@@ -78,7 +79,7 @@ class Loop:
         """
         self._due += self.period
         self._alarm = self._due + self.limits.late
-        while self.link.now() < self._due:
+        while self.link.now() < self._due - CLOSE:
             self.look(self._due)
         began, clock = time.perf_counter(), self.link.now()
         if clock - self._due > self.limits.late:

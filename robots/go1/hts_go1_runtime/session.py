@@ -14,7 +14,7 @@ import numpy as np
 
 from hts_go1_runtime.bundle import Bundle, Row
 from hts_go1_runtime.errors import RuntimeFault, Stopped
-from hts_go1_runtime.link import NOTHING, Command, Link, State
+from hts_go1_runtime.link import DAMPING, NOTHING, Command, Link, State
 from hts_go1_runtime.log import REAL, Events, RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import SIT, STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT
@@ -158,13 +158,15 @@ class Session:
         self.events.say("sat down")
 
     def _blend(self, begin: np.ndarray, end: np.ndarray, seconds: float, rising: bool | None = None) -> None:
-        """From pose to pose without a jerk. rising: gains grow from nothing (True) or fall to nothing (False)."""
+        """From pose to pose without a jerk. rising: gains grow from nothing (True), or stiffness falls to nothing and
+        damping grows to that of the safe command (False): let go undamped, the legs would fall against their stops."""
         steps = max(1, round(seconds / self.loop.period))
         for number in range(1, steps + 1):
             share = 0.5 - 0.5 * math.cos(math.pi * number / steps)
             strength = 1.0 if rising is None else share if rising else 1.0 - share
             pose = np.clip(begin + share * (end - begin), TARGET_LOW, TARGET_HIGH)
-            command = Command(pose, strength * STAND_KP, strength * STAND_KD)
+            braking = DAMPING.kd - strength * (DAMPING.kd - STAND_KD) if rising is False else strength * STAND_KD
+            command = Command(pose, strength * STAND_KP, braking)
             self.loop.tick(lambda _, sent=command: sent)  # type: ignore[misc]
 
     # ------------------------------------------------------------------------------------------ walking

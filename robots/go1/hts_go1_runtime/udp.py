@@ -109,8 +109,9 @@ class UdpLink(Link):
                 self._clock, self._tick = stamp, sequence
                 return states
             if kind == STATE:
-                if sequence <= self._newest:
+                if sequence <= self._newest:  # it was counted as lost when the newer one came
                     self.counts.late += 1
+                    self.counts.lost = max(0, self.counts.lost - 1)
                     continue
                 if self._newest >= 0:
                     self.counts.lost += sequence - self._newest - 1

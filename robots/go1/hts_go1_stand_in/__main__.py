@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from collections.abc import Sequence
 
-from hts_go1_stand_in.body import Body
+from hts_go1_runtime.cli import hurry
+from hts_go1_stand_in.body import STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
 from hts_go1_stand_in.serve import serve
 
@@ -23,13 +25,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--late", type=float, default=0.0, help="share of packets that arrive late, each way")
     parser.add_argument("--delay-ms", type=float, default=10.0, help="how late at most")
     parser.add_argument("--quiet-seconds", type=float, default=20.0, help="end when nobody has spoken for so long")
+    parser.add_argument("--tick-ms", type=float, default=4.0, help="in lockstep: how often the simulation waits")
+    parser.add_argument("--priority", type=int, default=0, help="real-time, 1 to 99, where the system allows it")
     given = parser.parse_args(arguments)
+    states = round(given.tick_ms / 1e3 / STATE_SECONDS)
+    if states < 1 or abs(given.tick_ms / 1e3 - states * STATE_SECONDS) > 1e-9:
+        parser.error(f"--tick-ms {given.tick_ms:g}: expected a multiple of {1e3 * STATE_SECONDS:g}.")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     body = Body(given.reality, given.objective or ["power"], given.seed)
     try:
         line = Line(given.port, given.loss, given.late, given.delay_ms / 1e3, given.seed)
+        if given.priority:
+            hurry(given.priority)
         print(f"ready on 127.0.0.1:{line.port}, {body.mass_kg:g} kg", flush=True)
-        serve(body, line, given.lockstep, given.quiet_seconds)
-        print(f"{body.falls} falls, {body.clock:.1f} s, {line.lost} packets lost, {line.delayed} late", flush=True)
+        try:
+            serve(body, line, given.lockstep, given.quiet_seconds, states)
+        finally:
+            print(f"{body.falls} falls, {body.clock:.1f} s, {line.lost} packets lost, {line.delayed} late", flush=True)
     finally:
         body.close()
     return 0

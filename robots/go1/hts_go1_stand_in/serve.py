@@ -14,8 +14,9 @@ from hts_go1_stand_in.line import Line
 BEHIND = 0.25  # s that a real-time robot may fall behind before it lets time go
 
 
-def serve(body: Body, line: Line, lockstep: bool, quiet: float) -> None:
-    """Until the runtime has been silent for `quiet` s."""
+def serve(body: Body, line: Line, lockstep: bool, quiet: float, states_per_tick: int = 1) -> None:
+    """Until the runtime has been silent for `quiet` s. states_per_tick: after how many states the simulation waits for
+    the runtime, in lockstep; each wait costs two changes of process."""
     line.heard = time.monotonic()
     while not line.greeted:
         line.commands(0.0, 0.2)
@@ -25,9 +26,10 @@ def serve(body: Body, line: Line, lockstep: bool, quiet: float) -> None:
     while time.monotonic() - line.heard < quiet:
         line.state(sequence, body.clock, numbers_of_state(body.state(sequence)))
         if lockstep:
-            line.tick(sequence, body.clock)
-            if not line.done(sequence, body.clock, quiet):
-                return
+            if sequence % states_per_tick == 0:
+                line.tick(sequence, body.clock)
+                if not line.done(sequence, body.clock, quiet):
+                    return
             _obey(body, line.commands(body.clock, 0.0))
         else:
             due = began + body.clock + STATE_SECONDS

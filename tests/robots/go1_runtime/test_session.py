@@ -178,6 +178,10 @@ def test_a_full_disk_is_said_and_nothing_is_lost(tmp_path, monkeypatch):
     while not log.fault and time.monotonic() < end:
         time.sleep(0.01)
     assert log.fault.endswith("cannot be written (No space left on device)")
+    there = (tmp_path / ".00.csv.partial").read_text()
+    assert there.endswith("\n")  # whole lines, which can be read meanwhile
+    assert 2 <= len(there.splitlines()) < 41
+    assert (tmp_path / "mappings" / "00.yaml").exists()
     assert not log.closing().wait(0.2)
     full.clear()
     assert log.closing().wait(20)
@@ -185,6 +189,34 @@ def test_a_full_disk_is_said_and_nothing_is_lost(tmp_path, monkeypatch):
     assert table[:, 0] == pytest.approx(100 + 0.02 * np.arange(40))
     assert log.fault == ""
     assert (tmp_path / "mappings" / "00.yaml").read_text() == "the mapping"
+
+
+def test_events_of_a_full_disk_wait_in_order_and_are_said_at_once(tmp_path, monkeypatch, capsys):
+    real, full = os.write, threading.Event()
+    full.set()
+
+    def write(handle, data):
+        if full.is_set():
+            if len(data) > 20:
+                return real(handle, data[:20])  # some of it fits
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(handle, data)
+
+    monkeypatch.setattr("hts_go1_runtime.log.os.write", write)
+    events = Events(tmp_path / "events.jsonl")
+    for number in range(3):
+        events.say("row", number=number)
+    said, end = "", time.monotonic() + 10
+    while said.count("row number=") < 3 and time.monotonic() < end:
+        time.sleep(0.01)
+        said += capsys.readouterr().out
+    assert said.count("row number=") == 3  # aloud, whatever the disk does
+    assert said.count("cannot be written yet (No space left on device)") == 1
+    assert (tmp_path / "events.jsonl").read_text() == ""  # no half of a line
+    full.clear()
+    events.close()
+    kept = [json.loads(line)["number"] for line in (tmp_path / "events.jsonl").read_text().splitlines()]
+    assert kept == [0, 1, 2]
 
 
 def test_a_row_that_is_recorded_again_keeps_what_was_there(tmp_path):
