@@ -25,7 +25,8 @@ from hts.report.table import print_table
 from hts.report.task_words import TaskWords
 from hts.run.gate import gate, gate_refused
 from hts.run.job import Job
-from hts.run.learning import finetune, fit, simulate
+from hts.run.judging import simulate
+from hts.run.learning import finetune, fit
 from hts.run.progress import Progress
 from hts.run.reality import best_so_far, collect, final
 from hts.run.stages import Stages

@@ -17,7 +17,7 @@ from hts.run.front import PRETRAINED
 from hts.run.gate_checks import Worst, limits, sentence, told_by, untold_by
 from hts.run.gate_trials import LostPackets, channels_of, commands_of, dynamics, rollout, varied
 from hts.run.job import Job
-from hts.run.learning import fine_tuning, mean_gain
+from hts.run.judging import fine_tuning, mean_gain
 
 Report = Callable[[float], None]
 FORMAT = 1  # of gate.json

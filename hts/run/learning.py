@@ -1,46 +1,31 @@
-"""The stages that happen in simulation: fit measurement models, fine-tune the sweep, judge the candidates."""
+"""The stages that learn: fit measurement models, fine-tune the sweep."""
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
-from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, SimulatedCandidate, Task
-from hts.evaluation.final import speed_key
-from hts.evaluation.predicted import pieces, predicted_comparison
-from hts.evaluation.simulation import SimulatedTrial, longest_walk, test_config, trial_seconds
-from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
-from hts.measurement.baseline import fit_proxy
 from hts.measurement.fit_command import fit_and_check
 from hts.measurement.fit_report import doubts
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
-from hts.recordings.recording import Recording
-from hts.rl.population import Population
-from hts.run.front import PRETRAINED, real_front
+from hts.run.front import real_front
 from hts.run.job import Job
-from hts.run.task_watch import gave_up, gave_up_line, reward_scale, scale_lines
+from hts.run.task_watch import reward_scale, scale_lines
 from hts.run.trust_region import scaled
 from hts.selection.fronts import towards
 from hts.training.finetune import finetune as finetune_candidates
-from hts.training.finetune import measured_env
 from hts.training.sweep import FRONT, Candidate, candidates
 from hts.training.trainer import BatchStats
 
 Report = Callable[[float], None]
-InUnit = Callable[[np.ndarray], np.ndarray]
-NOT_WRITTEN = ("worlds", "pieces", "piece_speed")  # of a trial: what the stage's result is made from
 
 
 def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
@@ -203,166 +188,3 @@ def _remove_checkpoints(checkpoint: Path) -> None:
             shutil.rmtree(left)
         else:
             left.unlink()
-
-
-def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
-    """Judge candidates by their mean action in the training simulation; Π_{i+1} <- top K."""
-    config = job.config
-    test = config.simulation_test
-    tuned = job.read(f"iterations/{iteration:02d}/finetune")
-    rows = tuned["candidates"]
-    names = ["pretrained", *(row["id"] for row in rows)]
-    policies = [job.policy(name) for name in names]
-    worlds = test.num_envs * len(test.speeds)
-    seed = job.seed("simulate")  # the same worlds in every iteration
-    env_config = test_config(config.finetune.env, test.speeds, longest_walk(test), seed)
-    task = job.robot.task()
-    channels = tuple(dict.fromkeys((*inputs(job), *task.channels)))
-    bare = job.robot.make_env(
-        config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
-    )
-    env = measured_env(bare, transforms(job, iteration))
-    population = Population.from_candidates(
-        policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device
-    )
-    hold = HoldSpeed(config.finetune.env.commands.vx) if test.hold_speed else None
-    walks = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, task, hold)
-    results = dict(zip(names, walks, strict=True))
-    env.close()
-    promised = _promised(job, iteration, results)
-    task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
-    judged = [
-        replace(
-            _judge(row, results[row["id"]], test.speed_tolerance, task),
-            made=fine_tuning(row, task_rewards),
-            predicted=mean_gain(promised.get(row["id"], {})),
-        )
-        for row in rows
-    ]
-    selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
-    lenient = job.world.simulated is True and not (config.gate.enabled and job.gate_is_strict)
-    able = [one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], lenient)]
-    elites = selector.elites(able, job.elites(iteration))
-    details = {
-        name: [{key: value for key, value in vars(trial).items() if key not in NOT_WRITTEN} for trial in row]
-        for name, row in results.items()
-    }
-    found = {
-        "scores": {c.id: c.score for c in judged},
-        "objective_scores": {name: _scores(row) for name, row in results.items()},  # of the pretrained policy too
-        "task_rewards": task_rewards,  # likewise, per second
-        "falls": {c.id: c.falls for c in judged},
-        "tracked": {c.id: c.tracked for c in judged},
-        "pretrained_tracked": does_it(task, results["pretrained"], test.speed_tolerance),
-        "elites": elites,
-        "trials": details,
-        "predicted": promised,
-        "steps": round(trial_seconds(test) * job.robot.spec.control_rate_hz) * worlds * len(names),
-    }
-    line = gave_up_line(elites, found, tuned.get("reward_scale") or {}, task.quantity, task.unit)
-    if line is not None:
-        job.stages.progress.say(f"iteration {iteration:02d}: {line}")
-    return {**found, "gave_up": {"elites": gave_up(elites, found), "line": line}}
-
-
-def _promised(
-    job: Job, iteration: int, results: Mapping[str, Sequence[SimulatedTrial]]
-) -> dict[str, dict[str, dict[str, Any]]]:
-    """Candidate -> objective -> speed -> the improvement over the pretrained policy that its model predicts, with the
-    metrics that a head-to-head will have. A speed at which nothing can be predicted is left out."""
-    if not job.config.records_first:
-        return {}
-    known, task = job.recordings(job.known(iteration)), job.robot.task()
-    found: dict[str, dict[str, dict[str, Any]]] = {name: {} for name in results if name != PRETRAINED}
-    for key, objective in job.objectives.items():
-        in_unit = _in_unit(job, iteration, key, objective, known)
-
-        def seen(trial: SimulatedTrial, objective: Objective = objective, in_unit: InUnit = in_unit) -> Any:
-            target = in_unit(trial.pieces[objective.target.name])
-            tolerance = job.config.evaluation.speed_tolerance
-            return pieces(objective, target, trial.piece_speed, trial.speed, known, tolerance, task)
-
-        references = [seen(trial) for trial in results[PRETRAINED]]
-        for name, row in found.items():
-            compared = {
-                speed_key(trial.speed): predicted_comparison(objective, seen(trial), reference)
-                for trial, reference in zip(results[name], references, strict=True)
-            }
-            row[key] = {
-                speed: {
-                    "improvement": one.improvement,
-                    "selection_score": one.selection_score,
-                    "metrics": dict(one.metrics),
-                }
-                for speed, one in compared.items()
-                if one is not None
-            }
-    return found
-
-
-def _in_unit(job: Job, iteration: int, key: str, objective: Objective, known: Sequence[Recording]) -> InUnit:
-    """From what the env writes of a target to its unit: a model's z-scores, or a proxy, which a line through the known
-    recordings turns into the target."""
-    if job.config.reward_source == "model":
-        model = files.load(model_path(job, iteration, key), registry=job.registry)
-        return lambda found: model.denormalise(torch.from_numpy(found)).numpy()
-    line = fit_proxy(objective, known)
-    assert line is not None  # without a proxy there is nothing to train with
-    return lambda found: line.scale * found + line.offset
-
-
-def mean_gain(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, float]:
-    """Objective -> the mean over speeds of the selection score that is predicted; only what is predicted at all."""
-    return {
-        key: sum(one["selection_score"] for one in speeds.values()) / len(speeds)
-        for key, speeds in promised.items()
-        if speeds
-    }
-
-
-def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:
-    """A machine never gets a candidate that fell in simulation, or whose training was stopped; a simulated world may,
-    where no gate stands before it.
-
-    simulated: as `World.simulated`; a world that does not say counts as a machine, and so does one behind a gate.
-    """
-    return simulated is True or (candidate.falls == 0 and stopped is None)
-
-
-def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]) -> FineTuning:
-    """How a candidate was made. row: its part of finetune.json; task_rewards: of simulate.json."""
-
-    def number(value: float | None, otherwise: float) -> float:
-        return otherwise if value is None else float(value)  # JSON has neither NaN nor infinity
-
-    return FineTuning(
-        anchor=row["anchor"],
-        weights=row["weights"],
-        kl_bound=number(row["kl_bound"], math.inf),
-        kl=number(row["kl"], math.nan),
-        task_reward=number(task_rewards.get(row["id"]), math.nan),
-        pretrained_task_reward=number(task_rewards.get("pretrained"), math.nan),
-    )
-
-
-def _judge(
-    row: Mapping[str, Any], results: Sequence[SimulatedTrial], tolerance: float, task: Task = VELOCITY
-) -> SimulatedCandidate:
-    """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations)."""
-    falls = sum(trial.falls for trial in results)
-    tracked = does_it(task, results, tolerance)
-    scores = _scores(results)
-    if row["stopped"] is not None:
-        scores, tracked = dict.fromkeys(scores, float("-inf")), False
-    return SimulatedCandidate(row["id"], sum(scores.values()), falls, tracked, scores)
-
-
-def does_it(task: Task, results: Sequence[SimulatedTrial], tolerance: float) -> bool:
-    """Whether a policy does the task at every set-point."""
-    return all(task.does_it(trial.mean_speed, trial.valid, trial.speed, tolerance) for trial in results)
-
-
-def _scores(results: Sequence[SimulatedTrial]) -> dict[str, float]:
-    """Mean r_real over speeds of each objective, per second."""
-    names = dict.fromkeys(name for trial in results for name in trial.rewards)
-    return {name: sum(trial.rewards[name] for trial in results) / len(results) for name in names}

@@ -17,7 +17,8 @@ from hts.measurement.checks import check
 from hts.recordings.recording import Recording
 from hts.run.gate import elites_of
 from hts.run.job import Job
-from hts.run.learning import bound_scale, fine_tuning, model_path
+from hts.run.judging import fine_tuning
+from hts.run.learning import bound_scale, model_path
 from hts.run.trust_region import agreement, next_scale, tried_elites
 
 Report = Callable[[float], None]

@@ -8,7 +8,7 @@ import math
 import pytest
 
 from hts.contracts import SimulatedCandidate
-from hts.run import learning
+from hts.run import judging
 from hts.testing.known_world import KnownWorld
 from hts.testing.packages import kit_installed
 from hts.testing.tiny_run import tiny_run
@@ -30,17 +30,17 @@ def candidate(falls: int) -> SimulatedCandidate:
     ],
 )
 def test_who_fell_or_was_stopped_in_simulation_is_no_elite_for_a_machine(falls, stopped, simulated, allowed):
-    assert learning.may_be_tested(candidate(falls), stopped, simulated) is allowed
+    assert judging.may_be_tested(candidate(falls), stopped, simulated) is allowed
 
 
 @pytest.mark.parametrize("selector", ["hierarchical", "racing"])
 def test_a_run_on_a_machine_whose_candidates_all_fell_tests_nobody_and_says_so(tmp_path, monkeypatch, capsys, selector):
-    judge = learning._judge
+    judge = judging._judge
 
     def all_fall(*given):
         return dataclasses.replace(judge(*given), falls=1)
 
-    monkeypatch.setattr(learning, "_judge", all_fall)
+    monkeypatch.setattr(judging, "_judge", all_fall)
     monkeypatch.setattr(KnownWorld, "simulated", False)
     with kit_installed():
         run = tiny_run(tmp_path / "run", selector=selector)

@@ -73,15 +73,15 @@ def test_a_task_reward_below_zero_is_no_measure_of_the_task():
 
 def test_a_run_whose_elites_stop_driving_says_so_once_everywhere(tmp_path, capsys, monkeypatch):
     """The cart is told that its elites stand; the pretrained one drives."""
-    from hts.run import learning
+    from hts.run import judging
 
-    really = learning.trials
+    really = judging.trials
 
     def stood(*given):
         pretrained, *others = really(*given)
-        return [pretrained, *([learning.replace(t, mean_speed=0.0, task_reward=0.0) for t in row] for row in others)]
+        return [pretrained, *([judging.replace(t, mean_speed=0.0, task_reward=0.0) for t in row] for row in others)]
 
-    monkeypatch.setattr(learning, "trials", stood)
+    monkeypatch.setattr(judging, "trials", stood)
     with kit_installed():
         run = tiny_run(tmp_path / "run", settings={"simulation_test.speed_tolerance": 0.5})
     (iteration,) = run.summary["iterations"]
