@@ -50,7 +50,7 @@ def draw(
     ] = 0.05,
 ) -> None:
     """Draw twins over the published ranges until so many agree with public facts, or with a lab's own recordings."""
-    from hts.worlds.realities import batch
+    from hts.worlds.realities import batch, posterior_like
     from hts.worlds.realities import population as like_ours
     from hts.worlds.realities.posterior import accepted
 
@@ -78,7 +78,7 @@ def draw(
             )
     for path in files:
         typer.echo(str(path))
-    typer.echo(accepted(out), err=True)
+    typer.echo(accepted(out) if like is None else posterior_like.accepted(out), err=True)
 
 
 @app.command()
@@ -175,10 +175,14 @@ def posterior(
 ) -> None:
     """Print what was kept against what was drawn: acceptance, reasons, and the parameters that moved."""
     from hts import plugins
+    from hts.worlds.realities import posterior_like
     from hts.worlds.realities.posterior import lines_of, text
     from hts.worlds.realities.ranges import drawn_parameters, switches
 
     parameters = drawn_parameters(plugins.load())
+    if posterior_like.is_population(folder):
+        typer.echo(posterior_like.text(parameters, folder, most))
+        return
     typer.echo(text(parameters, switches(parameters), lines_of(folder), most))
 
 
@@ -203,6 +207,7 @@ def expect(
     from hts.errors import RunError
     from hts.run.expected import compared, expect, shown, shown_compared
     from hts.run.stages import read_json
+    from hts.worlds.realities.population import weights_of
     from hts.worlds.twin.reality import read
 
     files = sorted(path for path in folder.glob("*.json"))[:runs]
@@ -225,7 +230,13 @@ def expect(
             registry=registry,
         )
         check_names(configs[path.stem], registry)
-    result = expect(configs, out, lambda line: typer.echo(line, err=True))
+    weights = weights_of(folder)
+    unknown = sorted(set(configs) - set(weights)) if weights else []
+    if unknown:
+        raise RunError(
+            f"{folder}: kept.jsonl does not name {', '.join(unknown)}. Take files away that are not its own."
+        )
+    result = expect(configs, out, lambda line: typer.echo(line, err=True), weights=weights)
     rows = compared(result, finished) if finished is not None else []
     if as_json:
         typer.echo(json.dumps({**result, **({"compared": rows} if rows else {})}, indent=1))

@@ -167,6 +167,8 @@ def draw_like(
     rest = lines[len(generations) * asked.size :]
     while not generations or not _agrees(generations[-1], within):
         spent = sum(line["simulated"] for line in lines)
+        if budget is not None and spent >= budget:
+            raise RunError(_not_enough(folder, budget, generations))
         tasks = _next(asked, generations, within, rest)
         for particle in work(asked, tasks[len(rest) :], processes, within):
             task = tasks[len(rest)]
@@ -182,8 +184,6 @@ def draw_like(
                 raise RunError(_not_enough(folder, budget, generations))
         generations, rest = generations_of(lines, asked.size), []
         tell(_summed_up(generations[-1]))
-        if budget is not None and spent >= budget and not _agrees(generations[-1], within):
-            raise RunError(_not_enough(folder, budget, generations))
     return _written(asked, folder, generations[-1])
 
 
