@@ -111,15 +111,17 @@ _machines: dict[str, Machines] = {}  # of this process, by its work: made once
 
 
 def one_task(asked: Asked, task: Task, within: float) -> Particle:
-    """Do it."""
+    """Do it, on twins; in a process that goes on to do others."""
     key = hashlib.sha256(repr(asked).encode()).hexdigest()
-    machines = _machines.get(key) or _machines.setdefault(key, Machines(asked))
+    return done(asked, task, within, _machines.get(key) or _machines.setdefault(key, Machines(asked)))
+
+
+def done(asked: Asked, task: Task, within: float, on: Machines) -> Particle:
+    """What becomes of the place."""
     rng = _random(asked.seed, f"place {task.place} of {task.generation}")
-    given = (machines.space, machines.free, within, machines.simulate, rng)
     if task.begin is None or task.bound is None:
-        return sampler.first(*given)
-    space, free, _, simulate, rng = given
-    return sampler.walk(space, task.begin, task.bound, within, task.step, asked.steps, free, simulate, rng)
+        return sampler.first(on.space, on.free, within, on.simulate, rng)
+    return sampler.walk(on.space, task.begin, task.bound, within, task.step, asked.steps, on.free, on.simulate, rng)
 
 
 def side_by_side(asked: Asked, tasks: Sequence[Task], processes: int, within: float = 1.0) -> Iterator[Particle]:
