@@ -273,7 +273,7 @@ def _summed_up(last: Generation) -> str:
 
 def _not_enough(folder: Path, budget: int, generations: Sequence[Generation]) -> str:
     bound = generations[-1].bound if generations else None
-    reached = "the first generation is not whole" if bound is None else f"all draws are within {bound:.2f} tolerances"
+    reached = "that is no more than the prior" if bound is None else f"all draws are within {bound:.2f} tolerances"
     return (
         f"{folder}: {budget} simulations are spent; {reached}. The same command with a larger --budget goes on; "
         "--within takes draws that agree less."
