@@ -21,6 +21,7 @@ from pathlib import Path
 from batch import methods as known
 from batch.expected import Expected, Fitting, compared, fitted, read, table, write
 from batch.expected_logs import Visit
+from batch.groups import objectives_of
 from batch.lines import Line, files_of, read_lines
 from batch.methods import Job
 from batch.queue import STOPPED, run_batch, slots_of
@@ -139,7 +140,7 @@ def _measured(given: argparse.Namespace, wanted: dict[str, list[Job]]) -> dict[s
             line
             for line in lines
             if line.result is not None
-            and given.objective in line.result.objectives
+            and given.objective in objectives_of(line)
             and (line.method, line.preset, line.reality_hash) == (given.method, given.preset, jobs[0].reality_hash)
         ]
         for name, jobs in wanted.items()
