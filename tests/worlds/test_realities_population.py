@@ -13,6 +13,7 @@ from scipy.special import ndtri
 from hts import plugins
 from hts.errors import RunError
 from hts.worlds.realities import posterior_like, sampler
+from hts.worlds.realities.batch import exported_policy
 from hts.worlds.realities.like import Figure, Likeness
 from hts.worlds.realities.misfit import in_tolerances
 from hts.worlds.realities.population import KEPT, Asked, done, draw_like, weights_of
@@ -238,3 +239,20 @@ def test_steps_grow_where_most_is_accepted_and_shrink_where_little_is():
 
     assert sampler.next_step(0.4, moved(8)) > 0.4 > sampler.next_step(0.4, moved(1)) > 0
     assert sampler.next_step(0.4, [Particle(np.zeros(1), Found(0.1), 0, 0)]) == 0.4
+
+
+@pytest.mark.slow
+def test_draws_of_twins_are_the_same_from_one_process_and_two(tmp_path, parameters):
+    """Real ones, with tolerances so wide that two generations do."""
+    policy = exported_policy("go1", tmp_path)
+    known = [("idle power", 0.0, 33.0, True), ("gross power", 0.5, 120.0, False)]
+    figures = tuple(
+        figure(name, value, share=0.6, speed=speed).model_copy(update={"idle": idle})
+        for name, speed, value, idle in known
+    )
+    asked = Asked(2, "s", "go1", "like", str(policy), Likeness(figures=figures, schedule=None), size=4, steps=1)
+    files = [draw_like(asked, tmp_path / str(number), within=1.0, processes=number) for number in (1, 2)]
+    assert files[0] and [path.read_text() for path in files[0]] == [path.read_text() for path in files[1]]
+    found = read(str(files[0][0]))
+    assert [one.name for one in found.facts] == ["idle power", "gross power"]
+    assert all(one.low <= one.value <= one.high for one in found.facts)
