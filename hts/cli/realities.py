@@ -36,14 +36,22 @@ def draw(
     name: Annotated[str, typer.Option(help="They are called NAME-00 and so on.")] = "reality",
     processes: Annotated[int, typer.Option(min=0, help="Side by side; 0: one per core.")] = 0,
     like: Annotated[
-        Path | None, typer.Option(metavar="STORE", help="Agree with these recordings instead of public facts.")
+        Path | None,
+        typer.Option(metavar="STORE|RUN", help="Agree with these recordings instead of public facts, by a sampler."),
     ] = None,
     policy_file: Annotated[
         Path | None, typer.Option("--policy", metavar="FILE", help="With --like: the policy that walked (safetensors).")
     ] = None,
+    population: Annotated[int, typer.Option(min=4, help="With --like: draws that are moved until they agree.")] = 32,
+    budget: Annotated[int, typer.Option(min=1, help="With --like: simulations at most, over all calls.")] = 4000,
+    within: Annotated[float, typer.Option(min=0.1, help="With --like: tolerances that draws may be away.")] = 1.0,
+    discrepancy: Annotated[
+        float, typer.Option(min=0.001, max=1, help="With --like: share of a figure that no twin is trusted to.")
+    ] = 0.05,
 ) -> None:
     """Draw twins over the published ranges until so many agree with public facts, or with a lab's own recordings."""
-    from hts.worlds.realities.batch import Asked, draw_many, exported_policy
+    from hts.worlds.realities import batch, posterior_like
+    from hts.worlds.realities import population as like_ours
     from hts.worlds.realities.posterior import accepted
 
     robot = robot or _only_robot()
@@ -54,12 +62,23 @@ def draw(
         typer.echo(f"draw {line['index']}: {'kept as ' + kept if kept else line['why']}", err=True)
 
     with tempfile.TemporaryDirectory() as folder:
-        policy = exported_policy(robot, Path(folder), policy_file)
-        own = None if like is None else _likeness(like, robot, policy)
-        asked = Asked(count, seed, robot, name, str(policy), own)
-        for path in draw_many(asked, out, processes, tell):
-            typer.echo(str(path))
-    typer.echo(accepted(out), err=True)
+        policy = batch.exported_policy(robot, Path(folder), policy_file)
+        if like is None:
+            files = batch.draw_many(batch.Asked(count, seed, robot, name, str(policy)), out, processes, tell)
+        else:
+            own = _likeness(like, robot, policy, discrepancy)
+            asked = like_ours.Asked(count, seed, robot, name, str(policy), own, population)
+            files = like_ours.draw_like(
+                asked,
+                out,
+                within=within,
+                budget=budget,
+                processes=processes,
+                tell=lambda text: typer.echo(text, err=True),
+            )
+    for path in files:
+        typer.echo(str(path))
+    typer.echo(accepted(out) if like is None else posterior_like.accepted(out), err=True)
 
 
 @app.command()
@@ -156,10 +175,14 @@ def posterior(
 ) -> None:
     """Print what was kept against what was drawn: acceptance, reasons, and the parameters that moved."""
     from hts import plugins
+    from hts.worlds.realities import posterior_like
     from hts.worlds.realities.posterior import lines_of, text
     from hts.worlds.realities.ranges import drawn_parameters, switches
 
     parameters = drawn_parameters(plugins.load())
+    if posterior_like.is_population(folder):
+        typer.echo(posterior_like.text(parameters, folder, most))
+        return
     typer.echo(text(parameters, switches(parameters), lines_of(folder), most))
 
 
@@ -184,6 +207,7 @@ def expect(
     from hts.errors import RunError
     from hts.run.expected import compared, expect, shown, shown_compared
     from hts.run.stages import read_json
+    from hts.worlds.realities.population import weights_of
     from hts.worlds.twin.reality import read
 
     files = sorted(path for path in folder.glob("*.json"))[:runs]
@@ -206,7 +230,13 @@ def expect(
             registry=registry,
         )
         check_names(configs[path.stem], registry)
-    result = expect(configs, out, lambda line: typer.echo(line, err=True))
+    weights = weights_of(folder)
+    unknown = sorted(set(configs) - set(weights)) if weights else []
+    if unknown:
+        raise RunError(
+            f"{folder}: kept.jsonl does not name {', '.join(unknown)}. Take files away that are not its own."
+        )
+    result = expect(configs, out, lambda line: typer.echo(line, err=True), weights=weights)
     rows = compared(result, finished) if finished is not None else []
     if as_json:
         typer.echo(json.dumps({**result, **({"compared": rows} if rows else {})}, indent=1))
@@ -232,16 +262,12 @@ def ranges() -> None:
     typer.echo(table(drawn_parameters(plugins.load())))
 
 
-def _likeness(store: Path, robot: str, policy: Path) -> Likeness:
-    """What the recordings of a store say of the robot; prints it."""
+def _likeness(store: Path, robot: str, policy: Path, discrepancy: float) -> Likeness:
+    """What the recordings of a store, or of a run, say of the robot; prints it."""
     from hts import plugins
-    from hts.policies.deploy import DeployedPolicy
-    from hts.recordings.store import RecordingStore
-    from hts.worlds.realities.like import recorded, table
+    from hts.worlds.realities.like import of_store, table
 
-    source = RecordingStore(store)
-    recordings = [source.read(one) for one in source.ids()]
-    found = recorded(recordings, robot, DeployedPolicy(policy).card.policy_hash, plugins.load())
+    found = of_store(store, robot, policy, plugins.load(), discrepancy)
     how = "recorded warm, at one speed each" if found.schedule is None else "recorded from cold, schedule and all"
     text = table(found.figures)
     typer.echo(f"{len(found.figures)} figures of {store} ({how}), instead of the public ones:\n\n{text}\n", err=True)

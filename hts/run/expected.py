@@ -5,6 +5,8 @@ again. The interval is for one more run on one more such machine, noise of its o
 
     m ± t_{n-1} s √(1 + 1/n)        m, s: mean and standard deviation over n realities
 
+Where draws weigh differently, m and s are weighted and n is what the weights are worth, 1 / Σ w² (Kish 1965).
+
 It supposes that the lab's robot is one of the machines that were drawn. Where their structures leave something out that
 the robot has, it promises too much certainty: compare afterwards (`compared`).
 """
@@ -45,11 +47,16 @@ def run_once(config: RunConfig, folder: Path) -> None:
 
 
 def expect(
-    configs: Mapping[str, RunConfig], out: Path, tell: Callable[[str], None], run: Run = run_once
+    configs: Mapping[str, RunConfig],
+    out: Path,
+    tell: Callable[[str], None],
+    run: Run = run_once,
+    weights: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Do the runs that are not done, one after the other, and write OUT/expected.json.
 
-    configs: name of a reality -> the run on it, in OUT/NAME. Raises RunError for a folder of another run.
+    configs: name of a reality -> the run on it, in OUT/NAME; weights: of the realities, alike if
+    there are none. Raises RunError for a folder of another run.
     """
     rows = []
     for number, (name, given) in enumerate(configs.items()):
@@ -58,7 +65,8 @@ def expect(
         done = "finished earlier" if (folder / "summary.json").exists() else "running"
         tell(f"{name} ({number + 1} of {len(configs)}): {done}, {folder}")
         run(config, folder)
-        rows.append(_row(name, read_json(folder / "summary.json"), config))
+        row = _row(name, read_json(folder / "summary.json"), config)
+        rows.append({**row, "weight": weights[name]} if weights else row)
     result = {"format": FORMAT, "preset": next(iter(configs.values())).preset, "runs": rows, "expected": pooled(rows)}
     write_json(out / FILE, result)
     return result
@@ -102,24 +110,40 @@ def pooled(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         speeds = {}
         for key in first["speeds"]:
             values = [row["objectives"][objective]["speeds"][key] for row in rows]
-            speeds[key] = prediction([value for value in values if value is not None]) | {
-                "refused": sum(value is None for value in values)
+            there = [
+                (value, row.get("weight", 1.0)) for value, row in zip(values, rows, strict=True) if value is not None
+            ]
+            speeds[key] = prediction([value for value, _ in there], [weight for _, weight in there]) | {
+                "refused": len(values) - len(there)
             }
         result[objective] = {"unit": first["unit"], "speeds": speeds}
     return result
 
 
-def prediction(values: Sequence[float]) -> dict[str, Any]:
-    """Mean, interval of the next value, and quantiles. One value has no interval (null)."""
+def prediction(values: Sequence[float], weights: Sequence[float] | None = None) -> dict[str, Any]:
+    """Mean, interval of the next value, and quantiles. One value, or what is worth no more, has no interval (null)."""
     count = len(values)
-    mean = float(np.mean(values)) if count else math.nan
+    if not count:
+        return {"runs": 0, "worth": 0.0, "mean": math.nan, "interval95": None, "quantiles": {}}
+    found = np.asarray(values, dtype=float)
+    share = np.ones(count) if weights is None else np.asarray(weights, dtype=float)
+    share = share / share.sum()
+    worth, mean = float(1 / np.square(share).sum()), float(share @ found)
     interval = None
-    if count > 1:
-        scatter = float(np.std(values, ddof=1)) * math.sqrt(1 + 1 / count)
-        wide = float(stats.t.ppf((1 + LEVEL) / 2, count - 1)) * scatter
+    if worth > 1 + 1e-9:
+        spread = math.sqrt(float(share @ np.square(found - mean)) * worth / (worth - 1))
+        wide = float(stats.t.ppf((1 + LEVEL) / 2, worth - 1)) * spread * math.sqrt(1 + 1 / worth)
         interval = [mean - wide, mean + wide]
-    quantiles = {f"{q:g}": float(np.quantile(values, q)) for q in QUANTILES} if count else {}
-    return {"runs": count, "mean": mean, "interval95": interval, "quantiles": quantiles}
+    quantiles = {f"{q:g}": _quantile(found, share, q) for q in QUANTILES}
+    return {"runs": count, "worth": worth, "mean": mean, "interval95": interval, "quantiles": quantiles}
+
+
+def _quantile(values: np.ndarray, share: np.ndarray, q: float) -> float:
+    """Of values with equal shares numpy's own; else where the cumulated share, from the middle of each, passes q."""
+    if np.allclose(share, share[0]):
+        return float(np.quantile(values, q))
+    order = np.argsort(values)
+    return float(np.interp(q, np.cumsum(share[order]) - share[order] / 2, values[order]))
 
 
 def compared(expected: Mapping[str, Any], summary: Mapping[str, Any]) -> list[dict[str, Any]]:

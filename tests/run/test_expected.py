@@ -52,6 +52,19 @@ def test_it_holds_the_next_value_in_95_of_100_cases():
     assert held / 2000 == pytest.approx(0.95, abs=0.015)
 
 
+def test_draws_that_weigh_more_count_more_and_are_worth_fewer():
+    equal, plain = prediction([0.1, 0.2, 0.3], [2.0, 2.0, 2.0]), prediction([0.1, 0.2, 0.3])
+    assert equal["mean"] == pytest.approx(plain["mean"]) and equal["worth"] == pytest.approx(3)
+    assert equal["interval95"] == pytest.approx(plain["interval95"])
+    found = prediction([0.1, 0.2, 0.2], [0.5, 0.25, 0.25])
+    assert found["mean"] == pytest.approx(0.15) and found["worth"] == pytest.approx(1 / (1 / 4 + 2 / 16))
+    # s² = 0.05² n / (n - 1) = 0.004, n = 8/3: wider than the 4.303 of two degrees of freedom gives
+    low, high = found["interval95"]
+    assert (low + high) / 2 == pytest.approx(0.15)
+    assert high - 0.15 > 4.303 * np.sqrt(0.004 * (1 + 3 / 8))
+    assert prediction([0.1, 0.2], [1.0, 0.0])["interval95"] is None
+
+
 @pytest.fixture
 def configs():
     """Two runs that only differ in their reality."""
@@ -90,6 +103,14 @@ def test_runs_are_pooled_and_a_run_that_found_nobody_saved_nothing(tmp_path, con
     assert json.loads((tmp_path / "expected.json").read_text())["expected"]["power"]["speeds"]["0.5"]["runs"] == 2
     lines = shown(found)
     assert "power at 0.5 m/s: 10.0 %" in lines[1] and "from 2 runs" in lines[1] and "refused in 1" in lines[2]
+
+
+def test_weights_of_draws_come_into_what_is_expected(tmp_path, configs):
+    results = {"dev-00": summary(0.2, 0.2), "dev-01": summary(0.1, 0.1)}
+    weights = {"dev-00": 0.75, "dev-01": 0.25, "not run": 0.5}
+    found = expect(configs, tmp_path, lambda line: None, stand_in(results, []), weights)
+    assert found["expected"]["power"]["speeds"]["0.5"]["mean"] == pytest.approx(0.175)
+    assert [row["weight"] for row in found["runs"]] == [0.75, 0.25]
 
 
 def test_a_finished_run_is_not_done_again_and_another_one_is_refused(tmp_path, configs):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,14 +11,12 @@ from hts import plugins
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Reading, WorldContext
-from hts.errors import RecordingError, RunError
+from hts.errors import RecordingError
 from hts.recordings.recording import Recording, Series
 from hts.recordings.store import RecordingStore
-from hts.worlds.realities import batch as batch_module
-from hts.worlds.realities.batch import Asked, draw_many, exported_policy
-from hts.worlds.realities.check import check
-from hts.worlds.realities.like import MOST, likeness, recorded, table, tolerance
-from hts.worlds.realities.posterior import accepted
+from hts.worlds.realities.batch import exported_policy
+from hts.worlds.realities.like import MOST, likeness, of_store, recorded, table, tolerance
+from hts.worlds.realities.misfit import free_distance, misfit, verdict
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.world import make_twin
 
@@ -91,13 +87,12 @@ def test_figures_are_means_over_stretches_without_their_beginnings():
     assert "standing" not in " ".join(one)
 
 
-def test_the_tolerance_is_where_the_next_stretch_lies():
-    # s = 1 over four values, t_3 = 3.182: 3.182 x 1 x sqrt(1 + 1/4) = 3.558
-    values = [99.0, 101.0, 99.0, 101.0]
-    s = np.std(values, ddof=1)
-    assert tolerance(values) == pytest.approx(max(3.1824 * s * np.sqrt(1.25), 5.0), rel=1e-3)
-    assert tolerance([20.0, 22.0, 18.0, 20.0, 21.0]) == pytest.approx(2.776 * 1.4832 * np.sqrt(1.2), rel=1e-3)
-    assert tolerance([100.0]) == 5.0 and tolerance([100.0, 100.0]) == 5.0
+def test_the_tolerance_is_where_the_next_stretch_lies_and_a_share_for_what_no_twin_has():
+    # t_4 = 2.776, s = 1.4832: 2.776 x 1.4832 x sqrt(1 + 1/5) = 4.510, and 5 % of 40.2
+    values = [40.0, 42.0, 38.0, 40.0, 41.0]
+    assert tolerance(values) == pytest.approx(4.510 + 2.01, rel=1e-3)
+    assert tolerance(values, 0.02) == pytest.approx(4.510 + 0.804, rel=1e-3)
+    assert tolerance([100.0]) == 5.0 and tolerance([100.0, 100.0]) == 5.0 and tolerance([100.0], 0.4) == 40.0
     assert tolerance([50.0, 150.0]) == MOST * 100.0
 
 
@@ -146,7 +141,7 @@ def test_a_store_that_can_say_nothing_is_refused_in_one_line():
         recorded([made([4.0, 5.0])], "go1", WALKER, plugins.load())
 
 
-def test_a_draw_whose_idle_level_is_another_is_dropped_before_anything_is_simulated(tmp_path):
+def test_a_draw_whose_idle_level_is_another_is_dropped_before_anything_is_simulated():
     registry = plugins.load()
     robot = registry.make_robot("go1")
     gauge = registry.make_instrument("battery_gauge", {}, robot)
@@ -155,30 +150,11 @@ def test_a_draw_whose_idle_level_is_another_is_dropped_before_anything_is_simula
     power = {"battery_current": walk.channels["current"], "battery_voltage": walk.channels["voltage"]}
     idle = {"battery_current": 1.3 * level / 25.0, "battery_voltage": 25.0}
     asked = likeness([walk.replace(channels=power, idle=idle)], "go1", WALKER, {"battery_gauge": gauge})
-    verdict = check(robot, TwinSettings(), {"battery_gauge": gauge}, tmp_path / "no policy.onnx", asked)
-    assert not verdict.kept and verdict.why.startswith("idle power")
-
-
-# ------------------------------------------------------------------------------------------ a folder of draws
-
-
-def test_a_folder_is_gone_on_with_only_by_the_figures_it_was_begun_with(tmp_path, monkeypatch):
-    def in_order(asked, first, processes):
-        for index in range(first, 100):
-            yield {"index": index, "kept": False, "why": "idle power 30 W", "measured": {}}, ""
-
-    monkeypatch.setattr(batch_module, "_in_order", in_order)
-    ours = like(made([4.0, 5.0]))
-    asked = Asked(1, "s", "go1", "mine", "", ours)
-    draw_many(asked, tmp_path / "mine")
-    heading = json.loads((tmp_path / "mine/draws.jsonl").read_text().splitlines()[0])
-    assert [one["name"] for one in heading["like"]["figures"]] == [one.name for one in ours.figures]
-    assert accepted(tmp_path / "mine") == "kept 0 of 100 draws (0.00%); ended by idle power (100)"
-    draw_many(asked, tmp_path / "mine")
-    with pytest.raises(RunError, match="was begun with other figures of a robot"):
-        draw_many(dataclasses.replace(asked, like=ours.model_copy(update={"schedule": None})), tmp_path / "mine")
-    with pytest.raises(RunError, match="was begun with other figures of a robot"):
-        draw_many(dataclasses.replace(asked, like=None), tmp_path / "mine")
+    # 0.3 / 1.3 of what was read off is 4.6 times the tolerance of 5 %
+    assert free_distance(asked.figures, {"battery_gauge": gauge}) == pytest.approx(0.3 / 1.3 / 0.05, rel=1e-3)
+    found = misfit(robot, TwinSettings(), {"battery_gauge": gauge}, "no policy.onnx", asked, 1.0)
+    assert found.distance == np.inf and found.why.startswith("idle power")
+    assert not verdict(asked, found).kept and verdict(asked, found).why == found.why
 
 
 @pytest.mark.slow
@@ -196,17 +172,15 @@ def test_a_reality_agrees_with_its_own_logs_and_the_default_twin_does_not(tmp_pa
             store.write(one)
     finally:
         world.close()
-    from hts.policies.deploy import DeployedPolicy
     from hts.worlds.twin.reality import read
 
-    recordings = [store.read(one) for one in store.ids()]
-    said = recorded(recordings, "go1", DeployedPolicy(policy).card.policy_hash, registry)
+    said = of_store(tmp_path / "lab.zarr", "go1", policy, registry)
     assert "net power at 0.8 m/s" in table(said.figures) and said.schedule == schedule
 
-    def verdict(settings):
+    def away(settings):
         made = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
-        return check(robot, settings, made, Path(policy), said)
+        return misfit(robot, settings, made, str(policy), said)
 
-    own = verdict(TwinSettings.model_validate(dict(read("dev-04").parameters)))
-    assert own.kept, own.why
-    assert not verdict(TwinSettings.model_validate({"instruments": {"battery_gauge": {"idle_power": 24.0}}})).kept
+    own = away(TwinSettings.model_validate(dict(read("dev-04").parameters)))
+    assert own.distance <= 1, own.why
+    assert away(TwinSettings.model_validate({"instruments": {"battery_gauge": {"idle_power": 24.0}}})).distance > 1

@@ -27,7 +27,6 @@ from hts.errors import ConfigError, RunError
 from hts.plugin_settings import in_full
 from hts.worlds.realities.check import Verdict, check
 from hts.worlds.realities.draw import Draw, draw
-from hts.worlds.realities.like import Likeness
 from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
 from hts.worlds.twin.parameters import MACHINE, TwinSettings
 from hts.worlds.twin.reality import Reality, read
@@ -48,7 +47,6 @@ class Asked:
     robot: str
     name: str
     policy: str  # exported
-    like: Likeness | None = None  # a lab's own robot, instead of the public facts
 
 
 def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str, Any]]:
@@ -60,13 +58,13 @@ def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str
     return content
 
 
-def examine(reality: Reality, policy: Path, like: Likeness | None = None) -> Verdict:
-    """Hold a reality against the facts, or a lab's own robot."""
+def examine(reality: Reality, policy: Path) -> Verdict:
+    """Hold a reality against the facts."""
     registry = plugins.load()
     robot = registry.make_robot(reality.robot)
     settings = TwinSettings.model_validate(dict(reality.parameters))
     instruments = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
-    return check(robot, settings, instruments, policy, like)
+    return check(robot, settings, instruments, policy)
 
 
 def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
@@ -81,7 +79,7 @@ def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
         switches=drawn.switches,
         parameters=parameters_of(drawn, registry),
     )
-    verdict = examine(reality, Path(asked.policy), asked.like)
+    verdict = examine(reality, Path(asked.policy))
     line = {
         "index": index,
         "kept": verdict.kept,
@@ -102,9 +100,8 @@ def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None 
         "robot": asked.robot,
         "name": asked.name,
         "ranges_sha256": ranges_sha256(drawn_parameters(plugins.load())),
-        **({} if asked.like is None else {"like": asked.like.model_dump(mode="json")}),
     }
-    lines = _begun(folder / LINES, heading)
+    lines = begun(folder / LINES, heading)
     files = [folder / f"{asked.name}-{number:02d}.json" for number in range(asked.count)]
     kept = sum(line["kept"] for line in lines)
     _check_files(files[:kept])
@@ -154,8 +151,8 @@ def end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _begun(path: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Lines of the draws so far. Raises RunError if the folder is that of other draws."""
+def begun(path: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Lines so far of a file with this heading, begun if it is not there. Raises RunError for a folder of others."""
     if not path.exists():
         if path.parent.exists() and any(path.parent.iterdir()):
             raise RunError(f"{path.parent}: is not empty and holds no {LINES}. Choose an empty folder with --out.")
@@ -167,11 +164,9 @@ def _begun(path: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
         atomic_write(path, whole)
     found, *lines = (json.loads(line) for line in whole.splitlines())
     other = [key for key in {**heading, **found} if found.get(key) != heading.get(key)]
-    if other == ["like"]:
-        raise RunError(
-            f"{path}: was begun with {'other figures of a robot' if 'like' in found else 'the public facts'}. "
-            "Choose another folder with --out."
-        )
+    if "like" in other:
+        had = "other figures of a robot, or another --discrepancy" if "like" in found else "the public facts"
+        raise RunError(f"{path}: was begun with {had}. Choose another folder with --out.")
     if other:
         raise RunError(
             f"{path}: was begun with another {other[0]} ({found.get(other[0])}, now {heading.get(other[0])}). "

@@ -13,16 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hts.config import EvaluationConfig, ScheduleConfig
+from hts.config import EvaluationConfig
 from hts.contracts import Fact, Instrument, Robot
 from hts.errors import HtsError
 from hts.recordings.recording import Recording
 from hts.worlds.base import request_id, seed_sequence, walking
-from hts.worlds.realities.like import Likeness, facts_of, idle_measured, shown_by
 from hts.worlds.realities.quick import standing_values
 from hts.worlds.twin.model import build
 from hts.worlds.twin.parameters import TwinSettings
-from hts.worlds.twin.programme import Block, Session, collection, warm_up
+from hts.worlds.twin.programme import Block, Session, warm_up
 from hts.worlds.twin.reality import Measured
 from hts.worlds.twin.session import Batch
 
@@ -39,7 +38,6 @@ class Stage:
     margin: Margin = (1.0, 1.0)
 
 
-SHARP: Margin = (1.0, 1.0)
 COLD_SESSIONS = 2
 STATICS: Margin = (0.7, 1.15)  # bumps and payloads add up to a quarter to it, friction takes away up to 8 % (79 draws)
 STANDING = Stage(warm=2.0, measured=2.0, sessions=2)
@@ -64,18 +62,10 @@ def check(
     settings: TwinSettings,
     instruments: Mapping[str, Instrument],
     policy: Path,
-    like: Likeness | None = None,
 ) -> Verdict:
-    """The verdict on a twin. policy: exported (ONNX); instruments: all that simulate a part of the machine; like: a
-    lab's own robot, instead of the public facts."""
-    if like is None:
-        facts = [fact for instrument in instruments.values() for fact in instrument.facts()]
-        speeds = sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
-    else:
-        if why := _outside(idle_measured(like.figures, instruments), SHARP):
-            return Verdict((), why)
-        facts = facts_of(like.figures, instruments)
-        speeds = sorted({fact.speed for fact in facts if fact.speed > 0})
+    """The verdict on a twin. policy: exported (ONNX); instruments: all that simulate a part of the machine."""
+    facts = [fact for instrument in instruments.values() for fact in instrument.facts()]
+    speeds = sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
     measured: tuple[Measured, ...] = ()
     try:
         if any(fact.speed == 0 for fact in facts):
@@ -83,52 +73,20 @@ def check(
             values = standing_values(machine, instruments, facts, settings.dynamics.physics_dt)
             if why := _outside(_measured(facts, values), STATICS):
                 return Verdict((), f"{why} by statics")
-            values = _standing(robot, settings, instruments, facts)
+            values = standing(robot, settings, instruments, facts)
             measured = _measured(facts, values)
             if why := _outside(measured, STANDING.margin):
                 return Verdict(measured, why)
-        if like is not None and like.schedule is not None:
-            return _from_cold(robot, settings, instruments, str(policy), like.schedule, like, measured)
         for stage in (GLANCE, WALKING):
-            values, fallen = _walking(robot, settings, instruments, facts, str(policy), speeds, stage)
+            values, fallen = walked(robot, settings, instruments, facts, str(policy), speeds, stage)
             if fallen:
                 return Verdict(measured, f"fell at {', '.join(f'{speed:g}' for speed in fallen)} m/s")
-            walked = _measured(facts, values)
-            if why := _outside(walked, stage.margin):
-                return Verdict((*measured, *walked), why)
+            seen = _measured(facts, values)
+            if why := _outside(seen, stage.margin):
+                return Verdict((*measured, *seen), why)
     except (HtsError, FloatingPointError) as error:  # such as motors that warm up without end
         return Verdict(measured, str(error))
-    return Verdict((*measured, *walked), "")
-
-
-def _from_cold(
-    robot: Robot,
-    settings: TwinSettings,
-    instruments: Mapping[str, Instrument],
-    policy: str,
-    schedule: ScheduleConfig,
-    like: Likeness,
-    measured: tuple[Measured, ...],
-) -> Verdict:
-    """As the lab recorded: the schedule from its first second on; its first walk alone comes before all of it."""
-    first = next(number for number, command in enumerate(schedule.commands) if command.vx > 0)
-    glance = ScheduleConfig(commands=schedule.commands[: first + 1])
-    walked: tuple[Measured, ...] = ()
-    for asked in dict.fromkeys((glance.model_dump_json(), schedule.model_dump_json())):
-        part = ScheduleConfig.model_validate_json(asked)
-        request = request_id("as recorded", asked)
-        batch = Batch(robot, settings, instruments, COLD_SESSIONS, seed_sequence(0, request))
-        try:
-            rows = batch.run(collection([policy] * COLD_SESSIONS, part, request), "twin")
-        finally:
-            batch.close()
-        recordings = [row[-1] for row in rows]
-        if any(one.fell for one in recordings):
-            return Verdict(measured, "fell as the recordings' schedule was walked")
-        walked = tuple(shown_by(recordings, like.figures, instruments))
-        if why := _outside(walked, SHARP):
-            return Verdict((*measured, *walked), why)
-    return Verdict((*measured, *walked), "")
+    return Verdict((*measured, *seen), "")
 
 
 def _measured(facts: Sequence[Fact], values: Mapping[str, float]) -> tuple[Measured, ...]:
@@ -145,14 +103,15 @@ def _outside(measured: Sequence[Measured], margin: Margin) -> str:
     return " and ".join(f"{one.name} {one.value:.3g} {one.unit}" for one in outside)
 
 
-def _standing(
+def standing(
     robot: Robot, settings: TwinSettings, instruments: Mapping[str, Instrument], facts: Sequence[Fact]
 ) -> dict[str, float]:
+    """Fact about standing -> value."""
     rows = _recorded(robot, settings, instruments, None, [0.0], STANDING)
     return {fact.name: _value(fact, rows[0.0]) for fact in facts if fact.speed == 0}
 
 
-def _walking(
+def walked(
     robot: Robot,
     settings: TwinSettings,
     instruments: Mapping[str, Instrument],

@@ -55,14 +55,14 @@ def _value(one: Drawn, seed: str, index: int) -> Any:
     if one.whole:
         return int(rng.integers(int(one.low), int(one.high), endpoint=True))
     if one.counts is None:
-        return _number(one, rng.random())
+        return number(one, rng.random())
     group = one.key.rpartition(".")[0]
     count = int(_random(seed, index, f"count {group}").integers(*one.counts, endpoint=True))
-    several = [_number(one, share) for share in rng.random(count)]
+    several = [number(one, share) for share in rng.random(count)]
     return sorted(several) if one.ascending else several
 
 
-def _number(one: Drawn, share: float) -> float:
+def number(one: Drawn, share: float) -> float:
     """The value below which this share of the range lies."""
     value = one.low * (one.high / one.low) ** share if one.logarithmic else one.low + (one.high - one.low) * share
     return min(max(float(f"{value:.{DIGITS}g}"), one.low), one.high)

@@ -3,15 +3,16 @@
     idle          the idle levels that somebody read off
     standing      stretches at the command 0 in which no joint moves
     walking       straight stretches of the policy to start from, one figure per asked speed
-    tolerance     t_{n-1} s √(1 + 1/n) around the mean of n stretches with standard deviation s: where the next
-                  stretch of that robot lies in 95 of 100 cases; at least LEAST and at most MOST of the mean
+    tolerance     t_{n-1} s √(1 + 1/n) + δ |m| around the mean m of n stretches with standard deviation s: where the
+                  next stretch of that robot lies in 95 of 100 cases, and a share δ for what no twin has; at most MOST
 
 A draw is recorded as the robot was: recordings of head-to-heads (role `reference`) are of a warm robot that walks at
 one speed; where there are none, those of a collection, which begin with cold motors, are repeated schedule and all.
 
 The next stretch and not the mean: a draw is held against them in a session of its own, as warm and as charged as it
-happens to be. LEAST is what figures of one robot differ by between days (charge, temperature, floor) though a single
-store's do not show it; MOST is what public figures are trusted to (± 25 %).
+happens to be. δ is a model's discrepancy in the sense of Kennedy and O'Hagan 2001: what figures of one robot differ by
+between days (charge, temperature, floor) though a single store's do not show it, and what of its structure no twin has.
+DISCREPANCY is an estimate; MOST is what public figures are trusted to (± 25 %).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,8 +39,9 @@ if TYPE_CHECKING:
 SETTLING = 3.0  # s at the beginning of a stretch that are not read: gauge lag and getting going
 SHORTEST = 2.0  # s of a stretch that is left to read
 STILL = 0.5  # rad/s, root mean square over all joints: a robot that stands does not step
-LEAST, MOST = 0.05, 0.25  # of the mean
+DISCREPANCY, MOST = 0.05, 0.25  # of the mean
 LEVEL = 0.95
+RUNS_STORE = "data.zarr"  # in a run's folder
 WALKED = Reading(
     "speed", "m/s", ("base_velocity",), lambda channels, idle: float(channels["base_velocity"][:, 0].mean())
 )
@@ -81,9 +84,13 @@ class Stretch:
 
 
 def likeness(
-    recordings: Sequence[Recording], robot: str, policy_hash: str, instruments: Mapping[str, Instrument]
+    recordings: Sequence[Recording],
+    robot: str,
+    policy_hash: str,
+    instruments: Mapping[str, Instrument],
+    discrepancy: float = DISCREPANCY,
 ) -> Likeness:
-    """What recordings of the robot say: idle, standing, and walking with the policy of that hash.
+    """What recordings of the robot say: idle, standing, and walking with the policy of that hash. discrepancy: δ.
 
     Raises RecordingError if none of them can say anything of a walk.
     """
@@ -104,11 +111,11 @@ def likeness(
             "--policy."
         )
     standing = [one for recording in own for one in _stretches([recording]) if one.asked == 0 and _still(one)]
-    found = [*_idle(own, instruments), *_of(standing, "standing", 0.0, 0.0, instruments)]
+    found = [*_idle(own, instruments, discrepancy), *_of(standing, "standing", (0.0, 0.0), instruments, discrepancy)]
     for speed in asked:
         group = [one for one in stretches if one.asked == speed]
         sent = round(float(np.mean([one.sent for one in group])), 3)
-        found += _of(group, f"at {sent:g} m/s", sent, speed, {**instruments, "": None})
+        found += _of(group, f"at {sent:g} m/s", (sent, speed), {**instruments, "": None}, discrepancy)
     return Likeness(figures=tuple(found), schedule=schedule)
 
 
@@ -143,28 +150,30 @@ def _still(stretch: Stretch) -> bool:
     return float(np.sqrt(np.square(recording.values("joint_velocity")[stretch.rows]).mean())) < STILL
 
 
-def _idle(recordings: Sequence[Recording], instruments: Mapping[str, Instrument]) -> Iterator[Figure]:
+def _idle(
+    recordings: Sequence[Recording], instruments: Mapping[str, Instrument], discrepancy: float
+) -> Iterator[Figure]:
     """One figure per idle reading, over the recordings' different levels."""
     for name, reading in _readings(instruments):
         if reading.idle:
             there = [one for one in recordings if all(channel in one.idle for channel in reading.channels)]
             values = sorted({reading.reading({}, one.idle) for one in there})
             if values:
-                yield _figure(reading.name, name, reading, (0.0, 0.0), values)
+                yield _figure(reading.name, name, reading, (0.0, 0.0), values, discrepancy)
 
 
 def _of(
     stretches: Sequence[Stretch],
     where: str,
-    sent: float,
-    asked: float,
+    speeds: tuple[float, float],
     instruments: Mapping[str, Instrument | None],
+    discrepancy: float,
 ) -> Iterator[Figure]:
-    """One figure per reading of these stretches, where they hold its channels."""
+    """One figure per reading of these stretches, where they hold its channels. speeds: sent and asked."""
     for name, reading in _readings(instruments):
         values = [] if reading.idle else _values(name, reading, stretches)
         if values:
-            yield _figure(f"{reading.name} {where}", name, reading, (sent, asked), values)
+            yield _figure(f"{reading.name} {where}", name, reading, speeds, values, discrepancy)
 
 
 def _values(instrument: str, reading: Reading, stretches: Sequence[Stretch]) -> list[float]:
@@ -184,9 +193,14 @@ def _readings(instruments: Mapping[str, Instrument | None]) -> Iterator[tuple[st
 
 
 def _figure(
-    title: str, instrument: str, reading: Reading, speeds: tuple[float, float], values: Sequence[float]
+    title: str,
+    instrument: str,
+    reading: Reading,
+    speeds: tuple[float, float],
+    values: Sequence[float],
+    discrepancy: float,
 ) -> Figure:
-    mean, width = float(np.mean(values)), tolerance(values)
+    mean, width = float(np.mean(values)), tolerance(values, discrepancy)
     if not math.isfinite(mean):
         raise RecordingError(f"{title}: is not a number in these recordings; look at {', '.join(reading.channels)}.")
     return Figure(
@@ -204,13 +218,12 @@ def _figure(
     )
 
 
-def tolerance(values: Sequence[float]) -> float:
-    """How far the next value may lie from the mean of these; of a single value nothing is known but LEAST."""
-    mean, count = abs(float(np.mean(values))), len(values)
-    if count < 2:
-        return LEAST * mean
-    scatter = float(np.std(values, ddof=1)) * math.sqrt(1 + 1 / count)
-    return min(max(float(stats.t.ppf((1 + LEVEL) / 2, count - 1)) * scatter, LEAST * mean), MOST * mean)
+def tolerance(values: Sequence[float], discrepancy: float = DISCREPANCY) -> float:
+    """How far a twin's value may lie from the mean of these; of a single value no scatter is known."""
+    mean, count, scatter = abs(float(np.mean(values))), len(values), 0.0
+    if count > 1:
+        scatter = float(stats.t.ppf((1 + LEVEL) / 2, count - 1) * np.std(values, ddof=1) * math.sqrt(1 + 1 / count))
+    return min(scatter + discrepancy * mean, max(MOST, discrepancy) * mean)
 
 
 # --------------------------------------------------------------------------------------------- of a draw
@@ -257,12 +270,18 @@ def idle_measured(figures: Sequence[Figure], instruments: Mapping[str, Instrumen
     return found
 
 
-def recorded(recordings: Sequence[Recording], robot: str, policy_hash: str, registry: Registry) -> Likeness:
+def recorded(
+    recordings: Sequence[Recording],
+    robot: str,
+    policy_hash: str,
+    registry: Registry,
+    discrepancy: float = DISCREPANCY,
+) -> Likeness:
     """`likeness` with the installed instruments of this robot. Raises RecordingError if they show nothing of it but its
     speed."""
     machine = registry.make_robot(robot)
     instruments = {name: registry.make_instrument(name, {}, machine) for name in sorted(registry.instruments)}
-    found = likeness(recordings, robot, policy_hash, instruments)
+    found = likeness(recordings, robot, policy_hash, instruments, discrepancy)
     if not any(one.instrument for one in found.figures):
         needed = sorted({channel for _, one in _readings(instruments) for channel in one.channels})
         raise RecordingError(
@@ -270,6 +289,16 @@ def recorded(recordings: Sequence[Recording], robot: str, policy_hash: str, regi
             f"They need one of: {', '.join(needed) or 'no instrument gives readings'}, each with its idle level."
         )
     return found
+
+
+def of_store(store: Path, robot: str, policy: Path, registry: Registry, discrepancy: float = DISCREPANCY) -> Likeness:
+    """`recorded` of a store, or of a run's own. policy: exported."""
+    from hts.policies.deploy import DeployedPolicy
+    from hts.recordings.store import RecordingStore
+
+    source = RecordingStore(store / RUNS_STORE if (store / RUNS_STORE).is_dir() else store)
+    recordings = [source.read(one) for one in source.ids()]
+    return recorded(recordings, robot, DeployedPolicy(policy).card.policy_hash, registry, discrepancy)
 
 
 def table(figures: Sequence[Figure]) -> str:

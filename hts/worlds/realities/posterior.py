@@ -59,7 +59,7 @@ def narrowed(parameters: Sequence[Drawn], lines: Lines) -> list[Narrowed]:
             continue
         share = np.log(values / one.low) / np.log(one.high / one.low) if one.logarithmic else _share(one, values)
         z = (share.mean() - 0.5) * np.sqrt(12 * len(values))  # a uniform share has a variance of 1/12
-        found.append(Narrowed(one.key, _quartiles_of_range(one), _quartiles(values), float(z)))
+        found.append(Narrowed(one.key, one.quartiles(), _quartiles(values), float(z)))
     return sorted(found, key=lambda one: -abs(one.z))
 
 
@@ -101,13 +101,6 @@ def _share(one: Drawn, values: np.ndarray) -> np.ndarray:
 def _quartiles(values: np.ndarray) -> tuple[float, float, float]:
     low, middle, high = np.percentile(values, (25, 50, 75))
     return float(low), float(middle), float(high)
-
-
-def _quartiles_of_range(one: Drawn) -> tuple[float, float, float]:
-    shares = np.array([0.25, 0.5, 0.75])
-    if one.logarithmic:
-        return tuple((one.low * (one.high / one.low) ** shares).tolist())
-    return tuple((one.low + (one.high - one.low) * shares).tolist())
 
 
 def _kind(why: str) -> str:

@@ -56,6 +56,14 @@ class Drawn:
     def logarithmic(self) -> bool:
         return self.low > 0 and self.high >= LOGARITHMIC * self.low and not self.whole
 
+    def quartiles(self) -> tuple[float, float, float]:
+        """Of the range, as it is drawn over."""
+        low, ratio = self.low, self.high / self.low if self.logarithmic else 1.0
+        first, second, third = (
+            low * ratio**share if self.logarithmic else low + (self.high - low) * share for share in (0.25, 0.5, 0.75)
+        )
+        return first, second, third
+
 
 def drawn_parameters(registry: Registry) -> list[Drawn]:
     """Everything that a reality draws, in the order of the classes; instruments in the order of their names."""

@@ -1,0 +1,154 @@
+"""What a lab's recordings say of its robot: the sampler's generations, and parameters after them against before."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hts.worlds.realities import sampler
+from hts.worlds.realities.batch import LINES
+from hts.worlds.realities.like import Likeness
+from hts.worlds.realities.misfit import in_tolerances
+from hts.worlds.realities.population import KEPT, Generation, generations_of
+from hts.worlds.realities.posterior import Narrowed
+from hts.worlds.realities.ranges import Drawn
+from hts.worlds.realities.space import Space
+
+
+def heading_of(folder: Path) -> Mapping[str, Any]:
+    """First line of draws.jsonl."""
+    with (folder / LINES).open(encoding="utf-8") as file:
+        content: Mapping[str, Any] = json.loads(file.readline())
+    return content
+
+
+def is_population(folder: Path) -> bool:
+    """Whether the draws of a folder are held against recordings."""
+    return (folder / LINES).is_file() and "like" in heading_of(folder)
+
+
+def accepted(folder: Path) -> str:
+    """What was kept and what it took: one line."""
+    generations = _read(folder)
+    simulated, moved = _counts(generations)
+    tries = sum(one.simulated for one in generations[0].population) if generations else 0
+    kept = len((folder / KEPT).read_text("utf-8").splitlines()) if (folder / KEPT).is_file() else 0
+    bound = generations[-1].bound if generations else None
+    reached = "no distance yet" if bound is None else f"{bound:.2f} tolerances"
+    share = moved / max(simulated - tries, 1)
+    return (
+        f"kept {kept} realities within {reached} of the recordings, after {len(generations)} generations and "
+        f"{simulated} simulations; {share:.0%} of the moves accepted"
+    )
+
+
+def text(parameters: Sequence[Drawn], folder: Path, most: int = 12) -> str:
+    """Tables in markdown: generations, figures, parameters, structures, and the realities that were kept."""
+    generations, like = _read(folder), Likeness.model_validate(heading_of(folder)["like"])
+    if not generations:
+        return "The first generation is not whole yet."
+    last = generations[-1]
+    weights = sampler.copies(last.population)
+    moved = narrowed(parameters, last, weights)
+    rows = [accepted(folder), "", *_generations(generations), "", *_figures(like, generations[0], last)]
+    rows += ["", f"The {min(most, len(moved))} of {len(moved)} parameters that moved most:", ""]
+    rows += ["| parameter | range: 25, 50, 75 % | kept: 25, 50, 75 % | z |", "|---|---|---|---|"]
+    for one in moved[:most]:
+        before, after = (", ".join(f"{value:.3g}" for value in three) for three in (one.prior, one.posterior))
+        rows.append(f"| `{one.key}` | {before} | {after} | {one.z:+.1f} |")
+    space = Space(parameters)
+    draws = {index: space.draw(last.population[index].point) for index in weights}
+    rows += ["", "| structure | on, of all | on, of the kept |", "|---|---|---|"]
+    for name in space.switches:
+        share = sum(weight for index, weight in weights.items() if name in draws[index].switches)
+        rows.append(f"| `{name}` | 50 % | {share:.0%} |")
+    if (folder / KEPT).is_file():
+        rows += ["", "| reality | weight | tolerances away |", "|---|---|---|"]
+        kept = [json.loads(line) for line in (folder / KEPT).read_text("utf-8").splitlines()]
+        rows += [f"| {one['reality']} | {one['weight']:.3f} | {one['distance']:.2f} |" for one in kept]
+    return "\n".join(rows)
+
+
+def narrowed(parameters: Sequence[Drawn], last: Generation, weights: Mapping[int, float]) -> list[Narrowed]:
+    """Those that are single numbers, the most moved first. z: how far the mean share of the range moved, in standard
+    errors of as many independent draws as the weights are worth, 1 / Σ w²."""
+    space, found = Space(parameters), []
+    share = np.array(list(weights.values()))
+    worth = 1 / np.square(share).sum()
+    draws = [space.draw(last.population[index].point) for index in weights]
+    points = np.array([last.population[index].point for index in weights])
+    for one in parameters:
+        if one.boolean or one.whole or one.counts:
+            continue
+        there = np.array([one.key in draw.values for draw in draws])
+        if there.sum() < 2:
+            continue
+        own = share[there] / share[there].sum()
+        values = np.array([float(draw.values[one.key]) for draw, on in zip(draws, there, strict=True) if on])
+        mean = float(own @ points[there, space.at[one.key]])
+        z = (mean - 0.5) * np.sqrt(12 * worth * share[there].sum())  # a uniform share has a variance of 1/12
+        found.append(Narrowed(one.key, one.quartiles(), _quartiles(values, own), float(z)))
+    return sorted(found, key=lambda one: -abs(one.z))
+
+
+def _generations(generations: Sequence[Generation]) -> list[str]:
+    rows = ["| generation | within | simulations | moves accepted | distance: best, median |", "|---|---|---|---|---|"]
+    for one in generations:
+        simulated, moved = _counts([one])
+        distances = [each.found.distance for each in one.population]
+        within = "prior" if one.bound is None else f"{one.bound:.2f}"
+        share = "" if one.bound is None else f"{moved / max(simulated, 1):.0%}"
+        away = f"{min(distances):.2f}, {float(np.median(distances)):.2f}"
+        rows.append(f"| {one.number} | {within} | {simulated} | {share} | {away} |")
+    return rows
+
+
+def _figures(like: Likeness, first: Generation, last: Generation) -> list[str]:
+    """Each figure of the recordings, of the prior and of what was kept; and how many of the prior agree with it."""
+    rows = ["| figure | recordings | tolerance | prior | agree | kept |", "|---|---|---|---|---|---|"]
+    for one in like.figures:
+        shown = [
+            np.array([each.found.shown[one.name] for each in generation.population if one.name in each.found.shown])
+            for generation in (first, last)
+        ]
+        if not all(len(values) for values in shown):
+            continue
+        before, after = (f"{values.mean():.4g} ± {values.std():.2g}" for values in shown)
+        agree = np.mean([in_tolerances(one, value) <= 1 for value in shown[0]])
+        width = (one.high - one.low) / 2
+        rows.append(f"| {one.name}, {one.unit} | {one.value:.4g} | ± {width:.2g} | {before} | {agree:.0%} | {after} |")
+    everything = np.mean([each.found.distance <= 1 for each in first.population])
+    rows.append(f"| all | | | | {everything:.0%} | |")
+    fallen = sum(each.found.why.startswith("fell") for each in first.population)
+    return [
+        *rows,
+        "",
+        f"The prior is that of draws with these idle levels; {fallen} of its {len(first.population)} fell.",
+    ]
+
+
+def _quartiles(values: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
+    """Of weighted values: where the cumulated weight, from the middle of each, passes the share."""
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order]) - weights[order] / 2
+    low, middle, high = np.interp([0.25, 0.5, 0.75], reached, values[order])
+    return float(low), float(middle), float(high)
+
+
+def _counts(generations: Sequence[Generation]) -> tuple[int, int]:
+    particles = [one for generation in generations for one in generation.population]
+    return sum(one.simulated for one in particles), sum(one.accepted for one in particles)
+
+
+def lines_of(folder: Path) -> list[dict[str, Any]]:
+    """Particles of a folder, whole lines alone."""
+    lines = (folder / LINES).read_text(encoding="utf-8")
+    return [json.loads(line) for line in lines[: lines.rfind("\n") + 1].splitlines()[1:]]
+
+
+def _read(folder: Path) -> list[Generation]:
+    return generations_of(lines_of(folder), heading_of(folder)["size"])
