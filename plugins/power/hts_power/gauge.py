@@ -104,6 +104,19 @@ class BatteryGauge(Instrument):
         if self._count == CHUNK:
             self._work()
 
+    def advance(self, samples: PhysicsSample) -> None:
+        done, steps, self._dt = 0, len(samples.motor_torque), samples.dt
+        while done < steps:
+            count = min(steps - done, CHUNK - self._count)
+            now, some = slice(self._count, self._count + count), slice(done, done + count)
+            self._torque[now], self._speed[now] = samples.motor_torque[some], samples.joint_velocity[some]
+            if samples.current_torque is not None:
+                self._current_torque[now] = samples.current_torque[some]
+                self._irregular = True
+            self._count, done = self._count + count, done + count
+            if self._count == CHUNK:
+                self._work()
+
     def read(self) -> Mapping[str, np.ndarray]:
         self._work()
         return {
