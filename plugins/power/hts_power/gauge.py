@@ -327,7 +327,7 @@ class BatteryGauge(Instrument):
         every = max(1, round(1 / (p.update_rate * dt)))
         first = -(self._steps + 1) % every  # steps until the register changes; counted back by `late` from the newest
         for step in range(first, len(current), every):
-            self._shown = self._register(self._history[step + 1 : step + 1 + window].mean(axis=0))
+            self._shown = self._register(np.add.reduce(self._history[step + 1 : step + 1 + window]) / window)
             self._shown_voltage = self._cells(self._battery.voltage)
         self._steps += len(current)
 
