@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import subprocess
 import sys
@@ -75,7 +76,7 @@ def policies(tmp_path_factory, robot):
 def recorded(registry, robot, settings, objectives, policies) -> dict[str, np.ndarray]:
     """Everything that the recordings of a batch hold, and what its instruments know."""
     resolved = resolved_settings(TwinSettings.model_validate(settings), "go1")
-    instruments = maker(registry, robot, dict.fromkeys(objectives, {}), resolved)()
+    instruments = maker(registry, robot, {name: {} for name in objectives}, resolved)()
     batch = Batch(robot, resolved, instruments, len(policies), seed_sequence(3, "aa", 0))
     rows = batch.run(collection([None if one is None else str(one) for one in policies], WALK, "x"), "twin")
     batch.close()
@@ -130,7 +131,7 @@ def test_sensors_draw_and_round_as_their_formulas_say(twin, registry, robot):
         body.advance(np.tile(robot.spec.default_pose, (3, 1)), 20, ())
         drawn = rng.standard_normal((3, 17 + 3 * robot.spec.num_joints))
         edges = np.cumsum([0, 3, 4, 3, 3, 4, *3 * [robot.spec.num_joints]])
-        noise = [drawn[:, a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        noise = [drawn[:, a:b] for a, b in itertools.pairwise(edges)]
         rotation = body.rotation()
         down = -rotation[:, :, 2] if body.down is None else np.matmul(rotation, body.down[:, :, None])[:, :, 0]
         gravity = down @ sensors._tilt.T + p.gravity_noise * noise[0]

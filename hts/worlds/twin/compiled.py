@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -17,12 +18,20 @@ SYMBOLS = ("mj_step", "mj_setState", "mj_getState")
 LIBRARIES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")
 
 
+@dataclass(frozen=True)
+class Steps:
+    """`kernel.advance` and `kernel.rotate`."""
+
+    advance: Callable[..., None]
+    rotate: Callable[..., None]
+
+
 @cache
-def load() -> Callable[..., None] | None:
-    """`kernel.advance`; None, and a line in the log, where numba or the engine's library cannot be loaded."""
+def load() -> Steps | None:
+    """The functions of `kernel.py`; None, and a line in the log, where numba or the engine's library cannot be loaded."""
     try:
         _name_engine()
-        from hts.worlds.twin.kernel import advance
+        from hts.worlds.twin import kernel
     except (ImportError, OSError, AttributeError) as error:
         logging.getLogger(__name__).warning(
             "The twin runs at less than half its speed, with the same results: its steps could not be compiled "
@@ -31,7 +40,7 @@ def load() -> Callable[..., None] | None:
             error,
         )
         return None
-    return advance
+    return Steps(kernel.advance, kernel.rotate)
 
 
 def _name_engine() -> None:

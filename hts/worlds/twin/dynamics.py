@@ -112,8 +112,8 @@ class Dynamics:
             dt=self.dt,
             current_torque=self._current if self._drives else None,
         )
-        self._advance = compiled.load()
-        if self._advance is not None:
+        self._compiled = compiled.load()
+        if self._compiled is not None:
             self._arguments = self._all_that_steps_take()
         self._samples: PhysicsSample | None = None
         self.stand(np.ones(num_worlds, dtype=bool))
@@ -169,6 +169,10 @@ class Dynamics:
 
     def rotation(self) -> np.ndarray:
         """World to trunk, (W, 3, 3)."""
+        if self._compiled is not None:
+            rows = np.empty((9, self.num_worlds))
+            self._compiled.rotate(self._state[:, 0], 4, rows)  # after time and place
+            return rows.T.reshape(-1, 3, 3)
         w, x, y, z = self.qpos[:, 3:7].T
         rows = np.array([
             1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
@@ -187,8 +191,8 @@ class Dynamics:
             self._link.send(targets)
         if self._wind:
             self._force[:, :2] = self._wind.blow(steps * self.dt)
-        if self._advance is not None:
-            self._run(self._advance, steps, instruments)
+        if self._compiled is not None:
+            self._run(self._compiled.advance, steps, instruments)
         else:
             for _ in range(steps):
                 if self._link.receive(self._target):

@@ -7,6 +7,9 @@ compiles, or reads what was compiled before; only `compiled.load` imports it, af
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from numba import njit, types
 
 from hts.worlds.twin.drives import CROSSING_TORQUE
@@ -33,17 +36,22 @@ SIGNATURE = void(
 )
 
 
-def _compiled(function):  # noqa: ANN001, ANN202 - numba's own types are not typed
+def _compiled(signature: Any) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator: compiles for these types of arguments, and keeps the result where it can."""
     how = {"error_model": "numpy", "fastmath": False, "nogil": True}
-    try:
-        return njit(SIGNATURE, cache=True, **how)(function)
-    except RuntimeError as error:  # neither this folder nor the user's cache can be written
-        if "no locator" not in str(error):
-            raise
-        return njit(SIGNATURE, **how)(function)
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        try:
+            return njit(signature, cache=True, **how)(function)
+        except RuntimeError as error:  # neither this folder nor the user's cache can be written
+            if "no locator" not in str(error):
+                raise
+            return njit(signature, **how)(function)
+
+    return decorate
 
 
-@_compiled
+@_compiled(SIGNATURE)
 def advance(
     first, last, now, dt,
     arrivals, sent, target, pull, offset,
@@ -54,7 +62,7 @@ def advance(
     state, inputs, acceleration, sensordata,
     velocities, qpos, qvel, touch, foot_velocity,
     motors, currents, speeds, forces, approach,
-):  # fmt: skip  # noqa: ANN001, ANN201 - the signature above says
+):  # fmt: skip
     """Steps first to last - 1 of those that begin with link step `now`. Names and shapes as in `Dynamics`."""
     joints, nv = limit.shape[0], acceleration.shape[1]
     for w in range(state.shape[0]):
@@ -114,3 +122,19 @@ def advance(
             for foot in range(touch.shape[0]):
                 forces[step, w, foot] = sensors[touch[foot]]
                 approach[step, w, foot] = -sensors[foot_velocity[foot]]
+
+
+@_compiled(void(matrix, integer, matrix))
+def rotate(state, quaternion, rows):
+    """The nine rows of `Dynamics.rotation`, (9, W), of states (W, size) whose quaternion begins at this column."""
+    for i in range(state.shape[0]):
+        w, x, y, z = state[i, quaternion], state[i, quaternion + 1], state[i, quaternion + 2], state[i, quaternion + 3]
+        rows[0, i] = 1 - 2 * (y * y + z * z)
+        rows[1, i] = 2 * (x * y + w * z)
+        rows[2, i] = 2 * (x * z - w * y)
+        rows[3, i] = 2 * (x * y - w * z)
+        rows[4, i] = 1 - 2 * (x * x + z * z)
+        rows[5, i] = 2 * (y * z + w * x)
+        rows[6, i] = 2 * (x * z + w * y)
+        rows[7, i] = 2 * (y * z - w * x)
+        rows[8, i] = 1 - 2 * (x * x + y * y)

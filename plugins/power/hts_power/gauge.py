@@ -122,8 +122,8 @@ class BatteryGauge(Instrument):
         return {
             "battery_current": self._shown,
             "battery_voltage": self._shown_voltage,
-            "state_of_charge": np.round(100 * self._battery.state_of_charge),
-            "motor_temperature": np.round(self.housing),
+            "state_of_charge": np.rint(100 * self._battery.state_of_charge),
+            "motor_temperature": np.rint(self.housing),
         }
 
     def idle(self) -> Mapping[str, float]:
