@@ -28,7 +28,7 @@ class Steps:
 
 @cache
 def load() -> Steps | None:
-    """The functions of `kernel.py`; None, and a line in the log, where numba or the engine's library cannot be loaded."""
+    """The functions of `kernel.py`; None, and a line in the log, where numba or the engine cannot be loaded."""
     try:
         _name_engine()
         from hts.worlds.twin import kernel
