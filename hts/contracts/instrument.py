@@ -32,6 +32,19 @@ class PhysicsSample:
     dt: float
     current_torque: np.ndarray | None = None
 
+    def at(self, step: int) -> PhysicsSample:
+        """One of K steps of a sample whose arrays are (K, W, J) and (K, W, F)."""
+        current = None if self.current_torque is None else self.current_torque[step]
+        return PhysicsSample(
+            self.motor_torque[step],
+            self.joint_velocity[step],
+            self.foot_force[step],
+            self.foot_speed[step],
+            self.foot_mass[step],
+            self.dt,
+            current,
+        )
+
 
 @dataclass(frozen=True)
 class Fact:
@@ -82,6 +95,12 @@ class Instrument(ABC):
     @abstractmethod
     def step(self, sample: PhysicsSample) -> None:
         """One physics step passes."""
+
+    def advance(self, samples: PhysicsSample) -> None:
+        """The K physics steps between two readings pass: arrays with K before the rest. By default `step` for each; an
+        instrument that is faster at once may do them at once, to the same result."""
+        for step in range(len(samples.motor_torque)):
+            self.step(samples.at(step))
 
     @abstractmethod
     def read(self) -> Mapping[str, np.ndarray]:

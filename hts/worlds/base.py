@@ -76,11 +76,11 @@ class Operator:
         sent[:] = commanded
         straight = (sent[:, 2] == 0) & ((sent[:, 0] != 0) | (sent[:, 1] != 0))
         begins = straight & ~self._keeping
-        self._wanted[begins] = heading[begins]
+        np.copyto(self._wanted, heading, where=begins)
         self._keeping = straight
         error = (self._wanted + self._offset - heading + np.pi) % (2 * np.pi) - np.pi
         correction = np.minimum(np.maximum(self._gain * error, -LARGEST_YAW_RATE), LARGEST_YAW_RATE)
-        sent[straight, 2] = correction[straight]
+        np.copyto(sent[:, 2], correction, where=straight)
         return sent
 
     def forget(self, mask: np.ndarray) -> None:

@@ -80,6 +80,9 @@ class Exact(Instrument):
     def step(self, sample: PhysicsSample) -> None:
         self._instrument.step(sample)
 
+    def advance(self, samples: PhysicsSample) -> None:
+        self._instrument.advance(samples)
+
     def read(self) -> Mapping[str, np.ndarray]:
         return self._instrument.exact()
 

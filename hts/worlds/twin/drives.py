@@ -20,7 +20,9 @@ CROSSING_TORQUE = 0.3  # tau_0, N m; E: as the dry friction that holds the joint
 
 
 class Drives:
-    """Structures of the joint drives of W robots. constant: k_i (J,); play: p, rad (W, J)."""
+    """Structures of the joint drives of W robots. constant: k_i (J,); play: p, rad (W, J).
+
+    sticks: whether there is static friction; saturation: s / tau_max^2 (J,); half, rate: b / 2 and dt / T."""
 
     def __init__(
         self, machine: Machine, structure: BodyStructure, serial: int, limit: np.ndarray, dt: float, num_worlds: int
@@ -28,28 +30,28 @@ class Drives:
         joints = machine.spec.num_joints
         spread = np.random.default_rng([serial, 3]).uniform(-1, 1, joints)
         self.constant = 1 + structure.torque_constant_spread * spread
-        self._saturation = structure.torque_saturation / np.square(limit)
+        self.saturation = structure.torque_saturation / np.square(limit)
         self._stiction = machine.friction * structure.stribeck_ratio
         self._speed = max(structure.stribeck_speed, 1e-6)
-        self._sticks = structure.stribeck_ratio > 0
-        self._half = structure.backlash / 2
-        self._rate = min(dt / CROSSING_SECONDS, 1.0)
+        self.sticks = structure.stribeck_ratio > 0
+        self.half = structure.backlash / 2
+        self.rate = min(dt / CROSSING_SECONDS, 1.0)
         self.play = np.zeros((num_worlds, joints))
 
     def torque(self, current: np.ndarray) -> np.ndarray:
         """tau_m, N·m, from tau_i."""
-        made: np.ndarray = self.constant * current * (1 - self._saturation * np.square(current))
+        made: np.ndarray = self.constant * current * (1 - self.saturation * np.square(current))
         return made
 
     def stiction(self, velocity: np.ndarray) -> np.ndarray | float:
         """Dry friction on top of the sliding one at joint speeds, N·m, at least 0."""
-        return self._stiction * np.exp(-np.square(velocity / self._speed)) if self._sticks else 0.0
+        return self._stiction * np.exp(-np.square(velocity / self._speed)) if self.sticks else 0.0
 
     def cross(self, torque: np.ndarray) -> None:
         """The play of the next step, after a step with this motor torque."""
-        if self._half > 0:
+        if self.half > 0:
             side = np.minimum(np.maximum(torque / CROSSING_TORQUE, -1), 1)
-            self.play += self._rate * (self._half * side - self.play)
+            self.play += self.rate * (self.half * side - self.play)
 
 
 def makes_a_difference(structure: BodyStructure) -> bool:

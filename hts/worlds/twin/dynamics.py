@@ -7,18 +7,23 @@
 
 The friction's slope s near zero speed is half of armature / dt: the steepest that an explicit step cannot
 overshoot with, so it saturates below 0.3 rad/s at full load. All arrays are (W, J) unless stated.
+
+A step is written down twice, with the same results to the last bit: compiled, in kernel.py, which is what runs; and
+with numpy, in `_step`, for machines that cannot compile, and to hold the other against.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco import rollout
 
 from hts.contracts import Instrument, PhysicsSample
+from hts.worlds.twin import compiled
 from hts.worlds.twin.drives import Drives, makes_a_difference
 from hts.worlds.twin.ground import PERIOD, Conditions, Wind, gravity
 from hts.worlds.twin.link import Link
@@ -50,7 +55,7 @@ class Dynamics:
         conditions = conditions or Conditions.drawn(SessionParameters(), num_worlds, rng)
         self.structure = parameters.structure
         self.dt = parameters.physics_dt
-        self._rollout = rollout.Rollout(nthread=0)  # on the calling thread; batches run in threads of their own
+        self._rollout = rollout.Rollout(nthread=0)  # on the calling thread
         self._models, self._data = [model] * num_worlds, [mujoco.MjData(model)]
         self.down: np.ndarray | None = None  # direction of gravity on a sloping floor, (W, 3)
         self._lie_of_the_land(conditions)
@@ -82,8 +87,8 @@ class Dynamics:
         fall = np.maximum(1 - parameters.full_torque_speed, 1e-6)
         self._limit = limit
         self._limit_start = limit / fall
-        self._limit_slope = np.stack([limit / (fall * no_load), -limit / (fall * no_load)])[:, None]  # (2, 1, J)
-        self._rated_slope = self._limit_slope
+        self._rated_slope = np.stack([limit / (fall * no_load), -limit / (fall * no_load)])[:, None]  # (2, 1, J)
+        self._limit_slope = np.tile(self._rated_slope, (1, num_worlds, 1))
         self._limits = np.zeros((2, *joints))
         serial = parameters.machine
         self._drives: Drives | None = None
@@ -94,6 +99,7 @@ class Dynamics:
         self._motor, self._friction, self._scratch = np.zeros(joints), np.zeros(joints), np.zeros(joints)
         self._current = np.zeros(joints) if self._drives else self._motor  # torque that it would make, were K nominal
         self._target = np.tile(np.array(spec.default_pose), (num_worlds, 1))
+        self._kp, self._kd, self._pull = np.zeros(joints), np.zeros(joints), np.zeros(joints)
         self.set_gains(np.array(spec.kp), np.array(spec.kd))
         self._clock = 0.0
         self._link = Link(round(parameters.actuation_delay / self.dt), self.structure, self.dt, num_worlds, rng)
@@ -106,18 +112,21 @@ class Dynamics:
             dt=self.dt,
             current_torque=self._current if self._drives else None,
         )
+        self._compiled = compiled.load()
+        if self._compiled is not None:
+            self._arguments = self._all_that_steps_take()
+        self._samples: PhysicsSample | None = None
         self.stand(np.ones(num_worlds, dtype=bool))
 
     def set_gains(self, kp: np.ndarray, kd: np.ndarray) -> None:
         """Gains of the position control, N·m/rad and N·m·s/rad, (J,) or (W, J)."""
         scale = self._strength * self._gain_scale
-        shape = (self.num_worlds, self.machine.spec.num_joints)
-        self._kp, self._kd = (np.array(np.broadcast_to(gain * scale, shape)) for gain in (kp, kd))
+        self._kp[:], self._kd[:] = kp * scale, kd * scale
         self._aim()
 
     def _aim(self) -> None:
         """kp (target - encoder offset), which changes with the target only."""
-        self._pull = self._kp * (self._target - self.machine.encoder_offset)
+        np.multiply(self._kp, self._target - self.machine.encoder_offset, out=self._pull)
 
     @property
     def commanded_torque(self) -> np.ndarray:
@@ -126,7 +135,7 @@ class Dynamics:
 
     def set_supply(self, ratio: np.ndarray) -> None:
         """Voltage of the motors' supply as a share of the rated one (W,): no-load speed is proportional to it."""
-        self._limit_slope = self._rated_slope / np.maximum(ratio, 0.1)[:, None]
+        np.divide(self._rated_slope, np.maximum(ratio, 0.1)[:, None], out=self._limit_slope)
 
     def stand(self, mask: np.ndarray) -> None:
         """Stand the robots of the mask (W,) up in the default pose, keeping place and heading."""
@@ -160,6 +169,10 @@ class Dynamics:
 
     def rotation(self) -> np.ndarray:
         """World to trunk, (W, 3, 3)."""
+        if self._compiled is not None:
+            rows = np.empty((9, self.num_worlds))
+            self._compiled.rotate(self._state[:, 0], 4, rows)  # after time and place
+            return rows.T.reshape(-1, 3, 3)
         w, x, y, z = self.qpos[:, 3:7].T
         rows = np.array([
             1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y),
@@ -172,16 +185,19 @@ class Dynamics:
         """Send joint targets (W, J), rad, and let `steps` physics steps pass; targets act after the delay. None:
         nothing is sent, what was sent last holds.
 
-        Instruments get one `PhysicsSample` per step; its arrays are overwritten by the next step.
+        Instruments get a `PhysicsSample` of all the steps; its arrays are overwritten by the next.
         """
         if targets is not None:
             self._link.send(targets)
         if self._wind:
             self._force[:, :2] = self._wind.blow(steps * self.dt)
-        for _ in range(steps):
-            if self._link.receive(self._target):
-                self._aim()
-            self._step(instruments)
+        if self._compiled is not None:
+            self._run(self._compiled.advance, steps, instruments)
+        else:
+            for _ in range(steps):
+                if self._link.receive(self._target):
+                    self._aim()
+                self._step(instruments)
         self._clock += steps * self.dt
         if self.structure.floor_roughness > 0:  # the bumps repeat
             place = self.qpos[:, :2]
@@ -209,6 +225,57 @@ class Dynamics:
             own.opt.gravity[:] = gravity(self.structure, direction, strength)
         if sloping:
             self.down = np.stack([own.opt.gravity / strength for own in self._models])
+
+    def _run(self, advance: Callable[..., None], steps: int, instruments: Sequence[Instrument]) -> None:
+        """So many physics steps, compiled."""
+        samples, drives, link = self._room_for(steps), self._drives, self._link
+        at_once = 1 if drives and drives.sticks else steps
+        for first in range(0, steps, at_once):
+            if drives and drives.sticks:
+                self._stiction[:] = drives.stiction(self.joint_velocity())
+            advance(first, first + at_once, link.now, self.dt, link.arrivals, link.sent, *self._arguments, *self._log)
+        link.now += steps
+        for instrument in instruments:
+            instrument.advance(samples)
+
+    def _room_for(self, steps: int) -> PhysicsSample:
+        """What instruments see of so many steps, (K, W, J) and (K, W, F), for `advance` to write into."""
+        if self._samples is None or len(self._samples.motor_torque) != steps:
+            joints = (steps, *self._motor.shape)
+            feet = (steps, *self._sample.foot_speed.shape)
+            self._log = (*(np.zeros(joints) for _ in range(3)), *(np.zeros(feet) for _ in range(2)))
+            motor, current, velocity, force, speed = self._log
+            mass = np.broadcast_to(self._sample.foot_mass, feet)
+            current_torque = current if self._drives else None
+            self._samples = PhysicsSample(motor, velocity, force, speed, mass, self.dt, current_torque)
+        return self._samples
+
+    def _all_that_steps_take(self) -> tuple[Any, ...]:
+        """Arguments of `kernel.advance` that are always the same arrays and numbers."""
+        m, model, drives, data = self.machine, self.machine.model, self._drives, self._data[0]
+        joints, nothing = np.zeros(m.spec.num_joints), np.zeros((0, 0))
+        self._stiction = np.zeros_like(self._motor)
+        of_drives = (drives.constant, drives.saturation, drives.half, drives.rate, drives.play) if drives else (
+            joints, joints, 0.0, 0.0, nothing)  # fmt: skip
+        state, inputs = self._state[:, 0], self._inputs[:, 0]
+        places = [
+            np.arange(width)[columns] + offset
+            for width, columns, offset in (
+                (model.nq, m.joint_qpos, 1),
+                (model.nv, m.joint_dof, 1 + model.nq),
+                (model.nsensordata, m.touch, 0),
+                (model.nsensordata, m.foot_velocity, 0),
+            )
+        ]
+        return (
+            *(self._target, self._pull, m.encoder_offset),
+            *(self._kp, self._kd, self._limit, self._limit_start, self._limit_slope),
+            *(drives is not None, *of_drives, self._stiction),
+            *(np.array(m.gear_loss), np.array(self._loss_slope), self._motor, self._current),
+            np.array([own._address for own in self._models]),
+            *(data._address, FULL, self._spec, data.qacc_warmstart, data.sensordata),
+            *(state, inputs, self._acceleration, self.sensordata, 1 + model.nq, *places),
+        )
 
     def _step(self, instruments: Sequence[Instrument]) -> None:
         """One physics step. Written for speed: every line costs about a microsecond for W = 6."""

@@ -89,6 +89,9 @@ class Unread(Instrument):
     def step(self, sample: PhysicsSample) -> None:
         self._instrument.step(sample)
 
+    def advance(self, samples: PhysicsSample) -> None:
+        self._instrument.advance(samples)
+
     def read(self) -> Mapping[str, np.ndarray]:
         self._instrument.read()  # works through the steps so far
         return {}

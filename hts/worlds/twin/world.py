@@ -22,7 +22,7 @@ from hts.worlds.twin.child import Child
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.programme import Kept, Session, collection, head_to_head, session_seconds
 
-STEPS_PER_SECOND = 12_000.0  # physics steps of a twin on one core, for the estimate of `cost`
+STEPS_PER_SECOND = 35_000.0  # physics steps of a twin on one core, for the estimate of `cost`
 
 
 def make_twin(settings: Settings, context: WorldContext) -> TwinWorld:

@@ -75,6 +75,18 @@ class Microphone(Instrument):
         if self._count == CHUNK:
             self._work()
 
+    def advance(self, samples: PhysicsSample) -> None:
+        done, steps, self._dt = 0, len(samples.motor_torque), samples.dt
+        while done < steps:
+            count = min(steps - done, CHUNK - self._count)
+            now, some = slice(self._count, self._count + count), slice(done, done + count)
+            self._torque[now], self._velocity[now] = samples.motor_torque[some], samples.joint_velocity[some]
+            self._force[now], self._speed[now] = samples.foot_force[some], samples.foot_speed[some]
+            self._mass[now] = samples.foot_mass[some]
+            self._count, done = self._count + count, done + count
+            if self._count == CHUNK:
+                self._work()
+
     def read(self) -> Mapping[str, np.ndarray]:
         self._work()
         noise = self.p.reading_noise * self._rng.standard_normal(len(self._shown))

@@ -71,7 +71,7 @@ class Battery:
         voltages = settled + mean * (before - settled)  # means over each step, which drive the mean current
         self.voltage = decay * before[-1] + (1 - decay) * settled[-1]
         currents = (source - voltages) / self.resistance
-        self.current = currents.mean(axis=0)
+        self.current = np.add.reduce(currents) / len(power)
         seconds = len(power) * dt
         keep = np.exp(-seconds / self.polarisation_seconds)
         self.polarisation = self.polarisation * keep + self.polarisation_resistance * self.current * (1 - keep)

@@ -70,7 +70,7 @@ def bus_power(idle_power: Values, joint_powers: np.ndarray, regeneration: float)
     One joint's generated power feeds another with no further loss; only what is left over, a negative sum,
     meets the battery, at the efficiency `regeneration` (0: blocked).
     """
-    power = idle_power + np.sum(joint_powers, axis=-1)
+    power = idle_power + np.add.reduce(joint_powers, axis=-1)
     return np.where(power < 0, regeneration * power, power)
 
 

@@ -104,13 +104,26 @@ class BatteryGauge(Instrument):
         if self._count == CHUNK:
             self._work()
 
+    def advance(self, samples: PhysicsSample) -> None:
+        done, steps, self._dt = 0, len(samples.motor_torque), samples.dt
+        while done < steps:
+            count = min(steps - done, CHUNK - self._count)
+            now, some = slice(self._count, self._count + count), slice(done, done + count)
+            self._torque[now], self._speed[now] = samples.motor_torque[some], samples.joint_velocity[some]
+            if samples.current_torque is not None:
+                self._current_torque[now] = samples.current_torque[some]
+                self._irregular = True
+            self._count, done = self._count + count, done + count
+            if self._count == CHUNK:
+                self._work()
+
     def read(self) -> Mapping[str, np.ndarray]:
         self._work()
         return {
             "battery_current": self._shown,
             "battery_voltage": self._shown_voltage,
-            "state_of_charge": np.round(100 * self._battery.state_of_charge),
-            "motor_temperature": np.round(self.housing),
+            "state_of_charge": np.rint(100 * self._battery.state_of_charge),
+            "motor_temperature": np.rint(self.housing),
         }
 
     def idle(self) -> Mapping[str, float]:
@@ -314,7 +327,7 @@ class BatteryGauge(Instrument):
         every = max(1, round(1 / (p.update_rate * dt)))
         first = -(self._steps + 1) % every  # steps until the register changes; counted back by `late` from the newest
         for step in range(first, len(current), every):
-            self._shown = self._register(self._history[step + 1 : step + 1 + window].mean(axis=0))
+            self._shown = self._register(np.add.reduce(self._history[step + 1 : step + 1 + window]) / window)
             self._shown_voltage = self._cells(self._battery.voltage)
         self._steps += len(current)
 
