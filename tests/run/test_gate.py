@@ -20,7 +20,7 @@ from hts.contracts import LogOnlyRobot, RobotSpec
 from hts.errors import ConfigError, SimulationError
 from hts.plugins import load
 from hts.rl.population import Population, Sizes
-from hts.run import gate, learning
+from hts.run import gate, judging
 from hts.run.gate_checks import CHECKS, Worst, check_told, sentence, told_by, untold_by
 from hts.run.gate_trials import LostPackets, rollout
 from hts.testing.known_world import KnownWorld
@@ -288,13 +288,13 @@ def test_where_all_fail_nobody_is_tried_and_the_run_says_so(tmp_path, monkeypatc
 
 @pytest.mark.slow
 def test_who_fell_while_being_judged_is_not_tried(tmp_path, monkeypatch):
-    judge = learning._judge
+    judge = judging._judge
 
     def all_but_the_last_fall(row, *rest):
         return dataclasses.replace(judge(row, *rest), falls=int(row["id"] != "00-02"))
 
     assert KnownWorld.simulated is True
-    monkeypatch.setattr(learning, "_judge", all_but_the_last_fall)
+    monkeypatch.setattr(judging, "_judge", all_but_the_last_fall)
     run(tmp_path / "run", **{"selection.elites": 3})
     result = json.loads((tmp_path / "run/iterations/00/gate.json").read_text())
     assert result["elites"] == ["00-02"]
