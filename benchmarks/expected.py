@@ -15,10 +15,11 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from batch import methods as known
+from batch.answered import answered
 from batch.expected import Expected, Fitting, compared, fitted, read, table, write
 from batch.expected_logs import Visit
 from batch.groups import objectives_of
@@ -215,15 +216,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """0; 1 if a reality or a run failed; 2 for a mistake; 75 where the time was up."""
-    given = parser().parse_args(arguments)
-    do: Callable[[argparse.Namespace], int] = given.do
-    try:
-        return do(given)
-    except HtsError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
-    except KeyboardInterrupt:
-        return 130
+    return answered(parser(), arguments)
 
 
 if __name__ == "__main__":

@@ -18,20 +18,21 @@ import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from batch import blocks, coverage_command
 from batch import methods as known
 from batch.ablation import ablation
 from batch.all_tables import ALL
+from batch.answered import answered
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
 from batch.queue import run_batch, slots_of
 from batch.tables import pairs
 
 from hts.atomic import atomic_write
-from hts.errors import ConfigError, HtsError, unknown_name
+from hts.errors import ConfigError, unknown_name
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 LINES = REPOSITORY / "docs/results/lines"
@@ -229,15 +230,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """0; 1 if a run failed or something is not as it should be; 2 for a mistake; 75 where the time was up."""
-    given = parser().parse_args(arguments)
-    do: Callable[[argparse.Namespace], int] = given.do
-    try:
-        return do(given)
-    except HtsError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
-    except KeyboardInterrupt:
-        return 130
+    return answered(parser(), arguments)
 
 
 if __name__ == "__main__":
