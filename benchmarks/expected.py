@@ -20,7 +20,8 @@ from pathlib import Path
 
 from batch import methods as known
 from batch.answered import answered
-from batch.expected import Expected, Fitting, compared, fitted, read, table, write
+from batch.expected import Fitting, compared, fitted
+from batch.expected_lines import Expected, expected_table, read_expected, write_expected
 from batch.expected_logs import Visit
 from batch.groups import objectives_of
 from batch.lines import Line, files_of, read_lines
@@ -128,8 +129,8 @@ def run(given: argparse.Namespace) -> int:
             rows.append(compared(which, given.out / name / "draws", lines, there, given.objective, about))
         except RunError as error:
             rows.append(_failed(which, given.objective, about, str(error)))
-    write(given.out / EXPECTED, rows)
-    print(table(rows))
+    write_expected(given.out / EXPECTED, rows)
+    print(expected_table(rows))
     return status or (1 if any(row.error for row in rows) else 0)
 
 
@@ -171,7 +172,7 @@ def tell_last(text: str) -> None:
 
 def show(given: argparse.Namespace) -> int:
     """Print the table again."""
-    print(table(read(given.out / EXPECTED)))
+    print(expected_table(read_expected(given.out / EXPECTED)))
     return 0
 
 

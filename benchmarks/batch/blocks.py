@@ -19,6 +19,7 @@ from batch import tables
 from batch.ablation import ablation
 from batch.all_tables import ALL
 from batch.coverage_lines import coverage_table, read_coverage
+from batch.expected_lines import expected_table, read_expected
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
 from hts.errors import EvaluationError, unknown_name
@@ -93,6 +94,9 @@ def _made(what: str, folder: Path) -> str:
             return coverage_table(
                 read_coverage(files_of([folder.parent / "coverage" / f for f in given["lines"].split(",")]))
             )
+        if name == "expected":
+            found = [read_expected(folder.parent / "expected" / file) for file in given["lines"].split(",")]
+            return expected_table([row for rows in found for row in rows])
         groups = groups_of(
             read_lines(files_of([folder / file for file in given["lines"].split(",")])),
             given.get("preset"),
@@ -106,7 +110,9 @@ def _made(what: str, folder: Path) -> str:
         if name == "ablation":
             return ablation(groups, given.get("against", "ours"))
         if name not in ALL:
-            raise EvaluationError(unknown_name("table", name, [*ALL, "pairs", "ablation", "coverage", "value"]))
+            raise EvaluationError(
+                unknown_name("table", name, [*ALL, "pairs", "ablation", "coverage", "expected", "value"])
+            )
         return ALL[name](groups)
     except EvaluationError as error:
         raise EvaluationError(f"{where}: {error}") from error

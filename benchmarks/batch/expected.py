@@ -11,53 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field
-
+from batch.expected_lines import MEAN, Expected, Speed
 from batch.expected_logs import Visit, record
 from batch.groups import saving
-from batch.lines import Line, Part, parsed
+from batch.lines import Line
 from hts import plugins
-from hts.atomic import atomic_write
 from hts.errors import RunError
 from hts.run.expected import prediction
 from hts.worlds.realities.batch import exported_policy
 from hts.worlds.realities.like import DISCREPANCY, of_store
 from hts.worlds.realities.population import Asked, draw_like, generations_of, weights_of
 from hts.worlds.realities.posterior_like import accepted, heading_of, lines_of
-
-MEAN = "mean"  # over the speeds, beside them
-
-
-class Speed(Part):
-    """At one speed, or on average over them; savings as fractions, in the objective's unit."""
-
-    predicted: float
-    interval95: tuple[float, float] | None = Field(None, description="of one more run on one more such machine")
-    measured: float | None = Field(None, description="of the run on the reality, mean over seeds; none: not made")
-    error: float | None = Field(None, description="measured less predicted")
-    inside: bool | None = None
-
-
-class Expected(Part):
-    """One reality."""
-
-    version: int = 1
-    reality: str
-    reality_hash: str
-    objective: str
-    unit: str
-    method: str
-    preset: str
-    commit: str = Field(description="of the runs on draws")
-    within: float = Field(description="tolerances that every draw is within")
-    draws: int = Field(description="that were run on")
-    worth: float = Field(description="so many independent draws, by their weights")
-    failed: int = Field(0, description="runs on draws that failed and are left out")
-    refused: int = Field(0, description="speeds of runs on draws that were refused, counted as 0")
-    measured_runs: int
-    measured_commits: tuple[str, ...] = ()
-    speeds: dict[str, Speed]
-    error: str | None = Field(None, description="why there is no prediction")
 
 
 @dataclass(frozen=True)
@@ -179,52 +143,3 @@ def compared(
         speeds=speeds,
         **about,
     )
-
-
-def write(path: Path, rows: Sequence[Expected]) -> None:
-    """All of it, one JSON line each."""
-    atomic_write(path, "".join(row.model_dump_json() + "\n" for row in rows))
-
-
-def read(path: Path) -> list[Expected]:
-    """Lines that `write` wrote. Raises RunError."""
-    if not path.is_file():
-        raise RunError(f"{path}: there is no such file. `benchmarks/expected.py run` writes it.")
-    return list(parsed([path], Expected, "version 1, as benchmarks/expected.py run writes it"))
-
-
-def table(rows: Sequence[Expected]) -> str:
-    """In markdown, a row for each reality and speed; and the errors together."""
-    text = [
-        "| reality | speed | predicted | 95 % interval | measured | error | inside |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        if row.error:
-            text.append(f"| {row.reality} | | {row.error} | | | | |")
-        for key, one in row.speeds.items():
-            bounds = (
-                "none" if one.interval95 is None else f"{_of(one.interval95[0], row)} to {_of(one.interval95[1], row)}"
-            )
-            known = (
-                ("", "") if one.measured is None or one.error is None else (_of(one.measured, row), _of(one.error, row))
-            )
-            inside = {True: "yes", False: "no", None: ""}[one.inside]
-            text.append(
-                f"| {row.reality} | {key} | {_of(one.predicted, row)} | {bounds} | {known[0]} | {known[1]} | {inside} |"
-            )
-    errors = [row.speeds[MEAN].error for row in rows if MEAN in row.speeds]
-    found = [one for one in errors if one is not None]
-    if found:
-        unit, size = rows[0].unit, sum(abs(one) for one in found) / len(found)
-        whole = sum(found) / len(found)
-        scale, name = (100, "points") if unit == "1" else (1, unit)
-        text += [
-            "",
-            f"{len(found)} realities: mean error {scale * whole:+.1f} {name}, mean size {scale * size:.1f} {name}.",
-        ]
-    return "\n".join(text)
-
-
-def _of(value: float, row: Expected) -> str:
-    return f"{100 * value:.1f} %" if row.unit == "1" else f"{value:.2f} {row.unit}"

@@ -11,7 +11,8 @@ from pathlib import Path
 import expected as command
 import pytest
 from batch import expected as parts
-from batch.expected import MEAN, compared, reached, read, table
+from batch.expected import compared, reached
+from batch.expected_lines import MEAN, expected_table, read_expected
 from batch.lines import append
 from batch.methods import reality_hash
 from fake_lines import line
@@ -50,7 +51,7 @@ def test_predicted_is_the_weighted_mean_and_error_what_is_measured_less_it(tmp_p
     assert found.speeds[MEAN].predicted == pytest.approx(0.5 * 0.2 + 0.25 * 0.4 / 3)
     assert (found.within, found.draws, found.refused, found.measured_runs) == (1.3, 3, 1, 1)
     assert found.worth == pytest.approx(1 / (0.25 + 2 / 16))
-    text = table([found])
+    text = expected_table([found])
     assert "| dev-00 | 0.5 | 10.0 % |" in text and "1 realities: mean error +6.7 points" in text
 
 
@@ -58,7 +59,7 @@ def test_without_a_run_there_it_is_a_prediction_alone_and_without_runs_on_draws_
     draws = folder_of_draws(tmp_path, {"a": 1.0})
     found = compared(("dev-00", "hash"), draws, {"a": line(reality="a")}, [], "power", ABOUT)
     assert found.speeds["0.8"].measured is None and found.speeds["0.8"].interval95 is None
-    assert "none" in table([found]) and "realities: mean error" not in table([found])
+    assert "none" in expected_table([found]) and "realities: mean error" not in expected_table([found])
     failed = line(reality="a", status="failed", error="exit status 2", result=None)
     with pytest.raises(RunError, match="dev-00: no run on its draws ended well"):
         compared(("dev-00", "hash"), draws, {"a": failed}, [], "power", ABOUT)
@@ -131,7 +132,7 @@ def test_the_whole_command_makes_what_is_missing_and_one_line_each(tmp_path, who
     made = typed(tmp_path)
     assert len(made) == 5  # two draws each, and the run on dev-00
     assert sum("world.reality=dev-00" in text for text in made) == 1
-    first, second = read(tmp_path / "out/expected.jsonl")
+    first, second = read_expected(tmp_path / "out/expected.jsonl")
     assert (first.reality, first.draws, first.measured_runs, second.measured_runs) == ("dev-00", 2, 1, 1)
     assert first.speeds["0.8"].predicted == pytest.approx(0.2)  # what the stand-in saves
     assert second.speeds["0.8"].error == pytest.approx(0.1)
@@ -145,7 +146,7 @@ def test_the_whole_command_makes_what_is_missing_and_one_line_each(tmp_path, who
 def test_time_that_is_up_and_a_reality_that_no_draw_is_like_are_said(tmp_path, whole, capsys):
     assert whole("dev-00", "--stop-after", "0") == 75
     assert whole("dev-00,dev-02") == 1
-    rows = read(tmp_path / "out/expected.jsonl")
+    rows = read_expected(tmp_path / "out/expected.jsonl")
     assert rows[1].error == "dev-02: 3000 simulations are spent" and rows[0].error is None
     assert "3000 simulations" in capsys.readouterr().out
     assert whole("dev-99") == 2 and "No reality named 'dev-99'" in capsys.readouterr().err
