@@ -43,7 +43,17 @@ SPEED_ERROR_TREND = Channel(
 )
 """Held at zero on average, too: else a policy that walks at one speed whatever it is told has no error on average."""
 
-HELD_CHANNELS = {channel.name: channel for channel in (SPEED_ERROR, SPEED_ERROR_TREND)}
+_MISSED = (
+    "1 - exp(-(e / 0.1)^2 / 2) of the speed error e of about a second: 0 at the commanded speed, near 1 beyond 20 % of "
+    "it; of commands in the {} half of their range, 0 where it does not count"
+)
+SPEED_MISSED_SLOW = Channel("speed_missed_slow", "1", (), _MISSED.format("slower"))
+SPEED_MISSED_FAST = Channel("speed_missed_fast", "1", (), _MISSED.format("faster"))
+"""Kept low on average: else a policy stands at slow commands and walks too fast at others, or is fast on one floor and
+slow on the next, without an error on average."""
+
+MISSED_CHANNELS = (SPEED_MISSED_SLOW, SPEED_MISSED_FAST)
+HELD_CHANNELS = {channel.name: channel for channel in (SPEED_ERROR, SPEED_ERROR_TREND, *MISSED_CHANNELS)}
 """Made by the env of the velocity task, beside the channels of its robot."""
 
 

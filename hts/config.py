@@ -137,6 +137,11 @@ class FinetuneConfig(Config):
         description="hold the task's own measure at zero on average (of a velocity robot: its relative speed error) "
         "by a multiplier per candidate, so that doing less of the task is no saving",
     )
+    hold_below: bool = Field(
+        True,
+        description="with `hold`: also keep how much the task is missed (of a velocity robot: its speed of about a "
+        "second) at or below what the robot names",
+    )
     ppo: PPOConfig = Field(default_factory=PPOConfig, description="how it learns")
     env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")
 

@@ -102,6 +102,7 @@ METHODS: dict[str, Method] = {
         about="no standard deviation in the reward",
     ),
     "no-hold": Method(settings=("finetune.hold=false",), about="speed not held in training"),
+    "no-hold-below": Method(settings=("finetune.hold_below=false",), about="speed held on average alone"),
     "fixed-bounds": Method(settings=("sweep.trust_region.enabled=false",), about="the same bounds in each iteration"),
     "no-exploring": Method(
         settings=("collection.exploring=0", "collection.repeats=8"),  # as many recordings as ours

@@ -12,6 +12,8 @@ from hts.config import CommandConfig
 from hts.rl.tracing import any_or_tracing
 
 SETTLING_SECONDS = 1.0  # after standing up
+SMOOTHING_SECONDS = 1.0  # of the speed that may miss the command: about a second, as in the segments of a head-to-head
+MISSED = 0.1  # of the commanded speed: beyond it a segment of a head-to-head does not count
 LEAST_SPEED = 0.3  # m/s; of slower commands no share can be told
 DRAWS = 7  # uniform numbers an env instance needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
 
@@ -27,7 +29,7 @@ class WalksAsTold(ABC):
 class Commands:
     """The command [P, N, 3] (vx m/s, vy m/s, yaw rate rad/s) of each instance and what it follows from."""
 
-    STATE = ("value", "heading", "keeps_heading", "steps_left")
+    STATE = ("value", "heading", "keeps_heading", "steps_left", "told_seconds", "smoothed_error")
 
     def __init__(self, config: CommandConfig, shape: tuple[int, int], dt: float, device: torch.device) -> None:
         self.config, self.dt = config, dt
@@ -35,6 +37,8 @@ class Commands:
         self.heading = torch.zeros(shape, device=device)  # target, rad
         self.keeps_heading = torch.ones(shape, dtype=torch.bool, device=device)
         self.steps_left = torch.zeros(shape, device=device)
+        self.told_seconds = torch.zeros(shape, device=device)  # since this command, or since it was stood up
+        self.smoothed_error = torch.zeros(shape, device=device)  # relative, of the speed, from settling on
         if config.fixed:
             speeds = torch.tensor(config.fixed, device=device)
             self.fixed = speeds[torch.arange(shape[1], device=device) % len(config.fixed)].expand(shape)
@@ -53,11 +57,45 @@ class Commands:
 
     def speed_error_trend(self, forward: torch.Tensor, seconds: torch.Tensor) -> torch.Tensor:
         """Channel `speed_error_trend`, [P, N]; as `speed_error`."""
-        high = max(abs(end) for end in self.config.vx)
-        low = max(LEAST_SPEED, min(self.config.vx))
+        low, high = self._counted
         middle, half = (high + low) / 2, max((high - low) / 2, 1e-6)
         place = ((self.value[..., 0].abs() - middle) / half).clamp(-1.0, 1.0)
         return self.speed_error(forward, seconds) * place
+
+    def speed_missed_slow(self, forward: torch.Tensor, seconds: torch.Tensor) -> torch.Tensor:
+        """Channel `speed_missed_slow`, [P, N]: of what `watch` saw, once it has seen a whole second."""
+        return self._missed(self.value[..., 0].abs() < self._middle)
+
+    def speed_missed_fast(self, forward: torch.Tensor, seconds: torch.Tensor) -> torch.Tensor:
+        """Channel `speed_missed_fast`, [P, N]; as `speed_missed_slow`."""
+        return self._missed(self.value[..., 0].abs() >= self._middle)
+
+    def _missed(self, where: torch.Tensor) -> torch.Tensor:
+        seen = self.told_seconds - SETTLING_SECONDS
+        counts = where & (self.value[..., 0].abs() >= LEAST_SPEED) & (seen > SMOOTHING_SECONDS)
+        share = 1.0 - torch.exp(-seen.clamp(min=self.dt) / SMOOTHING_SECONDS)  # of the average that has been filled
+        error = self.smoothed_error / share
+        return torch.where(counts, 1.0 - torch.exp(-0.5 * (error / MISSED).square()), 0.0)
+
+    @property
+    def _middle(self) -> float:
+        """Between slow and fast commands, m/s: as many times the slowest as the fastest is of it."""
+        low, high = self._counted
+        return math.sqrt(low * high)
+
+    @property
+    def _counted(self) -> tuple[float, float]:
+        """Commands of which errors count, m/s."""
+        high = max(abs(end) for end in self.config.vx)
+        return max(LEAST_SPEED, min(self.config.vx)), max(high, LEAST_SPEED)
+
+    def watch(self, forward: torch.Tensor) -> None:
+        """One control step's velocity forward, m/s, [P, N], for the channels of how far it is missed."""
+        asked = self.value[..., 0]
+        error = forward / torch.where(asked.abs() >= LEAST_SPEED, asked, 1.0) - 1.0
+        moved = self.smoothed_error + self.dt / SMOOTHING_SECONDS * (error - self.smoothed_error)
+        self.smoothed_error = torch.where(self.told_seconds >= SETTLING_SECONDS, moved, 0.0)
+        self.told_seconds = self.told_seconds + self.dt
 
     def resample(self, mask: torch.Tensor, draws: torch.Tensor, yaw: torch.Tensor) -> None:
         """New commands where mask [P, N]; draws [P, N, DRAWS] uniform in [0, 1); yaw [P, N] rad now."""
@@ -81,6 +119,8 @@ class Commands:
             )  # spread, so that instances do not resample together
             self.steps_left = torch.where(mask, steps, self.steps_left)
         self.value = torch.where(mask.unsqueeze(-1), new, self.value)
+        self.told_seconds = self.told_seconds.masked_fill(mask, 0.0)
+        self.smoothed_error = self.smoothed_error.masked_fill(mask, 0.0)
         self.heading = torch.where(mask, heading, self.heading)
         self.keeps_heading = torch.where(mask, keeps, self.keeps_heading)
 
@@ -110,4 +150,5 @@ class Commands:
 
     def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
         for name in self.STATE:
-            setattr(self, name, state[name].to(self.value.device).clone())
+            if name in state:  # checkpoints of before 0.2 do not watch the speed
+                setattr(self, name, state[name].to(self.value.device).clone())

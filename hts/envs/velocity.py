@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
 
-from hts.channels import HELD_CHANNELS, Channel
+from hts.channels import HELD_CHANNELS, MISSED_CHANNELS, Channel
 from hts.config import EnvConfig
 from hts.contracts import RobotSpec
 from hts.envs.commands import DRAWS, Commands, WalksAsTold
@@ -62,6 +62,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.engine, self.robot_spec, self.config = engine, spec, config
         self.shape2 = (num_candidates, num_envs)
         self.channel_specs = dict(channels)
+        self._watched = any(channel.name in channels for channel in MISSED_CHANNELS)
         self.dt = spec.physics_dt * spec.substeps
         self.max_steps = round(config.episode_seconds / self.dt)
         self.weights = resolve_weights(config.reward_weights)
@@ -199,6 +200,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.action, self.last_joint_velocity = seen.action, seen.joint_velocity
         terminated, truncated = seen.fell, (self.steps >= self.max_steps) & ~seen.fell
         self.falls = self.falls + terminated
+        if self._watched:
+            self.commands.watch(seen.velocity[..., 0])
         self.commands.advance(self._draws[..., :DRAWS], self._yaw)
         self._observe(self._draws[..., self._fixed_draws :])
         if seen.broken is not None:  # it has fallen: its episode ends there, and none of its numbers is used

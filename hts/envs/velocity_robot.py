@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from hts.channels import SPEED_ERROR, SPEED_ERROR_TREND
+from hts.channels import SPEED_ERROR, SPEED_ERROR_TREND, SPEED_MISSED_FAST, SPEED_MISSED_SLOW
 from hts.contracts import Robot
 from hts.errors import ConfigError
 
@@ -24,6 +24,9 @@ class VelocityRobot(Robot):
     """
 
     held_at_zero = MappingProxyType({SPEED_ERROR.name: 0.02, SPEED_ERROR_TREND.name: 0.02})
+    held_below = MappingProxyType({SPEED_MISSED_SLOW.name: 0.4, SPEED_MISSED_FAST.name: 0.25})
+    """Somewhat above what a policy has that walks well: 0.35 and 0.15 under pushes and on varied machines
+    (docs/decisions.md says what was tried)."""
 
     def make_env(
         self,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from hts.rl.kl_bound import project_to_kl_bound
     from hts.rl.loss import KLConstrainedPPOLoss
     from hts.rl.measured_reward import MeasuredReward
-    from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier
+    from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier, UpperMultiplier
     from hts.rl.population import Population, Sizes
     from hts.rl.population_collector import PopulationCollector
     from hts.rl.random import PopulationRandom
@@ -55,6 +55,7 @@ _HOMES = {
     "Sizes": "population",
     "SplitStepEnv": "task_env",
     "TaskEnv": "task_env",
+    "UpperMultiplier": "multiplier",
     "advantages": "advantage",
     "backend_for": "backend",
     "distribution_kl": "kl",
@@ -84,6 +85,7 @@ __all__ = [
     "Sizes",
     "SplitStepEnv",
     "TaskEnv",
+    "UpperMultiplier",
     "advantages",
     "backend_for",
     "distribution_kl",

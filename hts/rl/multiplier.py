@@ -1,11 +1,15 @@
-"""Lagrange multipliers: of a bound on the KL divergence to a reference policy, and of a mean that is to be zero."""
+"""Lagrange multipliers: of a bound on the KL divergence to a reference policy, of a mean that is to be zero, and of a
+mean that is to stay below a number."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 from torch import nn
 
 LARGEST_EXCESS = 2.0  # of KL / c - 1 in one update: one bad batch must not spend the training on getting back
+LARGEST_PRICE = 5.0  # of a mean that stays too large whatever it costs, per strength
 LARGEST_ERROR = (
     10.0  # of m / scale, likewise. Much smaller and the proportional part cannot damp what the integral swings
 )
@@ -94,4 +98,30 @@ class EqualityMultiplier(nn.Module):
         excess = (self.smoothed / self.scale).clamp(-LARGEST_ERROR, LARGEST_ERROR) * strength
         self.integral = self.integral - self.rate * excess
         self.value = self.integral - self.gain * excess
+        return self.value
+
+
+class UpperMultiplier(EqualityMultiplier):
+    """Keeps the mean of x at or below a limit: nu x is added to the reward, and nu is never above 0.
+
+    As `EqualityMultiplier` of the error x - limit, of which a quarter of the limit matters, with nu and its integral
+    between -`LARGEST_PRICE` x strength and 0: where the mean is below the limit nothing is paid, and a limit that
+    cannot be kept does not drown everything else.
+
+    limit: above 0, in x's unit; others and buffers as of `EqualityMultiplier`.
+    """
+
+    def __init__(self, limit: float, count: int | None = None, **how: Any) -> None:
+        if not limit > 0:
+            raise ValueError(f"limit is {limit}; expected a positive number.")
+        super().__init__(limit / 4, count, **how)
+        self.limit = limit
+
+    @torch.no_grad()
+    def update(self, mean: torch.Tensor, strength: float | torch.Tensor = 1.0) -> torch.Tensor:
+        """As of `EqualityMultiplier`; mean: of x."""
+        super().update(mean - self.limit, strength)
+        least = -LARGEST_PRICE * torch.as_tensor(strength, device=self.value.device).expand_as(self.value)
+        self.integral = self.integral.clamp(max=0.0).maximum(least)
+        self.value = self.value.clamp(max=0.0).maximum(least)
         return self.value

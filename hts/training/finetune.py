@@ -20,7 +20,7 @@ from hts.rl.kl_bound import mean_kl, project_to_kl_bound
 from hts.rl.population import Population
 from hts.rl.task_env import TaskEnv
 from hts.training.checkpoint import load_checkpoint, load_notes, save_checkpoint
-from hts.training.held import Held
+from hts.training.held import Held, Holding
 from hts.training.sweep import Candidate
 from hts.training.trainer import BatchStats, PopulationTrainer
 
@@ -93,14 +93,14 @@ def finetune(
                 progress((number + part) / len(groups))
 
         env_config = config.env.model_copy(update={"seed": seed})
-        held = dict(robot.held_at_zero) if config.hold else {}
-        channels = tuple(dict.fromkeys((*inputs, *held)))
+        held = Holding.of(robot, config)
+        channels = tuple(dict.fromkeys((*inputs, *held.names)))
         bare = robot.make_env(
             engine, len(members), config.num_envs, env_config, channels=channels, seeds=[seed] * len(members)
         )
         place = checkpoint.with_name(f"{checkpoint.name}-{number}") if checkpoint is not None else None
         saved = Saved(place, {"robot": robot.spec.name, "key": f"{key}/{number}", "worlds": bare.batch_size.numel()})
-        around = [*transforms(), *([Held(tuple(held))] if held else [])]
+        around = [*transforms(), *([Held(held.names)] if held.names else [])]
         starts = [anchors[member.anchor] for member in members]
         group = Group(members, starts, bare, around, config, seed, saved, held)
         try:
@@ -137,8 +137,8 @@ class Saved:
 class Group:
     """Candidates that are trained together.
 
-    starts: the anchor of each; bare: an env for them, without measurement; held: channels whose mean is held at zero,
-    which `transforms` write; the rest as in `finetune`.
+    starts: the anchor of each; bare: an env for them, without measurement; held: channels whose mean is held, which
+    `transforms` write; the rest as in `finetune`.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class Group:
         config: FinetuneConfig,
         seed: int,
         saved: Saved,
-        held: Mapping[str, float],
+        held: Holding,
     ) -> None:
         count = len(members)
         self.members, self.bare, self.saved = members, bare, saved
@@ -170,7 +170,8 @@ class Group:
             anchor=self.anchor,
             bounds=self.bounds,
             weights={name: torch.tensor([member.weights[name] for member in members]) for name in members[0].weights},
-            held=held,
+            held=held.at_zero,
+            held_below=held.below,
             resume=before[0] if before is not None else None,
         )
         self.batches = max(1, round(config.steps * count / self.trainer.steps_per_batch))

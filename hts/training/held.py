@@ -1,15 +1,40 @@
-"""Sim channels that fine-tuning holds at zero on average, from the env to the learner."""
+"""Sim channels whose mean fine-tuning holds at zero or below a number, from the env to the learner."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from tensordict.utils import NestedKey
 from torchrl.data import Composite, Unbounded
 
+from hts.config import FinetuneConfig
+from hts.contracts import Robot
 from hts.errors import SimulationError, unknown_name
 from hts.rl.deferred import DeferrableTransform
+
+
+@dataclass(frozen=True)
+class Holding:
+    """Sim channels whose mean fine-tuning holds, as `Robot` names them. at_zero: name -> an error that matters; below:
+    name -> limit."""
+
+    at_zero: Mapping[str, float]
+    below: Mapping[str, float]
+
+    @classmethod
+    def of(cls, robot: Robot, config: FinetuneConfig) -> Holding:
+        """What the configuration asks for."""
+        return cls(
+            dict(robot.held_at_zero) if config.hold else {},
+            dict(robot.held_below) if config.hold and config.hold_below else {},
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All of them."""
+        return tuple(dict.fromkeys((*self.at_zero, *self.below)))
 
 
 class Held(DeferrableTransform):

@@ -17,7 +17,7 @@ from hts.rl.captured_collector import CapturedCollector
 from hts.rl.centring import RewardCentring
 from hts.rl.deferred import base_and_transforms
 from hts.rl.measured_reward import MeasuredReward
-from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier
+from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier, UpperMultiplier
 from hts.rl.population import Population
 from hts.rl.precision import tf32
 from hts.rl.random import PopulationRandom
@@ -57,7 +57,8 @@ class PopulationTrainer:
 
     population: P candidates, changed in place; anchor: frozen Population of P, or None (pretraining);
     bounds [P]: c per candidate, nats; weights: objective -> lambda [P]; held: name of an error under ("next", "held")
-    whose mean is held at zero -> an error that matters; seeds: one per candidate;
+    whose mean is held at zero -> an error that matters; held_below: likewise, of a mean that is kept at or below a
+    number -> that number; seeds: one per candidate;
     names: what candidates are called in errors.
 
     Collection and gradient steps are those of the device's `hts.rl.backend`. A candidate whose numbers stop being
@@ -77,6 +78,7 @@ class PopulationTrainer:
         bounds: torch.Tensor | None = None,
         weights: Mapping[str, torch.Tensor] | None = None,
         held: Mapping[str, float] | None = None,
+        held_below: Mapping[str, float] | None = None,
         update_normaliser: bool = False,
         resume: TensorDictBase | None = None,
     ) -> None:
@@ -100,9 +102,10 @@ class PopulationTrainer:
             )
             for name, weight in (weights or {}).items()
         }
-        self.held = {
-            name: EqualityMultiplier(scale, count, rate=config.hold_rate, gain=config.hold_gain, device=device)
-            for name, scale in (held or {}).items()
+        pace = {"rate": config.hold_rate, "gain": config.hold_gain, "device": device}
+        self.held: dict[str, EqualityMultiplier] = {
+            **{name: EqualityMultiplier(scale, count, **pace) for name, scale in (held or {}).items()},
+            **{name: UpperMultiplier(limit, count, **pace) for name, limit in (held_below or {}).items()},
         }
         self.stopped: dict[int, str] = {}
         self.batches = 0
@@ -329,8 +332,8 @@ class PopulationTrainer:
         for name, measured in self.measured.items():
             measured.centring.load_state_dict(dict(state["centres", name].items()))
         for name, multiplier in self.held.items():
-            saved = {"smoothed": torch.zeros_like(multiplier.smoothed), **dict(state["held", name].items())}
-            multiplier.load_state_dict(saved)  # checkpoints of before smoothed nothing
+            saved = dict(state["held", name].items()) if name in state["held"].keys() else {}  # noqa: SIM118
+            multiplier.load_state_dict({**_plain(multiplier), **saved})  # checkpoints of before held and smoothed less
         self.kl = state["kl"].to(self.kl.device)
         self.batches = int(state["batches"])
         self.stopped = {

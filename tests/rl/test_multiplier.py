@@ -1,11 +1,11 @@
-"""A mean that is to be zero: the price that is found for it."""
+"""A mean that is to be zero, or to stay below a number: the price that is found for it."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
-from hts.rl.multiplier import LARGEST_ERROR, EqualityMultiplier
+from hts.rl.multiplier import LARGEST_ERROR, LARGEST_PRICE, EqualityMultiplier, UpperMultiplier
 
 
 def follow(multiplier: EqualityMultiplier, pull: torch.Tensor, updates: int, strength: float = 1.0) -> torch.Tensor:
@@ -73,3 +73,45 @@ def test_it_is_added_to_each_candidates_own_errors():
 def test_a_scale_must_be_positive():
     with pytest.raises(ValueError, match="scale is 0"):
         EqualityMultiplier(0.0)
+
+
+def kept(pull: float, updates: int = 500) -> tuple[list[float], list[float]]:
+    """Means and prices of a learner that begins at 0.1, is pulled to 0.1 + 0.1 pull and is to stay below 0.3."""
+    multiplier, x = UpperMultiplier(0.3), torch.tensor(0.1)
+    means, prices = [], []
+    for _ in range(updates):
+        wanted = 0.1 + 0.1 * (pull + multiplier.update(x))
+        x = x + 0.2 * (wanted - x)
+        means.append(float(x))
+        prices.append(float(multiplier.value))
+    return means, prices
+
+
+def test_a_mean_that_stays_below_its_limit_costs_nothing_and_one_above_is_kept_there():
+    means, prices = kept(1.0)
+    assert max(means) < 0.3 and set(prices) == {0.0}
+    means, prices = kept(4.0)
+    assert max(means) > 0.3 and means[-1] == pytest.approx(0.3, abs=0.003)
+    assert prices[-1] == pytest.approx(-2.0, abs=0.05) and max(prices) == 0.0
+
+
+def test_after_it_was_above_the_price_goes_back_to_nothing():
+    multiplier = UpperMultiplier(0.3, 2)
+    for _ in range(40):
+        multiplier.update(torch.tensor([0.6, 0.1]))
+    assert multiplier.value[0] < -4.0 and multiplier.value[1] == 0.0
+    for _ in range(120):
+        multiplier.update(torch.tensor([0.1, 0.1]))
+    assert (multiplier.value == 0.0).all() and (multiplier.integral == 0.0).all()
+
+
+def test_a_limit_that_cannot_be_kept_has_a_largest_price():
+    multiplier = UpperMultiplier(0.3)
+    for _ in range(500):
+        multiplier.update(torch.tensor(1.0), 2.0)
+    assert float(multiplier.value) == -2.0 * LARGEST_PRICE
+
+
+def test_a_limit_must_be_positive():
+    with pytest.raises(ValueError, match="limit is 0"):
+        UpperMultiplier(0.0)

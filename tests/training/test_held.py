@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
 
 from hts.config import CommandConfig, EnvConfig, FinetuneConfig, PPOConfig, RandomisationConfig
-from hts.envs.commands import Commands
+from hts.envs.commands import DRAWS, Commands
 from hts.errors import SimulationError
 from hts.policies.files import load_policy
 from hts.rl.population import Population
 from hts.training import finetune as module
-from hts.training.held import Held
+from hts.training.held import Held, Holding
 from hts.training.sweep import Candidate
 from hts.training.trainer import PopulationTrainer
 from tests.training.test_trainer import SIZES, Target
@@ -119,6 +121,58 @@ def test_the_trend_tells_a_policy_that_walks_at_one_speed_whatever_it_is_told():
     torch.testing.assert_close(trend[0, :3], error[0, :3] * places)
     assert (trend[0, [0, 2]] < 0).all() and (trend[0, 3:] == 0).all()
     assert (commands.speed_error_trend(held, seconds).abs() < 1e-6).all()
+
+
+def missed(speed_of, vx=(0.2, 1.5), seconds=6.0) -> tuple[torch.Tensor, torch.Tensor]:
+    """Slow and fast channels [steps, 4] of robots that are told 0.2, 0.4, 0.6 and 1.2 m/s; speed_of: commands [4] and
+    the time, s -> speeds [4]."""
+    commands = Commands(CommandConfig(vx=vx), (1, 4), 0.02, torch.device("cpu"))
+    commands.value[0, :, 0] = told = torch.tensor([0.2, 0.4, 0.6, 1.2])
+    slow, fast = [], []
+    for step in range(round(seconds / 0.02)):
+        forward = speed_of(told, step * 0.02).view(1, 4)
+        commands.watch(forward)
+        slow.append(commands.speed_missed_slow(forward, torch.tensor(9.0)))
+        fast.append(commands.speed_missed_fast(forward, torch.tensor(9.0)))
+    return torch.cat(slow), torch.cat(fast)
+
+
+def test_who_stands_at_slow_commands_misses_them_and_makes_up_for_it_nowhere():
+    slow, fast = missed(lambda told, time: torch.where(told < 0.5, 0.0, told * 1.02))
+    assert (slow[-1, 1] > 0.99) and slow[-1, 2] < 0.05 and fast[-1, 3] < 0.05
+    assert (slow[:, [0, 3]] == 0).all() and (fast[:, :3] == 0).all()  # too slow to tell a share, or the other half
+    assert (slow[: round(2 / 0.02)] == 0).all()  # settling, and a second to look at
+
+
+def test_a_stride_misses_nothing_and_ten_per_cent_are_a_good_third():
+    slow, fast = missed(lambda told, time: told * (1 + 0.3 * math.sin(2 * math.pi * 2.5 * time)))
+    assert slow[200:].mean() < 0.05 and fast[200:].mean() < 0.05
+    slow, fast = missed(lambda told, time: told * 1.1)
+    assert slow[-1, 1] == pytest.approx(1 - math.exp(-0.5), abs=1e-3) and fast[-1, 3] == pytest.approx(slow[-1, 1])
+
+
+def test_a_new_command_is_given_time():
+    commands = Commands(CommandConfig(vx=(0.4, 0.4), vy=(0.0, 0.0)), (1, 1), 0.02, torch.device("cpu"))
+    commands.value[..., 0] = 1.2
+    for _ in range(200):
+        commands.watch(torch.zeros(1, 1))
+    assert commands.speed_missed_fast(torch.zeros(1, 1), torch.tensor(9.0)) > 0.99
+    commands.resample(torch.ones(1, 1, dtype=torch.bool), torch.full((1, 1, DRAWS), 0.9), torch.zeros(1, 1))
+    for _ in range(60):
+        commands.watch(torch.full((1, 1), 0.4))
+    assert commands.speed_missed_fast(torch.zeros(1, 1), torch.tensor(9.0)) == 0
+    assert commands.smoothed_error.abs() < 1e-6  # nothing is left of the old one
+
+
+def test_finetuning_pays_for_missing_only_where_it_is_asked_to(robot):
+    assert set(Holding.of(robot, FinetuneConfig(hold=True)).names) == {
+        "speed_error",
+        "speed_error_trend",
+        "speed_missed_slow",
+        "speed_missed_fast",
+    }
+    assert not Holding.of(robot, FinetuneConfig(hold=True, hold_below=False)).below
+    assert not Holding.of(robot, FinetuneConfig(hold=False)).names
 
 
 def test_a_channel_that_the_env_does_not_write_is_refused():

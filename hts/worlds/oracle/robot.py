@@ -36,7 +36,7 @@ class OracleRobot(Robot):
     """
 
     def __init__(self, robot: Robot, world: Settings, objectives: Mapping[str, Settings], registry: Registry) -> None:
-        self.spec, self.held_at_zero = robot.spec, robot.held_at_zero
+        self.spec, self.held_at_zero, self.held_below = robot.spec, robot.held_at_zero, robot.held_below
         self._robot = robot
         if not isinstance(robot.task(), FollowVelocity) or type(robot).make_env is not VelocityRobot.make_env:
             raise UnfitWorldError(
