@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import torch
 
+from hts.channels import MISSED_CHANNELS
 from hts.config import CommandConfig
 from hts.rl.tracing import any_or_tracing
 
@@ -31,8 +32,17 @@ class Commands:
 
     STATE = ("value", "heading", "keeps_heading", "steps_left", "told_seconds", "smoothed_error")
 
-    def __init__(self, config: CommandConfig, shape: tuple[int, int], dt: float, device: torch.device) -> None:
+    def __init__(
+        self,
+        config: CommandConfig,
+        shape: tuple[int, int],
+        dt: float,
+        device: torch.device,
+        channels: Iterable[str] = (),
+    ) -> None:
+        """channels: that the env writes, by name."""
         self.config, self.dt = config, dt
+        self._watches = not {channel.name for channel in MISSED_CHANNELS}.isdisjoint(channels)
         self.value = torch.zeros(*shape, 3, device=device)
         self.heading = torch.zeros(shape, device=device)  # target, rad
         self.keeps_heading = torch.ones(shape, dtype=torch.bool, device=device)
@@ -129,8 +139,11 @@ class Commands:
         self.fixed = commands
         self.value = torch.cat((commands.unsqueeze(-1), self.value[..., 1:]), -1)
 
-    def advance(self, draws: torch.Tensor, yaw: torch.Tensor) -> None:
-        """One control step passes: resample where due, then steer towards the heading."""
+    def advance(self, draws: torch.Tensor, yaw: torch.Tensor, forward: torch.Tensor | None = None) -> None:
+        """One control step passes: resample where due, then steer towards the heading. forward: velocity, m/s, [P, N],
+        where `speed_missed_slow` or `speed_missed_fast` are asked for."""
+        if self._watches and forward is not None:
+            self.watch(forward)
         self.steps_left = self.steps_left - 1
         due = self.steps_left <= 0
         if any_or_tracing(due):

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
 
-from hts.channels import HELD_CHANNELS, MISSED_CHANNELS, Channel
+from hts.channels import HELD_CHANNELS, Channel
 from hts.config import EnvConfig
 from hts.contracts import RobotSpec
 from hts.envs.commands import DRAWS, Commands, WalksAsTold
@@ -62,7 +62,6 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.engine, self.robot_spec, self.config = engine, spec, config
         self.shape2 = (num_candidates, num_envs)
         self.channel_specs = dict(channels)
-        self._watched = any(channel.name in channels for channel in MISSED_CHANNELS)
         self.dt = spec.physics_dt * spec.substeps
         self.max_steps = round(config.episode_seconds / self.dt)
         self.weights = resolve_weights(config.reward_weights)
@@ -78,7 +77,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.observation_layout = observation_layout(joints)
         self._draw_constants()
         shape = self.shape2
-        self.commands = Commands(config.commands, shape, self.dt, device)
+        self.commands = Commands(config.commands, shape, self.dt, device, channels)
         zeros = torch.zeros
         self.action = zeros(*shape, joints, device=device)
         self.last_joint_velocity = zeros(*shape, joints, device=device)
@@ -200,9 +199,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.action, self.last_joint_velocity = seen.action, seen.joint_velocity
         terminated, truncated = seen.fell, (self.steps >= self.max_steps) & ~seen.fell
         self.falls = self.falls + terminated
-        if self._watched:
-            self.commands.watch(seen.velocity[..., 0])
-        self.commands.advance(self._draws[..., :DRAWS], self._yaw)
+        self.commands.advance(self._draws[..., :DRAWS], self._yaw, seen.velocity[..., 0])
         self._observe(self._draws[..., self._fixed_draws :])
         if seen.broken is not None:  # it has fallen: its episode ends there, and none of its numbers is used
             broken = seen.broken.unsqueeze(-1)

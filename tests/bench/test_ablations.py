@@ -27,6 +27,7 @@ SETTINGS = {
     "late-reward": {"objectives.power.model"},
     "no-doubt": {"objectives.power.model"},
     "no-hold": {"finetune.hold"},
+    "no-hold-below": {"finetune.hold_below"},
     "fixed-bounds": {"sweep.trust_region.enabled"},
     "no-exploring": {"collection.exploring", "collection.repeats"},
     "no-held-speed": {"evaluation.hold_speed"},
