@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-# 72 KiB: pages of the first row's log (36) and of the small files beside it (20) fit, those of the second (36) do not.
+# 72 KiB: the pages of the first row's log (36) and of the small files beside it (20) fit. The second row takes 720, so
+# that the disk is full long before the row is over, however late the writing thread comes.
+SAMPLES = {"00": 50, "01": 1000}
 SCRIPT = """
 cp -r "$BUNDLE" "$DISK/bundle"
 used=$(du -sk "$DISK" | cut -f1)
@@ -42,9 +44,13 @@ cp -r "$DISK/bundle/logs" "$OUT/logs"
 
 
 @pytest.mark.slow
-def test_a_disk_that_fills_up_under_a_visit_costs_no_row_that_was_walked(bundle, tmp_path):
+def test_a_disk_that_fills_up_under_a_visit_costs_no_row_that_was_walked(change, tmp_path):
     if shutil.which("unshare") is None:
         pytest.skip("this system does not let a test mount a small disk")
+    def lengthen(manifest):
+        manifest["rows"][1]["schedule"]["commands"][0]["seconds"] = 20.0
+
+    bundle = change(lengthen)
     disk = tmp_path / "disk"
     disk.mkdir()
     path = os.pathsep.join(part for part in sys.path if part)
@@ -97,4 +103,4 @@ def check_read(logs: Path, name: str) -> None:
     registry = plugins.load()
     mapping = load_mapping(logs / "mappings" / f"{name}.yaml")
     recording = read_log(registry, [logs / f"{name}.csv"], mapping, registry.make_robot("go1"))
-    assert recording.num_samples == 50
+    assert recording.num_samples == SAMPLES[name]
