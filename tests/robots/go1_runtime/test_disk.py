@@ -47,6 +47,7 @@ cp -r "$DISK/bundle/logs" "$OUT/logs"
 def test_a_disk_that_fills_up_under_a_visit_costs_no_row_that_was_walked(change, tmp_path):
     if shutil.which("unshare") is None:
         pytest.skip("this system does not let a test mount a small disk")
+
     def lengthen(manifest):
         manifest["rows"][1]["schedule"]["commands"][0]["seconds"] = 20.0
 
