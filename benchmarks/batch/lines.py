@@ -57,7 +57,7 @@ class Tried(Part):
     kl_bound: float | None = Field(description="nats; none: no bound")
     kl: float
     std_ratio: float | None = Field(None, description="its sigma over its anchor's")
-    sim_score: float
+    sim_score: float | None = Field(description="none: its training was stopped")
     sim_falls: int
     predicted: dict[str, dict[str, float]] | None = None
     predicted_sd: dict[str, dict[str, float]] | None = None

@@ -200,3 +200,11 @@ def test_a_real_run_folder_becomes_a_result(small_run):
     assert sum(value for stage, value in found.real_samples.items() if stage != "total") == summary["real_samples"]
     assert found.candidates == 2 and len(found.tried) == 1
     assert found.models[0].objective == "power" and found.models[0].pairs
+
+
+def test_an_elite_whose_training_was_stopped_has_no_score_and_its_run_a_line_all_the_same(tmp_path):
+    tried = line().result.tried[0].model_dump() | {"sim_score": None}
+    row = line(result=line().result.model_dump() | {"tried": [tried]})
+    append(tmp_path / "lines.jsonl", row)
+    (read,) = read_lines([tmp_path / "lines.jsonl"])
+    assert read.result.tried[0].sim_score is None
