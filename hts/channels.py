@@ -44,8 +44,8 @@ SPEED_ERROR_TREND = Channel(
 """Held at zero on average, too: else a policy that walks at one speed whatever it is told has no error on average."""
 
 _MISSED = (
-    "1 - exp(-(e / 0.1)^2 / 2) of the speed error e of about a second: 0 at the commanded speed, near 1 beyond 20 % of "
-    "it; of commands in the {} half of their range, 0 where it does not count"
+    "size of the speed error of about a second, as a share of the command and 1 at most; of commands in the {} half of "
+    "their range, 0 where it does not count"
 )
 SPEED_MISSED_SLOW = Channel("speed_missed_slow", "1", (), _MISSED.format("slower"))
 SPEED_MISSED_FAST = Channel("speed_missed_fast", "1", (), _MISSED.format("faster"))

@@ -120,8 +120,9 @@ class FollowVelocity(Task):
         return abs(achieved - set_point) < tolerance * abs(set_point)
 
     def does_it(self, achieved: float, share_done: float, set_point: float, tolerance: float) -> bool:
-        """By the mean speed of the whole trial."""
-        return abs(achieved - set_point) <= tolerance * set_point
+        """By the mean speed of the whole trial, and in most of its seconds: a policy that stands in some sessions and
+        hurries in others has the right mean, and a head-to-head refuses it."""
+        return abs(achieved - set_point) <= tolerance * set_point and share_done >= MOST_OF_THE_TIME
 
     def command(self, set_point: float, seconds: float) -> Command:
         return Command(seconds=seconds, vx=set_point)

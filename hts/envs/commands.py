@@ -14,7 +14,7 @@ from hts.rl.tracing import any_or_tracing
 
 SETTLING_SECONDS = 1.0  # after standing up
 SMOOTHING_SECONDS = 1.0  # of the speed that may miss the command: about a second, as in the segments of a head-to-head
-MISSED = 0.1  # of the commanded speed: beyond it a segment of a head-to-head does not count
+LARGEST_MISS = 1.0  # of the commanded speed: who stands misses it by that much, and no push counts for more
 LEAST_SPEED = 0.3  # m/s; of slower commands no share can be told
 DRAWS = 7  # uniform numbers an env instance needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
 
@@ -85,7 +85,7 @@ class Commands:
         counts = where & (self.value[..., 0].abs() >= LEAST_SPEED) & (seen > SMOOTHING_SECONDS)
         share = 1.0 - torch.exp(-seen.clamp(min=self.dt) / SMOOTHING_SECONDS)  # of the average that has been filled
         error = self.smoothed_error / share
-        return torch.where(counts, 1.0 - torch.exp(-0.5 * (error / MISSED).square()), 0.0)
+        return torch.where(counts, error.abs().clamp(max=LARGEST_MISS), 0.0)
 
     @property
     def _middle(self) -> float:

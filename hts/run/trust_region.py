@@ -104,15 +104,17 @@ def tried_elites(
     objective: str, candidates: Mapping[str, Mapping[str, Any]], results: Mapping[str, Mapping[str, Any]]
 ) -> list[Tried]:
     """From a run's stages. candidates: id -> kl, kl_bound and predicted, objective -> speed -> entry; results: of the
-    stage `test`. Means are over the speeds that were both promised and measured; an elite without any is left out,
-    but for one that fell, which counts as a promise that was not kept at all."""
+    stage `test`. Means are over the speeds that were both promised and measured. One that was refused for what it
+    did itself (it fell, or did not keep to a speed) counts as a promise that was not kept at all; any other without
+    such a speed is left out."""
     found = []
     for name, result in results.items():
         row, real = candidates[name], (result.get("real") or {}).get(objective) or {}
         promised = row["predicted"].get(objective, {})
         speeds = [speed for speed in real if speed in promised]
-        fell = bool((result.get("tested") or {}).get("fell")) or bool((result.get("refusal") or {}).get("falls"))
-        if not speeds and not (fell and promised):
+        refusal = result.get("refusal") or {}
+        fell = bool((result.get("tested") or {}).get("fell")) or bool(refusal.get("falls"))
+        if not speeds and not (promised and (fell or refusal)):
             continue
         over = speeds or list(promised)
         count = len(over)

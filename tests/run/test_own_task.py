@@ -310,3 +310,12 @@ def test_a_schedule_of_set_points_is_kept_in_a_store(tmp_path, crane, policy):
     (recording,) = crane.Yard().collect([policy], schedule)
     store = RecordingStore(tmp_path / "data.zarr", create=True)
     assert store.read(store.write(recording)).schedule == schedule
+
+
+@pytest.mark.parametrize(
+    ("achieved", "share", "does"), [(0.52, 0.9, True), (0.52, 0.5, True), (0.5, 0.45, False), (0.6, 0.9, False)]
+)
+def test_a_mean_speed_made_of_standing_and_hurrying_is_no_speed_kept(achieved, share, does):
+    from hts.contracts.task import VELOCITY
+
+    assert VELOCITY.does_it(achieved, share, 0.5, 0.1) is does

@@ -80,7 +80,7 @@ def test_elites_are_read_from_a_run():
             "kl_bound": 1.0,
             "predicted": {"power": {"0.5": {"improvement": 0.2}, "0.8": {"improvement": 0.1}}},
         }
-        for name in ("a", "b", "c", "d")
+        for name in ("a", "b", "c", "d", "e")
     }
     candidates["d"]["predicted"] = {}
     results = {
@@ -88,9 +88,11 @@ def test_elites_are_read_from_a_run():
         "b": {"real": None, "refused": "it fell", "refusal": {"falls": 2, "speed": 0.8}},
         "c": {"real": None, "refused": "it walked too slowly", "refusal": {"falls": 0, "speed": 0.8}},
         "d": {"real": {"power": {"0.8": entry(0.08)}}, "tested": {"fell": False}},
+        "e": {"real": None, "refused": "nothing was recorded"},
     }
-    first, second = tried_elites("power", candidates, results)
+    first, second, third = tried_elites("power", candidates, results)
     assert (first.id, first.predicted, first.measured) == ("a", 0.1, 0.08)
     assert first.half_width == pytest.approx(0.02)
     assert (second.id, second.measured, second.fell) == ("b", 0.0, True)
+    assert (third.id, third.measured, third.fell) == ("c", 0.0, False) and third.predicted == pytest.approx(0.15)
     assert first.active

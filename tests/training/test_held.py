@@ -144,11 +144,13 @@ def test_who_stands_at_slow_commands_misses_them_and_makes_up_for_it_nowhere():
     assert (slow[: round(2 / 0.02)] == 0).all()  # settling, and a second to look at
 
 
-def test_a_stride_misses_nothing_and_ten_per_cent_are_a_good_third():
+def test_a_stride_misses_little_and_a_wrong_speed_by_as_much_as_it_is_wrong():
     slow, fast = missed(lambda told, time: told * (1 + 0.3 * math.sin(2 * math.pi * 2.5 * time)))
     assert slow[200:].mean() < 0.05 and fast[200:].mean() < 0.05
-    slow, fast = missed(lambda told, time: told * 1.1)
-    assert slow[-1, 1] == pytest.approx(1 - math.exp(-0.5), abs=1e-3) and fast[-1, 3] == pytest.approx(slow[-1, 1])
+    for share in (1.1, 0.9, 0.4):  # far off is worse than off: a policy that stands is told which way is better
+        slow, fast = missed(lambda told, time, share=share: told * share)
+        assert slow[-1, 1] == pytest.approx(abs(share - 1), abs=1e-3) and fast[-1, 3] == pytest.approx(slow[-1, 1])
+    assert missed(lambda told, time: told * 3)[1][-1, 3] == 1.0
 
 
 def test_a_new_command_is_given_time():
