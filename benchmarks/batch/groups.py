@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import mean
@@ -54,12 +54,12 @@ class Group:
         """Every speed that was measured."""
         return [one for _, result in self.results for one in chosen(result.objectives.get(self.objective)).values()]
 
-    def count_refused(self) -> int:
-        """Speeds that were refused, over all runs."""
+    def count_refused(self, realities: Collection[str] | None = None) -> int:
+        """Speeds that were refused, over all runs, or over those on the named realities."""
         return sum(
             len(result.objectives[self.objective].refused)
-            for _, result in self.results
-            if self.objective in result.objectives
+            for line, result in self.results
+            if self.objective in result.objectives and (realities is None or line.reality in realities)
         )
 
 

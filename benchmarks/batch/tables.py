@@ -125,7 +125,8 @@ def pairs(groups: Sequence[Group], against: str) -> str:
         if group is whole or not set(ours) & set(whole.values()):
             continue
         found = paired(ours, whole.values())
-        each = [_mean_of(ours, name) - _mean_of(whole.values(), name) for name in ours if name in whole.values()]
+        shared = [name for name in ours if name in whole.values()]
+        each = [_mean_of(ours, name) - _mean_of(whole.values(), name) for name in shared]
         rows.append(
             [
                 group.name,
@@ -133,7 +134,7 @@ def pairs(groups: Sequence[Group], against: str) -> str:
                 with_interval(found, show),
                 show(float(np.median(each))),
                 f"{sum(value > 0 for value in each)} of {len(each)}",
-                f"{group.count_refused() - whole.count_refused():+d}",
+                f"{group.count_refused(shared) - whole.count_refused(shared):+d}",
             ]
         )
     head = ["method", "realities", f"less {against}, mean, 95 %", "median", "better on", "more speeds refused"]

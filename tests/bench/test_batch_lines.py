@@ -6,6 +6,7 @@ import json
 
 import pytest
 from batch import blocks, tables
+from batch.ablation import ablation
 from batch.all_tables import ALL
 from batch.groups import groups_of, saving
 from batch.harvest import result_of
@@ -97,6 +98,14 @@ def test_a_changed_method_is_another_row():
 def test_an_ablation_is_paired_by_reality():
     row = row_of(tables.pairs(two_methods(), "ours"), "baseline")
     assert row[1] == "3" and row[2].startswith("+0.2 points (") and row[4] == "2 of 3"
+
+
+def test_refusals_are_compared_where_both_ran():
+    ours = [line("ours", f"dev-{n:02d}", saved=(None, 0.1, 0.1)) for n in (1, 2, 3)]
+    part = [line("part", "dev-01", saved=(None, None, 0.1))]
+    groups = groups_of([*ours, *part])
+    assert row_of(tables.pairs(groups, "ours"), "part")[-1] == "+1"
+    assert row_of(ablation(groups), "part")[3] == "+1"
 
 
 def test_the_best_other_is_another_one_on_each_reality():
