@@ -139,10 +139,12 @@ class Commands:
         self.fixed = commands
         self.value = torch.cat((commands.unsqueeze(-1), self.value[..., 1:]), -1)
 
-    def advance(self, draws: torch.Tensor, yaw: torch.Tensor, forward: torch.Tensor | None = None) -> None:
-        """One control step passes: resample where due, then steer towards the heading. forward: velocity, m/s, [P, N],
-        where `speed_missed_slow` or `speed_missed_fast` are asked for."""
-        if self._watches and forward is not None:
+    def advance(self, draws: torch.Tensor, yaw: torch.Tensor, forward: torch.Tensor) -> None:
+        """One control step passes: resample where due, then steer towards the heading.
+
+        draws: [P, N, DRAWS], uniform in [0, 1); yaw: heading now, rad; forward: velocity, m/s; both [P, N].
+        """
+        if self._watches:
             self.watch(forward)
         self.steps_left = self.steps_left - 1
         due = self.steps_left <= 0

@@ -77,7 +77,7 @@ def test_test_speeds_are_dealt_out_in_turn_and_held_for_good():
     expected = torch.tensor([0.5, 0.8, 0.5, 0.8, 0.5]).expand(2, 5)
     torch.testing.assert_close(made.value[..., 0], expected)
     for _ in range(5000):
-        made.advance(drawn((2, 5)), torch.full((2, 5), 0.3))
+        made.advance(drawn((2, 5)), torch.full((2, 5), 0.3), torch.zeros(2, 5))
     torch.testing.assert_close(made.value[..., 0], expected)
     assert not made.value[..., 1:].any()  # straight ahead, and already on its heading
 
@@ -94,9 +94,9 @@ def test_only_worlds_of_the_mask_get_a_new_command():
 def test_commands_change_after_half_to_one_and_a_half_times_the_interval(when, steps):
     made = resampled(commands(heading=False), when=when)
     for _ in range(steps - 1):
-        made.advance(drawn((1, 4), vx=0.0), torch.zeros(1, 4))
+        made.advance(drawn((1, 4), vx=0.0), torch.zeros(1, 4), torch.zeros(1, 4))
     assert (made.value[..., 0] == 1.25).all()
-    made.advance(drawn((1, 4), vx=0.0), torch.zeros(1, 4))
+    made.advance(drawn((1, 4), vx=0.0), torch.zeros(1, 4), torch.zeros(1, 4))
     assert (made.value[..., 0] == -1.0).all()
 
 
@@ -106,6 +106,6 @@ def test_commands_go_on_from_a_saved_state():
     other = commands()
     other.load_state_dict(saved)
     for both in (made, other):
-        both.advance(drawn((1, 4), vx=0.1), torch.full((1, 4), 0.2))
+        both.advance(drawn((1, 4), vx=0.1), torch.full((1, 4), 0.2), torch.zeros(1, 4))
     for name, value in made.state_dict().items():
         assert torch.equal(value, other.state_dict()[name]), name
