@@ -184,7 +184,7 @@ def replay(folder: Path, settings: Json) -> list[Json]:
         for index in range(config.iterations):
             test, rounds = job.read(f"iterations/{index:02d}/test"), selector.rounds()
             assert rounds is not None
-            raced = in_rounds(job, index, test["elites"], selector, rounds, lambda share: None)
+            raced = in_rounds(job, test["elites"], selector, rounds, lambda share: None)
             assert raced is not None
             best = selector.best([found.tested for found in raced.results.values() if found.tested is not None])
             measured = {name: row.get("tested", {}).get("selection_score") for name, row in test["results"].items()}

@@ -12,6 +12,7 @@ from typing import Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from hts.config_base import Config, Named
+from hts.config_env import CommandConfig, EnvConfig, RandomisationConfig
 from hts.config_gate import GateConfig
 from hts.schedules import NOTHING, Command, ScheduleConfig
 
@@ -40,62 +41,6 @@ __all__ = [
 ]
 
 
-class RandomisationConfig(Config):
-    """What differs between env instances; (low, high) of a uniform distribution."""
-
-    enabled: bool = Field(True, description="false: every world is the nominal one")
-    friction: tuple[float, float] = Field((0.4, 1.2), description="sliding friction of the floor, 1")
-    added_mass: tuple[float, float] = Field((-1.0, 2.0), description="added to the trunk, kg")
-    com_shift: tuple[float, float] = Field((-0.02, 0.02), description="of the trunk's centre of mass, each axis, m")
-    strength: tuple[float, float] = Field((0.9, 1.1), description="factor on kp and kd, 1")
-    joint_friction: tuple[float, float] = Field((0.7, 2.5), description="factor on dry joint friction, 1")
-    joint_offset: tuple[float, float] = Field((-0.02, 0.02), description="encoder zero error, rad")
-    push_speed: float = Field(0.5, ge=0, description="horizontal push, a jump of the velocity up to this, m/s; 0: none")
-    push_interval: float = Field(8.0, gt=0, description="mean time between pushes, s")
-    delay_steps: tuple[int, int] = Field((0, 3), description="actuation delay in physics steps, inclusive range")
-    models: int = Field(32, ge=1, description="size of the pool of randomised models on the CPU engine")
-
-
-class CommandConfig(Config):
-    """What velocities are asked for in training; uniform ranges."""
-
-    vx: tuple[float, float] = Field((-1.5, 1.5), description="forward velocity, m/s")
-    vy: tuple[float, float] = Field((-0.5, 0.5), description="sideways velocity, m/s")
-    yaw_rate: tuple[float, float] = Field((-1.0, 1.0), description="limits of the yaw rate, rad/s")
-    heading: bool = Field(True, description="yaw rate = clip(gain · heading error), as Rudin et al. 2022")
-    heading_gain: float = Field(0.5, description="rad/s per rad")
-    resample_seconds: float = Field(10.0, gt=0, description="a new command every so often, s")
-    straight: float = Field(
-        0.3, ge=0, le=1, description="share of env instances with the command vy = 0 that keep their heading"
-    )
-    fixed: tuple[float, ...] = Field(
-        (), description="test speeds, m/s: env instance n walks straight at fixed[n mod len], for good"
-    )
-    stand: float = Field(0.05, ge=0, le=1, description="share of env instances with the command to stand still")
-
-
-class EnvConfig(Config):
-    """The training environment: commands, rewards, randomisation, time-out."""
-
-    episode_seconds: float = Field(20.0, gt=0, description="time-out, s")
-    commands: CommandConfig = Field(default_factory=CommandConfig, description="what velocities are asked for")
-    randomisation: RandomisationConfig = Field(
-        default_factory=RandomisationConfig, description="what differs between env instances"
-    )
-    observation_noise: float = Field(1.0, ge=0, description="factor on the sensor noise of training, 1")
-    tracking_sigma: float = Field(
-        0.05, gt=0, description="width of the tracking terms exp(-error^2 / sigma), (m/s)^2 and (rad/s)^2"
-    )
-    reward_weights: dict[str, float] = Field(
-        default_factory=dict, description="overrides of the task's reward weights, 1/s"
-    )
-    threads: int = Field(0, ge=0, description="threads of the CPU engine; 0: one per core")
-    seed: int = Field(0, ge=0, description="of everything random in the env")
-    contacts_per_world: int = Field(0, ge=0, description="contact buffer of the warp engine; 0: the robot's worst case")
-    constraints_per_world: int = Field(0, ge=0, description="constraint rows of the warp engine; 0: the worst case")
-    device: str = Field("auto", description="torch device of the env; auto: cpu for `mujoco`, cuda for `warp`")
-
-
 class PPOConfig(Config):
     """Anchored PPO. Defaults: Rudin et al. 2022 as released, with the caution for fine-tuning (small rate)."""
 
@@ -113,8 +58,9 @@ class PPOConfig(Config):
     max_grad_norm: float = Field(1.0, gt=0, description="per candidate")
     multiplier_rate: float = Field(0.05, gt=0, description="eta: step of the Lagrange multiplier per batch")
     centring_rate: float = Field(0.05, gt=0, le=1, description="beta of reward centring, per batch")
-    hold_rate: float = Field(0.05, ge=0, description="step of the multipliers of held means per batch and error")
-    hold_gain: float = Field(2.0, ge=0, description="their proportional part, per error that matters")
+    hold_rate: float = Field(0.0125, ge=0, description="step of the multipliers of held means per batch and error")
+    hold_gain: float = Field(0.5, ge=0, description="their proportional part, per error that matters")
+    hold_smoothing: float = Field(0.15, gt=0, le=1, description="share of a new batch in the mean that they see")
     warmup_batches: int = Field(0, ge=0, description="first batches that only fit the critic")
     tf32: bool = Field(True, description="on a GPU: matrix products of policy and critic in TF32 (10 bits of mantissa)")
     fuse: bool | None = Field(
@@ -277,6 +223,13 @@ class SelectionConfig(Config):
         None, gt=0, description="length of each of its blocks, s; null: that of the world"
     )
 
+    confirm: int = Field(
+        0,
+        ge=0,
+        description="so many of the best of all iterations are tried once more before the final, at the speeds in "
+        "reverse order, and the best over both trials goes to it; 0: the best of one trial does",
+    )
+
     @property
     def tested_speeds(self) -> tuple[float, ...]:
         """Speeds at which elites are tried, m/s, or set-points of another task."""
@@ -393,6 +346,13 @@ class RunConfig(Config):
         given = [self.sweep.weights.get(name) for name in self.objectives]
         if all(values and not any(values) for values in given):
             raise ValueError("sweep.weights: every λ is 0, so nothing measured would be learned from; give one above 0")
+        if self.selection.confirm == 1:
+            raise ValueError("selection.confirm: one candidate leaves nothing to choose from; give 0, or 2 or more")
+        if self.selection.confirm and len(self.selection.tested_speeds) < 2:
+            raise ValueError(
+                "selection.confirm: a second trial walks the speeds in reverse order, and there is one; give several "
+                "selection.speeds, or confirm 0"
+            )
         if self.start is not None and self.reward_source != "oracle":
             raise ValueError(
                 "start: only `hts oracle` starts from another policy; for a run: robot.policy, of its robot"

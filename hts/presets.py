@@ -57,6 +57,7 @@ OURS: dict[str, Any] = {
         "elites": 3,
         "speeds": [0.5, 0.8, 1.1],
         "block_seconds": 20.0,
+        "confirm": 2,
     },
     "evaluation": {"speeds": [0.5, 0.8, 1.1], "hold_speed": True, "trim_seconds": 20.0},
 }
@@ -77,7 +78,7 @@ QUICK: dict[str, Any] = {
         "steps": 480_000,
         "hold": True,
         "ppo": {"horizon": 24, "epochs": 5, "minibatches": 2, "learning_rate": 2e-4},
-        "env": {"commands": HELD, "randomisation": VARIED},
+        "env": {"commands": HELD, "randomisation": VARIED, "stagger": True},
     },
     "simulation_test": {**OURS["simulation_test"], "num_envs": 24, "seconds": 8.0},
     "gate": {"num_envs": 8, "seconds": 4.0},
@@ -104,7 +105,7 @@ PAPER: dict[str, Any] = {
         "steps": 8_000_000,
         "hold": True,
         "ppo": {"learning_rate": 1e-4},
-        "env": {"commands": HELD, "randomisation": VARIED},
+        "env": {"commands": HELD, "randomisation": VARIED, "stagger": True},
     },
     "simulation_test": {**OURS["simulation_test"], "num_envs": 256, "seconds": 12.0},
     "gate": {"num_envs": 128, "seconds": 10.0},
@@ -180,7 +181,11 @@ _SEEING: dict[str, Any] = {
     "engine": "mujoco",  # not asked: physics is the twin's
     "iterations": 1,
     "sweep": {"kl_bounds": [10.0, float("inf")], "anchors": ["best"], "trust_region": {"enabled": False}},
-    "selection": {"selector": {"name": "hierarchical", "each_bound": False, "at_random": 0}, "elites": 16},
+    "selection": {
+        "selector": {"name": "hierarchical", "each_bound": False, "at_random": 0},
+        "elites": 16,
+        "confirm": 0,
+    },
 }
 ORACLES: dict[str, dict[str, Any]] = {
     "smoke": {**_SEEING, "sweep": {**_SEEING["sweep"], "kl_bounds": [float("inf")]}},

@@ -15,6 +15,7 @@ from hts.config import EnvConfig
 from hts.contracts import RobotSpec
 from hts.envs.commands import DRAWS, Commands, WalksAsTold
 from hts.envs.constants import delays_and_offsets
+from hts.envs.episodes import time_outs
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
 from hts.envs.pose import trunk_frame, yaw_of
 from hts.envs.rewards import RewardInputs, resolve_weights, stacked, total
@@ -64,6 +65,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.channel_specs = dict(channels)
         self.dt = spec.physics_dt * spec.substeps
         self.max_steps = round(config.episode_seconds / self.dt)
+        self.time_out = time_outs(config, self.dt, self.shape2, engine.device)  # steps of the episode that goes on
         self.weights = resolve_weights(config.reward_weights)
         self.random = PopulationRandom(seeds, engine.device)
         joints, feet, device = spec.num_joints, len(spec.foot_sites), engine.device
@@ -108,8 +110,6 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         else:
             super().__setattr__(name, value)
 
-    # ---------------------------------------------------------------------------------------- construction
-
     def _sensor_block(self, names: list[str]) -> slice:
         """One slice over sensors that lie side by side."""
         slices = [self.engine.sensor(name) for name in names]
@@ -144,8 +144,6 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.done_spec = Composite(
             {name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape, device=device
         )
-
-    # ---------------------------------------------------------------------------------------------- TorchRL
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
@@ -197,7 +195,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
     def _prepare_next(self, seen: RewardInputs) -> dict[str, torch.Tensor]:
         """Make the next command and observation, and say whose episode is over."""
         self.action, self.last_joint_velocity = seen.action, seen.joint_velocity
-        terminated, truncated = seen.fell, (self.steps >= self.max_steps) & ~seen.fell
+        terminated, truncated = seen.fell, (self.steps >= self.time_out) & ~seen.fell
         self.falls = self.falls + terminated
         self.commands.advance(self._draws[..., :DRAWS], self._yaw, seen.velocity[..., 0])
         self._observe(self._draws[..., self._fixed_draws :])
@@ -264,6 +262,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.target = torch.where(keep, self.target, self.default_pose)
         self.air_time = self.air_time * keep
         self.was_contact = self.was_contact & keep
+        self.time_out = torch.where(mask & (self.steps > 0), float(self.max_steps), self.time_out)
         self.steps = self.steps * ~mask
         self.engine.sensordata.masked_fill_(gone.reshape(-1, 1), 0.0)  # sensors are read from the first step on
         old, old_critic = self._observation, self._critic_observation
@@ -356,6 +355,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         "air_time",
         "was_contact",
         "steps",
+        "time_out",
         "falls",
         "breakdowns",
         "_draws",
@@ -387,8 +387,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
 
     def load_full_state(self, state: TensorDictBase) -> None:
         """Go on from `full_state`."""
-        for name in self.STATE:
-            setattr(self, name, state["buffers", name].to(self.device).clone())
+        for name, value in state["buffers"].items():  # checkpoints of before 0.2 do not know when episodes end
+            setattr(self, name, value.to(self.device).clone())
         self.engine.load_state_dict(state["engine"])
         self.commands.load_state_dict(state["commands"])
         self.random.load_state_dict(state["random"])

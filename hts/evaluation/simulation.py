@@ -56,6 +56,7 @@ def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: 
         "commands": commands,
         "randomisation": calm,
         "episode_seconds": seconds + 1.0,
+        "stagger": False,
         "seed": seed,
     }
     return base.model_copy(update=changes)

@@ -60,6 +60,8 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
         refused = sum(len((one.get("gate") or {}).get("refused") or ()) for one in summary.get("iterations") or ())
         tried = [row for _, _, rows in iterations for row in rows]
         sentences.append(_no_final(tried, bool(iterations), task, refused))
+    if (changed := second_trial(summary)) is not None:
+        sentences.append(changed)
     for number, one in enumerate(summary.get("iterations") or ()):
         sentences += [f"Iteration {one.get('index', number):02d}: {line}" for line in one.get("warnings") or ()]
     for nobody, group in groupby(iterations, key=lambda one: one[1] is None):
@@ -69,6 +71,19 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
             about = fates(rows, task) or "nobody was tested"
             sentences.append(f"Iterations {streak[0][0]:02d} to {streak[-1][0]:02d} chose nobody: {about}.")
     return sentences
+
+
+def second_trial(summary: Mapping[str, Any]) -> str | None:
+    """What the second trials before the final changed: who lost them, who went to the final instead; None: nothing."""
+    again, before = (
+        summary.get("confirmation") or {},
+        [one.get("best_so_far") for one in summary.get("iterations") or ()],
+    )
+    if not again.get("tried") or again["best"] == before[-1]:
+        return None
+    row = again["results"].get(before[-1]) or {}
+    lost = "was refused" if row.get("refused") else "fell" if _fell(row) else "measured worse"
+    return f"Tried again before the final, {before[-1]} {lost}; {again['best']} went to the final."
 
 
 def _at_the_gate(refused: int) -> str:

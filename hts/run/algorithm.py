@@ -7,6 +7,7 @@ for i = 0, 1, 2, …
     for π_anchor, w, c ∈ {π_best, π_pretrained} × W × C: fine-tune     finetune
     Π_{i+1} ← top K in simulation                                      simulate, gate
     π_best ← best of Π_{i+1} in the real world                         test
+the best few of all iterations once more                               confirm (not in the paper)
 π_best against π_pretrained at every speed                             final, summary
 """
 
@@ -23,6 +24,7 @@ from hts.report import write_report
 from hts.report.outcome import nobody_chosen
 from hts.report.table import print_table
 from hts.report.task_words import TaskWords
+from hts.run.confirming import confirm
 from hts.run.gate import gate, gate_refused
 from hts.run.job import Job
 from hts.run.judging import simulate
@@ -33,7 +35,7 @@ from hts.run.stages import Stages
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
 
-STAGES_AROUND = 4  # collect, final, summary, report
+STAGES_AROUND = 5  # collect, confirm, final, summary, report
 
 
 def stages_per_iteration(config: RunConfig) -> int:
@@ -94,6 +96,10 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         best = tested["best_so_far"]
         if config.evaluation.each_iteration:
             job.do(f"{name}/best", f"{about}: measure the best so far", partial(best_so_far, job, i, best))
+    if config.selection.confirm:
+        best = job.do("confirm", "try the best of all iterations again", partial(confirm, job, best))["best"]
+    else:
+        job.stages.progress.skip(1)
     job.do("final", f"final head-to-head in world '{config.world.name}'", partial(final, job, best))
     return finish(job)
 

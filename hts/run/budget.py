@@ -29,18 +29,20 @@ ALLOWANCE = 1.01
 @dataclass(frozen=True)
 class Budget:
     """schedule: of each first recording; elites: tested in each iteration, which are as many as this is long;
-    first, each: samples of all first data and of one elite; most: the cap, None without one."""
+    first, each: samples of all first data and of one elite; most: the cap, None without one; confirm: tried again in
+    the end, of which a cap leaves as many as then fit."""
 
     schedule: ScheduleConfig
     elites: tuple[int, ...]
     first: int
     each: int
     most: int | None
+    confirm: int = 0
 
     @property
     def samples(self) -> int:
         """Of the robot before the final, by estimate."""
-        return self.first + self.each * sum(self.elites)
+        return self.first + self.each * (sum(self.elites) + self.confirm)
 
     def affordable(self, iteration: int, spent: int) -> int:
         """Elites that an iteration may test when so many samples are spent."""
@@ -76,7 +78,8 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     wanted = [min(config.selection.elites, count) for count in candidate_counts(config, registry)]
     recordings = config.collection.repeats + config.collection.exploring if config.records_first else 0
     first = math.ceil(schedule.seconds * rate) * recordings
-    whole = Budget(schedule, tuple(wanted), first, each, most)
+    again = config.selection.confirm if sum(wanted) > 1 else 0
+    whole = Budget(schedule, tuple(wanted), first, each, most, min(again, sum(wanted)))
     if most is None:
         return whole
     selector = registry.make_selector(config.selection.selector.name, config.selection.selector.settings)

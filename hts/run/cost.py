@@ -54,9 +54,10 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
         ask_to_hold(world, None)
         per_final += world.head_to_head_seconds()
     elites = sum(budget.elites)
+    tests = elites + budget.confirm
     collected = config.collection.repeats + config.collection.exploring
     robot_seconds = budget.schedule.seconds * collected if config.records_first else 0.0
-    robot_seconds += per_elite * elites + per_final * len(config.evaluation.speeds) * config.evaluation.sessions
+    robot_seconds += per_elite * tests + per_final * len(config.evaluation.speeds) * config.evaluation.sessions
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test
     test_steps = test.num_envs * len(test.speeds) * trial_seconds(test) * robot.spec.control_rate_hz

@@ -172,6 +172,11 @@ class Job:
         planned = iteration < len(self.budget.elites)
         return self.budget.affordable(iteration, self.spent(iteration)) if planned else 0
 
+    def confirmations(self, iterations: int) -> int:
+        """How many of the best may be tried again after so many iterations, within what is left of the real samples."""
+        wanted, most = self.config.selection.confirm, self.config.max_real_samples
+        return wanted if most is None else min(wanted, (most - self.spent(iterations)) // self.budget.each)
+
     @property
     def schedule(self) -> ScheduleConfig:
         """Of first data."""

@@ -65,7 +65,12 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     ]
     selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
     lenient = job.world.simulated is True and not (config.gate.enabled and job.gate_is_strict)
-    able = [one for one, row in zip(judged, rows, strict=True) if may_be_tested(one, row["stopped"], lenient)]
+    alike = same_policies(rows)
+    able = [
+        one
+        for one, row in zip(judged, rows, strict=True)
+        if may_be_tested(one, row["stopped"], lenient) and one.id not in alike
+    ]
     elites = selector.elites(able, job.elites(iteration))
     details = {
         name: [{key: value for key, value in vars(trial).items() if key not in NOT_WRITTEN} for trial in row]
@@ -142,6 +147,18 @@ def mean_gain(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
         for key, speeds in promised.items()
         if speeds
     }
+
+
+def same_policies(rows: Sequence[Mapping[str, Any]]) -> set[str]:
+    """Ids of candidates that ended as the same policy as an earlier one, as those do that no bound held back: trying
+    both would tell nothing new. rows: of finetune.json."""
+    seen: set[str] = set()
+    alike = set()
+    for row in rows:
+        if row["policy_hash"] in seen:
+            alike.add(row["id"])
+        seen.add(row["policy_hash"])
+    return alike
 
 
 def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:

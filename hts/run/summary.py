@@ -43,6 +43,8 @@ def summarise(job: Job) -> dict[str, Any]:
                 "candidates": [_candidate(row, simulated, tested, gated) for row in tuned["candidates"]],
             }
         )
+    again = job.read("confirm") if config.selection.confirm else None
+    samples += again["samples"] if again else 0
     final = job.read("final")
     checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(done)]
     ranks = (
@@ -71,6 +73,7 @@ def summarise(job: Job) -> dict[str, Any]:
         "iterations": iterations,
         "measurement_models": ranks,
         "front": front_entry(job),
+        **({"confirmation": {key: again[key] for key in ("tried", "results", "best")}} if again else {}),
         "final": {"policy": final["policy"], "objectives": final["objectives"]},
     }
 

@@ -47,16 +47,16 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     settings = job.config.selection.selector
     selector = job.registry.make_selector(settings.name, settings.settings)
     rounds = selector.rounds()
-    tests = in_rounds(job, iteration, elites, selector, rounds, report) if rounds is not None and elites else None
+    tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None and elites else None
     if tests is None:  # this selector, or this world, knows no rounds
-        tests = whole(job, iteration, elites, report)
+        tests = whole(job, elites, job.config.selection.tested_speeds, report)
     ids = job.keep(tests.recorded, iteration + 1)
     tested = [found.tested for found in tests.results.values() if found.tested is not None]
-    incumbent = _incumbent(job, iteration, best)
+    incumbent = [] if best == job.first else [tested_before(job, best)]  # nobody before the first success
     races = {"rounds": tests.races} if tests.races else {}
     return {
         "elites": elites,
-        "results": {elite: _row(found) for elite, found in tests.results.items()},
+        "results": {elite: result_row(found) for elite, found in tests.results.items()},
         "recordings": ids,
         "best": selector.best(tested),
         # The protocol is the same in every iteration, so an earlier winner that measured better stays.
@@ -64,30 +64,28 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
         "samples": sum(recording.robot_samples for recording in tests.recorded),
         **races,
         "model_checks": _check_models(job, iteration, ids),
-        **_trust(job, iteration, {elite: _row(found) for elite, found in tests.results.items()}),
+        **_trust(job, iteration, {elite: result_row(found) for elite, found in tests.results.items()}),
     }
 
 
 test.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 
-def whole(job: Job, iteration: int, elites: Sequence[str], report: Report) -> Tests:
-    """A whole head-to-head of each elite at every speed of selection, on one machine where the world can."""
+def whole(job: Job, elites: Sequence[str], speeds: Sequence[float], report: Report) -> Tests:
+    """A whole head-to-head of each elite at every one of the speeds, on one machine where the world can."""
     job.watch(report)
     selection = job.config.selection
     policies, reference = [job.exported(elite) for elite in elites], job.exported("pretrained")
     sessions = None
-    if len(selection.tested_speeds) > 1 or selection.block_seconds is not None:
-        sessions = job.world.head_to_heads_in_session(
-            policies, reference, selection.tested_speeds, selection.block_seconds
-        )
+    if len(speeds) > 1 or selection.block_seconds is not None:
+        sessions = job.world.head_to_heads_in_session(policies, reference, speeds, selection.block_seconds)
         if sessions is None:
             world = job.config.world.name
             job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: {one_for_each(job.robot.task())}")
     if sessions is None:
-        sessions = job.world.head_to_heads(policies, reference, selection.tested_speeds)
+        sessions = job.world.head_to_heads(policies, reference, speeds)
     of = {elite: list(session) for elite, session in zip(elites, sessions, strict=True)}
-    results = {elite: _result(job, iteration, elite, recordings) for elite, recordings in of.items()}
+    results = {elite: _result(job, elite, recordings) for elite, recordings in of.items()}
     return Tests(of, [recording for session in of.values() for recording in session], results)
 
 
@@ -98,9 +96,7 @@ def one_for_each(task: Task) -> str:
     return f"each {'speed' if isinstance(task, FollowVelocity) else 'set-point'} gets one of its own."
 
 
-def in_rounds(
-    job: Job, iteration: int, elites: Sequence[str], selector: Selector, rounds: Rounds, report: Report
-) -> Tests | None:
+def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Rounds, report: Report) -> Tests | None:
     """Short head-to-heads of those that are still racing; None if the world knows no rounds."""
     reference, speeds = job.exported("pretrained"), job.config.selection.tested_speeds
     speed: float | tuple[float, ...] = speeds if len(speeds) > 1 else speeds[0]
@@ -111,7 +107,7 @@ def in_rounds(
         return job.world.head_to_head_round(policies, reference, speed, number, rounds.block_seconds)
 
     def judge(elite: str, recordings: Sequence[Recording]) -> CandidateResult:
-        return _result(job, iteration, elite, recordings)
+        return _result(job, elite, recordings)
 
     def split(row: Sequence[Recording]) -> Sequence[Half | None]:
         return halves(job.objectives, row, _evaluation(job), job.robot.task())
@@ -160,19 +156,24 @@ def race(
     return tests
 
 
-def _result(job: Job, iteration: int, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
+def _result(job: Job, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
     seed, task = job.seed("interval", elite), job.robot.task()
     found = candidate_result(elite, job.objectives, recordings, _evaluation(job), seed, task)
     if found.tested is None:
         return found
-    return replace(found, tested=replace(found.tested, made=_made(job, iteration, elite)))
+    return replace(found, tested=replace(found.tested, made=_made(job, elite)))
 
 
-def _made(job: Job, iteration: int, name: str) -> FineTuning:
-    """How a candidate of this iteration was made."""
-    folder = f"iterations/{iteration:02d}"
-    row = next(one for one in job.read(f"{folder}/finetune")["candidates"] if one["id"] == name)
-    return fine_tuning(row, job.read(f"{folder}/simulate").get("task_rewards") or {})
+def _made(job: Job, name: str) -> FineTuning:
+    """How a candidate was made."""
+    simulated = job.read(f"iterations/{iteration_of(name):02d}/simulate")
+    return fine_tuning(made_row(job, name), simulated.get("task_rewards") or {})
+
+
+def made_row(job: Job, name: str) -> Mapping[str, Any]:
+    """A candidate's part of its iteration's finetune.json."""
+    rows = job.read(f"iterations/{iteration_of(name):02d}/finetune")["candidates"]
+    return next(one for one in rows if one["id"] == name)
 
 
 def _scores(tested: TestedCandidate | None) -> dict[str, float] | None:
@@ -182,7 +183,7 @@ def _scores(tested: TestedCandidate | None) -> dict[str, float] | None:
     return {key: value.selection_score for key, value in tested.comparisons.items()}
 
 
-def _row(found: CandidateResult) -> dict[str, Any]:
+def result_row(found: CandidateResult) -> dict[str, Any]:
     """A candidate's part of the stage's result."""
     row: dict[str, Any] = {"real": found.entry, "refused": found.refused}
     if found.refusal is not None:
@@ -192,17 +193,19 @@ def _row(found: CandidateResult) -> dict[str, Any]:
     return row
 
 
-def _incumbent(job: Job, iteration: int, best: str) -> list[TestedCandidate]:
-    """The best so far as it was measured in its own iteration; nobody before the first success."""
-    if best == job.first:
-        return []
-    iteration = int(best.split("-")[0])
-    row: Mapping[str, Any] = job.read(f"iterations/{iteration:02d}/test")["results"][best]
+def iteration_of(name: str) -> int:
+    """The iteration that a candidate was trained in: "01-03" -> 1."""
+    return int(name.split("-")[0])
+
+
+def tested_before(job: Job, name: str) -> TestedCandidate:
+    """A candidate as it was measured in its own iteration, where nothing refused it."""
+    row: Mapping[str, Any] = job.read(f"iterations/{iteration_of(name):02d}/test")["results"][name]
     comparisons = {}
-    for name, score in row["tested"]["selection_score"].items():
-        speeds = [Comparison(one["improvement"], score, one["metrics"]) for one in row["real"][name].values()]
-        comparisons[name] = mean_comparison(speeds)  # `score` is the mean over them already
-    return [TestedCandidate(best, comparisons, row["tested"]["fell"], _made(job, iteration, best))]
+    for key, score in row["tested"]["selection_score"].items():
+        speeds = [Comparison(one["improvement"], score, one["metrics"]) for one in row["real"][key].values()]
+        comparisons[key] = mean_comparison(speeds)  # `score` is the mean over them already
+    return TestedCandidate(name, comparisons, row["tested"]["fell"], _made(job, name))
 
 
 def _evaluation(job: Job) -> EvaluationConfig:

@@ -102,7 +102,12 @@ class PopulationTrainer:
             )
             for name, weight in (weights or {}).items()
         }
-        pace = {"rate": config.hold_rate, "gain": config.hold_gain, "device": device}
+        pace = {
+            "rate": config.hold_rate,
+            "gain": config.hold_gain,
+            "smoothing": config.hold_smoothing,
+            "device": device,
+        }
         self.held: dict[str, EqualityMultiplier] = {
             **{name: EqualityMultiplier(scale, count, **pace) for name, scale in (held or {}).items()},
             **{name: UpperMultiplier(limit, count, **pace) for name, limit in (held_below or {}).items()},

@@ -31,7 +31,8 @@ SETTINGS = {
     "fixed-bounds": {"sweep.trust_region.enabled"},
     "no-exploring": {"collection.exploring", "collection.repeats"},
     "no-held-speed": {"evaluation.hold_speed"},
-    "one-speed": {"selection.speeds"},
+    "no-second-trial": {"selection.confirm"},
+    "one-speed": {"selection.speeds", "selection.confirm"},
     "racing": {  # another selector, which has no such settings
         "selection.selector.name",
         "selection.selector.each_bound",

@@ -21,13 +21,17 @@ pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA d
 CHANNELS = ("joint_torque", "joint_velocity")
 CONFIG = PPOConfig(horizon=8, epochs=2, minibatches=2, fuse=False)
 SEEDS = (3, 4)
+LONG = EnvConfig(randomisation={"models": 2})
+SHORT = EnvConfig(randomisation={"models": 2}, episode_seconds=0.3, stagger=True)  # some episodes end in each batch
 
 
-def make_trainer(config: PPOConfig = CONFIG, reward=None, resume=None, seeds=SEEDS, worlds=64) -> PopulationTrainer:
+def make_trainer(
+    config: PPOConfig = CONFIG, reward=None, resume=None, seeds=SEEDS, worlds=64, env_config: EnvConfig = LONG
+) -> PopulationTrainer:
     from hts_go1.plugin import make_go1
 
     robot = make_go1({})
-    env = robot.make_env("warp", len(seeds), worlds, EnvConfig(randomisation={"models": 2}), CHANNELS, list(seeds))
+    env = robot.make_env("warp", len(seeds), worlds, env_config, CHANNELS, list(seeds))
     signals = Signals(tuple(Channel(name, "1", (12,)) for name in CHANNELS), Channel("t", "N*m"), 50.0)
     model = LSTM(LSTMSettings(hidden=8), signals, seed=1)
     some = torch.randn(50, 25, generator=torch.Generator().manual_seed(0))
@@ -48,9 +52,11 @@ def make_trainer(config: PPOConfig = CONFIG, reward=None, resume=None, seeds=SEE
     )
 
 
+@pytest.mark.parametrize("env_config", [LONG, SHORT], ids=["long", "short"])
 @pytest.mark.parametrize("fuse", [False, True])
-def test_a_captured_batch_is_the_batch_of_its_steps(fuse):
-    captured, plain = make_trainer(CONFIG.model_copy(update={"fuse": fuse})), make_trainer()
+def test_a_captured_batch_is_the_batch_of_its_steps(fuse, env_config):
+    captured = make_trainer(CONFIG.model_copy(update={"fuse": fuse}), env_config=env_config)
+    plain = make_trainer(env_config=env_config)
     plain.collector._wants_capture = False
     plain.collector._begun = True
     for transform in plain.collector.transforms:

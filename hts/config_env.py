@@ -1,0 +1,66 @@
+"""The part of a run's configuration that says what the training environment is like: worlds, commands, rewards."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from hts.config_base import Config
+
+
+class RandomisationConfig(Config):
+    """What differs between env instances; (low, high) of a uniform distribution."""
+
+    enabled: bool = Field(True, description="false: every world is the nominal one")
+    friction: tuple[float, float] = Field((0.4, 1.2), description="sliding friction of the floor, 1")
+    added_mass: tuple[float, float] = Field((-1.0, 2.0), description="added to the trunk, kg")
+    com_shift: tuple[float, float] = Field((-0.02, 0.02), description="of the trunk's centre of mass, each axis, m")
+    strength: tuple[float, float] = Field((0.9, 1.1), description="factor on kp and kd, 1")
+    joint_friction: tuple[float, float] = Field((0.7, 2.5), description="factor on dry joint friction, 1")
+    joint_offset: tuple[float, float] = Field((-0.02, 0.02), description="encoder zero error, rad")
+    push_speed: float = Field(0.5, ge=0, description="horizontal push, a jump of the velocity up to this, m/s; 0: none")
+    push_interval: float = Field(8.0, gt=0, description="mean time between pushes, s")
+    delay_steps: tuple[int, int] = Field((0, 3), description="actuation delay in physics steps, inclusive range")
+    models: int = Field(32, ge=1, description="size of the pool of randomised models on the CPU engine")
+
+
+class CommandConfig(Config):
+    """What velocities are asked for in training; uniform ranges."""
+
+    vx: tuple[float, float] = Field((-1.5, 1.5), description="forward velocity, m/s")
+    vy: tuple[float, float] = Field((-0.5, 0.5), description="sideways velocity, m/s")
+    yaw_rate: tuple[float, float] = Field((-1.0, 1.0), description="limits of the yaw rate, rad/s")
+    heading: bool = Field(True, description="yaw rate = clip(gain · heading error), as Rudin et al. 2022")
+    heading_gain: float = Field(0.5, description="rad/s per rad")
+    resample_seconds: float = Field(10.0, gt=0, description="a new command every so often, s")
+    straight: float = Field(
+        0.3, ge=0, le=1, description="share of env instances with the command vy = 0 that keep their heading"
+    )
+    fixed: tuple[float, ...] = Field(
+        (), description="test speeds, m/s: env instance n walks straight at fixed[n mod len], for good"
+    )
+    stand: float = Field(0.05, ge=0, le=1, description="share of env instances with the command to stand still")
+
+
+class EnvConfig(Config):
+    """The training environment: commands, rewards, randomisation, time-out."""
+
+    episode_seconds: float = Field(20.0, gt=0, description="time-out, s")
+    stagger: bool = Field(
+        False, description="first episodes end at times that are spread, so that not all instances start again together"
+    )
+    commands: CommandConfig = Field(default_factory=CommandConfig, description="what velocities are asked for")
+    randomisation: RandomisationConfig = Field(
+        default_factory=RandomisationConfig, description="what differs between env instances"
+    )
+    observation_noise: float = Field(1.0, ge=0, description="factor on the sensor noise of training, 1")
+    tracking_sigma: float = Field(
+        0.05, gt=0, description="width of the tracking terms exp(-error^2 / sigma), (m/s)^2 and (rad/s)^2"
+    )
+    reward_weights: dict[str, float] = Field(
+        default_factory=dict, description="overrides of the task's reward weights, 1/s"
+    )
+    threads: int = Field(0, ge=0, description="threads of the CPU engine; 0: one per core")
+    seed: int = Field(0, ge=0, description="of everything random in the env")
+    contacts_per_world: int = Field(0, ge=0, description="contact buffer of the warp engine; 0: the robot's worst case")
+    constraints_per_world: int = Field(0, ge=0, description="constraint rows of the warp engine; 0: the worst case")
+    device: str = Field("auto", description="torch device of the env; auto: cpu for `mujoco`, cuda for `warp`")

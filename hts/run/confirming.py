@@ -1,0 +1,88 @@
+"""The stage `confirm`: the best of all iterations are tried once more before one of them goes to the final.
+
+One short trial flatters whoever wins it, and says little about the next session. So the best few walk again: on a
+freshly warmed machine, at the speeds in reverse order, so that another speed comes before each, and charge and heat
+are others when its turn comes. The best over both trials goes on; who falls or is refused now does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from hts.contracts import Selector, TestedCandidate
+from hts.evaluation.across_speeds import mean_comparison
+from hts.run.front import tested_policies
+from hts.run.job import Job
+from hts.run.testing_elites import made_row, result_row, tested_before, whole
+
+Report = Callable[[float], None]
+
+
+def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
+    """Second trials of the best so far and those next to it, as many as `selection.confirm` says and
+    `max_real_samples` leaves; nobody's where there are not two. The result's `best` goes to the final.
+    """
+    settings = job.config.selection.selector
+    selector = job.registry.make_selector(settings.name, settings.settings)
+    before = [tested_before(job, one.id) for one in tested_policies(job, job.done_iterations)]
+    names = [one.id for one in ranked(selector, different(job, before), job.confirmations(job.done_iterations))]
+    if len(names) < 2:
+        return {"tried": [], "results": {}, "recordings": [], "samples": 0, "best": best}
+    tests = whole(job, names, tuple(reversed(job.config.selection.tested_speeds)), report)
+    ids = job.keep(tests.recorded, job.config.iterations + 1)
+    found = over_both(before, {name: tests.results[name].tested for name in names})
+    return {
+        "tried": names,
+        "results": {name: result_row(one) for name, one in tests.results.items()},
+        "over_both": {
+            one.id: {key: value.selection_score for key, value in one.comparisons.items()}
+            for one in found
+            if one.id in names
+        },
+        "recordings": ids,
+        "samples": sum(recording.robot_samples for recording in tests.recorded),
+        "best": winner(selector, found, names) or job.first,
+    }
+
+
+def different(job: Job, tested: Sequence[TestedCandidate]) -> list[TestedCandidate]:
+    """Those that are not the same policy as an earlier one: two bounds that held nothing back end alike."""
+    by_policy: dict[str, TestedCandidate] = {}
+    for one in tested:
+        by_policy.setdefault(made_row(job, one.id)["policy_hash"], one)
+    return list(by_policy.values())
+
+
+def ranked(selector: Selector, tested: Sequence[TestedCandidate], count: int) -> list[TestedCandidate]:
+    """The selector's best, then its best of the others, and so on; at most `count`."""
+    left = list(tested)
+    found: list[TestedCandidate] = []
+    while left and len(found) < count:
+        name = selector.best(left)
+        if name is None:
+            break
+        found += [one for one in left if one.id == name]
+        left = [one for one in left if one.id != name]
+    return found
+
+
+def over_both(before: Sequence[TestedCandidate], again: dict[str, TestedCandidate | None]) -> list[TestedCandidate]:
+    """Everybody who was tested, with the mean of both trials where there were two; without those that were refused in
+    the second one (None)."""
+    found = []
+    for first in before:
+        second = again.get(first.id, first)
+        if second is None:
+            continue
+        comparisons = {
+            key: mean_comparison([first.comparisons[key], second.comparisons[key]]) for key in first.comparisons
+        }
+        found.append(TestedCandidate(first.id, comparisons, first.fell or second.fell, first.made))
+    return found
+
+
+def winner(selector: Selector, found: Sequence[TestedCandidate], twice: Sequence[str]) -> str | None:
+    """The best of those that were tried twice; where none of them is left, the best of the others."""
+    sure = [one for one in found if one.id in twice]
+    return selector.best(sure) or selector.best([one for one in found if one.id not in twice])
