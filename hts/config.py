@@ -227,7 +227,7 @@ class SelectionConfig(Config):
         0,
         ge=0,
         description="so many of the best of all iterations are tried once more before the final, at the speeds in "
-        "reverse order, and the best over both trials goes to it; 0: the best of one trial does",
+        "reverse order, and the best over both trials goes to it; 0, or a single speed: the best of one trial does",
     )
 
     @property
@@ -348,11 +348,6 @@ class RunConfig(Config):
             raise ValueError("sweep.weights: every λ is 0, so nothing measured would be learned from; give one above 0")
         if self.selection.confirm == 1:
             raise ValueError("selection.confirm: one candidate leaves nothing to choose from; give 0, or 2 or more")
-        if self.selection.confirm and len(self.selection.tested_speeds) < 2:
-            raise ValueError(
-                "selection.confirm: a second trial walks the speeds in reverse order, and there is one; give several "
-                "selection.speeds, or confirm 0"
-            )
         if self.start is not None and self.reward_source != "oracle":
             raise ValueError(
                 "start: only `hts oracle` starts from another policy; for a run: robot.policy, of its robot"

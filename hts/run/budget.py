@@ -61,6 +61,11 @@ def candidate_counts(config: RunConfig, registry: Registry) -> list[int]:
     return counts
 
 
+def second_trials(config: RunConfig) -> int:
+    """How many of the best are to be tried again: none at a single speed, which has no second order."""
+    return config.selection.confirm if len(config.selection.tested_speeds) > 1 else 0
+
+
 def seconds_per_elite(config: RunConfig, world: World) -> float:
     """Robot time of one elite's test, s, as the world says it. The world holds the speed already, if it is to."""
     speeds, block = config.selection.tested_speeds, config.selection.block_seconds
@@ -78,7 +83,7 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     wanted = [min(config.selection.elites, count) for count in candidate_counts(config, registry)]
     recordings = config.collection.repeats + config.collection.exploring if config.records_first else 0
     first = math.ceil(schedule.seconds * rate) * recordings
-    again = config.selection.confirm if sum(wanted) > 1 else 0
+    again = second_trials(config) if sum(wanted) > 1 else 0
     whole = Budget(schedule, tuple(wanted), first, each, most, min(again, sum(wanted)))
     if most is None:
         return whole

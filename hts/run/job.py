@@ -21,7 +21,7 @@ from hts.policies.files import Policy, load_policy, save_policy
 from hts.recordings.needs import check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
-from hts.run.budget import Budget, plan
+from hts.run.budget import Budget, plan, second_trials
 from hts.run.provenance import collect as collect_provenance
 from hts.run.stages import Stages, read_json, write_json
 from hts.training.sweep import combinations, own_weights
@@ -174,7 +174,7 @@ class Job:
 
     def confirmations(self, iterations: int) -> int:
         """How many of the best may be tried again after so many iterations, within what is left of the real samples."""
-        wanted, most = self.config.selection.confirm, self.config.max_real_samples
+        wanted, most = second_trials(self.config), self.config.max_real_samples
         return wanted if most is None else min(wanted, (most - self.spent(iterations)) // self.budget.each)
 
     @property
