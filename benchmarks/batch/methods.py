@@ -64,7 +64,6 @@ METHODS: dict[str, Method] = {
             'sweep.anchors=["best", "pretrained"]',
             "selection.selector={name: hierarchical, each_bound: false, at_random: 0}",
             "selection.speeds=[0.8]",
-            "selection.confirm=0",
             "simulation_test.hold_speed=false",
         ),
         own_elsewhere={
@@ -111,9 +110,7 @@ METHODS: dict[str, Method] = {
     ),
     "no-held-speed": Method(settings=("evaluation.hold_speed=false",), about="commands as asked, speed not held"),
     "no-second-trial": Method(settings=("selection.confirm=0",), about="the best of one trial goes to the final"),
-    "one-speed": Method(
-        settings=("selection.speeds=[0.8]", "selection.confirm=0"), about="elites tried at 0.8 m/s alone"
-    ),
+    "one-speed": Method(settings=("selection.speeds=[0.8]",), about="elites tried at 0.8 m/s alone"),
     "racing": Method(settings=("selection.selector.name=racing",), about="elites in rounds"),
 }
 

@@ -6,11 +6,11 @@ import torch
 
 from hts.config import EnvConfig
 
-GOLDEN = 0.6180339887498949  # multiples of it, modulo 1, spread evenly however many there are
+GOLDEN = (5**0.5 - 1) / 2  # its multiples, modulo 1, are spread evenly however many there are (Kronecker sequence)
 
 
 def time_outs(config: EnvConfig, dt: float, shape: tuple[int, int], device: torch.device) -> torch.Tensor:
-    """Control steps after which the first episodes end, [P, N]; the same in every candidate.
+    """Control steps after which the first episodes end, [P, N], the same in every candidate. dt: of a step, s.
 
     Spread (`EnvConfig.stagger`): instances that begin together would all start again together, and every batch mean
     would jump then, as the code of Rudin et al. 2022 (legged_gym) avoids by a random length; here an even one.

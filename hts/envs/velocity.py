@@ -387,8 +387,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
 
     def load_full_state(self, state: TensorDictBase) -> None:
         """Go on from `full_state`."""
-        for name, value in state["buffers"].items():  # checkpoints of before 0.2 do not know when episodes end
-            setattr(self, name, value.to(self.device).clone())
+        for name in set(self.STATE) - ({"time_out"} - set(state["buffers"].keys())):  # older checkpoints lack that one
+            setattr(self, name, state["buffers", name].to(self.device).clone())
         self.engine.load_state_dict(state["engine"])
         self.commands.load_state_dict(state["commands"])
         self.random.load_state_dict(state["random"])

@@ -75,15 +75,14 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
 
 def second_trial(summary: Mapping[str, Any]) -> str | None:
     """What the second trials before the final changed: who lost them, who went to the final instead; None: nothing."""
-    again, before = (
-        summary.get("confirmation") or {},
-        [one.get("best_so_far") for one in summary.get("iterations") or ()],
-    )
+    again = summary.get("confirmation") or {}
+    before = [one.get("best_so_far") for one in summary.get("iterations") or ()]
     if not again.get("tried") or again["best"] == before[-1]:
         return None
     row = again["results"].get(before[-1]) or {}
     lost = "was refused" if row.get("refused") else "fell" if _fell(row) else "measured worse"
-    return f"Tried again before the final, {before[-1]} {lost}; {again['best']} went to the final."
+    after = "nobody is left" if again["best"] == "pretrained" else f"{again['best']} went to the final"
+    return f"Tried again before the final, {before[-1]} {lost}; {after}."
 
 
 def _at_the_gate(refused: int) -> str:

@@ -12,9 +12,8 @@ from typing import Any
 
 from hts.contracts import Selector, TestedCandidate
 from hts.evaluation.across_speeds import mean_comparison
-from hts.run.front import tested_policies
 from hts.run.job import Job
-from hts.run.testing_elites import made_row, result_row, tested_before, whole
+from hts.run.testing_elites import result_row, tested_before, whole
 
 Report = Callable[[float], None]
 
@@ -25,8 +24,8 @@ def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
     """
     settings = job.config.selection.selector
     selector = job.registry.make_selector(settings.name, settings.settings)
-    before = [tested_before(job, one.id) for one in tested_policies(job, job.done_iterations)]
-    names = [one.id for one in ranked(selector, different(job, before), job.confirmations(job.done_iterations))]
+    before = tested_so_far(job)
+    names = [one.id for one in ranked(selector, before, job.confirmations(job.done_iterations))]
     if len(names) < 2:
         return {"tried": [], "results": {}, "recordings": [], "samples": 0, "best": best}
     tests = whole(job, names, tuple(reversed(job.config.selection.tested_speeds)), report)
@@ -46,12 +45,10 @@ def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
     }
 
 
-def different(job: Job, tested: Sequence[TestedCandidate]) -> list[TestedCandidate]:
-    """Those that are not the same policy as an earlier one: two bounds that held nothing back end alike."""
-    by_policy: dict[str, TestedCandidate] = {}
-    for one in tested:
-        by_policy.setdefault(made_row(job, one.id)["policy_hash"], one)
-    return list(by_policy.values())
+def tested_so_far(job: Job) -> list[TestedCandidate]:
+    """All that reality measured in some iteration and did not refuse; whether they fell is for the selector."""
+    rows = [job.read(f"iterations/{index:02d}/test")["results"] for index in range(job.done_iterations)]
+    return [tested_before(job, name) for row in rows for name, found in row.items() if found.get("tested")]
 
 
 def ranked(selector: Selector, tested: Sequence[TestedCandidate], count: int) -> list[TestedCandidate]:

@@ -166,14 +166,9 @@ def _result(job: Job, elite: str, recordings: Sequence[Recording]) -> CandidateR
 
 def _made(job: Job, name: str) -> FineTuning:
     """How a candidate was made."""
-    simulated = job.read(f"iterations/{iteration_of(name):02d}/simulate")
-    return fine_tuning(made_row(job, name), simulated.get("task_rewards") or {})
-
-
-def made_row(job: Job, name: str) -> Mapping[str, Any]:
-    """A candidate's part of its iteration's finetune.json."""
-    rows = job.read(f"iterations/{iteration_of(name):02d}/finetune")["candidates"]
-    return next(one for one in rows if one["id"] == name)
+    folder = f"iterations/{iteration_of(name):02d}"
+    row = next(one for one in job.read(f"{folder}/finetune")["candidates"] if one["id"] == name)
+    return fine_tuning(row, job.read(f"{folder}/simulate").get("task_rewards") or {})
 
 
 def _scores(tested: TestedCandidate | None) -> dict[str, float] | None:

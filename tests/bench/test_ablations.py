@@ -32,7 +32,7 @@ SETTINGS = {
     "no-exploring": {"collection.exploring", "collection.repeats"},
     "no-held-speed": {"evaluation.hold_speed"},
     "no-second-trial": {"selection.confirm"},
-    "one-speed": {"selection.speeds", "selection.confirm"},
+    "one-speed": {"selection.speeds"},
     "racing": {  # another selector, which has no such settings
         "selection.selector.name",
         "selection.selector.each_bound",

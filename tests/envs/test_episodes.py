@@ -50,3 +50,16 @@ def test_they_end_evenly_however_many_there_are(instances):
 
 def test_a_trial_is_walked_whole():
     assert not config_of_trials(EnvConfig(stagger=True), [0.8], 8.0, 0).stagger
+
+
+def test_a_checkpoint_of_before_goes_on_and_one_that_lacks_more_does_not():
+    env = load().make_robot("go1").make_env("mujoco", 1, 2, EnvConfig(threads=1), seeds=[3])
+    env.reset()
+    state = env.full_state()
+    del state["buffers", "time_out"]
+    env.load_full_state(state)
+    assert (env.time_out == 1000).all()  # 20 s
+    del state["buffers", "action"]
+    with pytest.raises(KeyError, match="action"):
+        env.load_full_state(state)
+    env.close()

@@ -65,14 +65,15 @@ def test_policies_that_ended_alike_are_one():
 
 
 @pytest.mark.parametrize(
-    ("row", "said"),
+    ("row", "best", "said"),
     [
-        ({"refused": "too slow"}, "01-00 was refused; 00-01 went to the final"),
-        ({"refused": None, "tested": {"fell": True}}, "01-00 fell; 00-01 went to the final"),
+        ({"refused": "too slow"}, "00-01", "01-00 was refused; 00-01 went to the final"),
+        ({"refused": None, "tested": {"fell": True}}, "00-01", "01-00 fell; 00-01 went to the final"),
+        ({"refused": "too slow"}, "pretrained", "01-00 was refused; nobody is left"),
     ],
 )
-def test_the_end_of_a_run_says_why_another_went_to_the_final(row, said):
-    again = {"tried": ["01-00", "00-01"], "results": {"01-00": row}, "best": "00-01"}
+def test_the_end_of_a_run_says_why_another_went_to_the_final(row, best, said):
+    again = {"tried": ["01-00", "00-01"], "results": {"01-00": row}, "best": best}
     found = second_trial({"iterations": [{"best_so_far": "01-00"}], "confirmation": again})
     assert found is not None and said in found
 
