@@ -78,6 +78,9 @@ class FinetuneConfig(Config):
     num_envs: int = Field(64, ge=1, description="worlds per candidate, N")
     steps: int = Field(400_000, gt=0, description="control steps per candidate")
     max_candidates: int = Field(32, ge=1, description="trained together at most; more go in several groups")
+    also_at: tuple[float, ...] = Field(
+        (), description="shares of the training, between 0 and 1, at which candidates are kept too and judged beside"
+    )
     hold: bool = Field(
         False,
         description="hold the task's own measure at zero on average (of a velocity robot: its relative speed error) "
@@ -90,6 +93,16 @@ class FinetuneConfig(Config):
     )
     ppo: PPOConfig = Field(default_factory=PPOConfig, description="how it learns")
     env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")
+
+    @field_validator("also_at")
+    @classmethod
+    def _on_the_way(cls, shares: tuple[float, ...]) -> tuple[float, ...]:
+        for share in shares:
+            if not 0.0 < share < 1.0:
+                raise ValueError(f"{share:g} is no share of the training; give numbers between 0 and 1")
+        if len(set(shares)) < len(shares):
+            raise ValueError("a share is there twice")
+        return shares
 
 
 class PretrainConfig(Config):

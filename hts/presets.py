@@ -66,6 +66,12 @@ QUICK: dict[str, Any] = {
     **OURS,
     "world": {"name": "twin", "block_seconds": 80.0},
     "iterations": 2,
+    # Two bounds, so two elites: the best that each has found.
+    "selection": {
+        **OURS["selection"],
+        "selector": {"name": "hierarchical", "each_bound": True, "at_random": 0},
+        "elites": 2,
+    },
     "collection": {
         "schedule": _walk(0.3, 0.5, 0.8, 1.1, 1.3, seconds=12.0),
         "repeats": 2,
@@ -77,6 +83,7 @@ QUICK: dict[str, Any] = {
         "num_envs": 128,
         "steps": 480_000,
         "hold": True,
+        "also_at": [0.5, 0.75],
         "ppo": {"horizon": 24, "epochs": 5, "minibatches": 2, "learning_rate": 2e-4},
         "env": {"commands": HELD, "randomisation": VARIED, "stagger": True},
     },
@@ -104,6 +111,7 @@ PAPER: dict[str, Any] = {
         "num_envs": 1024,
         "steps": 8_000_000,
         "hold": True,
+        "also_at": [0.5, 0.75],
         "ppo": {"learning_rate": 1e-4},
         "env": {"commands": HELD, "randomisation": VARIED, "stagger": True},
     },

@@ -58,6 +58,7 @@ METHODS: dict[str, Method] = {
             "collection.exploring=0",
             "collection.repeats=8",  # as many recordings as ours in `quick`
             "finetune.hold=false",
+            "finetune.also_at=[]",
             "finetune.steps=71000",  # 9 and 18 candidates: as many steps in all
             "sweep.trust_region.enabled=false",
             "sweep.kl_bounds=[0.2, 0.5, 1.0]",
@@ -109,6 +110,7 @@ METHODS: dict[str, Method] = {
         about="first data by the mean action alone",
     ),
     "no-held-speed": Method(settings=("evaluation.hold_speed=false",), about="commands as asked, speed not held"),
+    "last-moment": Method(settings=("finetune.also_at=[]",), about="candidates judged as their training ended, alone"),
     "no-second-trial": Method(settings=("selection.confirm=0",), about="the best of one trial goes to the final"),
     "one-speed": Method(settings=("selection.speeds=[0.8]",), about="elites tried at 0.8 m/s alone"),
     "racing": Method(settings=("selection.selector.name=racing",), about="elites in rounds"),

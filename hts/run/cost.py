@@ -61,8 +61,9 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test
     test_steps = test.num_envs * len(test.speeds) * trial_seconds(test) * robot.spec.control_rate_hz
-    # Every candidate, and the pretrained policy beside them.
-    steps += round((sum(counts) + len(counts)) * test_steps)
+    # Every candidate, as it is and as it was on the way, and the pretrained policy beside them.
+    judged = sum(counts) * (1 + len(config.finetune.also_at))
+    steps += round((judged + len(counts)) * test_steps)
     together = min(max(counts), config.finetune.max_candidates)
     samples = together * config.finetune.num_envs * config.finetune.ppo.horizon
     cost = dict(world.cost(robot_seconds))

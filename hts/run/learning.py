@@ -168,6 +168,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
                 "std": one.std,
                 "anchor_std": one.anchor_std,
                 "stopped": one.stopped,
+                **({"share": one.share} if one.share < 1.0 else {}),
                 "policy_hash": card.policy_hash,
                 "curve": one.history[:: max(1, len(one.history) // 50)],
             }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from hts.rl.kl_bound import mean_kl, project_to_kl_bound
 from hts.rl.population import Population
 from hts.rl.task_env import TaskEnv
 from hts.training.checkpoint import load_checkpoint, load_notes, save_checkpoint
+from hts.training.halfway import Halfway
 from hts.training.held import Held, Holding
 from hts.training.sweep import Candidate
 from hts.training.trainer import BatchStats, PopulationTrainer
@@ -34,7 +35,8 @@ class Finetuned:
     """A candidate after training.
 
     tensors: as in a policy file; kl: mean KL(pi || anchor) over a fresh batch of its own states, nats;
-    std: mean sigma, and that of the anchor, action units; stopped: why it was stopped early, or None.
+    std: mean sigma, and that of the anchor, action units; stopped: why it was stopped early, or None; share: how much
+    of its training it has behind it, 1 but for those that were kept on the way.
     """
 
     candidate: Candidate
@@ -44,6 +46,7 @@ class Finetuned:
     anchor_std: float
     stopped: str | None = None
     history: list[dict[str, float]] = field(default_factory=list)
+    share: float = 1.0
 
 
 def measured_env(env: EnvBase, transforms: Sequence[Transform]) -> EnvBase:
@@ -125,12 +128,14 @@ class Saved:
             return None
         return TensorDict(dict(load_checkpoint(self.path, self.metadata))), load_notes(self.path)
 
-    def keep(self, trainer: PopulationTrainer, history: Sequence[Mapping[str, Any]]) -> None:
+    def keep(self, trainer: PopulationTrainer, history: Sequence[Mapping[str, Any]], halfway: Halfway) -> None:
         """Save, if it is time to, and if the env can be saved; if not, a stopped fine-tuning starts again."""
         if self.path is None or time.monotonic() - self._when <= CHECKPOINT_SECONDS or not trainer.resumable:
             return
-        notes = {"history": history, "stopped": {str(index): why for index, why in trainer.stopped.items()}}
-        save_checkpoint(self.path, trainer.full_state().to_dict(), self.metadata, notes)
+        stopped = {str(index): why for index, why in trainer.stopped.items()}
+        notes = {"history": history, "stopped": stopped, "halfway": halfway.notes()}
+        state = trainer.full_state().to_dict() | ({"halfway": halfway.state()} if halfway.moments else {})
+        save_checkpoint(self.path, state, self.metadata, notes)
         self._when = time.monotonic()
 
 
@@ -176,9 +181,12 @@ class Group:
         )
         self.batches = max(1, round(config.steps * count / self.trainer.steps_per_batch))
         self._extra = 0
+        self.halfway = Halfway(config.also_at, self.batches)
         if before is not None:  # what was before it, as if the process had never ended
             self.history = before[1]["history"]
             self.trainer.stopped.update({int(index): reason for index, reason in before[1]["stopped"].items()})
+            if before[1].get("halfway"):
+                self.halfway.load(before[0]["halfway"].to_dict(), before[1]["halfway"])
 
     @property
     def steps(self) -> int:
@@ -194,15 +202,17 @@ class Group:
             if log is not None:
                 log(stats, self.members)
             progress(trainer.batches / self.batches)
+            able = [index for index in range(len(self.members)) if index not in trainer.stopped]
+            self.halfway.look(trainer.batches, self.population, trainer.kl, able)
             if trainer.batches < self.batches:
-                self.saved.keep(trainer, self.history)
+                self.saved.keep(trainer, self.history, self.halfway)
 
     def finished(self) -> list[Finetuned]:
-        """The candidates, inside their bounds."""
+        """The candidates, inside their bounds; then those that were kept on the way, where they are inside."""
         kl = self._project()
         check_env(self.bare)
         std, anchor_std = (each.log_std().exp().mean((1, 2)).tolist() for each in (self.population, self.anchor))
-        return [
+        ended = [
             Finetuned(
                 member,
                 self.population.candidate(index),
@@ -213,6 +223,20 @@ class Group:
                 [_of_member(row, index) for row in self.history],
             )
             for index, member in enumerate(self.members)
+        ]
+        return ended + [
+            Finetuned(
+                replace(self.members[moment.index], id=f"{self.members[moment.index].id}-{round(100 * moment.share)}"),
+                moment.tensors,
+                moment.kl,
+                moment.std,
+                anchor_std[moment.index],
+                None,
+                ended[moment.index].history[: round(moment.share * self.batches)],
+                moment.share,
+            )
+            for moment in self.halfway.moments
+            if moment.kl <= KL_SLACK * float(self.bounds[moment.index])
         ]
 
     def _project(self) -> list[float]:

@@ -31,6 +31,7 @@ SETTINGS = {
     "fixed-bounds": {"sweep.trust_region.enabled"},
     "no-exploring": {"collection.exploring", "collection.repeats"},
     "no-held-speed": {"evaluation.hold_speed"},
+    "last-moment": {"finetune.also_at"},
     "no-second-trial": {"selection.confirm"},
     "one-speed": {"selection.speeds"},
     "racing": {  # another selector, which has no such settings
