@@ -81,6 +81,13 @@ class FinetuneConfig(Config):
     also_at: tuple[float, ...] = Field(
         (), description="shares of the training, between 0 and 1, at which candidates are kept too and judged beside"
     )
+    average: float = Field(
+        0.0,
+        ge=0.0,
+        lt=1.0,
+        description="share of the training, at its end, over which a candidate's parameters are averaged; 0: as they "
+        "ended",
+    )
     hold: bool = Field(
         False,
         description="hold the task's own measure at zero on average (of a velocity robot: its relative speed error) "
@@ -90,6 +97,10 @@ class FinetuneConfig(Config):
         True,
         description="with `hold`: also keep how much the task is missed (of a velocity robot: its speed of about a "
         "second) at or below what the robot names",
+    )
+    hold_from_anchor: bool = Field(
+        True,
+        description="with `hold`: prices begin where the training of the anchor found them, not at nothing",
     )
     ppo: PPOConfig = Field(default_factory=PPOConfig, description="how it learns")
     env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")

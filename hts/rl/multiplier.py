@@ -91,6 +91,12 @@ class EqualityMultiplier(nn.Module):
         return self.value.view(*self.value.shape, *(1,) * (error.ndim - self.value.ndim)) * error
 
     @torch.no_grad()
+    def begin(self, price: torch.Tensor) -> None:
+        """Begin at a price that was found before, of the shape of `value`."""
+        self.integral = price.clone()
+        self.value = price.clone()
+
+    @torch.no_grad()
     def update(self, mean: torch.Tensor, strength: float | torch.Tensor = 1.0) -> torch.Tensor:
         """mean: of e over the batch, of the shape of `value`; strength: how strong the rewards are that pull the mean
         away, in reward per second, since a price is found the sooner the larger it has to be. Returns the new value."""

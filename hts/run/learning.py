@@ -152,6 +152,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
             "kl_bound": str(c.kl_bound),
             "kl": one.kl,
             "iteration": iteration,
+            **({"prices": dict(one.prices)} if one.prices else {}),
             **inherited(anchor.card.made),
         }
         card = make_card(

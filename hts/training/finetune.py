@@ -19,9 +19,10 @@ from hts.policies.files import Policy
 from hts.rl.kl_bound import mean_kl, project_to_kl_bound
 from hts.rl.population import Population
 from hts.rl.task_env import TaskEnv
+from hts.training.averaged import Averaged
 from hts.training.checkpoint import load_checkpoint, load_notes, save_checkpoint
 from hts.training.halfway import Halfway
-from hts.training.held import Held, Holding
+from hts.training.held import Held, Holding, begun_at, found_prices
 from hts.training.sweep import Candidate
 from hts.training.trainer import BatchStats, PopulationTrainer
 
@@ -36,7 +37,8 @@ class Finetuned:
 
     tensors: as in a policy file; kl: mean KL(pi || anchor) over a fresh batch of its own states, nats;
     std: mean sigma, and that of the anchor, action units; stopped: why it was stopped early, or None; share: how much
-    of its training it has behind it, 1 but for those that were kept on the way.
+    of its training it has behind it, 1 but for those that were kept on the way; prices: of what was held, per strength
+    of the rewards (see `found_prices`).
     """
 
     candidate: Candidate
@@ -47,6 +49,7 @@ class Finetuned:
     stopped: str | None = None
     history: list[dict[str, float]] = field(default_factory=list)
     share: float = 1.0
+    prices: Mapping[str, float] = field(default_factory=dict)
 
 
 def measured_env(env: EnvBase, transforms: Sequence[Transform]) -> EnvBase:
@@ -115,6 +118,10 @@ def finetune(
     return results, steps
 
 
+Kept = Mapping[str, Halfway | Averaged]
+"""What a group keeps of its candidates on the way, by its name in a checkpoint."""
+
+
 class Saved:
     """The checkpoint of one group. path: None for none; metadata: what it belongs to."""
 
@@ -128,13 +135,14 @@ class Saved:
             return None
         return TensorDict(dict(load_checkpoint(self.path, self.metadata))), load_notes(self.path)
 
-    def keep(self, trainer: PopulationTrainer, history: Sequence[Mapping[str, Any]], halfway: Halfway) -> None:
+    def keep(self, trainer: PopulationTrainer, history: Sequence[Mapping[str, Any]], kept: Kept) -> None:
         """Save, if it is time to, and if the env can be saved; if not, a stopped fine-tuning starts again."""
         if self.path is None or time.monotonic() - self._when <= CHECKPOINT_SECONDS or not trainer.resumable:
             return
         stopped = {str(index): why for index, why in trainer.stopped.items()}
-        notes = {"history": history, "stopped": stopped, "halfway": halfway.notes()}
-        state = trainer.full_state().to_dict() | ({"halfway": halfway.state()} if halfway.moments else {})
+        notes = {"history": history, "stopped": stopped, **{name: one.notes() for name, one in kept.items()}}
+        states = {name: one.state() for name, one in kept.items()}
+        state = trainer.full_state().to_dict() | {name: state for name, state in states.items() if state}
         save_checkpoint(self.path, state, self.metadata, notes)
         self._when = time.monotonic()
 
@@ -177,16 +185,31 @@ class Group:
             weights={name: torch.tensor([member.weights[name] for member in members]) for name in members[0].weights},
             held=held.at_zero,
             held_below=held.below,
+            prices=begun_at([start.card.made for start in starts], held) if config.hold_from_anchor else None,
             resume=before[0] if before is not None else None,
         )
         self.batches = max(1, round(config.steps * count / self.trainer.steps_per_batch))
         self._extra = 0
         self.halfway = Halfway(config.also_at, self.batches)
+        self.averaged = Averaged(config.average, self.batches)
+        self.held = held
         if before is not None:  # what was before it, as if the process had never ended
             self.history = before[1]["history"]
             self.trainer.stopped.update({int(index): reason for index, reason in before[1]["stopped"].items()})
-            if before[1].get("halfway"):
-                self.halfway.load(before[0]["halfway"].to_dict(), before[1]["halfway"])
+            for name, one in self.kept.items():
+                if before[1].get(name):
+                    state = before[0].get(name, None)
+                    one.load(state.to_dict() if state is not None else {}, before[1][name])
+
+    @property
+    def kept(self) -> Kept:
+        """What is kept on the way."""
+        return {"halfway": self.halfway, "averaged": self.averaged}
+
+    @property
+    def able(self) -> list[int]:
+        """Candidates that were not stopped."""
+        return [index for index in range(len(self.members)) if index not in self.trainer.stopped]
 
     @property
     def steps(self) -> int:
@@ -202,13 +225,14 @@ class Group:
             if log is not None:
                 log(stats, self.members)
             progress(trainer.batches / self.batches)
-            able = [index for index in range(len(self.members)) if index not in trainer.stopped]
-            self.halfway.look(trainer.batches, self.population, trainer.kl, able)
+            self.halfway.look(trainer.batches, self.population, trainer.kl, self.able)
+            self.averaged.look(trainer.batches, self.population)
             if trainer.batches < self.batches:
-                self.saved.keep(trainer, self.history, self.halfway)
+                self.saved.keep(trainer, self.history, self.kept)
 
     def finished(self) -> list[Finetuned]:
         """The candidates, inside their bounds; then those that were kept on the way, where they are inside."""
+        self.averaged.put_into(self.population, self.able)
         kl = self._project()
         check_env(self.bare)
         std, anchor_std = (each.log_std().exp().mean((1, 2)).tolist() for each in (self.population, self.anchor))
@@ -220,9 +244,11 @@ class Group:
                 std[index],
                 anchor_std[index],
                 self.trainer.stopped.get(index),
-                [_of_member(row, index) for row in self.history],
+                history,
+                prices=found_prices(history, self.held),
             )
             for index, member in enumerate(self.members)
+            for history in [[_of_member(row, index) for row in self.history]]
         ]
         return ended + [
             Finetuned(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict.utils import NestedKey
@@ -13,6 +14,7 @@ from hts.config import FinetuneConfig
 from hts.contracts import Robot
 from hts.errors import SimulationError, unknown_name
 from hts.rl.deferred import DeferrableTransform
+from hts.training.trainer import STRENGTH
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,25 @@ class Holding:
     def names(self) -> tuple[str, ...]:
         """All of them."""
         return tuple(dict.fromkeys((*self.at_zero, *self.below)))
+
+
+LAST = 0.25  # share of a training over which a price is averaged: the swings of a multiplier last about so long
+
+
+def found_prices(history: Sequence[Mapping[str, float]], held: Holding) -> dict[str, float]:
+    """At what price each of the held means was in balance at the end of a candidate's training, per strength of the
+    rewards that pull at it (so that it serves another λ too): the mean over the last quarter of its batches."""
+    last = history[-max(1, round(LAST * len(history))) :]
+    return {
+        name: sum(row[f"held/{name}_multiplier"] / row[STRENGTH] for row in last) / len(last) for name in held.names
+    }
+
+
+def begun_at(made: Sequence[Mapping[str, Any]], held: Holding) -> dict[str, torch.Tensor]:
+    """Where multipliers begin, name -> [P], per strength: where those of each candidate's anchor ended, as its card
+    says in `made`; 0 for an anchor that knows none."""
+    known = [one.get("prices") or {} for one in made]
+    return {name: torch.tensor([float(one.get(name, 0.0)) for one in known]) for name in held.names}
 
 
 class Held(DeferrableTransform):

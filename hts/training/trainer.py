@@ -27,6 +27,8 @@ from hts.rl.settings import UpdateSettings
 from hts.rl.task_env import TaskEnv
 from hts.rl.threads import one_thread
 
+STRENGTH = "held/strength"  # of a batch's statistics: how strong the rewards are that pull at what is held, per second
+
 
 @dataclass
 class BatchStats:
@@ -58,8 +60,8 @@ class PopulationTrainer:
     population: P candidates, changed in place; anchor: frozen Population of P, or None (pretraining);
     bounds [P]: c per candidate, nats; weights: objective -> lambda [P]; held: name of an error under ("next", "held")
     whose mean is held at zero -> an error that matters; held_below: likewise, of a mean that is kept at or below a
-    number -> that number; seeds: one per candidate;
-    names: what candidates are called in errors.
+    number -> that number; prices: name of either -> [P], where its multiplier begins, per `strength` (see
+    `EqualityMultiplier`), else 0; seeds: one per candidate; names: what candidates are called in errors.
 
     Collection and gradient steps are those of the device's `hts.rl.backend`. A candidate whose numbers stop being
     finite is stopped, named in `stopped`, and put back to its anchor; the others go on. If none is left,
@@ -79,6 +81,7 @@ class PopulationTrainer:
         weights: Mapping[str, torch.Tensor] | None = None,
         held: Mapping[str, float] | None = None,
         held_below: Mapping[str, float] | None = None,
+        prices: Mapping[str, torch.Tensor] | None = None,
         update_normaliser: bool = False,
         resume: TensorDictBase | None = None,
     ) -> None:
@@ -112,6 +115,7 @@ class PopulationTrainer:
             **{name: EqualityMultiplier(scale, count, **pace) for name, scale in (held or {}).items()},
             **{name: UpperMultiplier(limit, count, **pace) for name, limit in (held_below or {}).items()},
         }
+        self.prices = {name: price.to(device) for name, price in (prices or {}).items()}
         self.stopped: dict[int, str] = {}
         self.batches = 0
         self.kl = torch.zeros(count, device=device)
@@ -200,7 +204,11 @@ class PopulationTrainer:
                 stats[f"spread/{name}"] = row_std(real)
             spread = row_mean((real - row_mean(real).view(-1, 1, 1)).square()).sqrt()
             strength = strength + measured.weight * spread
+        if self.held:
+            stats[STRENGTH] = strength
         for name, multiplier in self.held.items():
+            if self.batches == 0 and name in self.prices:
+                multiplier.begin(self.prices[name] * strength)
             error = data["next", "held", name].squeeze(-1)
             self._stop_if_bad({name: error})
             counted = (error != 0).flatten(1).sum(1).clamp(min=1)
