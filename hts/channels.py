@@ -44,13 +44,14 @@ SPEED_ERROR_TREND = Channel(
 """Held at zero on average, too: else a policy that walks at one speed whatever it is told has no error on average."""
 
 _MISSED = (
-    "size of the speed error of about a second, as a share of the command and 1 at most; of commands in the {} half of "
-    "their range, 0 where it does not count"
+    "how far the speed of about a second is from the robot's own of some seconds, and its own from the command beyond "
+    "a quarter, as shares of the command and 1 at most; of commands in the {} half of their range, 0 where it does not "
+    "count"
 )
 SPEED_MISSED_SLOW = Channel("speed_missed_slow", "1", (), _MISSED.format("slower"))
 SPEED_MISSED_FAST = Channel("speed_missed_fast", "1", (), _MISSED.format("faster"))
-"""Kept low on average: else a policy stands at slow commands and walks too fast at others, or is fast on one floor and
-slow on the next, without an error on average."""
+"""Kept low on average: else a policy stands at slow commands and walks too fast at others, or stands and hurries in
+turn, without an error on average. A machine a little faster than the next is not meant: its command is trimmed."""
 
 MISSED_CHANNELS = (SPEED_MISSED_SLOW, SPEED_MISSED_FAST)
 HELD_CHANNELS = {channel.name: channel for channel in (SPEED_ERROR, SPEED_ERROR_TREND, *MISSED_CHANNELS)}

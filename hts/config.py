@@ -246,7 +246,13 @@ class SelectionConfig(Config):
     block_seconds: float | None = Field(
         None, gt=0, description="length of each of its blocks, s; null: that of the world"
     )
-
+    min_valid: float | None = Field(
+        None,
+        ge=0,
+        le=1,
+        description="refuse an elite below this share of valid segments, where that is more than the final asks of "
+        "both policies (evaluation.min_valid): a short trial flatters",
+    )
     confirm: int = Field(
         0,
         ge=0,

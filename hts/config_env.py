@@ -19,6 +19,8 @@ class RandomisationConfig(Config):
     joint_offset: tuple[float, float] = Field((-0.02, 0.02), description="encoder zero error, rad")
     push_speed: float = Field(0.5, ge=0, description="horizontal push, a jump of the velocity up to this, m/s; 0: none")
     push_interval: float = Field(8.0, gt=0, description="mean time between pushes, s")
+    pull: float = Field(0.0, ge=0, description="horizontal pull as of a slope, up to this on each axis, m/s²; 0: none")
+    pull_seconds: float = Field(3.0, gt=0, description="mean time until it is another, s")
     delay_steps: tuple[int, int] = Field((0, 3), description="actuation delay in physics steps, inclusive range")
     models: int = Field(32, ge=1, description="size of the pool of randomised models on the CPU engine")
 

@@ -59,12 +59,14 @@ METHODS: dict[str, Method] = {
             "collection.repeats=8",  # as many recordings as ours in `quick`
             "finetune.hold=false",
             "finetune.also_at=[]",
+            "finetune.average=0",
             "finetune.steps=71000",  # 9 and 18 candidates: as many steps in all
             "sweep.trust_region.enabled=false",
             "sweep.kl_bounds=[0.2, 0.5, 1.0]",
             'sweep.anchors=["best", "pretrained"]',
             "selection.selector={name: hierarchical, each_bound: false, at_random: 0}",
             "selection.speeds=[0.8]",
+            "selection.min_valid=null",
             "simulation_test.hold_speed=false",
         ),
         own_elsewhere={
@@ -111,6 +113,9 @@ METHODS: dict[str, Method] = {
     ),
     "no-held-speed": Method(settings=("evaluation.hold_speed=false",), about="commands as asked, speed not held"),
     "last-moment": Method(settings=("finetune.also_at=[]",), about="candidates judged as their training ended, alone"),
+    "no-average": Method(settings=("finetune.average=0",), about="parameters as they ended, not averaged"),
+    "prices-anew": Method(settings=("finetune.hold_from_anchor=false",), about="prices begin at nothing each time"),
+    "no-margin": Method(settings=("selection.min_valid=null",), about="trials ask for no more than the final"),
     "no-second-trial": Method(settings=("selection.confirm=0",), about="the best of one trial goes to the final"),
     "one-speed": Method(settings=("selection.speeds=[0.8]",), about="elites tried at 0.8 m/s alone"),
     "racing": Method(settings=("selection.selector.name=racing",), about="elites in rounds"),

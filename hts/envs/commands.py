@@ -14,6 +14,8 @@ from hts.rl.tracing import any_or_tracing
 
 SETTLING_SECONDS = 1.0  # after standing up
 SMOOTHING_SECONDS = 1.0  # of the speed that may miss the command: about a second, as in the segments of a head-to-head
+OWN_SECONDS = 4.0  # of an instance's own speed: longer than a push is felt, shorter than a command lasts
+TRIMMED_AWAY = 0.25  # of the commanded speed: an own speed as far off as that is trimmed away where a speed is held
 LARGEST_MISS = 1.0  # of the commanded speed: who stands misses it by that much, and no push counts for more
 LEAST_SPEED = 0.3  # m/s; of slower commands no share can be told
 DRAWS = 7  # uniform numbers an env instance needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
@@ -30,7 +32,7 @@ class WalksAsTold(ABC):
 class Commands:
     """The command [P, N, 3] (vx m/s, vy m/s, yaw rate rad/s) of each instance and what it follows from."""
 
-    STATE = ("value", "heading", "keeps_heading", "steps_left", "told_seconds", "smoothed_error")
+    STATE = ("value", "heading", "keeps_heading", "steps_left", "told_seconds", "smoothed_error", "own_error")
 
     def __init__(
         self,
@@ -49,6 +51,7 @@ class Commands:
         self.steps_left = torch.zeros(shape, device=device)
         self.told_seconds = torch.zeros(shape, device=device)  # since this command, or since it was stood up
         self.smoothed_error = torch.zeros(shape, device=device)  # relative, of the speed, from settling on
+        self.own_error = torch.zeros(shape, device=device)  # the same over `OWN_SECONDS`
         if config.fixed:
             speeds = torch.tensor(config.fixed, device=device)
             self.fixed = speeds[torch.arange(shape[1], device=device) % len(config.fixed)].expand(shape)
@@ -83,9 +86,12 @@ class Commands:
     def _missed(self, where: torch.Tensor) -> torch.Tensor:
         seen = self.told_seconds - SETTLING_SECONDS
         counts = where & (self.value[..., 0].abs() >= LEAST_SPEED) & (seen > SMOOTHING_SECONDS)
-        share = 1.0 - torch.exp(-seen.clamp(min=self.dt) / SMOOTHING_SECONDS)  # of the average that has been filled
-        error = self.smoothed_error / share
-        return torch.where(counts, error.abs().clamp(max=LARGEST_MISS), 0.0)
+        now, own = (
+            error / (1.0 - torch.exp(-seen.clamp(min=self.dt) / seconds))  # of the average that has been filled
+            for error, seconds in ((self.smoothed_error, SMOOTHING_SECONDS), (self.own_error, OWN_SECONDS))
+        )
+        missed = (now - own).abs() + (own.abs() - TRIMMED_AWAY).clamp(min=0.0)
+        return torch.where(counts, missed.clamp(max=LARGEST_MISS), 0.0)
 
     @property
     def _middle(self) -> float:
@@ -103,8 +109,11 @@ class Commands:
         """One control step's velocity forward, m/s, [P, N], for the channels of how far it is missed."""
         asked = self.value[..., 0]
         error = forward / torch.where(asked.abs() >= LEAST_SPEED, asked, 1.0) - 1.0
+        settled = self.told_seconds >= SETTLING_SECONDS
         moved = self.smoothed_error + self.dt / SMOOTHING_SECONDS * (error - self.smoothed_error)
-        self.smoothed_error = torch.where(self.told_seconds >= SETTLING_SECONDS, moved, 0.0)
+        own = self.own_error + self.dt / OWN_SECONDS * (error - self.own_error)
+        self.smoothed_error = torch.where(settled, moved, 0.0)
+        self.own_error = torch.where(settled, own, 0.0)
         self.told_seconds = self.told_seconds + self.dt
 
     def resample(self, mask: torch.Tensor, draws: torch.Tensor, yaw: torch.Tensor) -> None:
@@ -131,6 +140,7 @@ class Commands:
         self.value = torch.where(mask.unsqueeze(-1), new, self.value)
         self.told_seconds = self.told_seconds.masked_fill(mask, 0.0)
         self.smoothed_error = self.smoothed_error.masked_fill(mask, 0.0)
+        self.own_error = self.own_error.masked_fill(mask, 0.0)
         self.heading = torch.where(mask, heading, self.heading)
         self.keeps_heading = torch.where(mask, keeps, self.keeps_heading)
 

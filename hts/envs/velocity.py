@@ -15,6 +15,7 @@ from hts.config import EnvConfig
 from hts.contracts import RobotSpec
 from hts.envs.commands import DRAWS, Commands, WalksAsTold
 from hts.envs.constants import delays_and_offsets
+from hts.envs.disturbances import Disturbances
 from hts.envs.episodes import time_outs
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
 from hts.envs.pose import trunk_frame, yaw_of
@@ -80,6 +81,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self._draw_constants()
         shape = self.shape2
         self.commands = Commands(config.commands, shape, self.dt, device, channels)
+        self.disturbances = Disturbances(config.randomisation, shape, self.dt, engine)
         zeros = torch.zeros
         self.action = zeros(*shape, joints, device=device)
         self.last_joint_velocity = zeros(*shape, joints, device=device)
@@ -184,7 +186,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
     def _after_physics(self, action: torch.Tensor) -> RewardInputs:
         """Count the step, push some robots, and read what has become of all."""
         self.steps = self.steps + 1
-        self._push(self._draws[..., DRAWS : DRAWS + 3])
+        self.disturbances.act(self._draws[..., DRAWS : DRAWS + 3])
         seen = self._read(action)
         broken = self.engine.diverged.view(self.shape2)
         if any_or_tracing(broken):
@@ -227,16 +229,6 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         return {"observation": self._observation, "critic_observation": self._critic_observation}
 
     # ---------------------------------------------------------------------------------------------- physics
-
-    def _push(self, draws: torch.Tensor) -> None:
-        """Now and then, a horizontal push: a jump of the trunk's velocity."""
-        r = self.config.randomisation
-        if not r.enabled or r.push_speed == 0:
-            return
-        pushed = (draws[..., 0] < self.dt / r.push_interval).reshape(-1)
-        mask = pushed & ~self.engine.diverged  # a reset would hide that
-        if any_or_tracing(mask):
-            self.engine.push(mask, (2 * draws[..., 1:3] - 1).reshape(-1, 2) * r.push_speed)
 
     def start_episodes(self, mask: torch.Tensor) -> None:
         """Stand the robots of mask [P, N] up: joints near the default pose, a random heading and a small velocity."""
@@ -369,7 +361,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
 
     def replaced_state(self) -> list[ReplacedState]:
         """What a step makes anew: the env's own buffers and the commands'."""
-        return [ReplacedState(self, self.STATE), ReplacedState(self.commands, self.commands.STATE)]
+        return [ReplacedState(owner, owner.STATE) for owner in (self, self.commands, self.disturbances)]
 
     def check(self) -> None:
         """Raise SimulationError if a buffer of the engine overflowed."""
@@ -381,6 +373,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
             "buffers": {name: getattr(self, name).clone() for name in self.STATE},
             "engine": self.engine.state_dict(),
             "commands": self.commands.state_dict(),
+            "disturbances": {"pull": self.disturbances.pull.clone()},
             "random": self.random.state_dict(),
         }
         return TensorDict(parts, batch_size=[])
@@ -392,6 +385,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.engine.load_state_dict(state["engine"])
         self.commands.load_state_dict(state["commands"])
         self.random.load_state_dict(state["random"])
+        if "disturbances" in state.keys():  # noqa: SIM118 - older checkpoints lack them
+            self.disturbances.pull = state["disturbances", "pull"].to(self.device).clone()
         self._read_engine()
         self._resuming = True
 

@@ -14,7 +14,8 @@ from hts.contracts import VELOCITY, FollowVelocity, Objective, Task, TestedCandi
 from hts.errors import EvaluationError, PolicyError, RunError
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
-from hts.evaluation.held import CommandAtLimit, NotComparable, SpeedNotHeld, ask_to_hold, hold_of
+from hts.evaluation.held import CommandAtLimit, NotComparable, SpeedNotHeld, ask_to_hold, hold_of, refusal
+from hts.evaluation.segments import Segments
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
@@ -171,11 +172,13 @@ def candidate_result(
     config: EvaluationConfig,
     seed: int = 0,
     task: Task = VELOCITY,
+    min_valid: float | None = None,
 ) -> CandidateResult:
     """Compare a candidate on every objective. A candidate that cannot walk is a result, not a failure of the run.
 
     The selector gets the mean over the speeds; who is refused at one speed is refused. A reference that has too few
-    valid segments itself does stop the run: then nothing can be compared.
+    valid segments itself does stop the run: then nothing can be compared. min_valid: share of valid segments that is
+    asked of the candidate, where more than `config` asks of both.
     """
     entry: dict[str, Any] = {}
     comparisons = {}
@@ -187,12 +190,25 @@ def candidate_result(
             if error.role == "reference" and isinstance(error, TooFewSegments):
                 raise
             return CandidateResult(None, None, f"{candidate}: {error}", error.numbers)
+        for speed, result in results.items():
+            if min_valid is not None and result.valid < min_valid:
+                why = unsteady(candidate, speed, result.policy_segments, min_valid, task)
+                return CandidateResult(None, None, why, refusal(result.policy_segments, speed))
         entry[name] = {
             speed_key(speed): {key: result.entry()[key] for key in REAL_KEYS} for speed, result in results.items()
         }
         comparisons[name] = mean_comparison([result.comparison for result in results.values()])
         fell = fell or any(result.falls > 0 for result in results.values())
     return CandidateResult(entry, TestedCandidate(candidate, comparisons, fell), None)
+
+
+def unsteady(candidate: str, speed: float, segments: Segments, min_valid: float, task: Task) -> str:
+    """Why a candidate that could be compared is refused all the same, in one line."""
+    return (
+        f"{candidate}: Head-to-head{task.at(speed)}: {len(segments)} of {segments.total} segments of the policy are "
+        f"valid, enough for a figure, but a trial asks for {min_valid:.0%} of them (selection.min_valid), since the "
+        "next one may go worse."
+    )
 
 
 def evaluate_run(

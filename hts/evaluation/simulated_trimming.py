@@ -1,13 +1,15 @@
-"""Trimming in the training simulation: the command of each candidate at each speed that makes its env instances walk
-the asked speed on average. So what is predicted and what a world that holds the speed measures are at one speed.
+"""Trimming in the training simulation. Each env instance is a machine of its own, so each is trimmed by its own speed,
+as a world trims its machine: what simulation judges and what a world that holds the speed measures are the same thing.
+How far machines are apart at one command costs nothing in reality, and a machine that stands still does.
 
-    u <- clip(u + k (v* - v) dt, limits)        v: mean over the instances that have not fallen
-    u* = mean(u) + (v* - mean(v))               over the last part, as a world does it
+    u <- clip(u + k (v* - v) dt, limits)        once the start is over
+    u* = mean(u) + (v* - mean(v))               over the last part
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import torch
 from tensordict import TensorDictBase
@@ -18,42 +20,51 @@ from hts.envs.commands import WalksAsTold
 from hts.errors import ConfigError
 from hts.rl.task_env import SplitStepEnv
 
-SECONDS = 6.0  # many instances at once: their mean is quieter than one robot's sensor
+SECONDS = 10.0  # half of what a world takes: simulation measures speed without a sensor's noise
 SETTLING = 1.5  # s, the start from standing
-BEGIN = 4.0  # s, from when on the command is taken
+BEGIN = 5.0  # s, from when on the command is taken
 GAIN = 1.0  # k, 1/s
 
 Act = Callable[[TensorDictBase], TensorDictBase]
 
 
-def trim(env: EnvBase, act: Act, speeds: Sequence[float], hold: HoldSpeed, forward: Act) -> torch.Tensor:
-    """Commands [P, S], m/s; the env is left walking at them, wherever it is in its trials.
+@dataclass(frozen=True)
+class Trimmed:
+    """Where trimming left an env: commands [P, N], m/s, now told; what its last step returned, to go on from; and which
+    instances fell on the way [P, N], whose commands mean nothing."""
 
-    env: of batch size [P, N], instance n walks at speeds[n mod S]; act: the policies' actions; forward: the speed
+    commands: torch.Tensor
+    state: TensorDictBase
+    fallen: torch.Tensor
+
+
+def trim(env: EnvBase, act: Act, asked: torch.Tensor, hold: HoldSpeed, forward: Act) -> Trimmed:
+    """Find the command of each instance at which it walks the asked speed; the env is left walking.
+
+    env: of batch size [P, N]; act: the policies' actions; asked: speed of each instance, m/s, [N]; forward: the speed
     forward [P, N], m/s, in what a step returned. Raises ConfigError for an env that cannot be told other speeds.
     """
     walker = told(env)
     low, high = hold.commands
-    member = torch.arange(env.batch_size[1], device=env.device) % len(speeds)
-    asked = torch.tensor(speeds, device=env.device).expand(env.batch_size[0], -1)  # [P, S]
+    asked = asked.expand(env.batch_size)
     command = asked.clamp(low, high)
-    walker.walk_at(command[:, member])
+    walker.walk_at(command)
     state = env.reset()
     fallen = torch.zeros(env.batch_size, dtype=torch.bool, device=env.device)
     sums, counted = torch.zeros(2, *command.shape, device=env.device), 0
     for step in range(round(SECONDS / env.dt)):
         data, state = env.step_and_maybe_reset(act(state))
         fallen |= data["next", "terminated"].squeeze(-1)
-        walked = _means(forward(data["next"]), fallen, member, asked)
+        walked = forward(data["next"])
         if step * env.dt >= BEGIN:
             sums, counted = sums + torch.stack((command, walked)), counted + 1
         if step * env.dt >= SETTLING:
             command = (command + GAIN * env.dt * (asked - walked)).clamp(low, high)
-            walker.walk_at(command[:, member])
+            walker.walk_at(command)
     sent, walked = sums / counted
     command = (sent + asked - walked).clamp(low, high)
-    walker.walk_at(command[:, member])
-    return command
+    walker.walk_at(command)
+    return Trimmed(command, state, fallen)
 
 
 class _Together(WalksAsTold):
@@ -67,16 +78,6 @@ class _Together(WalksAsTold):
         for group, part in zip(self._groups, parts, strict=True):
             assert isinstance(group, WalksAsTold)
             group.walk_at(part)
-
-
-def _means(speed: torch.Tensor, fallen: torch.Tensor, member: torch.Tensor, asked: torch.Tensor) -> torch.Tensor:
-    """Mean speed [P, S] of the instances [P, N] at each speed that stand; the asked one where none does."""
-    columns = []
-    for index in range(asked.shape[1]):
-        stood = (member == index) & ~fallen
-        mean = (speed * stood).sum(1) / stood.sum(1).clamp_min(1)
-        columns.append(torch.where(stood.any(1), mean, asked[:, index]))
-    return torch.stack(columns, 1)
 
 
 def told(env: EnvBase) -> WalksAsTold:

@@ -32,7 +32,7 @@ class SimulatedTrial:
     own, both per second, after settling, over instances that did not fall;
     pieces: what was predicted of each target in the 1 s pieces of those instances, (S, n) as the model gives it, not
     yet in the target's unit; piece_speed: mean of what was achieved in each, as mean_speed (S,); commanded: what was
-    sent, the asked speed or set-point where none was held (NaN if not known).
+    sent, mean over those instances, the asked speed or set-point where none was held (NaN if not known).
     """
 
     speed: float
@@ -48,10 +48,10 @@ class SimulatedTrial:
 
 
 def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: int) -> EnvConfig:
-    """The training env with straight walks at `speeds` (or other set-points), no pushes, no time-out within the trial;
-    its noise and variants stay."""
+    """The training env with straight walks at `speeds` (or other set-points), no pushes or pulls, no time-out within
+    the trial; its noise and variants stay."""
     commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
-    calm = base.randomisation.model_copy(update={"push_speed": 0.0})
+    calm = base.randomisation.model_copy(update={"push_speed": 0.0, "pull": 0.0})
     changes = {
         "commands": commands,
         "randomisation": calm,
@@ -63,13 +63,8 @@ def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: 
 
 
 def trial_seconds(test: SimulationTestConfig) -> float:
-    """Simulated seconds of each env instance in `simulate`, trimming included."""
+    """Simulated seconds of each env instance in `simulate`, trimming included; none is reset on the way."""
     return test.seconds + (SECONDS if test.hold_speed else 0.0)
-
-
-def longest_walk(test: SimulationTestConfig) -> float:
-    """Seconds without a reset in `simulate`, for `test_config`."""
-    return max(test.seconds, SECONDS) if test.hold_speed else test.seconds
 
 
 test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
@@ -88,8 +83,8 @@ def simulate(
     """Trials of every policy (outer) at every speed (inner); env instance n walks at speeds[n mod len(speeds)].
 
     env: of batch size [P, N], made with `test_config`, writing the channels that the task is judged by;
-    tolerance: relative speed error of a valid segment, see `Task.done`; hold: trim each policy's command at each speed
-    first, in trials of their own. Raises ConfigError where a speed is to be held of a task that follows none.
+    tolerance: relative speed error of a valid segment, see `Task.done`; hold: trim each instance's command first, and
+    go on from there. Raises ConfigError where a speed is to be held of a task that follows none.
     """
     if seconds < SETTLE_SECONDS + 1.0:
         raise ConfigError(
@@ -100,11 +95,13 @@ def simulate(
         task.check_hold("simulation_test.hold_speed")
     act = PopulationActor(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
-    sent = torch.tensor(speeds, device=env.device).expand(shape[0], -1)  # [P, S]
-    if hold is not None:
-        sent = trim(env, act, speeds, hold, lambda after: _achieved(task, after, shape))
-    state = env.reset()
-    fallen = torch.zeros(shape, dtype=torch.bool, device=env.device)
+    commanded = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
+    if hold is None:
+        state, sent = env.reset(), commanded.expand(shape)
+        fallen = torch.zeros(shape, dtype=torch.bool, device=env.device)
+    else:
+        trimmed = trim(env, act, commanded, hold, lambda after: _achieved(task, after, shape))
+        state, sent, fallen = trimmed.state, trimmed.commands, trimmed.fallen
     segments: list[torch.Tensor] = []
     sums: dict[str, torch.Tensor] = {}
     predicted: dict[str, list[torch.Tensor]] = {}  # of each step
@@ -129,7 +126,6 @@ def simulate(
         if "measured" in after.keys():  # noqa: SIM118
             for name, value in after["measured"].items():
                 predicted.setdefault(name, []).append(value.squeeze(-1))
-    commanded = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
     pieces = torch.stack(segments)  # (S, P, N)
     good = torch.as_tensor(task.done(pieces, commanded, tolerance), device=env.device).float().mean(0)
     mean_speed = pieces.mean(0)
@@ -161,7 +157,7 @@ def simulate(
                         for name, values in whole.items()
                     },
                     piece_speed=pieces[:, candidate, stood].flatten().cpu().numpy(),
-                    commanded=float(sent[candidate, index]),
+                    commanded=float(sent[candidate][stood].mean()) if some else float("nan"),
                 )
             )
         results.append(row)

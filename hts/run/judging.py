@@ -13,7 +13,7 @@ import torch
 from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, SimulatedCandidate, Task
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
-from hts.evaluation.simulation import SimulatedTrial, longest_walk, test_config, trial_seconds
+from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
 from hts.measurement.baseline import fit_proxy
@@ -39,7 +39,7 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     policies = [job.policy(name) for name in names]
     worlds = test.num_envs * len(test.speeds)
     seed = job.seed("simulate")  # the same worlds in every iteration
-    env_config = test_config(config.finetune.env, test.speeds, longest_walk(test), seed)
+    env_config = test_config(config.finetune.env, test.speeds, trial_seconds(test), seed)
     task = job.robot.task()
     channels = tuple(dict.fromkeys((*inputs(job), *task.channels)))
     bare = job.robot.make_env(

@@ -158,7 +158,8 @@ def race(
 
 def _result(job: Job, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
     seed, task = job.seed("interval", elite), job.robot.task()
-    found = candidate_result(elite, job.objectives, recordings, _evaluation(job), seed, task)
+    steady = job.config.selection.min_valid
+    found = candidate_result(elite, job.objectives, recordings, _evaluation(job), seed, task, steady)
     if found.tested is None:
         return found
     return replace(found, tested=replace(found.tested, made=_made(job, elite)))

@@ -43,6 +43,11 @@ class Engine(ABC):
         qvel[:, :2] += velocity
         self.reset(mask, self.qpos, qvel)
 
+    def nudge(self, velocity: torch.Tensor) -> None:
+        """Add a little velocity (W, 2), m/s, to the trunk's horizontal velocity in every world that has not diverged.
+        An engine whose solver may stay warm then says so by a method of its own."""
+        self.push(~self.diverged, velocity)
+
     @abstractmethod
     def sensor(self, name: str) -> slice:
         """Where a sensor of the MJCF lies in `sensordata`."""

@@ -114,6 +114,11 @@ class MujocoEngine(Engine):
         self.qvel[rows, :2] += velocity[rows]
         self._state[rows.numpy(), 1:] = torch.cat((self.qpos[rows], self.qvel[rows]), -1).numpy()
 
+    def nudge(self, velocity: torch.Tensor) -> None:
+        self.qvel[:, :2] += velocity
+        first = 1 + self._nq  # after the clock and the positions
+        self._state[:, first : first + 2] = self.qvel[:, :2].numpy()
+
     def sensor(self, name: str) -> slice:
         return self._slices[name]
 

@@ -184,6 +184,9 @@ class WarpEngine(Engine, LaunchedSimulator):
             self._act.masked_fill_(rows, 0.0)
         self.diverged.masked_fill_(mask, False)
 
+    def nudge(self, velocity: torch.Tensor) -> None:
+        self.qvel[:, :2] += velocity
+
     def sensor(self, name: str) -> slice:
         return self._slices[name]
 

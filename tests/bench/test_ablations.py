@@ -32,6 +32,9 @@ SETTINGS = {
     "no-exploring": {"collection.exploring", "collection.repeats"},
     "no-held-speed": {"evaluation.hold_speed"},
     "last-moment": {"finetune.also_at"},
+    "no-average": {"finetune.average"},
+    "prices-anew": {"finetune.hold_from_anchor"},
+    "no-margin": {"selection.min_valid"},
     "no-second-trial": {"selection.confirm"},
     "one-speed": {"selection.speeds"},
     "racing": {  # another selector, which has no such settings

@@ -55,11 +55,24 @@ def test_pushes_come_as_often_and_as_hard_as_configured(make):
     env.reset()
     before = env.engine.qvel.clone()
     draws = torch.rand(1, 400, 3, generator=torch.Generator().manual_seed(0))
-    env._push(draws)
+    env.disturbances.act(draws)
     change = (env.engine.qvel - before)[:, :3]
     pushed = change.any(-1)
     assert torch.equal(pushed, draws[0, :, 0] < 0.1)
     assert change[pushed].abs().max() <= 0.5 and not change[:, 2].any()
+
+
+def test_a_pull_is_felt_in_the_physics_and_goes_on_from_a_saved_state(make):
+    pulled = RandomisationConfig(models=1, push_speed=0.0, pull=0.4, pull_seconds=0.1)
+    env, calm = make(1, 8, randomisation=pulled), make(1, 8, randomisation=pulled.model_copy(update={"pull": 0.0}))
+    actions = [still(env)] * 20
+    last = [roll(one, actions)[0][-1]["observation"] for one in (env, calm)]
+    assert not torch.equal(*last)
+    assert env.disturbances.pull.any() and env.disturbances.pull.abs().max() <= 0.4
+    saved, pull = env.full_state(), env.disturbances.pull.clone()
+    env.disturbances.pull = torch.zeros_like(pull)
+    env.load_full_state(saved)
+    assert torch.equal(env.disturbances.pull, pull)
 
 
 # ------------------------------------------------------------------------------------------- broken physics

@@ -224,6 +224,28 @@ def test_a_candidate_that_does_not_walk_is_a_result_and_not_an_error():
     assert result.refused.startswith("c1: Head-to-head at 0.8 m/s: 0 of 76")
 
 
+def half_of_the_time(role: str):
+    """Recordings of a head-to-head in which one of the two stands in one of its two blocks."""
+    recordings = known_head_to_head(8.0, 10.0)
+    block = next(r.block for r in recordings if r.role == role)
+    standing = known_recording([8.0] * 40, speed=0.0, block=block, role=role)
+    return [standing if r.block == block else r for r in recordings]
+
+
+def test_a_trial_may_ask_for_more_valid_segments_than_the_final():
+    recordings = half_of_the_time("policy")
+    assert candidate_result("c1", {"cost": OBJECTIVE}, recordings, QUICK, min_valid=0.5).refused is None
+    result = candidate_result("c1", {"cost": OBJECTIVE}, recordings, QUICK, min_valid=0.6)
+    assert result.tested is None and result.refusal["valid"] == 0.5
+    assert result.refused.startswith("c1: Head-to-head at 0.8 m/s: 38 of 76 segments of the policy are valid")
+    assert "60% of them (selection.min_valid)" in result.refused
+
+
+def test_a_trial_asks_no_more_of_the_reference():
+    recordings = half_of_the_time("reference")
+    assert candidate_result("c1", {"cost": OBJECTIVE}, recordings, QUICK, min_valid=0.9).refused is None
+
+
 def test_a_reference_that_does_not_walk_stops_everything():
     recordings = known_head_to_head(8.0, 10.0)
     recordings = [

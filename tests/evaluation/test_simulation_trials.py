@@ -87,12 +87,26 @@ class Obedient(Treadmill, WalksAsTold):
         return result
 
 
-def test_held_speed_is_found_for_each_policy_and_speed_over_their_worlds():
-    env = Obedient([[0.02, 0.02, -0.02, -0.02], [0.1, 0.1, 0.1, 0.1]], {(0, 0): 10})
-    env.walk_at(torch.zeros(2, 4))
-    population = Population(Sizes(3, 3, 1, (4,)), 2)
-    rows = simulate(env, population, (0.5, 1.0), 4.0, 0.1, hold=HoldSpeed((0.3, 1.1)))
-    # World 0 of the first policy fell while trimming, so that its command follows world 2 alone: 0.9 u - 0.04 = 0.5.
+def held(speeds, falls=None):
+    env = Obedient(speeds, falls)
+    env.walk_at(torch.zeros(env.batch_size))
+    population = Population(Sizes(3, 3, 1, (4,)), len(speeds))
+    return simulate(env, population, (0.5, 1.0), 4.0, 0.1, hold=HoldSpeed((0.3, 1.1)))
+
+
+def test_each_world_is_trimmed_by_its_own_speed():
+    row = held([[0.2, 0.0, -0.2, 0.0]])[0][0]  # at one command for both, 0.3 and 0.7 m/s would be no valid second
+    assert row.valid == 1.0 and row.mean_speed == pytest.approx(0.5, abs=0.005)
+    assert row.commanded == pytest.approx((0.32 + 0.72) / 2 / 0.9, abs=0.01)
+
+
+def test_a_world_that_stood_up_again_while_trimming_fell():
+    assert [trial.falls for trial in held([[0.0, 0.0, 0.0, 0.0]], {(0, 0): 10})[0]] == [1, 0]
+
+
+def test_held_speed_is_found_for_each_policy_and_speed():
+    rows = held([[0.02, 0.02, -0.02, -0.02], [0.1, 0.1, 0.1, 0.1]], {(0, 0): 10})
+    # World 0 of the first policy fell while trimming, so that world 2 alone says what was sent: 0.9 u - 0.04 = 0.5.
     assert [trial.commanded for trial in rows[0]] == pytest.approx([0.6, 1.1], abs=0.01)  # 1.133 is out of range
     assert [trial.commanded for trial in rows[1]] == pytest.approx([0.42 / 0.9, 0.92 / 0.9], abs=0.01)
     assert [trial.mean_speed for trial in rows[1]] == pytest.approx([0.5, 1.0], abs=0.005)
@@ -145,9 +159,9 @@ def test_a_trial_too_short_to_judge_is_refused():
 
 
 def test_a_trial_keeps_the_training_worlds_but_walks_straight_without_kicks_or_time_outs():
-    base = EnvConfig(episode_seconds=3.0)
+    base = EnvConfig(episode_seconds=3.0, randomisation=RandomisationConfig(pull=0.3))
     config = test_config(base, (0.5, 0.8), 6.0, seed=9)
-    assert config.commands.fixed == (0.5, 0.8) and config.randomisation.push_speed == 0.0
+    assert config.commands.fixed == (0.5, 0.8) and config.randomisation.push_speed == 0.0 == config.randomisation.pull
     assert config.episode_seconds > 6.0 and config.seed == 9
     assert config.randomisation.friction == base.randomisation.friction and config.observation_noise == 1.0
 

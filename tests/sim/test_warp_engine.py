@@ -83,6 +83,24 @@ def test_both_engines_agree_over_fifty_control_steps(robot, pool, assignment):
     double.close()
 
 
+def test_a_nudge_moves_both_engines_alike_and_goes_on_in_the_physics(robot, pool):
+    engines = [make_engine(name, pool, IN_TURN, robot.spec.substeps, device="cpu") for name in ("mujoco", "warp")]
+    steps, nudge = moves(robot, 10), torch.zeros(WORLDS, 2)
+    nudge[1] = torch.tensor([0.02, -0.01])
+    for engine in engines:
+        engine.reset(everywhere(), standing(robot, 1.0), torch.zeros(WORLDS, 18))  # in the air: nothing stops it
+        for ctrl in steps:
+            engine.step(ctrl)
+            engine.nudge(nudge)
+    moved = [engine.qpos[:, :2] for engine in engines]
+    torch.testing.assert_close(moved[0], moved[1], atol=1e-4, rtol=0)
+    others = torch.arange(WORLDS) != 1
+    assert moved[0][others].abs().max() < 0.004 < moved[0][1].abs().min()
+    torch.testing.assert_close(engines[0].qvel[:, :2], engines[1].qvel[:, :2], atol=1e-3, rtol=0)
+    for engine in engines:
+        engine.close()
+
+
 def test_each_world_has_the_numbers_of_its_variant(robot, pool, warp):
     restart(warp, robot)
     for ctrl in moves(robot, 5)[:, :, :1].expand(-1, -1, WORLDS, -1):
