@@ -99,7 +99,7 @@ def test_holding_the_speed_costs_its_trimming_and_a_second_final():
     # a warm-up of 1 s becomes 0.5 s and 12 s in which the reference trims; the policy trims 12 s; four blocks of 6 s
     assert cost["robot_minutes"] == pytest.approx((3 * 12 + 3 * (12.5 + 12 + 24) + 25) / 60)
     steps = cost_of("smoke", held, "simulation_test.hold_speed=true")["simulation_steps"]
-    assert steps - cost["simulation_steps"] == 7 * 4 * 6 * 50  # 6 s more of each instance
+    assert steps - cost["simulation_steps"] == 7 * 4 * 10 * 50  # 10 s more of each instance
 
 
 def test_selection_at_several_speeds_warms_up_once_for_all_of_them():
