@@ -111,9 +111,15 @@ class FinetuneConfig(Config):
         for share in shares:
             if not 0.0 < share < 1.0:
                 raise ValueError(f"{share:g} is no share of the training; give numbers between 0 and 1")
-        if len(set(shares)) < len(shares):
-            raise ValueError("a share is there twice")
+        percents = [percent(share) for share in shares]
+        if not all(0 < one < 100 for one in percents) or len(set(percents)) < len(percents):
+            raise ValueError("each share names its candidates by its percent, so give different ones from 0.01 to 0.99")
         return shares
+
+
+def percent(share: float) -> int:
+    """A share, 1, in whole percent."""
+    return round(100 * share)
 
 
 class PretrainConfig(Config):

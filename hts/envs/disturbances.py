@@ -16,6 +16,8 @@ class Disturbances:
 
     A push is a jump of the trunk's horizontal velocity, now and then. A pull is a horizontal acceleration of the trunk
     that stays for a while, as of a slope or of a cable: a floor that falls by 2 degrees pulls with 0.34 m/s².
+
+    shape: (P, N); dt: of a control step, s; engine: of P N worlds, in that order.
     """
 
     STATE = ("pull",)

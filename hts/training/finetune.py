@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Compose, Transform, TransformedEnv
 
-from hts.config import FinetuneConfig
+from hts.config import FinetuneConfig, percent
 from hts.contracts import Robot
 from hts.policies.files import Policy
 from hts.rl.kl_bound import mean_kl, project_to_kl_bound
@@ -21,7 +21,7 @@ from hts.rl.population import Population
 from hts.rl.task_env import TaskEnv
 from hts.training.averaged import Averaged
 from hts.training.checkpoint import load_checkpoint, load_notes, save_checkpoint
-from hts.training.halfway import Halfway
+from hts.training.halfway import Halfway, Moment
 from hts.training.held import Held, Holding, begun_at, found_prices
 from hts.training.sweep import Candidate
 from hts.training.trainer import BatchStats, PopulationTrainer
@@ -236,6 +236,7 @@ class Group:
         kl = self._project()
         check_env(self.bare)
         std, anchor_std = (each.log_std().exp().mean((1, 2)).tolist() for each in (self.population, self.anchor))
+        histories = [[_of_member(row, index) for row in self.history] for index in range(len(self.members))]
         ended = [
             Finetuned(
                 member,
@@ -244,26 +245,20 @@ class Group:
                 std[index],
                 anchor_std[index],
                 self.trainer.stopped.get(index),
-                history,
-                prices=found_prices(history, self.held),
+                histories[index],
+                prices={} if index in self.trainer.stopped else found_prices(histories[index], self.held),
             )
             for index, member in enumerate(self.members)
-            for history in [[_of_member(row, index) for row in self.history]]
         ]
-        return ended + [
-            Finetuned(
-                replace(self.members[moment.index], id=f"{self.members[moment.index].id}-{round(100 * moment.share)}"),
-                moment.tensors,
-                moment.kl,
-                moment.std,
-                anchor_std[moment.index],
-                None,
-                ended[moment.index].history[: round(moment.share * self.batches)],
-                moment.share,
-            )
-            for moment in self.halfway.moments
-            if moment.kl <= KL_SLACK * float(self.bounds[moment.index])
-        ]
+        inside = [one for one in self.halfway.moments if one.kl <= KL_SLACK * float(self.bounds[one.index])]
+        return ended + [self._on_the_way(one, histories[one.index], anchor_std[one.index]) for one in inside]
+
+    def _on_the_way(self, moment: Moment, history: list[dict[str, float]], anchor_std: float) -> Finetuned:
+        """A candidate as it was then; history: of its whole training."""
+        member, known = self.members[moment.index], history[: round(moment.share * self.batches)]
+        named = replace(member, id=f"{member.id}-{percent(moment.share)}")
+        prices = found_prices(known, self.held)
+        return Finetuned(named, moment.tensors, moment.kl, moment.std, anchor_std, None, known, moment.share, prices)
 
     def _project(self) -> list[float]:
         """Measure the KL on fresh batches of the finished candidates' own states;

@@ -44,8 +44,11 @@ LAST = 0.25  # share of a training over which a price is averaged: the swings of
 
 def found_prices(history: Sequence[Mapping[str, float]], held: Holding) -> dict[str, float]:
     """At what price each of the held means was in balance at the end of a candidate's training, per strength of the
-    rewards that pull at it (so that it serves another λ too): the mean over the last quarter of its batches."""
+    rewards that pull at it (so that it serves another λ too): the mean over the last quarter of its batches. None of
+    a training whose history does not tell that strength, as one that an earlier version began."""
     last = history[-max(1, round(LAST * len(history))) :]
+    if not all(STRENGTH in row for row in last):
+        return {}
     return {
         name: sum(row[f"held/{name}_multiplier"] / row[STRENGTH] for row in last) / len(last) for name in held.names
     }

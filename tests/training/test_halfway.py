@@ -57,7 +57,7 @@ def test_they_go_on_over_a_stop():
     ]
 
 
-@pytest.mark.parametrize("shares", [(0.0,), (1.0,), (0.5, 0.5)])
+@pytest.mark.parametrize("shares", [(0.0,), (1.0,), (0.5, 0.5), (0.501, 0.504), (0.997,)])
 def test_a_share_lies_between_nothing_and_all(shares):
     with pytest.raises(ValueError, match="share"):
         FinetuneConfig(also_at=shares)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -78,21 +79,40 @@ def robot():
     return Go1(Go1Settings())
 
 
-def test_finetuning_holds_a_velocity_robots_speed_and_goes_on_from_a_checkpoint(robot, monkeypatch, tmp_path):
+def tuned(robot, anchor=None, checkpoint=None, **changes):
+    """Three batches of one candidate: as it ended, and as it was after the first."""
     config = FinetuneConfig(
         num_envs=4,
         steps=4 * 30 * 3,
         hold=True,
+        also_at=(0.34,),
+        average=0.6,
         ppo=PPOConfig(horizon=30, epochs=1, minibatches=1),
         env=EnvConfig(randomisation=RandomisationConfig(models=1), threads=1),
-    )
-    anchors = {"pretrained": load_policy(robot.pretrained_policy(), robot.spec)}
+    ).model_copy(update=changes)
+    anchors = {"pretrained": anchor or load_policy(robot.pretrained_policy(), robot.spec)}
     group = [Candidate("00-00", "pretrained", {}, 1.0)]
+    return module.finetune(robot, "mujoco", config, group, anchors, list, (), seed=3, checkpoint=checkpoint)[0]
 
+
+def test_prices_go_on_from_the_anchors_also_where_that_was_kept_on_the_way(robot):
+    end, early = tuned(robot)
+    assert (early.candidate.id, early.share) == ("00-00-34", 0.34)
+    last = end.history[-1]
+    assert end.prices["speed_error"] == pytest.approx(last["held/speed_error_multiplier"] / last["held/strength"])
+    first = early.history[-1]
+    assert len(early.history) == 1 and early.prices["speed_error"] == first["held/speed_error_multiplier"]
+    policy = load_policy(robot.pretrained_policy(), robot.spec)
+    anchor = replace(policy, card=replace(policy.card, made={"prices": {"speed_error": 3.0}}))
+    begun = [tuned(robot, anchor, hold_from_anchor=so)[0].history[0] for so in (True, False)]
+    assert [row["held/speed_error_multiplier"] for row in begun] == [3.0, 0.0]  # the first second has no error
+
+
+def test_finetuning_holds_a_velocity_robots_speed_and_goes_on_from_a_checkpoint(robot, monkeypatch, tmp_path):
     def tune(checkpoint=None):
-        return module.finetune(robot, "mujoco", config, group, anchors, list, (), seed=3, checkpoint=checkpoint)[0][0]
+        return tuned(robot, checkpoint=checkpoint)
 
-    whole = tune()
+    whole, early = tune()
     errors = [row["held/speed_error"] for row in whole.history]
     assert errors[0] == 0.0 and all(error != 0.0 for error in errors[1:])  # the first second does not count
     assert whole.history[-1]["held/speed_error_multiplier"] * errors[-1] < 0
@@ -107,7 +127,11 @@ def test_finetuning_holds_a_velocity_robots_speed_and_goes_on_from_a_checkpoint(
         with pytest.raises(KeyboardInterrupt):
             tune(tmp_path / "checkpoint")
     monkeypatch.undo()
-    assert tune(tmp_path / "checkpoint").history == whole.history
+    again, early_again = tune(tmp_path / "checkpoint")
+    assert (again.history, again.prices) == (whole.history, whole.prices)
+    assert again.kl == whole.kl and early_again.kl == early.kl
+    for one, other in ((again, whole), (early_again, early)):
+        assert all(torch.equal(one.tensors[name], tensor) for name, tensor in other.tensors.items())
 
 
 def test_the_trend_tells_a_policy_that_walks_at_one_speed_whatever_it_is_told():

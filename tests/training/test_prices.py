@@ -21,6 +21,10 @@ def test_a_price_is_the_mean_of_the_last_quarter_per_strength():
     assert found_prices(history, HELD) == {"error": pytest.approx(3.0), "missed": pytest.approx(-0.5)}
 
 
+def test_a_history_of_before_strengths_were_kept_has_no_prices():
+    assert found_prices([row(1.0, 0.0, 1.0), {"held/error_multiplier": 1.0, "held/missed_multiplier": 0.0}], HELD) == {}
+
+
 def test_nothing_held_has_no_price():
     assert found_prices([{}], Holding({}, {})) == {}
 
