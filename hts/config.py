@@ -14,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 from hts.config_base import Config, Named
 from hts.config_env import CommandConfig, EnvConfig, RandomisationConfig
 from hts.config_gate import GateConfig
+from hts.config_judging import EvaluationConfig, SelectionConfig, SimulationTestConfig
 from hts.schedules import NOTHING, Command, ScheduleConfig
 
 __all__ = [
@@ -102,6 +103,11 @@ class FinetuneConfig(Config):
         True,
         description="with `hold`: prices begin where the training of the anchor found them, not at nothing",
     )
+    measured_pull: bool = Field(
+        False,
+        description="pull at the trunk in training as strongly as the trials so far say that the world does, where "
+        "that is more than env.randomisation.pull; from the second iteration on",
+    )
     ppo: PPOConfig = Field(default_factory=PPOConfig, description="how it learns")
     env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")
 
@@ -184,22 +190,6 @@ class SweepConfig(Config):
         return self
 
 
-class SimulationTestConfig(Config):
-    """How candidates are judged in simulation: mean action, no exploration noise, no pushes."""
-
-    num_envs: int = Field(32, ge=1, description="worlds per candidate and speed")
-    seconds: float = Field(8.0, ge=3.0, description="length of each trial, s; its first 2 s are not judged")
-    speeds: tuple[float, ...] = Field(
-        (0.8,), min_length=1, description="m/s; set-points of a robot with another task, which brings its own"
-    )
-    speed_tolerance: float = Field(
-        0.1, gt=0, description="largest relative error of the mean speed; another task has its own use for it"
-    )
-    hold_speed: bool = Field(
-        False, description="trim each candidate's command at each speed first, then judge it at the asked mean speed"
-    )
-
-
 class CollectionConfig(Config):
     """Real data from the pretrained policy, before the first fit.
 
@@ -225,99 +215,6 @@ class MeasurementConfig(Config):
     )
     seed: int = Field(0, ge=0, description="of initial weights and batch order")
     max_seconds: float = Field(600.0, gt=0, description="stop after the epoch in which so much time has passed, s")
-
-
-class SelectionConfig(Config):
-    """Elites and the best."""
-
-    selector: Named = Field(
-        default_factory=lambda: Named(name="hierarchical"), description="who is tested and who goes on"
-    )
-    elites: int = Field(6, ge=1, description="K: candidates tried in reality per iteration")
-    speed: float = Field(
-        0.8, description="speed of the head-to-head during iterations, m/s; set-point of a robot with another task"
-    )
-    speeds: tuple[float, ...] = Field(
-        (),
-        description="several speeds of it, m/s, or set-points: a candidate counts by its mean over them; empty: "
-        "`speed` alone",
-    )
-    held_tolerance: float = Field(
-        0.1,
-        gt=0,
-        lt=1,
-        description="refuse an elite at held speeds further apart than this share; blocks are short here, a slower one "
-        "counts by the way it goes, and the final is stricter (evaluation.held_tolerance)",
-    )
-    block_seconds: float | None = Field(
-        None, gt=0, description="length of each of its blocks, s; null: that of the world"
-    )
-    min_valid: float | None = Field(
-        None,
-        ge=0,
-        le=1,
-        description="refuse an elite below this share of valid segments, where that is more than the final asks of "
-        "both policies (evaluation.min_valid): a short trial flatters",
-    )
-    confirm: int = Field(
-        0,
-        ge=0,
-        description="so many of the best of all iterations are tried once more before the final, at the speeds in "
-        "reverse order, and the best over both trials goes to it; 0, or a single speed: the best of one trial does",
-    )
-
-    @property
-    def tested_speeds(self) -> tuple[float, ...]:
-        """Speeds at which elites are tried, m/s, or set-points of another task."""
-        return self.speeds or (self.speed,)
-
-    @field_validator("speeds")
-    @classmethod
-    def _each_once(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
-        for speed in speeds:
-            if not math.isfinite(speed):
-                raise ValueError(f"{speed} is not a finite number")
-        if len(set(speeds)) < len(speeds):
-            raise ValueError("a speed is there twice")
-        return speeds
-
-
-class EvaluationConfig(Config):
-    """The final head-to-head, and how segments become numbers."""
-
-    speeds: tuple[float, ...] = Field(
-        (0.5, 0.8, 1.1), min_length=1, description="m/s; set-points of a robot with another task, which brings its own"
-    )
-    speed_tolerance: float = Field(
-        0.1, gt=0, description="a 1 s segment counts within this relative speed error; another task has its own use"
-    )
-    min_valid: float = Field(0.5, ge=0, le=1, description="refuse to report below this share of valid segments")
-    min_segments: int = Field(10, ge=1, description="refuse to report with fewer valid segments of either policy")
-    bootstrap: int = Field(2000, ge=100, description="resamples of the interval")
-    sessions: int = Field(
-        1,
-        ge=1,
-        description="how often the final is made anew, motors warmed up and speed trimmed again; from two on the "
-        "interval is over sessions",
-    )
-    each_iteration: bool = Field(
-        False,
-        description="for benchmarks: the best so far is also measured like the final after each iteration; nothing "
-        "learns from it, and its real samples are not counted",
-    )
-    hold_speed: bool = Field(
-        False,
-        description="trim the command of policy and reference by the measured speed before their blocks and freeze it",
-    )
-    trim_seconds: float = Field(12.0, ge=4, description="of each policy at each held speed, settling included, s")
-    held_tolerance: float = Field(
-        0.01, gt=0, lt=1, description="refuse held speeds whose means differ by more than this share"
-    )
-    trims_again: int = Field(
-        2,
-        ge=0,
-        description="how often the final repeats a speed whose means ended apart, trimmed twice as long each time",
-    )
 
 
 class ProvenanceConfig(Config):

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, NonNegativeFloat
 
 from hts.config_base import Config
+
+Pulls = NonNegativeFloat | tuple[NonNegativeFloat, ...]
+
+
+def _several(value: Any) -> Any:
+    """One number as a list of it."""
+    return (value,) if isinstance(value, int | float) else value
 
 
 class RandomisationConfig(Config):
@@ -19,7 +28,12 @@ class RandomisationConfig(Config):
     joint_offset: tuple[float, float] = Field((-0.02, 0.02), description="encoder zero error, rad")
     push_speed: float = Field(0.5, ge=0, description="horizontal push, a jump of the velocity up to this, m/s; 0: none")
     push_interval: float = Field(8.0, gt=0, description="mean time between pushes, s")
-    pull: float = Field(0.0, ge=0, description="horizontal pull as of a slope, up to this on each axis, m/s²; 0: none")
+    pull: Annotated[tuple[NonNegativeFloat, ...], BeforeValidator(_several, json_schema_input_type=Pulls)] = Field(
+        (0.0,),
+        min_length=1,
+        description="horizontal pull as of a slope, up to this on each axis, m/s²; 0: none; several: instance n gets "
+        "pull[n mod len]",
+    )
     pull_seconds: float = Field(3.0, gt=0, description="mean time until it is another, s")
     delay_steps: tuple[int, int] = Field((0, 3), description="actuation delay in physics steps, inclusive range")
     models: int = Field(32, ge=1, description="size of the pool of randomised models on the CPU engine")

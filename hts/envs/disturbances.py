@@ -25,6 +25,9 @@ class Disturbances:
     def __init__(self, config: RandomisationConfig, shape: tuple[int, int], dt: float, engine: Engine) -> None:
         self.config, self.dt, self.engine = config, dt, engine
         self.pull = torch.zeros(*shape, 2, device=engine.device)  # m/s², in the world frame
+        self._pulled = any(one > 0 for one in config.pull)
+        turns = torch.tensor(config.pull, device=engine.device)
+        self._most = turns[torch.arange(shape[1], device=engine.device) % len(turns)][:, None]  # (N, 1)
 
     def act(self, draws: torch.Tensor) -> None:
         """One control step passes. draws: [P, N, `DRAWS`], uniform in [0, 1). Low ones push, high ones pull anew."""
@@ -37,7 +40,7 @@ class Disturbances:
             mask = pushed & ~self.engine.diverged  # a reset would hide that
             if any_or_tracing(mask):
                 self.engine.push(mask, direction.reshape(-1, 2) * c.push_speed)
-        if c.pull > 0:
+        if self._pulled:
             anew = draws[..., :1] >= 1.0 - self.dt / c.pull_seconds
-            self.pull = torch.where(anew, direction * c.pull, self.pull)
+            self.pull = torch.where(anew, direction * self._most, self.pull)
             self.engine.nudge((self.pull * self.dt).reshape(-1, 2))

@@ -51,7 +51,7 @@ def test_config(base: EnvConfig, speeds: Sequence[float], seconds: float, seed: 
     """The training env with straight walks at `speeds` (or other set-points), no pushes or pulls, no time-out within
     the trial; its noise and variants stay."""
     commands = base.commands.model_copy(update={"fixed": tuple(speeds)})
-    calm = base.randomisation.model_copy(update={"push_speed": 0.0, "pull": 0.0})
+    calm = base.randomisation.model_copy(update={"push_speed": 0.0, "pull": (0.0,)})
     changes = {
         "commands": commands,
         "randomisation": calm,

@@ -19,6 +19,7 @@ from hts.measurement import files
 from hts.measurement.baseline import fit_proxy
 from hts.recordings.recording import Recording
 from hts.rl.population import Population
+from hts.run.felt_pull import pulled
 from hts.run.front import PRETRAINED
 from hts.run.job import Job
 from hts.run.learning import Report, inputs, model_path, transforms
@@ -40,6 +41,9 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     worlds = test.num_envs * len(test.speeds)
     seed = job.seed("simulate")  # the same worlds in every iteration
     env_config = test_config(config.finetune.env, test.speeds, trial_seconds(test), seed)
+    pull = tuned.get("pull")
+    if pull is not None and test.measured_pull:
+        env_config = pulled(env_config, tuple(pull["pull"]))
     task = job.robot.task()
     channels = tuple(dict.fromkeys((*inputs(job), *task.channels)))
     bare = job.robot.make_env(
@@ -55,9 +59,10 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     env.close()
     promised = _promised(job, iteration, results)
     task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
+    share = needed(test.min_valid, [results[row["id"]] for row in rows])
     judged = [
         replace(
-            _judge(row, results[row["id"]], test.speed_tolerance, task),
+            _judge(row, results[row["id"]], test.speed_tolerance, task, share),
             made=fine_tuning(row, task_rewards),
             predicted=mean_gain(promised.get(row["id"], {})),
         )
@@ -186,12 +191,27 @@ def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]
     )
 
 
+def needed(share: float, results: Sequence[Sequence[SimulatedTrial]]) -> float:
+    """Share of its seconds that a candidate must do its task at its worst set-point: `share`, or what the steadiest
+    candidate reaches, so that somebody does. results: trials of each candidate."""
+    return min([share, max((_least_valid(row) for row in results), default=0.0)])
+
+
+def _least_valid(results: Sequence[SimulatedTrial]) -> float:
+    return min(trial.valid for trial in results)
+
+
 def _judge(
-    row: Mapping[str, Any], results: Sequence[SimulatedTrial], tolerance: float, task: Task = VELOCITY
+    row: Mapping[str, Any],
+    results: Sequence[SimulatedTrial],
+    tolerance: float,
+    task: Task = VELOCITY,
+    share: float = 0.0,
 ) -> SimulatedCandidate:
-    """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations)."""
+    """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations).
+    share: of its seconds at each set-point that must be good, beside what the task itself asks for."""
     falls = sum(trial.falls for trial in results)
-    tracked = does_it(task, results, tolerance)
+    tracked = does_it(task, results, tolerance) and _least_valid(results) >= share
     scores = _scores(results)
     if row["stopped"] is not None:
         scores, tracked = dict.fromkeys(scores, float("-inf")), False

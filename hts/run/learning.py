@@ -10,12 +10,14 @@ from typing import Any
 from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
+from hts.config import FinetuneConfig
 from hts.measurement import files
 from hts.measurement.fit_command import fit_and_check
 from hts.measurement.fit_report import doubts
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
+from hts.run.felt_pull import felt_pull
 from hts.run.front import real_front
 from hts.run.job import Job
 from hts.run.task_watch import reward_scale, scale_lines
@@ -128,10 +130,11 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
                 writer.add_scalar(f"{name}/{member.id}", value, stats.steps // len(members))
 
     key = f"{iteration}/{'/'.join(anchor.card.policy_hash for anchor in anchors.values())}/{config.seed}"
+    pull = felt_pull(job, iteration)
     tuned, steps = finetune_candidates(
         job.robot,
         config.engine,
-        config.finetune,
+        _trained_in(config.finetune, pull),
         group,
         anchors,
         lambda: transforms(job, iteration),
@@ -180,7 +183,18 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     for line in () if held else scale_lines(scale, rows):
         job.stages.progress.say(line)
     rows += job.untrained(iteration)
-    return {"candidates": rows, "steps": steps, "reward_scale": scale, "held": held}
+    found = {} if pull is None else {"pull": pull}
+    return {"candidates": rows, "steps": steps, "reward_scale": scale, "held": held, **found}
+
+
+def _trained_in(config: FinetuneConfig, pull: Mapping[str, Any] | None) -> FinetuneConfig:
+    """Training with the pulls that were measured, dealt out to the instances in turn, where that is asked for; none is
+    less than what is configured."""
+    if pull is None or not config.measured_pull:
+        return config
+    least = max(config.env.randomisation.pull)
+    changed = config.env.randomisation.model_copy(update={"pull": tuple(max(least, one) for one in pull["pull"])})
+    return config.model_copy(update={"env": config.env.model_copy(update={"randomisation": changed})})
 
 
 def _remove_checkpoints(checkpoint: Path) -> None:

@@ -61,3 +61,16 @@ def test_nothing_happens_where_nothing_is_asked_for(config):
     disturbances, trunk = disturbed(**config)
     disturbances.act(draws((0.999, 1.0, 1.0), (0.0, 1.0, 1.0)))
     assert not trunk.pushed and not trunk.velocity.any() and not disturbances.pull.any()
+
+
+def test_several_pulls_are_dealt_out_to_the_instances_in_turn():
+    disturbances, trunk = disturbed(push_speed=0.0, pull=(0.4, 0.0), pull_seconds=2.0)
+    disturbances.act(draws((0.995, 1.0, 0.0), (0.995, 1.0, 0.0)))
+    assert disturbances.pull[0].tolist() == [[pytest.approx(0.4), pytest.approx(-0.4)], [0.0, 0.0]]
+    assert trunk.velocity[1].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("pull", [-0.1, (0.2, -0.1), ()])
+def test_a_pull_is_no_negative_number_and_a_list_of_them_not_empty(pull):
+    with pytest.raises(ValueError, match="pull"):
+        RandomisationConfig(pull=pull)

@@ -64,7 +64,7 @@ def test_pushes_come_as_often_and_as_hard_as_configured(make):
 
 def test_a_pull_is_felt_in_the_physics_and_goes_on_from_a_saved_state(make):
     pulled = RandomisationConfig(models=1, push_speed=0.0, pull=0.4, pull_seconds=0.1)
-    env, calm = make(1, 8, randomisation=pulled), make(1, 8, randomisation=pulled.model_copy(update={"pull": 0.0}))
+    env, calm = make(1, 8, randomisation=pulled), make(1, 8, randomisation=pulled.model_copy(update={"pull": (0.0,)}))
     actions = [still(env)] * 20
     last = [roll(one, actions)[0][-1]["observation"] for one in (env, calm)]
     assert not torch.equal(*last)
