@@ -68,6 +68,9 @@ METHODS: dict[str, Method] = {
             "selection.speeds=[0.8]",
             "selection.min_valid=null",
             "simulation_test.hold_speed=false",
+            "simulation_test.measured_pull=false",
+            "simulation_test.min_valid=0",
+            "finetune.measured_pull=false",
         ),
         own_elsewhere={
             "power": (
@@ -116,6 +119,10 @@ METHODS: dict[str, Method] = {
     "no-average": Method(settings=("finetune.average=0",), about="parameters as they ended, not averaged"),
     "prices-anew": Method(settings=("finetune.hold_from_anchor=false",), about="prices begin at nothing each time"),
     "no-margin": Method(settings=("selection.min_valid=null",), about="trials ask for no more than the final"),
+    "no-pull": Method(
+        settings=("simulation_test.measured_pull=false", "finetune.measured_pull=false"),
+        about="judged and trained without the pull that trials show",
+    ),
     "no-second-trial": Method(settings=("selection.confirm=0",), about="the best of one trial goes to the final"),
     "one-speed": Method(settings=("selection.speeds=[0.8]",), about="elites tried at 0.8 m/s alone"),
     "racing": Method(settings=("selection.selector.name=racing",), about="elites in rounds"),

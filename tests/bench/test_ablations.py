@@ -35,6 +35,7 @@ SETTINGS = {
     "no-average": {"finetune.average"},
     "prices-anew": {"finetune.hold_from_anchor"},
     "no-margin": {"selection.min_valid"},
+    "no-pull": {"simulation_test.measured_pull", "finetune.measured_pull"},
     "no-second-trial": {"selection.confirm"},
     "one-speed": {"selection.speeds"},
     "racing": {  # another selector, which has no such settings
