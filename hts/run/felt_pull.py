@@ -14,7 +14,7 @@ pretrained policy does; under that pull one sees by how much.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hts.config import EnvConfig
@@ -29,6 +29,7 @@ from hts.run.job import Job
 PROBE = 0.2  # m/s²: well above what wanders without any pull, and the answer is still in proportion
 SECONDS = 10.0  # s, until it is another: trials differ more from block to block than within one
 MOST = 0.6  # m/s², a slope of 3.5 degrees: what is more than that is no steady pull, and training would only suffer
+GRAVITY = 9.81  # m/s²
 LEAST_ANSWER = 1e-6  # of A: an env below it knows no pulls
 
 
@@ -66,6 +67,13 @@ def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
         "measured": {f"{speed:g}": measured[speed] for speed in known},
         "simulated": {f"{speed:g}": simulated[speed] for speed in known},
     }
+
+
+def pull_line(found: Mapping[str, Any], speeds: Sequence[float]) -> str:
+    """What was found, for the person who waits. speeds: `simulation_test.speeds`."""
+    each = ", ".join(f"{pull:.2f} at {speed:g} m/s" for pull, speed in zip(found["pull"], speeds, strict=True))
+    steepest = math.degrees(math.atan(max(found["pull"]) / GRAVITY))
+    return f"the world pulls at the machine, by its trials, in m/s²: {each} (a slope of {steepest:.1f}° at most)"
 
 
 def _answer(job: Job) -> Mapping[float, float]:

@@ -17,7 +17,7 @@ from hts.measurement.fit_report import doubts
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
-from hts.run.felt_pull import felt_pull
+from hts.run.felt_pull import felt_pull, pull_line
 from hts.run.front import real_front
 from hts.run.job import Job
 from hts.run.task_watch import reward_scale, scale_lines
@@ -131,6 +131,8 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
 
     key = f"{iteration}/{'/'.join(anchor.card.policy_hash for anchor in anchors.values())}/{config.seed}"
     pull = felt_pull(job, iteration)
+    if pull is not None:
+        job.stages.progress.say(f"iteration {iteration:02d}: {pull_line(pull, config.simulation_test.speeds)}")
     tuned, steps = finetune_candidates(
         job.robot,
         config.engine,

@@ -11,7 +11,7 @@ from hts.config import EnvConfig, FinetuneConfig, RandomisationConfig, Simulatio
 from hts.contracts import VELOCITY, SimulatedCandidate
 from hts.evaluation.simulation import SimulatedTrial
 from hts.run import felt_pull as module
-from hts.run.felt_pull import MOST, PROBE, felt_pull, pulled
+from hts.run.felt_pull import MOST, PROBE, felt_pull, pull_line, pulled
 from hts.run.judging import _judge, needed
 from hts.run.learning import _trained_in
 from hts.testing.packages import kit_installed
@@ -53,6 +53,11 @@ def test_the_pull_grows_as_the_speed_wanders_and_the_reference_alone_says_it(wan
 def test_each_speed_is_pulled_half_by_its_own_and_half_by_all(wandered):
     wandered({0.5: 9e-4, 0.8: 1e-4}, {0.5: 1e-4, 0.8: 1e-4})  # ratios 9 and 1, together 5
     assert felt_pull(job(), 1)["pull"] == pytest.approx([PROBE * 7**0.5, PROBE * 3**0.5])
+
+
+def test_what_was_found_is_said_in_one_line():
+    said = pull_line({"pull": [0.34, 0.0]}, (0.5, 0.8))
+    assert said.endswith("in m/s²: 0.34 at 0.5 m/s, 0.00 at 0.8 m/s (a slope of 2.0° at most)")
 
 
 def test_less_than_nothing_is_no_pull_and_there_is_a_most(wandered):
