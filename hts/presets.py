@@ -67,6 +67,7 @@ QUICK: dict[str, Any] = {
     **OURS,
     "world": {"name": "twin", "block_seconds": 80.0},
     "iterations": 2,
+    "sweep": {**OURS["sweep"], "kl_bounds": [4.0, 16.0]},
     # Two bounds, so two elites: the best that each has found.
     "selection": {
         **OURS["selection"],

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 COMMON = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # penalty on common weights, per sample
+STRONGER = (1e-1, 1.0, 10.0)  # besides, where it draws to weights that are expected and not to none
 OWN = (10.0, 100.0, 1000.0, 1e5)  # times that: on deviations of single joints
 DIRECTIONS = 16  # of the posterior covariance that are kept, the widest ones
 IDLE_SHARE = 0.02  # the idle level counts as so many samples, of all
@@ -26,21 +27,20 @@ class Drives:
     """Weights of the drives' terms by hierarchical least squares.
 
     Coefficients are common ones of each kind of joint (u), deviations of each joint (v), and the level b:
-    w = A u + v. Everything follows from sums of squares and products of each recording.
+    w = s p + A u + v. Everything follows from sums of squares and products of each recording.
+
+    kind: of each joint, (J,); rest: the level that idle says, in units of the target, or None; expected: p,
+    (TERMS · J,), weights that are expected up to one factor s, which is free; None: weights are drawn to nothing.
     """
 
-    def __init__(self, kind: np.ndarray, rest: float | None) -> None:
+    def __init__(self, kind: np.ndarray, rest: float | None, expected: np.ndarray | None = None) -> None:
         joints, number = len(kind), int(kind.max()) + 1
-        self._rest = rest
-        spread = np.zeros((TERMS * joints, TERMS * number))
+        self._rest, self._expected = rest, expected
+        size = TERMS * joints
+        self._spread = np.zeros((size, TERMS * number))  # A
         for term in range(TERMS):
             for joint in range(joints):
-                spread[term * joints + joint, term * number + kind[joint]] = 1.0
-        size = TERMS * joints
-        self._map = np.zeros((size + 1, spread.shape[1] + size + 1))  # from (u, v, b) to (w, b)
-        self._map[:size, : spread.shape[1]], self._map[:size, spread.shape[1] : -1] = spread, np.eye(size)
-        self._map[-1, -1] = 1.0
-        self._common = spread.shape[1]
+                self._spread[term * joints + joint, term * number + kind[joint]] = 1.0
         self.weight, self.bias, self.error = np.zeros(size), 0.0, math.inf
         self.penalties = (COMMON[0], OWN[0])
 
@@ -65,7 +65,8 @@ class Drives:
         """The penalties: the largest within one standard error of the best on left-out folds."""
         parts = [Sums.total([one for one, own in zip(sums, folds, strict=True) if own == fold]) for fold in set(folds)]
         table: dict[tuple[float, float], np.ndarray] = {}
-        for penalties in itertools.product(COMMON, OWN):
+        common = COMMON if self._expected is None else (*COMMON, *STRONGER)
+        for penalties in itertools.product(common, OWN):
             rests = [(part, whole.minus(part)) for part in parts] if len(parts) > 1 else [(whole, whole)]
             table[penalties] = np.array([part.error(self._solved(rest, *penalties)) for part, rest in rests])
         best = min(table, key=lambda one: table[one].mean())
@@ -94,7 +95,7 @@ class Drives:
             float(np.mean([len(piece) * piece.mean() ** 2 for piece in residuals])),
             float(np.mean(np.concatenate(residuals) ** 2)),
         )
-        covariance = self._map @ np.linalg.solve(self._normal(whole, *self.penalties), self._map.T) * noise
+        covariance = np.linalg.inv(self._normal(whole, *self.penalties)) * noise
         values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
         kept = np.argsort(values)[::-1][:DIRECTIONS]
         root = np.zeros((len(values), DIRECTIONS))  # of a robot with fewer, the rest stays 0
@@ -104,21 +105,14 @@ class Drives:
     def _solved(self, sums: Sums, common: float, own: float) -> np.ndarray:
         """(w, b) with w >= 0: no drive gives back what it lost.
 
-        Common weights and level follow from w, so that non-negative least squares in w alone is left: what remains of
-        the normal equations of (w, b) when u and b are eliminated (their Schur complement).
+        The level follows from w, so that non-negative least squares in w alone is left: what remains of the normal
+        equations of (w, b) when b is eliminated (their Schur complement).
         """
-        size, n = len(self.weight), sums.count
-        gram, right = sums.xx[:size, :size].copy(), sums.xy[:size].copy()
-        spread = self._map[:size, : self._common]
-        shared = own * spread.sum(0)  # of the ridge of w around A u, when u is the best one for w
-        pulled = spread * (own / (1.0 + shared)) @ spread.T
-        gram -= common * own * n * pulled
-        gram[np.diag_indices(size)] += common * own * n
+        matrix, right = self._normal(sums, common, own), sums.xy[:-1].copy()
         weight_of_level, level = self._level(sums)
-        cross = sums.xx[:size, -1]
-        gram -= np.outer(cross, cross) / weight_of_level
+        cross = sums.xx[:-1, -1]
         right -= cross * level / weight_of_level
-        weight = _non_negative(gram, right)
+        weight = _non_negative(matrix[:-1, :-1] - np.outer(cross, cross) / weight_of_level, right)
         return np.append(weight, (level - cross @ weight) / weight_of_level)
 
     def _level(self, sums: Sums) -> tuple[float, float]:
@@ -128,13 +122,22 @@ class Drives:
         return sums.count * (1.0 + IDLE_SHARE), float(sums.xy[-1]) + IDLE_SHARE * sums.count * self._rest
 
     def _normal(self, sums: Sums, common: float, own: float) -> np.ndarray:
-        """Matrix of the normal equations of (u, v, b), without the constraint."""
-        matrix = self._map.T @ sums.xx @ self._map
-        penalty = np.full(len(matrix), common * own * sums.count)
-        penalty[: self._common] = common * sums.count
-        penalty[-1] = self._level(sums)[0] - sums.count
-        matrix[np.diag_indices_from(matrix)] += penalty
+        """Matrix of the normal equations of (w, b), without the constraint."""
+        matrix = sums.xx.copy()
+        matrix[:-1, :-1] += sums.count * self._penalty(common, own)
+        matrix[-1, -1] = self._level(sums)[0]
         return matrix
+
+    def _penalty(self, common: float, own: float) -> np.ndarray:
+        """P of wᵀ P w = min over u and s of common |u|² + common own |w - s p - A u|²: what is left of a ridge when the
+        best u and s for w are put in."""
+        shared = own * self._spread.sum(0)
+        penalty = -common * own * (self._spread * (own / (1.0 + shared))) @ self._spread.T
+        penalty[np.diag_indices_from(penalty)] += common * own
+        if self._expected is not None:
+            pulled = penalty @ self._expected
+            penalty -= np.outer(pulled, pulled) / (self._expected @ pulled)
+        return penalty
 
 
 def _non_negative(gram: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -10,11 +10,13 @@ of opposite signs, and a policy that takes them apart is promised energy from no
 is late. At rest (phi = 0) the target is at its idle level, which every recording says.
 
 Joints of one kind (the hips, the thighs, ...) are built alike: their weights are a common one plus a deviation each,
-and both are penalised, the deviations more (a hierarchical linear model). The penalties are the largest whose error on
-left-out policies (recordings, while there are few policies) is within one standard error of the least: a weight that
-the data do not ask for is one that a policy would exploit. So some twenty numbers carry most of a fit, and a few
-minutes of walking determine them; what they leave open is the posterior covariance, from which every prediction has its
-own standard deviation.
+and both are penalised, the deviations more (a hierarchical linear model). What is penalised is how far they are from
+weights that are expected before any data, copper loss r/k² tau^2 and mechanical power tau q', times one factor that is
+free; a plain ridge would share out the cost among all terms that rise together, and tell a policy that less torque
+saves less than it does. The penalties are the largest whose error on left-out policies (recordings, while there are few
+policies) is within one standard error of the least: a weight that the data do not ask for is one that a policy would
+exploit. So some twenty numbers carry most of a fit, and a few minutes of walking determine them; what they leave open
+is the posterior covariance, from which every prediction has its own standard deviation.
 
 Noise in the torque of a log flattens its square, and a policy then finds the copper loss too cheap. The torque of a
 position-controlled joint is also known from its target, kp (target - q) - kd q', up to one factor (the firmware's scale
@@ -41,6 +43,7 @@ from hts.measurement.data import training_data
 from hts.measurement.lstm_fit import one_thread
 from hts.measurement.torch_model import TorchModel
 from hts_power.drive_train_fit import DIRECTIONS, TERMS, Drives, skipped
+from hts_power.proxy import JOULE_COEFFICIENT
 
 if TYPE_CHECKING:
     from hts.measurement.fit_settings import FitSettings
@@ -57,6 +60,12 @@ class DriveTrainSettings(Config):
     lag_seconds: float = Field(1.0, ge=0, description="how far back the sensor may look, s")
     beta: float = Field(
         1.0, ge=0, description="β: the reward is that of the worse end of mean ± β standard deviations; 0: of the mean"
+    )
+    joule_coefficient: float | None = Field(
+        JOULE_COEFFICIENT,
+        gt=0,
+        description="r/k², W/(N·m)²: how much copper loss beside mechanical power is expected where data say little; "
+        "null: nothing is expected",
     )
     instant: bool = Field(
         True,
@@ -133,7 +142,7 @@ class DriveTrain(TorchModel):
             found: dict[str, tuple[Drives, np.ndarray, list[np.ndarray]]] = {}
             for source, inputs in sources.items():
                 terms = [self.scaled_features(each.double()).numpy() for each in inputs]
-                drives = Drives(kind, rest)
+                drives = Drives(kind, rest, self._expected())
                 seen = [piece.sum(1) for piece in terms]
                 for turn in range(ROUNDS):
                     sensor = _sensor(seen, targets, self.longest)
@@ -164,6 +173,15 @@ class DriveTrain(TorchModel):
             "sensor_delay_seconds": float(sensor @ np.arange(len(sensor)) / self.signals.rate_hz),
             "validation_r2": 1.0 - drives.error / float(np.concatenate(targets).var()),
         }
+
+    def _expected(self) -> np.ndarray | None:
+        """Weights (TERMS · J,) of scaled terms that are expected up to a factor: those of copper loss and mechanical
+        power. Whether a drive's regeneration is used or burnt nobody knows before: half of it is."""
+        if self.config.joule_coefficient is None:
+            return None
+        watts = np.array([self.config.joule_coefficient, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0])
+        expected = np.repeat(watts, self.signals.sizes[0]) * self.feature_std.double().numpy()
+        return expected if expected.any() else None
 
     def _before_statistics(self, mean: Tensor, std: Tensor, target_mean: Tensor, target_std: Tensor) -> None:
         """Each term has one scale for all joints, so that weights of joints built alike are alike; none is shifted, so

@@ -36,12 +36,16 @@ class PowerSettings(Config):
         "transport (slower walking is no saving), or net power alone as in the paper",
     )
     weights: tuple[float, ...] = Field(
-        (6.0,), min_length=1, description="λ swept, reward per second and standard deviation of current"
+        (3.0,), min_length=1, description="λ swept, reward per second and standard deviation of current"
     )
     baseline_weights: tuple[float, ...] = Field(
-        (1e-3, 5e-3, 2e-2), min_length=1, description="λ swept with the analytic proxy, reward per joule"
+        (5e-3, 2e-2, 6e-2), min_length=1, description="λ swept with the analytic proxy, reward per joule"
     )
-    joule_coefficient: float = Field(JOULE_COEFFICIENT, gt=0, description="r/k² of the analytic proxy, W/(N·m)²")
+    joule_coefficient: float = Field(
+        JOULE_COEFFICIENT,
+        gt=0,
+        description="r/k², W/(N·m)², of the analytic proxy, and what the model `drive_train` expects",
+    )
     hidden: int = Field(64, ge=1, description="units of the measurement model `battery_current`, which it chooses")
     products: bool = Field(
         True,
@@ -73,8 +77,10 @@ class Power(Objective):
 
     def measurement_model(self) -> Named:
         """`drive_train`; `battery_current`, of the size that the settings ask for, where they do."""
-        if not {"hidden", "products"} & self.settings.model_fields_set:
-            return Named(name="drive_train")
+        asked = self.settings.model_fields_set
+        if not {"hidden", "products"} & asked:
+            expected = {"joule_coefficient": self.settings.joule_coefficient} if "joule_coefficient" in asked else {}
+            return Named(name="drive_train", **expected)
         return Named(name="battery_current", hidden=self.settings.hidden, products=self.settings.products)
 
     def reward(self, prediction: torch.Tensor) -> torch.Tensor:

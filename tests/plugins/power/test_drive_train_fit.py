@@ -20,30 +20,36 @@ def problem(seed: int, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return terms, terms @ truth - 2.0 + 0.3 * rng.normal(size=400)
 
 
+EXPECTED = np.repeat([0.6, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0], len(KIND))  # p: copper loss and mechanical power
+
+
+@pytest.mark.parametrize("expected", [None, EXPECTED])
 @pytest.mark.parametrize("rest", [None, REST])
-def test_it_is_the_least_squares_solution_with_weights_that_are_not_negative(rest: float | None) -> None:
+def test_it_is_the_least_squares_solution_with_weights_that_are_not_negative(
+    rest: float | None, expected: np.ndarray | None
+) -> None:
     truth = np.random.default_rng(7).normal(0.0, 0.4, TERMS * len(KIND))  # half of it is what no drive does
     terms, target = problem(1, truth)
-    drives = Drives(KIND, rest)
+    drives = Drives(KIND, rest, expected)
     found = drives._solved(Sums.of(terms, target, 0), COMMON, OWN)
 
-    # The same written out: rows for samples, for w - A u, for u, and for the level at rest; u and level are free.
+    # The same written out: rows for samples, for w - s p - A u, for u, and for the level at rest; u, s, level are free.
     n, size, joints = len(target), terms.shape[1], len(KIND)
     spread = np.zeros((size, 2 * TERMS))
     for term in range(TERMS):
         for joint, kind in enumerate(KIND):
             spread[term * joints + joint, 2 * term + kind] = 1.0
-    common = spread.shape[1]
+    common, factor = spread.shape[1], (np.zeros(size) if expected is None else expected)[:, None]
     rows = [
-        np.concatenate((terms, np.zeros((n, common)), np.ones((n, 1))), 1),
-        np.sqrt(COMMON * OWN * n) * np.concatenate((np.eye(size), -spread, np.zeros((size, 1))), 1),
-        np.sqrt(COMMON * n) * np.concatenate((np.zeros((common, size)), np.eye(common), np.zeros((common, 1))), 1),
+        np.concatenate((terms, np.zeros((n, common + 1)), np.ones((n, 1))), 1),
+        np.sqrt(COMMON * OWN * n) * np.concatenate((np.eye(size), -spread, -factor, np.zeros((size, 1))), 1),
+        np.sqrt(COMMON * n) * np.concatenate((np.zeros((common, size)), np.eye(common), np.zeros((common, 2))), 1),
     ]
     right = [target, np.zeros(size + common)]
     if rest is not None:
-        rows.append(np.sqrt(IDLE_SHARE * n) * np.eye(1, size + common + 1, size + common))
+        rows.append(np.sqrt(IDLE_SHARE * n) * np.eye(1, size + common + 2, size + common + 1))
         right.append(np.array([np.sqrt(IDLE_SHARE * n) * rest]))
-    low = np.concatenate((np.zeros(size), np.full(common + 1, -np.inf)))
+    low = np.concatenate((np.zeros(size), np.full(common + 2, -np.inf)))
     solution = lsq_linear(np.concatenate(rows), np.concatenate(right), (low, np.inf), method="bvls", tol=1e-14).x
     np.testing.assert_allclose(found, np.append(solution[:size], solution[-1]), atol=1e-5)
     assert (found[:-1] == 0).sum() > 3 and (found[:-1] >= 0).all()
@@ -54,15 +60,28 @@ def test_without_anything_to_forbid_it_is_ordinary_ridge_regression() -> None:
     drives = Drives(KIND, REST)
     sums = Sums.of(terms, target, 0)
     found = drives._solved(sums, 1e-6, 10.0)
-    free = np.linalg.solve(drives._normal(sums, 1e-6, 10.0), _right(drives, sums))
-    np.testing.assert_allclose(found, drives._map @ free, atol=1e-4)
+    right = sums.xy.copy()
+    right[-1] += IDLE_SHARE * sums.count * REST
+    np.testing.assert_allclose(found, np.linalg.solve(drives._normal(sums, 1e-6, 10.0), right), atol=1e-4)
     assert (found[:-1] > 0).all()
 
 
-def _right(drives: Drives, sums: Sums) -> np.ndarray:
-    right = drives._map.T @ sums.xy
-    right[-1] += IDLE_SHARE * sums.count * REST
-    return right
+def test_data_that_say_nothing_leave_what_is_expected_and_data_that_do_overrule_it() -> None:
+    """Few samples in much noise: the weights are the expected ones times what the data say of their sum."""
+    rng = np.random.default_rng(5)
+    truth = np.repeat([0.1, 0.5, 0.0, 0.3, 0.0, 0.0, 0.0], len(KIND))
+
+    def fitted(samples: int, noise: float) -> np.ndarray:
+        terms = np.abs(rng.normal(size=(samples, TERMS * len(KIND))))
+        target = terms @ truth + noise * rng.normal(size=samples)
+        drives, parts = Drives(KIND, None, EXPECTED), 3
+        drives.fit(np.array_split(terms, parts), np.array_split(target, parts), np.arange(parts), 0)
+        return drives.weight
+
+    few, many = fitted(60, 3.0), fitted(3000, 0.1)
+    factor = few @ EXPECTED / (EXPECTED @ EXPECTED)
+    assert factor > 0.2 and np.abs(few - factor * EXPECTED).max() < 0.2 * factor
+    np.testing.assert_allclose(many, truth, atol=0.03)
 
 
 def test_what_few_gaits_suggest_is_no_gift() -> None:

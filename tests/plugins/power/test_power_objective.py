@@ -100,6 +100,8 @@ def test_the_sweeps_are_those_of_the_paper():
 def test_settings_reach_the_measurement_model_and_wrong_ones_are_refused():
     choice = plugin.make_power({"hidden": 32, "products": False}).measurement_model()
     assert (choice.name, choice.settings) == ("battery_current", {"hidden": 32, "products": False})
+    choice = plugin.make_power({"joule_coefficient": 0.1}).measurement_model()
+    assert (choice.name, choice.settings) == ("drive_train", {"joule_coefficient": 0.1})
     with pytest.raises(ValidationError, match="criterion"):
         plugin.make_power({"criterion": "gross"})
     with pytest.raises(ValidationError, match="hiden"):
