@@ -12,6 +12,7 @@ piece to the next but one and drop out, so W is the same quantity where speed is
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +24,14 @@ from hts.recordings.recording import Recording
 LAG = 2  # pieces
 
 
+@dataclass(frozen=True)
+class Wandered:
+    """W of the blocks at one speed, and in how many sessions they were walked."""
+
+    size: float
+    sessions: int
+
+
 def of_pieces(errors: np.ndarray, asked: float) -> float:
     """W of errors (S, n): S successive pieces of n stretches, m/s. NaN with too few pieces."""
     if errors.shape[0] <= LAG or errors.shape[1] == 0:
@@ -30,9 +39,9 @@ def of_pieces(errors: np.ndarray, asked: float) -> float:
     return float(np.mean(errors[LAG:] * errors[:-LAG])) / asked**2
 
 
-def measured(recordings: Sequence[Recording], task: Task) -> dict[float, float]:
-    """Asked speed -> W of the blocks at it whose speed was held; blocks that fell are left out, nothing without any."""
-    found: dict[float, list[tuple[float, int]]] = {}
+def measured(recordings: Sequence[Recording], task: Task) -> dict[float, Wandered]:
+    """Asked speed -> the blocks at it whose speed was held; blocks that fell are left out, nothing without any."""
+    found: dict[float, list[tuple[float, int, str]]] = {}
     for recording in recordings:
         if "held_command" not in recording.notes or recording.fell:
             continue
@@ -41,9 +50,12 @@ def measured(recordings: Sequence[Recording], task: Task) -> dict[float, float]:
             errors = (pieces.speed - asked)[pieces.commanded == asked]
             value = of_pieces(errors[:, None], float(asked)) if asked > 0 else float("nan")
             if np.isfinite(value):
-                found.setdefault(float(asked), []).append((value, len(errors) - LAG))
+                found.setdefault(float(asked), []).append((value, len(errors) - LAG, recording.session))
     return {
-        asked: float(np.average([value for value, _ in rows], weights=[count for _, count in rows]))
+        asked: Wandered(
+            float(np.average([value for value, _, _ in rows], weights=[count for _, count, _ in rows])),
+            len({session for _, _, session in rows}),
+        )
         for asked, rows in found.items()
     }
 

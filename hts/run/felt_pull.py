@@ -3,12 +3,16 @@
 No simulator knows the slopes, the wind and the worn patches of the place where a machine walks; the reference of each
 head-to-head has walked there. In simulation its speed wanders in proportion to the pull on its trunk, so
 
-    pull_v = probe · sqrt((W_v / A_v + ΣW / ΣA) / 2)        W measured, A simulated under the probe, of speed v
+    pull_v = probe · sqrt((f(n_v) W_v / A_v + f(Σn) ΣW / ΣA) / 2)        W measured, A simulated under the probe
 
 is the pull under which it wanders in simulation as it did in reality. A slow walk is moved more by what pulls than a
 fast one, and by more than simulation knows, so each speed has its own, between its own ratio of W and that of all (the
 blocks of a few trials say little of one speed). Candidates that save much hold their speed less stiffly than the
 pretrained policy does; under that pull one sees by how much.
+
+What changes from session to session (the slope where one happens to walk) has been seen as often as there were
+sessions. With `simulation_test.pull_level` the pull is the upper end of a one-sided interval of that level: W_v of n_v
+sessions is a variance with as many degrees of freedom, and f(n) = n / chi²(1 - level, n); without it f = 1.
 """
 
 from __future__ import annotations
@@ -16,6 +20,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+from scipy import stats
 
 from hts.config import EnvConfig
 from hts.contracts import HoldSpeed
@@ -41,7 +47,7 @@ def pulled(config: EnvConfig, pull: tuple[float, ...]) -> EnvConfig:
 
 def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
     """What the trials before an iteration say: {"pull": m/s² at each of `simulation_test.speeds`, "measured",
-    "simulated": W at each speed where both are known}.
+    "simulated": W at each speed where both are known, "sessions": how many walked at it}.
 
     None where nothing asks for it, before the first trials, where no speed was held (in simulation or in them), or in
     an env without pulls. A speed that was not tried gets what all others say together.
@@ -58,15 +64,25 @@ def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
     known = [speed for speed in test.speeds if speed in measured and simulated[speed] > LEAST_ANSWER]
     if not known:
         return None
-    together = sum(measured[speed] for speed in known) / sum(simulated[speed] for speed in known)
-    ratios = [
-        (measured[speed] / simulated[speed] + together) / 2 if speed in known else together for speed in test.speeds
-    ]
+    together = for_few(sum(measured[speed].sessions for speed in known), test.pull_level) * (
+        sum(measured[speed].size for speed in known) / sum(simulated[speed] for speed in known)
+    )
+    own = {
+        speed: for_few(measured[speed].sessions, test.pull_level) * measured[speed].size / simulated[speed]
+        for speed in known
+    }
+    ratios = [(own[speed] + together) / 2 if speed in known else together for speed in test.speeds]
     return {
         "pull": [min(MOST, PROBE * math.sqrt(max(0.0, ratio))) for ratio in ratios],
-        "measured": {f"{speed:g}": measured[speed] for speed in known},
+        "measured": {f"{speed:g}": measured[speed].size for speed in known},
         "simulated": {f"{speed:g}": simulated[speed] for speed in known},
+        "sessions": {f"{speed:g}": measured[speed].sessions for speed in known},
     }
+
+
+def for_few(sessions: int, level: float | None) -> float:
+    """By what a variance that was seen in so many sessions may be larger; see above."""
+    return 1.0 if level is None else float(sessions / stats.chi2.ppf(1 - level, sessions))
 
 
 def pull_line(found: Mapping[str, Any], speeds: Sequence[float]) -> str:

@@ -8,14 +8,14 @@ import pytest
 from hts.channels import Channel
 from hts.contracts import VELOCITY
 from hts.evaluation.simulation import SimulatedTrial
-from hts.evaluation.wandering import measured, of_pieces, simulated
+from hts.evaluation.wandering import Wandered, measured, of_pieces, simulated
 from hts.recordings.recording import Series
 from hts.testing.made_up_recordings import known_recording
 
 RATE = 50.0
 
 
-def block(speed, asked=0.5, held=True, fell=False):
+def block(speed, asked=0.5, held=True, fell=False, session="one"):
     """A block of a head-to-head whose forward speed is `speed`, (T,), at 50 Hz."""
     velocity = np.zeros((len(speed), 3))
     velocity[:, 0] = speed
@@ -23,6 +23,7 @@ def block(speed, asked=0.5, held=True, fell=False):
     return made.replace(
         channels={"base_velocity": Series(Channel("base_velocity", "m/s", (3,)), velocity)},
         fell=fell,
+        session=session,
         notes={"held_command": "0.6"} if held else {},
     )
 
@@ -44,14 +45,19 @@ def test_blocks_at_a_speed_are_taken_together_and_a_sensors_noise_drops_out():
     rng = np.random.default_rng(0)
     slow = [0.5 + offset + rng.normal(0.0, 0.4, 20 * 50) for offset in (0.03, -0.04) for _ in range(200)]
     found = measured([block(speed) for speed in slow], VELOCITY)
-    assert found == {0.5: pytest.approx((0.03**2 + 0.04**2) / 2 / 0.25, rel=0.1)}
+    assert found == {0.5: Wandered(pytest.approx((0.03**2 + 0.04**2) / 2 / 0.25, rel=0.1), 1)}
 
 
 def test_each_speed_has_its_own_and_blocks_that_fell_or_were_not_held_say_nothing():
     constant = np.full(1000, 0.55)
-    blocks = [block(constant), block(constant, asked=0.8), block(np.full(1000, 0.9), held=False)]
-    found = measured([*blocks, block(np.full(1000, 0.1), fell=True)], VELOCITY)
-    assert found == {0.5: pytest.approx(0.01, rel=1e-4), 0.8: pytest.approx((0.25 / 0.8) ** 2, rel=1e-4)}
+    blocks = [block(constant), block(constant, asked=0.8), block(np.full(1000, 0.9), held=False, session="two")]
+    found = measured([*blocks, block(np.full(1000, 0.1), fell=True, session="three")], VELOCITY)
+    assert found == {
+        0.5: Wandered(pytest.approx(0.01, rel=1e-4), 1),
+        0.8: Wandered(pytest.approx((0.25 / 0.8) ** 2, rel=1e-4), 1),
+    }
+    more = [block(constant, session="four"), block(constant, session="four")]
+    assert measured([*blocks, *more], VELOCITY)[0.5].sessions == 2
     assert measured([block(constant, held=False)], VELOCITY) == {}
 
 
