@@ -67,8 +67,8 @@ QUICK: dict[str, Any] = {
     **OURS,
     "world": {"name": "twin", "block_seconds": 80.0},
     "iterations": 2,
-    "sweep": {**OURS["sweep"], "kl_bounds": [4.0, 16.0]},
-    # Two bounds, so two elites: the best that each has found.
+    # One candidate, and all steps for it: the end of its training and what it was on the way are what is tried.
+    "sweep": {**OURS["sweep"], "kl_bounds": [16.0]},
     "selection": {
         **OURS["selection"],
         "selector": {"name": "hierarchical", "each_bound": True, "at_random": 0},
@@ -82,8 +82,8 @@ QUICK: dict[str, Any] = {
     },
     "measurement": {"epochs": 12},
     "finetune": {
-        "num_envs": 128,
-        "steps": 480_000,
+        "num_envs": 256,
+        "steps": 960_000,
         "hold": True,
         "measured_pull": True,
         "also_at": [0.5, 0.75],
@@ -173,7 +173,7 @@ BASELINES: dict[str, dict[str, Any]] = {
     "quick": {
         **_PLAIN,
         "sweep": {"kl_bounds": [1.0, 5.0, float("inf")], "anchors": ["pretrained"], "trust_region": {"enabled": False}},
-        "finetune": {"hold": False, "steps": 213_000},
+        "finetune": {"hold": False, "num_envs": 128, "steps": 213_000},
     },
     "paper": {
         **_PLAIN,

@@ -60,6 +60,7 @@ METHODS: dict[str, Method] = {
             "finetune.hold=false",
             "finetune.also_at=[]",
             "finetune.average=0",
+            "finetune.num_envs=128",
             "finetune.steps=71000",  # 9 and 18 candidates: as many steps in all
             "sweep.trust_region.enabled=false",
             "sweep.kl_bounds=[0.2, 0.5, 1.0]",
