@@ -80,7 +80,8 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     rate, most, schedule = robot.spec.control_rate_hz, config.max_real_samples, config.collection.schedule
     each = math.ceil(ALLOWANCE * rate * seconds_per_elite(config, world))
-    wanted = [min(config.selection.elites, count) for count in candidate_counts(config, registry)]
+    moments = 1 + len(config.finetune.also_at)  # of a training that can be tried
+    wanted = [min(config.selection.elites, moments * count) for count in candidate_counts(config, registry)]
     recordings = config.collection.repeats + config.collection.exploring if config.records_first else 0
     first = math.ceil(schedule.seconds * rate) * recordings
     again = second_trials(config) if sum(wanted) > 1 else 0

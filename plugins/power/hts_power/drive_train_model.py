@@ -22,9 +22,6 @@ Noise in the torque of a log flattens its square, and a policy then finds the co
 position-controlled joint is also known from its target, kp (target - q) - kd q', up to one factor (the firmware's scale
 of gains), which the log itself tells. The fit takes the torque, read or computed, that explains the target better.
 
-How much a sensor smooths is no property of the drives, so predictions are in standard deviations of s over the data and
-not of what the sensor showed: one lambda then pulls as strongly behind a slow gauge as behind a fast one.
-
 Inside the env the reward looks at s itself (`settled`): it has the same mean as z without the sensor's delay, so an
 action is paid for when it is taken and not half a second later.
 """
@@ -55,7 +52,6 @@ if TYPE_CHECKING:
 MOST_FOLDS = 10
 LEAST_AGREEMENT = 0.7  # correlation of the torque that is read with the computed one
 ROUNDS = 3  # of sensor and drives in turn
-LEAST_SWING = 0.1  # of what the drives take, in standard deviations of what the sensor shows; less: nothing was found
 
 
 class DriveTrainSettings(Config):
@@ -159,14 +155,11 @@ class DriveTrain(TorchModel):
             torque = min(found, key=lambda source: found[source][0].error)
             drives, sensor, shown = found[torque]
             doubt = drives.doubt(shown, targets, self.longest, self.signals.rate_hz)
-            taken = [self.scaled_features(each.double()).numpy() @ drives.weight for each in sources[torque]]
-            swing = max(float(np.concatenate(taken).std()), LEAST_SWING)
         for buffer, value in (
-            (self.weight, drives.weight / swing),
-            (self.bias, drives.bias / swing),
+            (self.weight, drives.weight),
+            (self.bias, drives.bias),
             (self.sensor, sensor),
-            (self.doubt, doubt / swing),
-            (self.target_std, float(self.target_std) * swing),
+            (self.doubt, doubt),
         ):
             buffer.copy_(torch.as_tensor(value))
         self._folded = None
@@ -177,7 +170,6 @@ class DriveTrain(TorchModel):
             "warm_started": False,
             "torque": torque,
             "penalties": {"common": drives.penalties[0], "own": drives.penalties[1]},
-            "swing": swing,
             "sensor_delay_seconds": float(sensor @ np.arange(len(sensor)) / self.signals.rate_hz),
             "validation_r2": 1.0 - drives.error / float(np.concatenate(targets).var()),
         }

@@ -58,10 +58,9 @@ class Power(Objective):
     """Battery power, from battery current.
 
     λ applies to r_real = −ẑ, where ẑ is the predicted current in standard deviations of the current in the data the
-    model was fitted on (of what its drives take in them, for `drive_train`), per second. So λ = 1 says: one standard
-    deviation less current is worth one unit of reward a second, half as much as perfect speed tracking (weight 2 in
-    the velocity task, `hts.envs.rewards`, per second too). It needs no other scale, and changes meaning as the data
-    changes; its zero moves too, which reward centring absorbs.
+    model was fitted on, per second. So λ = 1 says: one standard deviation less current is worth one unit of reward a
+    second, half as much as perfect speed tracking (weight 2 in the velocity task, `hts.envs.rewards`, per second too).
+    It needs no other scale, and changes meaning as the data changes; its zero moves too, which reward centring absorbs.
     """
 
     name = "power"

@@ -12,7 +12,6 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import ModelContext, Signals
 from hts.errors import ConfigError
-from hts.measurement.data import input_tensor
 from hts.recordings.recording import Recording, Series
 from hts_power.drive_train_model import DriveTrainSettings, computed_inputs, kinds, make
 
@@ -133,21 +132,6 @@ def test_the_reward_is_paid_at_once_and_has_the_sensors_mean():
     assert float(along[100:].mean()) == pytest.approx(float(at_once[100:].mean()), abs=0.02)
     lags = [float(np.corrcoef(along[100:].numpy(), np.roll(at_once.numpy(), lag)[100:])[0, 1]) for lag in range(16)]
     assert int(np.argmax(lags)) in (LATE + 1, LATE + 2, LATE + 3)
-
-
-def test_one_standard_deviation_is_that_of_the_drives_however_much_the_gauge_smooths():
-    """The same walks behind a gauge that shows the mean of the last second: what an action is paid is the same."""
-    fast = [walk(seed) for seed in range(3)]
-    slow = []
-    for recording in fast:
-        taken = cost(recording.values("joint_torque"), recording.values("joint_velocity"))
-        shown = np.convolve(taken, np.ones(40) / 40)[: len(taken)]
-        noise = 0.01 * np.random.default_rng(1).standard_normal(len(taken))
-        series = Series(TARGET, (shown + noise).astype(np.float32))
-        slow.append(recording.replace(channels={**recording.channels, "battery_current": series}))
-    inputs = torch.cat([input_tensor(SIGNALS, recording) for recording in fast])
-    spreads = [float(fitted(recordings)[0].settled(inputs).mean.std()) for recordings in (fast, slow)]
-    assert spreads == pytest.approx([1.0, 1.0], abs=0.05)
 
 
 def test_doubt_grows_where_there_were_no_data_and_is_what_the_reward_is_careful_with():
