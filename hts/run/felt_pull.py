@@ -64,11 +64,11 @@ def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
     known = [speed for speed in test.speeds if speed in measured and simulated[speed] > LEAST_ANSWER]
     if not known:
         return None
-    together = for_few(sum(measured[speed].sessions for speed in known), test.pull_level) * (
+    together = upper_factor(sum(measured[speed].sessions for speed in known), test.pull_level) * (
         sum(measured[speed].size for speed in known) / sum(simulated[speed] for speed in known)
     )
     own = {
-        speed: for_few(measured[speed].sessions, test.pull_level) * measured[speed].size / simulated[speed]
+        speed: upper_factor(measured[speed].sessions, test.pull_level) * measured[speed].size / simulated[speed]
         for speed in known
     }
     ratios = [(own[speed] + together) / 2 if speed in known else together for speed in test.speeds]
@@ -80,8 +80,8 @@ def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
     }
 
 
-def for_few(sessions: int, level: float | None) -> float:
-    """By what a variance that was seen in so many sessions may be larger; see above."""
+def upper_factor(sessions: int, level: float | None) -> float:
+    """f(n) above: by what a variance that was seen in so many sessions may be larger; 1 without a level."""
     return 1.0 if level is None else float(sessions / stats.chi2.ppf(1 - level, sessions))
 
 

@@ -13,7 +13,7 @@ from hts.contracts import VELOCITY, SimulatedCandidate
 from hts.evaluation.simulation import SimulatedTrial
 from hts.evaluation.wandering import Wandered
 from hts.run import felt_pull as module
-from hts.run.felt_pull import MOST, PROBE, felt_pull, for_few, pull_line, pulled
+from hts.run.felt_pull import MOST, PROBE, felt_pull, pull_line, pulled, upper_factor
 from hts.run.judging import _judge, needed
 from hts.run.learning import _trained_in
 from hts.testing.packages import kit_installed
@@ -63,12 +63,12 @@ def test_few_sessions_count_for_more_than_they_showed_where_that_is_asked_for(wa
     wandered({0.5: 1e-4, 0.8: 1e-4}, {0.5: 1e-4, 0.8: 1e-4})
     assert felt_pull(job(), 1)["pull"] == pytest.approx([PROBE, PROBE])
     asked = TEST.model_copy(update={"pull_level": 0.8})
-    factor = (for_few(2, 0.8) + for_few(4, 0.8)) / 2
+    factor = (upper_factor(2, 0.8) + upper_factor(4, 0.8)) / 2
     assert felt_pull(job(asked), 1)["pull"] == pytest.approx([PROBE * factor**0.5] * 2)
     rng = np.random.default_rng(0)
     for sessions in (1, 2, 6):
         sizes = (rng.normal(size=(20_000, sessions)) ** 2).mean(1)
-        assert np.mean(for_few(sessions, 0.8) * sizes >= 1.0) == pytest.approx(0.8, abs=0.01)
+        assert np.mean(upper_factor(sessions, 0.8) * sizes >= 1.0) == pytest.approx(0.8, abs=0.01)
 
 
 def test_what_was_found_is_said_in_one_line():

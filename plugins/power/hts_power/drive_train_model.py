@@ -179,9 +179,8 @@ class DriveTrain(TorchModel):
         power. Whether a drive's regeneration is used or burnt nobody knows before: half of it is."""
         if self.config.joule_coefficient is None:
             return None
-        watts = np.array([self.config.joule_coefficient, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0])
-        expected = np.repeat(watts, self.signals.sizes[0]) * self.feature_std.double().numpy()
-        return expected if expected.any() else None
+        watts = np.array([self.config.joule_coefficient, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0])  # of each term of `features`
+        return np.repeat(watts, self.signals.sizes[0]) * self.feature_std.double().numpy()
 
     def _before_statistics(self, mean: Tensor, std: Tensor, target_mean: Tensor, target_std: Tensor) -> None:
         """Each term has one scale for all joints, so that weights of joints built alike are alike; none is shifted, so
