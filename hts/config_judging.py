@@ -10,7 +10,7 @@ from hts.config_base import Config, Named
 
 
 class SimulationTestConfig(Config):
-    """How candidates are judged in simulation: mean action, no exploration noise, no pushes."""
+    """How candidates are judged in simulation: mean action, no exploration noise, no pushes but measured ones."""
 
     num_envs: int = Field(32, ge=1, description="worlds per candidate and speed")
     seconds: float = Field(8.0, ge=3.0, description="length of each trial, s; its first 2 s are not judged")

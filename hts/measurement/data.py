@@ -46,7 +46,7 @@ def training_data(signals: Signals, recordings: Sequence[Recording]) -> list[Pie
     """Every recording as float32 tensors in channel units: inputs (T, F), target (T,).
 
     Raises RecordingError for recordings that are none, of other rates, joints, units or shapes, or not finite, and for
-    a target that does not vary.
+    a target, or inputs, that do not vary.
     """
     if not recordings:
         raise RecordingError(f"No recordings to fit '{signals.target.name}' to. Record or import some first.")
@@ -56,6 +56,13 @@ def training_data(signals: Signals, recordings: Sequence[Recording]) -> list[Pie
         raise RecordingError(
             f"'{signals.target.name}' is {target.mean():g} in all {len(target)} samples. A model cannot be fitted "
             "to a constant: check that the sensor was read, and record again."
+        )
+    inputs = torch.cat([piece.inputs for piece in pieces])
+    if bool((inputs == inputs[0]).all()):
+        names = ", ".join(signals.names)
+        raise RecordingError(
+            f"The {inputs.shape[1]} numbers of {names} are the same in all {len(inputs)} samples, so they explain "
+            f"nothing of '{signals.target.name}'. Record again while the robot moves, and check that they were read."
         )
     return pieces
 

@@ -146,3 +146,10 @@ def test_a_constant_target_is_refused():
     r = known_heat(1)
     with pytest.raises(RecordingError, match="3 in all 1000 samples"):
         fitted([r.replace(channels={**r.channels, "heat": Series(HEAT, np.full(1000, 3.0))})])
+
+
+def test_inputs_that_all_stand_still_are_refused():
+    r = known_heat(1)
+    still = {name: Series(one.channel, np.ones_like(one.values)) for name, one in r.channels.items() if name != "heat"}
+    with pytest.raises(RecordingError, match="the same in all 1000 samples"):
+        fitted([r.replace(channels={**still, "heat": r.channels["heat"]})])
