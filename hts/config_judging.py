@@ -28,13 +28,6 @@ class SimulationTestConfig(Config):
         description="judge under slow pulls as strong as it takes, in simulation, to make the pretrained policy's "
         "speed wander as it did in the trials so far; from the second iteration on, needs hold_speed",
     )
-    pull_level: float | None = Field(
-        None,
-        gt=0,
-        lt=1,
-        description="level of the one-sided interval whose upper end the measured pull is, as few sessions say little; "
-        "null: as they showed it",
-    )
     min_valid: float = Field(
         0.0,
         ge=0,

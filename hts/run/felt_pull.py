@@ -3,16 +3,12 @@
 No simulator knows the slopes, the wind and the worn patches of the place where a machine walks; the reference of each
 head-to-head has walked there. In simulation its speed wanders in proportion to the pull on its trunk, so
 
-    pull_v = probe · sqrt((f(n_v) W_v / A_v + f(Σn) ΣW / ΣA) / 2)        W measured, A simulated under the probe
+    pull_v = probe · sqrt((W_v / A_v + ΣW / ΣA) / 2)        W measured, A simulated under the probe
 
 is the pull under which it wanders in simulation as it did in reality. A slow walk is moved more by what pulls than a
 fast one, and by more than simulation knows, so each speed has its own, between its own ratio of W and that of all (the
 blocks of a few trials say little of one speed). Candidates that save much hold their speed less stiffly than the
 pretrained policy does; under that pull one sees by how much.
-
-What changes from session to session (the slope where one happens to walk) has been seen as often as there were
-sessions. With `simulation_test.pull_level` the pull is the upper end of a one-sided interval of that level: W_v of n_v
-sessions is a variance with as many degrees of freedom, and f(n) = n / chi²(1 - level, n); without it f = 1.
 """
 
 from __future__ import annotations
@@ -20,8 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
-
-from scipy import stats
 
 from hts.config import EnvConfig
 from hts.contracts import HoldSpeed
@@ -64,13 +58,8 @@ def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
     known = [speed for speed in test.speeds if speed in measured and simulated[speed] > LEAST_ANSWER]
     if not known:
         return None
-    together = upper_factor(sum(measured[speed].sessions for speed in known), test.pull_level) * (
-        sum(measured[speed].size for speed in known) / sum(simulated[speed] for speed in known)
-    )
-    own = {
-        speed: upper_factor(measured[speed].sessions, test.pull_level) * measured[speed].size / simulated[speed]
-        for speed in known
-    }
+    together = sum(measured[speed].size for speed in known) / sum(simulated[speed] for speed in known)
+    own = {speed: measured[speed].size / simulated[speed] for speed in known}
     ratios = [(own[speed] + together) / 2 if speed in known else together for speed in test.speeds]
     return {
         "pull": [min(MOST, PROBE * math.sqrt(max(0.0, ratio))) for ratio in ratios],
@@ -78,11 +67,6 @@ def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
         "simulated": {f"{speed:g}": simulated[speed] for speed in known},
         "sessions": {f"{speed:g}": measured[speed].sessions for speed in known},
     }
-
-
-def upper_factor(sessions: int, level: float | None) -> float:
-    """f(n) above: by what a variance that was seen in so many sessions may be larger; 1 without a level."""
-    return 1.0 if level is None else float(sessions / stats.chi2.ppf(1 - level, sessions))
 
 
 def pull_line(found: Mapping[str, Any], speeds: Sequence[float]) -> str:

@@ -24,11 +24,6 @@ class HierarchicalSettings(Config):
     each_bound: bool = Field(
         False, description="the best of each KL bound is an elite, before any second one: what a trust region judges by"
     )
-    each_weight: bool = Field(
-        False,
-        description="likewise the best of each λ (with each_bound: of each pair): which λ serves is not known before, "
-        "and elites of one training are alike",
-    )
     at_random: int = Field(
         0,
         ge=0,
@@ -64,21 +59,13 @@ class Hierarchical(Selector):
             return (unknown, candidate.falls > 0, not candidate.tracked, 0.0 if unknown else -score)
 
         ordered = sorted(candidates, key=key)
-        if self.settings.each_bound or self.settings.each_weight:
-            firsts = list({self._kind(candidate): candidate for candidate in reversed(ordered)}.values())
+        if self.settings.each_bound:
+            firsts = list({_bound(candidate): candidate for candidate in reversed(ordered)}.values())
             ordered = sorted(ordered, key=lambda candidate: (candidate not in firsts, *key(candidate)))
         drawn = min(self.settings.at_random, max(0, count - 1))
         chosen, rest = ordered[: count - drawn], ordered[count - drawn :]
         sound = [candidate for candidate in rest if candidate.falls == 0 and candidate.tracked]
         return [candidate.id for candidate in (*chosen, *sorted(sound, key=_lot)[:drawn])]
-
-    def _kind(self, candidate: SimulatedCandidate) -> tuple[Any, ...]:
-        """c (nats), λ of each objective, or both, as the settings ask; one value for all that do not say."""
-        made = candidate.made
-        if made is None:
-            return ()
-        bound = (made.kl_bound,) if self.settings.each_bound else ()
-        return (*bound, *(sorted(made.weights.items()) if self.settings.each_weight else ()))
 
     def best(self, tested: Sequence[TestedCandidate]) -> str | None:
         """Id with the highest selection score above zero; None if no candidate improves on the reference.
@@ -103,6 +90,11 @@ class Hierarchical(Selector):
         if name not in objectives:
             raise ConfigError("Selector 'hierarchical': " + unknown_name("objective", name, objectives))
         return name
+
+
+def _bound(candidate: SimulatedCandidate) -> float:
+    """c, nats; one value for all that do not say."""
+    return candidate.made.kl_bound if candidate.made is not None else math.inf
 
 
 def _lot(candidate: SimulatedCandidate) -> bytes:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from hts.config import EnvConfig, FinetuneConfig, RandomisationConfig, SimulationTestConfig
@@ -13,7 +12,7 @@ from hts.contracts import VELOCITY, SimulatedCandidate
 from hts.evaluation.simulation import SimulatedTrial
 from hts.evaluation.wandering import Wandered
 from hts.run import felt_pull as module
-from hts.run.felt_pull import MOST, PROBE, felt_pull, pull_line, pulled, upper_factor
+from hts.run.felt_pull import MOST, PROBE, felt_pull, pull_line, pulled
 from hts.run.judging import _judge, needed
 from hts.run.learning import _trained_in
 from hts.testing.packages import kit_installed
@@ -56,19 +55,6 @@ def test_the_pull_grows_as_the_speed_wanders_and_the_reference_alone_says_it(wan
 def test_each_speed_is_pulled_half_by_its_own_and_half_by_all(wandered):
     wandered({0.5: 9e-4, 0.8: 1e-4}, {0.5: 1e-4, 0.8: 1e-4})  # ratios 9 and 1, together 5
     assert felt_pull(job(), 1)["pull"] == pytest.approx([PROBE * 7**0.5, PROBE * 3**0.5])
-
-
-def test_few_sessions_count_for_more_than_they_showed_where_that_is_asked_for(wandered):
-    """Drawn again and again, the pull of a few sessions lies at or above the true one four times in five."""
-    wandered({0.5: 1e-4, 0.8: 1e-4}, {0.5: 1e-4, 0.8: 1e-4})
-    assert felt_pull(job(), 1)["pull"] == pytest.approx([PROBE, PROBE])
-    asked = TEST.model_copy(update={"pull_level": 0.8})
-    factor = (upper_factor(2, 0.8) + upper_factor(4, 0.8)) / 2
-    assert felt_pull(job(asked), 1)["pull"] == pytest.approx([PROBE * factor**0.5] * 2)
-    rng = np.random.default_rng(0)
-    for sessions in (1, 2, 6):
-        sizes = (rng.normal(size=(20_000, sessions)) ** 2).mean(1)
-        assert np.mean(upper_factor(sessions, 0.8) * sizes >= 1.0) == pytest.approx(0.8, abs=0.01)
 
 
 def test_what_was_found_is_said_in_one_line():

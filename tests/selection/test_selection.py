@@ -82,7 +82,7 @@ def test_naming_an_objective_that_does_not_run_is_refused():
 
 
 def bounded(name, score, bound, promised=None, **flags):
-    made = FineTuning("best", {"x": flags.get("weight", 1.0)}, bound, 0.9 * bound)
+    made = FineTuning("best", {"x": 1.0}, bound, 0.9 * bound)
     predicted = {} if promised is None else {"x": promised}
     return SimulatedCandidate(
         name, score, flags.get("falls", 0), flags.get("tracked", True), {"x": score}, made, predicted
@@ -99,18 +99,6 @@ def test_the_best_of_each_bound_is_tried_before_any_second_one():
     group = [bounded("a", 5, 4.0), bounded("b", 4, 4.0), bounded("c", 1, 1.0), bounded("d", 2, 1.0)]
     assert make({}).elites(group, 2) == ["a", "b"]
     assert make({"each_bound": True}).elites(group, 3) == ["a", "d", "b"]
-
-
-def test_the_best_of_each_weight_is_tried_before_any_second_one_and_both_together_make_pairs():
-    group = [
-        bounded("a", 6, 4.0, weight=6.0),
-        bounded("b", 5, 4.0, weight=6.0),
-        bounded("c", 4, 1.0, weight=6.0),
-        bounded("d", 3, 4.0, weight=2.0),
-    ]
-    assert make({"each_weight": True}).elites(group, 3) == ["a", "d", "b"]
-    assert make({"each_bound": True}).elites(group, 3) == ["a", "c", "b"]
-    assert make({"each_weight": True, "each_bound": True}).elites(group, 4) == ["a", "c", "d", "b"]
 
 
 def test_a_drawn_elite_does_not_hang_on_scores_and_is_sound():
