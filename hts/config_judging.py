@@ -124,7 +124,8 @@ class EvaluationConfig(Config):
         0.01, gt=0, lt=1, description="refuse held speeds whose means differ by more than this share"
     )
     trims_again: int = Field(
-        2,
+        4,
         ge=0,
-        description="how often the final repeats a speed whose means ended apart, trimmed twice as long each time",
+        description="how often the final repeats a speed whose means ended apart, trimmed twice and then four times as "
+        "long",
     )

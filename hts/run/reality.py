@@ -22,6 +22,8 @@ from hts.run.stages import read_json, write_json
 
 Report = Callable[[float], None]
 
+LONGEST = 4.0  # of the first trimming: what still moves the speed then is no noise that a longer one averages out
+
 
 def collect(job: Job, report: Report) -> dict[str, Any]:
     """Roll the pretrained policy out under the schedule: D_0."""
@@ -96,17 +98,17 @@ def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str
 def _held(job: Job, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:
     """The head-to-head with the speed held; and what was recorded in vain.
 
-    A speed at which the two ended apart is done again, trimmed twice as long each time: whether a command was found
-    well enough says nothing about what is saved with it.
+    A speed at which the two ended apart is done again, trimmed twice as long each time, up to LONGEST times: whether a
+    command was found well enough says nothing about what is saved with it.
     """
     config, task, objective = job.config.evaluation, job.robot.task(), next(iter(job.objectives.values()))
     ask_to_hold(job.world, hold)
-    good, vain = _head_to_head(job), []
+    good, vain, longest = _head_to_head(job), [], LONGEST * hold.seconds
     for _ in range(config.trims_again):
         apart = speeds_apart(objective, good, config, job.seed("interval", "final"), task)
         if not apart:
             break
-        hold = replace(hold, seconds=2 * hold.seconds)
+        hold = replace(hold, seconds=min(2 * hold.seconds, longest))
         ask_to_hold(job.world, hold)
         vain += [recording for recording in good if recording.schedule.commands[0].commanded in apart]
         kept = [recording for recording in good if recording.schedule.commands[0].commanded not in apart]

@@ -10,12 +10,12 @@ from hts.run import reality
 
 
 class World:
-    """Ends apart at 0.5 m/s until it trims for 40 s."""
+    """Ends apart at 0.5 m/s until it trims for so many seconds."""
 
     name = "made up"
 
-    def __init__(self):
-        self.asked = []
+    def __init__(self, until):
+        self.asked, self.until = [], until
 
     def hold_speed(self, hold):
         self.hold = hold
@@ -26,14 +26,14 @@ class World:
         return [
             SimpleNamespace(
                 schedule=ScheduleConfig(commands=(Command(seconds=20.0, vx=speed),)),
-                apart=speed == 0.5 and self.hold.seconds < 40.0,
+                apart=speed == 0.5 and self.hold.seconds < self.until,
             )
             for speed in speeds
         ]
 
 
-def held(monkeypatch, again):
-    world = World()
+def held(monkeypatch, again, until=40.0):
+    world = World(until)
     job = SimpleNamespace(
         world=world,
         config=SimpleNamespace(evaluation=EvaluationConfig(speeds=(0.5, 0.8), trims_again=again)),
@@ -61,3 +61,9 @@ def test_what_is_still_apart_stays_to_be_refused(monkeypatch):
     world, good, _ = held(monkeypatch, again=1)
     assert world.asked[-1] == (24.0, (0.5,)) and any(one.apart for one in good)
     assert held(monkeypatch, again=0)[0].asked == [(12.0, (0.5, 0.8))]
+
+
+def test_trimming_ends_at_four_times_the_first_one(monkeypatch):
+    world, good, vain = held(monkeypatch, again=4, until=1000.0)
+    assert [seconds for seconds, _ in world.asked] == [12.0, 24.0, 48.0, 48.0, 48.0] and len(vain) == 4
+    assert [one.apart for one in good] == [False, True]  # the last try stands, to be refused
