@@ -110,6 +110,12 @@ class EvaluationConfig(Config):
         description="how often the final is made anew, motors warmed up and speed trimmed again; from two on the "
         "interval is over sessions",
     )
+    finals: int = Field(
+        1,
+        ge=1,
+        description="how many policies may get a final: where a speed is refused for what one does, or it falls, the "
+        "next best of the trials gets one; what it saves decides nothing",
+    )
     each_iteration: bool = Field(
         False,
         description="for benchmarks: the best so far is also measured like the final after each iteration; nothing "

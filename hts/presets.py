@@ -60,7 +60,7 @@ OURS: dict[str, Any] = {
         "min_valid": 0.6,
         "confirm": 2,
     },
-    "evaluation": {"speeds": [0.5, 0.8, 1.1], "hold_speed": True, "trim_seconds": 20.0},
+    "evaluation": {"speeds": [0.5, 0.8, 1.1], "hold_speed": True, "trim_seconds": 20.0, "finals": 3},
 }
 
 QUICK: dict[str, Any] = {

@@ -133,7 +133,7 @@ def _value(groups: Sequence[Group], given: Mapping[str, str]) -> str:
     if statistic in COUNTS:
         values = group.values()
         return {
-            "falls": f"{sum(one.falls for one in group.figures())}",
+            "falls": f"{group.final_falls()}",
             "refused": f"{group.count_refused()}",
             "runs": f"{len(group.results)}",
             "realities": f"{len(values)}",

@@ -54,6 +54,13 @@ class Group:
         """Every speed that was measured."""
         return [one for _, result in self.results for one in chosen(result.objectives.get(self.objective)).values()]
 
+    def final_falls(self) -> int:
+        """In all finals, at refused speeds and of policies that were given up too."""
+        others = [one.falls for _, result in self.results for one in result.given_up]
+        outcomes = [result.objectives.get(self.objective) for _, result in self.results]
+        at_refused = [sum(one.refused_falls.values()) for one in outcomes if one is not None]
+        return sum(one.falls for one in self.figures()) + sum(others) + sum(at_refused)
+
     def count_refused(self, realities: Collection[str] | None = None) -> int:
         """Speeds that were refused, over all runs, or over those on the named realities."""
         return sum(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from batch.lines import Doubt, Figures, Model, Outcome, Pair, Point, Result, Tried
+from batch.lines import Doubt, Figures, GivenUp, Model, Outcome, Pair, Point, Result, Tried
 from hts.config_loading import read_config
 from hts.errors import RunError
 
@@ -33,6 +33,7 @@ def result_of(folder: Path) -> Result:
         final_policy=final["policy"],
         asked_speeds=list(config.evaluation.speeds),
         objectives={name: _outcome(entry) for name, entry in final["objectives"].items()},
+        given_up=[GivenUp(**one) for one in final.get("given_up", ())],
         best=_tried(*rows[final["policy"]]) if final["policy"] in rows else None,
         tried=tried,
         candidates=len(rows),
@@ -70,7 +71,12 @@ def _outcome(entry: Json) -> Outcome:
         return Outcome(unit=entry["unit"], open_loop=speeds, refused=refused)
     opened = _figures(beside["speeds"])
     return Outcome(
-        unit=entry["unit"], held=speeds, open_loop=opened, refused=refused, refused_open_loop=_refused(beside)
+        unit=entry["unit"],
+        held=speeds,
+        open_loop=opened,
+        refused=refused,
+        refused_falls=entry.get("refused_falls") or {},
+        refused_open_loop=_refused(beside),
     )
 
 

@@ -38,12 +38,14 @@ class Figures(Part):
 
 
 class Outcome(Part):
-    """The final head-to-head of one objective. held: none where the speed was not held; refused: speed -> why."""
+    """The final head-to-head of one objective. held: none where the speed was not held; refused: speed -> why;
+    refused_falls: speed -> falls, where it fell at a refused one (not in lines of before it was kept)."""
 
     unit: str
     held: dict[str, Figures] | None = None
     open_loop: dict[str, Figures] | None = None
     refused: dict[str, str] = {}
+    refused_falls: dict[str, int] = {}
     refused_open_loop: dict[str, str] = {}
 
 
@@ -110,12 +112,23 @@ class Point(Part):
     final: dict[str, dict[str, float]] | None = None
 
 
+class GivenUp(Part):
+    """A policy that had a final of its own beside that of the result. refused: objective -> speed -> why; error: why
+    nothing could be compared."""
+
+    policy: str
+    refused: dict[str, dict[str, str]] = {}
+    falls: int = 0
+    error: str | None = None
+
+
 class Result(Part):
     """What a finished run came to."""
 
     final_policy: str
     asked_speeds: list[float]
     objectives: dict[str, Outcome]
+    given_up: list[GivenUp] = []
     best: Tried | None = Field(None, description="none: the pretrained policy stayed the best")
     tried: list[Tried]
     candidates: int

@@ -57,12 +57,18 @@ def _method(group: Group, others: Sequence[Group], speeds: Sequence[str]) -> lis
         with_interval(whole, show),
         show(population(values, quantile(0.05)).estimate),
         show(lowest),
-        f"{sum(one.falls for one in group.figures())}, {tried}",
-        f"{group.count_refused()} of {sum(len(result.asked_speeds) for _, result in group.results)}",
+        f"{group.final_falls()}, {tried}",
+        f"{group.count_refused()} of {sum(len(result.asked_speeds) for _, result in group.results)}{_given_up(group)}",
         samples_median(group),
         within,
         less,
     ]
+
+
+def _given_up(group: Group) -> str:
+    """How many finals were given up for another policy's, where any was."""
+    count = sum(len(result.given_up) for _, result in group.results)
+    return f" ({count} final{'' if count == 1 else 's'} given up)" if count else ""
 
 
 def _against_best(group: Group, others: Sequence[Group]) -> tuple[str, str]:

@@ -93,10 +93,12 @@ def entry_both_ways(
     config: EvaluationConfig,
     seed: int = 0,
     task: Task = VELOCITY,
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """An objective's entry and `segment_scores` of a policy that was tried at held speed and at equal commands.
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, NotComparable]]:
+    """An objective's entry and `segment_scores` of a policy that was tried at held speed and at equal commands, and
+    why held speeds were refused.
 
     The entry's `speeds` (and `refused`) are the held ones; `open_loop`: {"speeds", "refused"}, as the paper has them.
+    `refused_falls`: how often it fell at speeds that are refused, where it did.
     A speed that cannot be judged in one way may be in the other. Raises EvaluationError if there is none in either.
     """
     results, refusals = judged_speeds(objective, held, config, seed, task)
@@ -108,7 +110,10 @@ def entry_both_ways(
     for place, why in ((entry, refusals), (entry["open_loop"], refusals_beside)):
         if why:
             place["refused"] = {key: str(error) for key, error in why.items()}
-    return entry, segment_scores(results or beside)
+        fallen = {key: int(error.numbers.get("falls") or 0) for key, error in why.items()}
+        if any(fallen.values()):
+            place["refused_falls"] = {key: count for key, count in fallen.items() if count}
+    return entry, segment_scores(results or beside), refusals
 
 
 def entry_of(objective: Objective, results: Mapping[float, HeadToHead]) -> dict[str, Any]:
@@ -272,7 +277,7 @@ def evaluate_run(
     for name, objective in objectives.items():
         if hold is not None:
             both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
-            entries[name], segments[name] = both
+            entries[name], segments[name], _ = both
         else:
             found = head_to_heads(objective, recordings, config.evaluation, seed, task)
             entries[name], segments[name] = entry_of(objective, found), segment_scores(found)

@@ -60,8 +60,7 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
         refused = sum(len((one.get("gate") or {}).get("refused") or ()) for one in summary.get("iterations") or ())
         tried = [row for _, _, rows in iterations for row in rows]
         sentences.append(_no_final(tried, bool(iterations), task, refused))
-    if (changed := second_trial(summary)) is not None:
-        sentences.append(changed)
+    sentences += changes(summary)
     for number, one in enumerate(summary.get("iterations") or ()):
         sentences += [f"Iteration {one.get('index', number):02d}: {line}" for line in one.get("warnings") or ()]
     for nobody, group in groupby(iterations, key=lambda one: one[1] is None):
@@ -71,6 +70,12 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
             about = fates(rows, task) or "nobody was tested"
             sentences.append(f"Iterations {streak[0][0]:02d} to {streak[-1][0]:02d} chose nobody: {about}.")
     return sentences
+
+
+def changes(summary: Mapping[str, Any]) -> list[str]:
+    """Why it was not the best of the first trials, or not the first final, that counts; empty where it was."""
+    changed = second_trial(summary)
+    return [*([changed] if changed is not None else []), *finals_before(summary)]
 
 
 def second_trial(summary: Mapping[str, Any]) -> str | None:
@@ -83,6 +88,19 @@ def second_trial(summary: Mapping[str, Any]) -> str | None:
     lost = "was refused" if row.get("refused") else "fell" if _fell(row) else "measured worse"
     after = "nobody is left" if again["best"] == "pretrained" else f"{again['best']} went to the final"
     return f"Tried again before the final, {before[-1]} {lost}; {after}."
+
+
+def finals_before(summary: Mapping[str, Any]) -> list[str]:
+    """Of each policy whose final was not good enough, so that another one's counts: a sentence."""
+    found, task = [], TaskWords.of(summary)
+    for one in (summary.get("final") or {}).get("given_up") or ():
+        points = {point for why in one["refused"].values() for point in why}
+        lost = [f"was refused{task.at(points)}"] if points else []
+        lost += ["could not be compared at all"] if one.get("error") else []
+        lost += [f"fell {one['falls']} time{'' if one['falls'] == 1 else 's'}"] if one["falls"] else []
+        taken = summary["final"]["policy"]
+        found.append(f"In a final of its own {one['policy']} {' and '.join(lost)}; {taken} is the result.")
+    return found
 
 
 def _at_the_gate(refused: int) -> str:

@@ -17,7 +17,7 @@ from hts.report.data import Json, RunData, read_run
 from hts.report.front import front_part
 from hts.report.glossary import GLOSSARY
 from hts.report.measurement_figure import proxy_r2
-from hts.report.outcome import closing, second_trial
+from hts.report.outcome import changes, closing
 from hts.report.task_words import TaskWords
 from hts.report.wording import HELD
 
@@ -67,7 +67,7 @@ def contents(run: RunData) -> dict[str, Any]:
         "front": front_part(run),
         "objectives": objectives,
         "ending": closing(summary),
-        "again": second_trial(summary),
+        "changed": changes(summary),
         "later": _later(run),
         "iterations": [_iteration(run, iteration) for iteration in run.iterations],
         "glossary": GLOSSARY,

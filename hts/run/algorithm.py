@@ -24,13 +24,14 @@ from hts.report import write_report
 from hts.report.outcome import nobody_chosen
 from hts.report.table import print_table
 from hts.report.task_words import TaskWords
-from hts.run.confirming import confirm
+from hts.run.confirming import confirm, finalists
+from hts.run.finals import final
 from hts.run.gate import gate, gate_refused
 from hts.run.job import Job
 from hts.run.judging import simulate
 from hts.run.learning import finetune, fit
 from hts.run.progress import Progress
-from hts.run.reality import best_so_far, collect, final
+from hts.run.reality import best_so_far, collect
 from hts.run.stages import Stages
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
@@ -100,7 +101,8 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         best = job.do("confirm", "try the best of all iterations again", partial(confirm, job, best))["best"]
     else:
         job.stages.progress.skip(1)
-    job.do("final", f"final head-to-head in world '{config.world.name}'", partial(final, job, best))
+    about = f"final head-to-head in world '{config.world.name}'"
+    job.do("final", about, partial(final, job, finalists(job, best)))
     return finish(job)
 
 

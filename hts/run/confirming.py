@@ -22,15 +22,17 @@ def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
     """Second trials of the best so far and those next to it, as many as `selection.confirm` says and
     `max_real_samples` leaves; nobody's where there are not two. The result's `best` goes to the final.
     """
-    settings = job.config.selection.selector
-    selector = job.registry.make_selector(settings.name, settings.settings)
-    before = tested_so_far(job)
+    selector, before = selector_of(job), tested_so_far(job)
     names = [one.id for one in ranked(selector, before, job.confirmations(job.done_iterations))]
     if len(names) < 2:
-        return {"tried": [], "results": {}, "recordings": [], "samples": 0, "best": best}
+        left = [one for one in order(selector, before) if one != best]
+        return {"tried": [], "results": {}, "recordings": [], "samples": 0, "best": best, "next": left}
     tests = whole(job, names, tuple(reversed(job.config.selection.tested_speeds)), report)
     ids = job.keep(tests.recorded, job.config.iterations + 1)
     found = over_both(before, {name: tests.results[name].tested for name in names})
+    first = winner(selector, found, names) or job.first
+    twice = order(selector, [one for one in found if one.id in names])
+    once = order(selector, [one for one in found if one.id not in names])
     return {
         "tried": names,
         "results": {name: result_row(one) for name, one in tests.results.items()},
@@ -41,8 +43,32 @@ def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
         },
         "recordings": ids,
         "samples": sum(recording.robot_samples for recording in tests.recorded),
-        "best": winner(selector, found, names) or job.first,
+        "best": first,
+        "next": [one for one in (*twice, *once) if one != first],
     }
+
+
+def finalists(job: Job, best: str) -> list[str]:
+    """Who may get a final, `evaluation.finals` at most: the best; who else was tried twice and kept; all the others by
+    their one trial."""
+    if best == job.first:
+        return [best]
+    if job.config.selection.confirm:
+        others = job.read("confirm").get("next", [])  # of a run of before: nobody
+    else:
+        others = order(selector_of(job), [one for one in tested_so_far(job) if one.id != best])
+    return [best, *others][: job.config.evaluation.finals]
+
+
+def selector_of(job: Job) -> Selector:
+    """Who chooses in this run."""
+    settings = job.config.selection.selector
+    return job.registry.make_selector(settings.name, settings.settings)
+
+
+def order(selector: Selector, tested: Sequence[TestedCandidate]) -> list[str]:
+    """Ids of all that the selector would choose, its best first."""
+    return [one.id for one in ranked(selector, tested, len(tested))]
 
 
 def tested_so_far(job: Job) -> list[TestedCandidate]:

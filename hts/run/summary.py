@@ -74,7 +74,11 @@ def summarise(job: Job) -> dict[str, Any]:
         "measurement_models": ranks,
         "front": front_entry(job),
         **({"confirmation": {key: again[key] for key in ("tried", "results", "best")}} if again else {}),
-        "final": {"policy": final["policy"], "objectives": final["objectives"]},
+        "final": {
+            "policy": final["policy"],
+            "objectives": final["objectives"],
+            **({"given_up": final["given_up"]} if final.get("given_up") else {}),
+        },
     }
 
 

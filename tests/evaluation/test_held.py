@@ -126,9 +126,9 @@ def test_the_final_entry_has_held_figures_and_those_at_equal_commands_beside():
     plain = {"notes": {"policy": {}, "reference": {}}}
     held_ones = session(0.5, 0.5, 0.5) + session(0.8, 0.8, 0.8)
     open_loop = session(0.5, 0.42, 0.5, cost=6.0, **plain) + session(0.8, 0.78, 0.8, cost=7.0, **plain)
-    entry, segments = entry_both_ways(CostObjective(), held_ones, open_loop, CONFIG)
+    entry, segments, why = entry_both_ways(CostObjective(), held_ones, open_loop, CONFIG)
     assert {key: round(one["improvement"], 2) for key, one in entry["speeds"].items()} == {"0.5": 0.2, "0.8": 0.2}
-    assert list(entry["open_loop"]["speeds"]) == ["0.8"] and "refused" not in entry
+    assert list(entry["open_loop"]["speeds"]) == ["0.8"] and "refused" not in entry and not why
     assert entry["open_loop"]["speeds"]["0.8"]["improvement"] == pytest.approx(0.3, abs=0.01)
     assert "0 of 40 segments of the policy are valid" in entry["open_loop"]["refused"]["0.5"]
     assert list(segments) == ["0.5", "0.8"]
@@ -138,7 +138,7 @@ def test_a_reference_that_cannot_be_held_at_one_speed_ends_nothing():
     limit = {"notes": {"reference": held(1.2, saturated=True)}}
     recordings = session(0.8, 0.8, 0.8) + session(1.1, 1.1, 1.0, **limit)
     plain = {"notes": {"policy": {}, "reference": {}}}
-    entry, _ = entry_both_ways(CostObjective(), recordings, session(0.8, 0.8, 0.8, **plain), CONFIG)
+    entry, *_ = entry_both_ways(CostObjective(), recordings, session(0.8, 0.8, 0.8, **plain), CONFIG)
     assert list(entry["speeds"]) == ["0.8"] and "the reference policy cannot be held" in entry["refused"]["1.1"]
 
 

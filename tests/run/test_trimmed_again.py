@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from hts.config import Command, EvaluationConfig, ScheduleConfig
 from hts.contracts import HoldSpeed
-from hts.run import reality
+from hts.run import finals
 
 
 class World:
@@ -46,8 +46,8 @@ def held(monkeypatch, again, until=40.0):
     def apart(objective, recordings, config, seed, task):
         return [one.schedule.commands[0].vx for one in recordings if one.apart]
 
-    monkeypatch.setattr(reality, "speeds_apart", apart)
-    return world, *reality._held(job, HoldSpeed((0.2, 1.5), 12.0, 0.01))
+    monkeypatch.setattr(finals, "speeds_apart", apart)
+    return world, *finals._held(job, HoldSpeed((0.2, 1.5), 12.0, 0.01))
 
 
 def test_only_the_speed_that_ended_apart_is_done_again_and_longer_each_time(monkeypatch):

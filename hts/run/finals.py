@@ -1,0 +1,185 @@
+"""The stage `final`: the best policy against the pretrained one at every speed.
+
+Trials are short, and a machine whose floor and wind change may keep a speed in two of them and lose it in the third. A
+policy to which a speed is refused, or that falls, serves nobody: then the next of those that trials found good has a
+final of its own, until one keeps every speed or `evaluation.finals` of them were tried. What was saved decides nothing
+here; all that was walked and every fall is written down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from hts.contracts import HoldSpeed
+from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, speeds_apart, walked_speeds
+from hts.evaluation.held import NotComparable, ask_to_hold
+from hts.recordings.recording import Recording
+from hts.run.job import Job
+from hts.run.stages import read_json, write_json
+
+Report = Callable[[float], None]
+
+NOTHING_LEFT = 1_000_000  # speeds
+LONGEST = 4.0  # of the first trimming: what still moves the speed then is no noise that a longer one averages out
+
+
+@dataclass
+class Tried:
+    """One final. entries: `final.objectives` of `summary.json`; scores: `segments.json`; blamed: at how many speeds it
+    was refused for what it did itself; error: nothing could be compared at any speed."""
+
+    policy: str
+    entries: dict[str, Any] = field(default_factory=dict)
+    scores: dict[str, Any] = field(default_factory=dict)
+    recordings: list[Recording] = field(default_factory=list)
+    blamed: int = 0
+    error: NotComparable | None = None
+
+    @property
+    def refused(self) -> dict[str, dict[str, str]]:
+        """Objective -> speed -> why; held speeds where they were held."""
+        return {name: entry["refused"] for name, entry in self.entries.items() if entry.get("refused")}
+
+    @property
+    def lost(self) -> int:
+        """At how many of its speeds it was refused or fell; more than any number of them where nothing is left."""
+        if self.error is not None:
+            return NOTHING_LEFT
+        return self.blamed + sum(
+            row["falls"] > 0 for entry in self.entries.values() for row in entry["speeds"].values()
+        )
+
+    def given_up(self) -> dict[str, Any]:
+        """What `summary.json` says of it where another one was taken."""
+        falls = [
+            sum(row["falls"] for row in entry["speeds"].values()) + sum(entry.get("refused_falls", {}).values())
+            for entry in self.entries.values()
+        ]
+        return {
+            "policy": self.policy,
+            "refused": self.refused,
+            "falls": max(falls, default=0),
+            **({"error": str(self.error)} if self.error else {}),
+        }
+
+
+def final(job: Job, finalists: Sequence[str], report: Report) -> dict[str, Any]:
+    """The first of the finalists who keeps every speed, else the one who loses fewest; also writes policies/best.*
+
+    Where the run holds the speed it is done twice: held, and at equal commands as in the paper. Raises EvaluationError
+    if no speed of any of them can be judged.
+    """
+    if finalists[0] == "pretrained":
+        _as_best(job, "pretrained")
+        return {"policy": "pretrained", "objectives": {}, "recordings": [], "samples": 0}
+    tried: list[Tried] = []
+    for number, name in enumerate(finalists):
+        share = lambda done, number=number: report((number + done) / len(finalists))
+        tried.append(_final_of(job, name, share))
+        error = tried[-1].error
+        if tried[-1].lost == 0 or (error is not None and error.role == "reference"):  # no policy helps against that
+            break
+        if number + 1 < len(finalists):
+            job.stages.progress.say(f"{_why(tried[-1])} Next: {finalists[number + 1]}.")
+    chosen = min(tried, key=lambda one: one.lost)
+    if chosen.error is not None:
+        raise chosen.error
+    if chosen is not tried[-1]:
+        _as_best(job, chosen.policy)
+    recordings = [recording for one in tried for recording in one.recordings]
+    ids = job.keep(recordings, job.config.iterations + 1)
+    write_json(job.folder / "segments.json", chosen.scores)
+    return {
+        "policy": chosen.policy,
+        "objectives": chosen.entries,
+        "given_up": [one.given_up() for one in tried if one is not chosen],
+        "recordings": ids,
+        "samples": sum(recording.robot_samples for recording in recordings),
+    }
+
+
+def _why(tried: Tried) -> str:
+    """Why a final was not good enough, in one line."""
+    if tried.error is not None:
+        return f"{tried.policy}: {tried.error}"
+    if tried.refused:
+        return f"{tried.policy}: {next(iter(next(iter(tried.refused.values())).values()))}"
+    return f"{tried.policy} fell in its final."
+
+
+def _as_best(job: Job, name: str) -> None:
+    """Export a policy as the best one, with what the gate found of it."""
+    job.save("best", job.policy(name))
+    gate = job.exported(name).with_suffix(".gate.json")
+    if gate.exists():
+        job.note_gate("best", read_json(gate))
+
+
+def _final_of(job: Job, name: str, report: Report) -> Tried:
+    """The final of one policy."""
+    config, tried = job.config, Tried(name)
+    _as_best(job, name)
+    held: list[Recording] = []
+    if job.hold is not None:
+        job.watch(lambda share: report(share / 2))
+        held, again = _held(job, job.hold)
+        job.watch(lambda share: report((1 + share) / 2))
+        ask_to_hold(job.world, None)  # the paper's figures beside: equal commands
+        tried.recordings += [*held, *again]
+    else:
+        job.watch(report)
+    recordings = _head_to_head(job)
+    tried.recordings += recordings
+    seed, task = job.seed("interval", "final"), job.robot.task()
+    try:
+        for key, objective in job.objectives.items():
+            if job.hold is not None:
+                both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
+                tried.entries[key], tried.scores[key], why = both
+                tried.blamed += sum(one.role == "policy" for one in why.values())
+                continue
+            results, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
+            tried.entries[key], tried.scores[key] = entry_of(objective, results), segment_scores(results)
+            if refused:  # for what the policy did: a reference that cannot be judged raises
+                tried.entries[key]["refused"] = refused
+                tried.blamed += len(refused)
+    except NotComparable as error:
+        tried.error = error
+    return tried
+
+
+def _held(job: Job, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:
+    """The head-to-head with the speed held; and what was recorded in vain.
+
+    A speed at which the two ended apart is done again, trimmed twice as long each time, up to LONGEST times: whether a
+    command was found well enough says nothing about what is saved with it.
+    """
+    config, task, objective = job.config.evaluation, job.robot.task(), next(iter(job.objectives.values()))
+    ask_to_hold(job.world, hold)
+    good, vain, longest = _head_to_head(job), [], LONGEST * hold.seconds
+    for _ in range(config.trims_again):
+        apart = speeds_apart(objective, good, config, job.seed("interval", "final"), task)
+        if not apart:
+            break
+        hold = replace(hold, seconds=min(2 * hold.seconds, longest))
+        ask_to_hold(job.world, hold)
+        vain += [recording for recording in good if recording.schedule.commands[0].commanded in apart]
+        kept = [recording for recording in good if recording.schedule.commands[0].commanded not in apart]
+        good = [*kept, *_head_to_head(job, apart)]
+    return good, vain
+
+
+def _head_to_head(job: Job, speeds: Sequence[float] = ()) -> list[Recording]:
+    """The best policy against the pretrained one, as the world does it now; speeds: none, all."""
+    config = job.config.evaluation
+    speeds, pair = speeds or config.speeds, (job.exported("best"), job.exported("pretrained"))
+    if config.sessions > 1:
+        found = job.world.head_to_head_sessions(*pair, speeds, config.sessions)
+        if found is not None:
+            return found
+        job.stages.progress.say(
+            f"World '{job.config.world.name}' makes a head-to-head once: one session, not {config.sessions}."
+        )
+    return job.world.head_to_head(*pair, speeds)

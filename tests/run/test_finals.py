@@ -1,0 +1,109 @@
+"""A policy that loses a speed in its final, or falls there, makes room for the next one of the trials."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from hts.errors import EvaluationError
+from hts.report.outcome import closing, finals_before
+from hts.run.finals import Tried
+from hts.testing.known_world import KnownWorld
+from hts.testing.packages import kit_installed
+from hts.testing.tiny_run import tiny_run
+from hts.worlds.base import file_hash
+
+SETTINGS = {
+    "sweep.kl_bounds": [0.5, 1.0, 2.0],
+    "selection.elites": 3,
+    "selection.confirm": 2,
+    "selection.speeds": [0.5, 0.8],
+    "selection.block_seconds": 10.0,
+    "evaluation.speeds": [0.5, 0.8],
+    "evaluation.min_valid": 0.5,
+    "evaluation.min_segments": 5,
+    "evaluation.finals": 3,
+}
+
+
+@pytest.fixture
+def losing(monkeypatch):
+    """lost: for each policy that gets a final, in turn, the speeds at which it walks too slowly there."""
+    lost, asked, plain = [], [], KnownWorld.head_to_head
+
+    def head_to_head(self, policy, reference, speeds):
+        name = file_hash(policy)
+        if name not in asked:
+            asked.append(name)
+        number, found = asked.index(name), []
+        for speed in speeds:
+            slow = speed in (lost[number] if number < len(lost) else ())
+            settings = self.settings.model_copy(update={"pace": 0.7 if slow else 1.0})
+            other = KnownWorld(self.robot, [], self._idle, settings=settings)
+            other.real, other._hold = self.real, self._hold
+            found += plain(other, policy, reference, [speed])
+        return found
+
+    monkeypatch.setattr(KnownWorld, "head_to_head", head_to_head)
+    return lost, asked
+
+
+def ended(tmp_path, **settings):
+    with kit_installed():
+        run = tiny_run(tmp_path / "run", settings=SETTINGS | settings)
+    again = json.loads((run.folder / "confirm.json").read_text())
+    return run, [again["best"], *again["next"]], json.loads((run.folder / "final.json").read_text())
+
+
+def test_who_keeps_all_speeds_needs_no_other(tmp_path, losing):
+    run, (best, *_), final = ended(tmp_path)
+    assert final["policy"] == best and final["given_up"] == [] and len(losing[1]) == 1
+    assert "given_up" not in run.summary["final"] and finals_before(run.summary) == []
+
+
+def test_the_next_one_of_the_trials_takes_the_place_of_who_lost_a_speed(tmp_path, losing):
+    losing[0][:] = [[0.5]]
+    run, (best, second, *_), final = ended(tmp_path)
+    assert final["policy"] == run.summary["final"]["policy"] == second and len(losing[1]) == 2
+    (before,) = run.summary["final"]["given_up"]
+    assert before["policy"] == best and list(before["refused"]["fake"]) == ["0.5"] and before["falls"] == 0
+    assert sorted(run.summary["final"]["objectives"]["fake"]["speeds"]) == ["0.5", "0.8"]
+    assert (run.folder / "policies/best.onnx").read_bytes() == (
+        run.folder / f"iterations/{second[:2]}/candidates/{second}.onnx"
+    ).read_bytes()
+    both = len(final["recordings"])
+    losing[0].clear(), losing[1].clear()
+    assert both == 2 * len(ended(tmp_path / "kept")[2]["recordings"])  # what was walked in vain is kept
+    said = f"In a final of its own {best} was refused at 0.5 m/s; {second} is the result."
+    assert said in closing(run.summary) and said in (run.folder / "report.html").read_text()
+
+
+def test_where_all_lose_it_is_who_loses_fewest_and_the_first_of_these(tmp_path, losing):
+    losing[0][:] = [[0.5, 0.8], [0.5], [0.8]]
+    run, order, final = ended(tmp_path)
+    assert final["policy"] == order[1] and [one["policy"] for one in final["given_up"]] == [order[0], order[2]]
+    assert list(final["objectives"]["fake"]["refused"]) == ["0.5"] and "error" in final["given_up"][0]
+    assert (run.folder / "policies/best.onnx").read_bytes() == (
+        run.folder / f"iterations/{order[1][:2]}/candidates/{order[1]}.onnx"
+    ).read_bytes()
+
+
+def test_one_final_alone_is_as_before(tmp_path, losing):
+    losing[0][:] = [[0.5]]
+    _, (best, *_), final = ended(tmp_path, **{"evaluation.finals": 1})
+    assert final["policy"] == best and list(final["objectives"]["fake"]["refused"]) == ["0.5"]
+
+
+def test_nothing_that_can_be_judged_in_any_of_them_ends_the_run_in_one_line(tmp_path, losing):
+    losing[0][:] = [[0.5, 0.8]] * 3
+    with pytest.raises(EvaluationError, match="segments of the policy are valid"):
+        ended(tmp_path)
+    assert len(losing[1]) == 3
+
+
+def test_a_fall_counts_and_what_was_the_references_fault_does_not():
+    row = {"falls": 0}
+    kept = Tried("a", {"power": {"speeds": {"0.5": row}, "refused": {"1.1": "the reference policy cannot be held"}}})
+    fell = Tried("b", {"power": {"speeds": {"0.5": {"falls": 2}, "0.8": row}, "refused_falls": {"1.1": 1}}}, blamed=1)
+    assert kept.lost == 0 and fell.lost == 2 and fell.given_up()["falls"] == 3
