@@ -66,8 +66,9 @@ OURS: dict[str, Any] = {
 QUICK: dict[str, Any] = {
     **OURS,
     "world": {"name": "twin", "block_seconds": 80.0},
-    "iterations": 2,
-    # One candidate, and all steps for it: the end of its training and what it was on the way are what is tried.
+    "iterations": 3,
+    # One candidate, and all steps for it: the end of its training and what it was on the way are what is tried. Steps
+    # go into many batches, not into large ones.
     "sweep": {**OURS["sweep"], "kl_bounds": [16.0]},
     "selection": {
         **OURS["selection"],
@@ -82,8 +83,8 @@ QUICK: dict[str, Any] = {
     },
     "measurement": {"epochs": 12},
     "finetune": {
-        "num_envs": 256,
-        "steps": 960_000,
+        "num_envs": 128,
+        "steps": 640_000,
         "hold": True,
         "measured_pull": True,
         "also_at": [0.5, 0.75],
@@ -150,7 +151,11 @@ ASKS_OBJECTIVES = ("paper", "paper-exact")
 # Several objectives: elites that cover the simulated front, and every direction goes on from its own best so far.
 SEVERAL: dict[str, dict[str, Any]] = {
     "smoke": {"selection": {"selector": {"name": "pareto"}, "elites": 3}},
-    "quick": {"sweep": {"anchors": ["front"]}, "selection": {"selector": {"name": "pareto"}, "elites": 6}},
+    "quick": {
+        "iterations": 2,
+        "sweep": {"anchors": ["front"]},
+        "selection": {"selector": {"name": "pareto"}, "elites": 6},
+    },
     "paper": {
         "sweep": {"anchors": ["front", "pretrained"]},
         "selection": {"selector": {"name": "pareto"}, "elites": 12},
@@ -173,7 +178,7 @@ BASELINES: dict[str, dict[str, Any]] = {
     "quick": {
         **_PLAIN,
         "sweep": {"kl_bounds": [1.0, 5.0, float("inf")], "anchors": ["pretrained"], "trust_region": {"enabled": False}},
-        "finetune": {"hold": False, "num_envs": 128, "steps": 213_000},
+        "finetune": {"hold": False, "steps": 213_000},
     },
     "paper": {
         **_PLAIN,
