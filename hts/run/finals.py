@@ -3,11 +3,12 @@
 Trials are short, and a machine whose floor and wind change may keep a speed in two of them and lose it in the third. A
 policy to which a speed is refused, or that falls, serves nobody: then the next of those that trials found good has a
 final of its own, until one keeps every speed or `evaluation.finals` of them were tried. What was saved decides nothing
-here; all that was walked and every fall is written down.
+here; all that was walked is kept and counted.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -21,7 +22,6 @@ from hts.run.stages import read_json, write_json
 
 Report = Callable[[float], None]
 
-NOTHING_LEFT = 1_000_000  # speeds
 LONGEST = 4.0  # of the first trimming: what still moves the speed then is no noise that a longer one averages out
 
 
@@ -43,10 +43,10 @@ class Tried:
         return {name: entry["refused"] for name, entry in self.entries.items() if entry.get("refused")}
 
     @property
-    def lost(self) -> int:
-        """At how many of its speeds it was refused or fell; more than any number of them where nothing is left."""
+    def lost(self) -> float:
+        """At how many of its speeds it was refused or fell; infinite where nothing is left."""
         if self.error is not None:
-            return NOTHING_LEFT
+            return math.inf
         return self.blamed + sum(
             row["falls"] > 0 for entry in self.entries.values() for row in entry["speeds"].values()
         )
