@@ -1,21 +1,20 @@
-"""Weights of the drives' terms by hierarchical least squares; see `hts_power.drive_train_model`."""
+"""Weights of the drives' terms by regularised least squares; see `hts_power.drive_train_model`."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import nnls
 
-COMMON = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # penalty on common weights, per sample
-STRONGER = (1e-1, 1.0, 10.0)  # besides, where it draws to weights that are expected and not to none
-OWN = (10.0, 100.0, 1000.0, 1e5)  # times that: on deviations of single joints
+from hts_power.drive_train_prior import Expected
+
 DIRECTIONS = 16  # of the posterior covariance that are kept, the widest ones
 IDLE_SHARE = 0.02  # the idle level counts as so many samples, of all
 BLOCK_SECONDS = 2.0  # of residuals that are taken to be one: a stride is like the next
-TERMS = 7  # per joint
+ROUNDS = 4  # of weights and noise in turn
+LEAST_FACTOR = 1e-3  # of the target's standard deviation: what the expected power explains at least
 
 
 def skipped(length: int, longest: int) -> int:
@@ -24,91 +23,95 @@ def skipped(length: int, longest: int) -> int:
 
 
 class Drives:
-    """Weights of the drives' terms by hierarchical least squares.
+    """Weights w of the drives' terms and the level b: the most probable ones given what is expected of them.
 
-    Coefficients are common ones of each kind of joint (u), deviations of each joint (v), and the level b:
-    w = s p + A u + v. Everything follows from sums of squares and products of each recording.
+    w = s (m + d), d normal with mean 0 and covariance C, m and C from `drive_train_prior`; the factor s is free. The
+    residuals are normal with a variance that the data say; so the penalty needs no choice, and the posterior
+    covariance is that of the fit. Everything follows from sums of squares and products of each recording.
 
-    kind: of each joint, (J,); rest: the level that idle says, in units of the target, or None; expected: p,
-    (TERMS · J,), weights that are expected up to one factor s, which is free; None: weights are drawn to nothing.
+    rest: the level that idle says, in units of the target, or None.
     """
 
-    def __init__(self, kind: np.ndarray, rest: float | None, expected: np.ndarray | None = None) -> None:
-        joints, number = len(kind), int(kind.max()) + 1
-        self._rest, self._expected = rest, expected
-        size = TERMS * joints
-        self._spread = np.zeros((size, TERMS * number))  # A
-        for term in range(TERMS):
-            for joint in range(joints):
-                self._spread[term * joints + joint, term * number + kind[joint]] = 1.0
-        self.weight, self.bias, self.error = np.zeros(size), 0.0, math.inf
-        self.penalties = (COMMON[0], OWN[0])
+    def __init__(self, expected: Expected, rest: float | None) -> None:
+        self._rest, self._mean = rest, expected.weight
+        precision = np.linalg.inv(expected.covariance)
+        pulled = precision @ self._mean
+        self._certainty = float(self._mean @ pulled)
+        self._along = pulled / self._certainty  # w to s
+        self._pull = precision - np.outer(pulled, pulled) / self._certainty  # what is left when the best s is put in
+        self.weight, self.bias, self.error = np.zeros(len(self._mean)), 0.0, math.inf
+        self.noise, self.factor = math.nan, math.nan
 
     def fit(
         self,
         shown: Sequence[np.ndarray],
         targets: Sequence[np.ndarray],
+        new: Sequence[np.ndarray],
         folds: np.ndarray,
+        block: int,
         longest: int,
-        choose: bool = True,
     ) -> None:
-        """shown: terms as the sensor shows them, (T, TERMS · J) of each recording; folds: a number of each; choose:
-        choose the penalties, which takes most of the time, or keep those of the last fit."""
-        sums = [Sums.of(terms, target, longest) for terms, target in zip(shown, targets, strict=True)]
-        whole = Sums.total(sums)
-        if choose:
-            self._choose(sums, whole, folds)
-        solution = self._solved(whole, *self.penalties)
-        self.weight, self.bias = solution[:-1], float(solution[-1])
-
-    def _choose(self, sums: Sequence[Sums], whole: Sums, folds: np.ndarray) -> None:
-        """The penalties: the largest within one standard error of the best on left-out folds."""
-        parts = [Sums.total([one for one, own in zip(sums, folds, strict=True) if own == fold]) for fold in set(folds)]
-        table: dict[tuple[float, float], np.ndarray] = {}
-        common = COMMON if self._expected is None else (*COMMON, *STRONGER)
-        for penalties in itertools.product(common, OWN):
-            rests = [(part, whole.minus(part)) for part in parts] if len(parts) > 1 else [(whole, whole)]
-            table[penalties] = np.array([part.error(self._solved(rest, *penalties)) for part, rest in rests])
-        best = min(table, key=lambda one: table[one].mean())
-        bar = table[best].mean() + table[best].std(ddof=min(1, len(table[best]) - 1)) / math.sqrt(len(table[best]))
-        # Those of deviations first: single joints are where a model of a few gaits goes wrong.
-        self.penalties = max((one for one in table if table[one].mean() <= bar), key=lambda one: (one[1], one[0]))
-        self.error = float(table[self.penalties].mean())
+        """shown: terms as the sensor shows them, (T, TERMS · J) of each recording; targets: (T,); new: whether a sample
+        is a reading, (T,); folds: a number of each recording; block: samples whose residuals are taken to be one."""
+        logs = list(zip(shown, targets, new, strict=True))
+        parts = [Sums.of(*log, longest) for log in logs]
+        whole = Sums.total(parts)
+        if math.isnan(self.noise):
+            spread = whole.yy / whole.count - (whole.xy[-1] / whole.count) ** 2
+            self.noise, self.factor = spread, math.sqrt(spread) / self._size(whole)
+        for _ in range(ROUNDS):
+            solution = self._solved(whole)
+            self.weight, self.bias = solution[:-1], float(solution[-1])
+            self.factor = max(
+                float(self._along @ self.weight), LEAST_FACTOR * math.sqrt(whole.yy / whole.count) / self._size(whole)
+            )
+            self.noise = self._variance(logs, block, longest)
+        own = [Sums.total([one for one, at in zip(parts, folds, strict=True) if at == fold]) for fold in set(folds)]
+        rests = [(part, whole.minus(part)) for part in own] if len(own) > 1 else [(whole, whole)]
+        self.error = float(np.mean([part.error(self._solved(rest)) for part, rest in rests if part.count]))
 
     def doubt(
-        self, shown: Sequence[np.ndarray], targets: Sequence[np.ndarray], longest: int, rate_hz: float
+        self, shown: Sequence[np.ndarray], targets: Sequence[np.ndarray], new: Sequence[np.ndarray], longest: int
     ) -> np.ndarray:
-        """Square root (TERMS · J + 1, DIRECTIONS) of the posterior covariance of weights and level.
-
-        Residuals are alike for a while, and one recording's differ from the next one's: the variance of their means
-        over blocks, and over recordings, times the length says how many samples are really one.
-        """
-        whole = Sums.total([Sums.of(terms, target, longest) for terms, target in zip(shown, targets, strict=True)])
-        residuals = []
-        for terms, target in zip(shown, targets, strict=True):
-            skip = skipped(len(target), longest)
-            residuals.append((target - terms @ self.weight - self.bias)[skip:])
-        block = max(1, round(BLOCK_SECONDS * rate_hz))
-        pieces = [r[i : i + block] for r in residuals for i in range(0, max(1, len(r) - block + 1), block)]
-        noise = max(
-            float(np.mean([len(piece) * piece.mean() ** 2 for piece in pieces])),
-            float(np.mean([len(piece) * piece.mean() ** 2 for piece in residuals])),
-            float(np.mean(np.concatenate(residuals) ** 2)),
-        )
-        covariance = np.linalg.inv(self._normal(whole, *self.penalties)) * noise
+        """Square root (TERMS · J + 1, DIRECTIONS) of the posterior covariance of weights and level."""
+        whole = Sums.total([Sums.of(*log, longest) for log in zip(shown, targets, new, strict=True)])
+        covariance = np.linalg.inv(self._normal(whole)) * self.noise
         values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
         kept = np.argsort(values)[::-1][:DIRECTIONS]
         root = np.zeros((len(values), DIRECTIONS))  # of a robot with fewer, the rest stays 0
         root[:, : len(kept)] = vectors[:, kept] * np.sqrt(np.maximum(values[kept], 0.0))
         return root
 
-    def _solved(self, sums: Sums, common: float, own: float) -> np.ndarray:
+    def _variance(self, logs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], block: int, longest: int) -> float:
+        """Of residuals, as if each reading had its own: they are alike for a while, and one recording's differ from the
+        next one's. The variance of their means over blocks, and over recordings, times the count says how many
+        readings are really one."""
+        whole, pieces = [], []
+        for terms, target, new in logs:
+            skip = skipped(len(target), longest)
+            residual, read = (target - terms @ self.weight - self.bias)[skip:], new[skip:]
+            whole.append(residual[read])
+            starts = range(0, max(1, len(read) - block + 1), block)
+            pieces += [residual[i : i + block][read[i : i + block]] for i in starts]
+
+        def of_means(groups: Sequence[np.ndarray]) -> float:
+            return float(np.mean([len(group) * group.mean() ** 2 for group in groups if len(group)]))
+
+        return max(of_means(pieces), of_means(whole), float(np.mean(np.concatenate(whole) ** 2)))
+
+    def _size(self, sums: Sums) -> float:
+        """Standard deviation of the expected power, in the unit of the prior."""
+        mean = float(self._mean @ sums.xx[:-1, -1]) / sums.count
+        square = float(self._mean @ sums.xx[:-1, :-1] @ self._mean) / sums.count
+        return math.sqrt(max(square - mean * mean, 1e-12 * max(square, 1e-12)))
+
+    def _solved(self, sums: Sums) -> np.ndarray:
         """(w, b) with w >= 0: no drive gives back what it lost.
 
         The level follows from w, so that non-negative least squares in w alone is left: what remains of the normal
         equations of (w, b) when b is eliminated (their Schur complement).
         """
-        matrix, right = self._normal(sums, common, own), sums.xy[:-1].copy()
+        matrix, right = self._normal(sums), sums.xy[:-1].copy()
         weight_of_level, level = self._level(sums)
         cross = sums.xx[:-1, -1]
         right -= cross * level / weight_of_level
@@ -121,23 +124,12 @@ class Drives:
             return sums.count * (1.0 + 1e-9), float(sums.xy[-1])
         return sums.count * (1.0 + IDLE_SHARE), float(sums.xy[-1]) + IDLE_SHARE * sums.count * self._rest
 
-    def _normal(self, sums: Sums, common: float, own: float) -> np.ndarray:
+    def _normal(self, sums: Sums) -> np.ndarray:
         """Matrix of the normal equations of (w, b), without the constraint."""
         matrix = sums.xx.copy()
-        matrix[:-1, :-1] += sums.count * self._penalty(common, own)
+        matrix[:-1, :-1] += self.noise / self.factor**2 * self._pull
         matrix[-1, -1] = self._level(sums)[0]
         return matrix
-
-    def _penalty(self, common: float, own: float) -> np.ndarray:
-        """P of wᵀ P w = min over u and s of common |u|² + common own |w - s p - A u|²: what is left of a ridge when the
-        best u and s for w are put in."""
-        shared = own * self._spread.sum(0)
-        penalty = -common * own * (self._spread * (own / (1.0 + shared))) @ self._spread.T
-        penalty[np.diag_indices_from(penalty)] += common * own
-        if self._expected is not None:
-            pulled = penalty @ self._expected
-            penalty -= np.outer(pulled, pulled) / (self._expected @ pulled)
-        return penalty
 
 
 def _non_negative(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -149,15 +141,16 @@ def _non_negative(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 class Sums:
-    """XᵀX, Xᵀy, yᵀy of (terms, 1) and target."""
+    """XᵀX, Xᵀy, yᵀy of (terms, 1) and target, over readings."""
 
     def __init__(self, count: int, xx: np.ndarray, xy: np.ndarray, yy: float) -> None:
         self.count, self.xx, self.xy, self.yy = count, xx, xy, yy
 
     @classmethod
-    def of(cls, terms: np.ndarray, target: np.ndarray, longest: int) -> Sums:
+    def of(cls, terms: np.ndarray, target: np.ndarray, new: np.ndarray, longest: int) -> Sums:
         skip = skipped(len(target), longest)
-        x, y = np.concatenate((terms[skip:], np.ones((len(terms) - skip, 1))), 1), target[skip:]
+        read = np.flatnonzero(new[skip:]) + skip
+        x, y = np.concatenate((terms[read], np.ones((len(read), 1))), 1), target[read]
         return cls(len(y), x.T @ x, x.T @ y, float(y @ y))
 
     @classmethod

@@ -9,14 +9,13 @@ tau q' alone, and at most as much as it does work. Without that, terms that go t
 of opposite signs, and a policy that takes them apart is promised energy from nowhere. h is the sensor: it averages and
 is late. At rest (phi = 0) the target is at its idle level, which every recording says.
 
-Joints of one kind (the hips, the thighs, ...) are built alike: their weights are a common one plus a deviation each,
-and both are penalised, the deviations more (a hierarchical linear model). What is penalised is how far they are from
-weights that are expected before any data, copper loss r/k² tau^2 and mechanical power tau q', times one factor that is
-free; a plain ridge would share out the cost among all terms that rise together, and tell a policy that less torque
-saves less than it does. The penalties are the largest whose error on left-out policies (recordings, while there are few
-policies) is within one standard error of the least: a weight that the data do not ask for is one that a policy would
-exploit. So some twenty numbers carry most of a fit, and a few minutes of walking determine them; what they leave open
-is the posterior covariance, from which every prediction has its own standard deviation.
+Joints of one kind (the hips, the thighs, ...) are built alike, so their weights are, and what is expected of all is
+what textbooks say, times one factor that is free (`drive_train_prior`). Many terms rise together in the gaits at hand;
+a plain ridge would share out the cost among them and tell a policy that less torque saves less than it does. What the
+data leave open is the posterior covariance, from which every prediction has its own standard deviation.
+
+A gauge that is read a few times a second holds its number in between. The fit looks at the readings alone
+(`hts.measurement.readings`); over all samples nine in ten would be answers to what the robot did before.
 
 Noise in the torque of a log flattens its square, and a policy then finds the copper loss too cheap. The torque of a
 position-controlled joint is also known from its target, kp (target - q) - kd q', up to one factor (the firmware's scale
@@ -29,7 +28,7 @@ action is paid for when it is taken and not half a second later.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
@@ -41,8 +40,10 @@ from hts.contracts import MeasurementModel, ModelContext, Prediction, Signals
 from hts.errors import ConfigError
 from hts.measurement.data import training_data
 from hts.measurement.lstm_fit import one_thread
+from hts.measurement.readings import new_readings
 from hts.measurement.torch_model import TorchModel
-from hts_power.drive_train_fit import DIRECTIONS, TERMS, Drives, skipped
+from hts_power.drive_train_fit import BLOCK_SECONDS, DIRECTIONS, Drives, skipped
+from hts_power.drive_train_prior import TERMS, expected
 from hts_power.proxy import JOULE_COEFFICIENT
 
 if TYPE_CHECKING:
@@ -64,8 +65,13 @@ class DriveTrainSettings(Config):
     joule_coefficient: float | None = Field(
         JOULE_COEFFICIENT,
         gt=0,
-        description="r/k², W/(N·m)²: how much copper loss beside mechanical power is expected where data say little; "
-        "null: nothing is expected",
+        description="r/k², W/(N·m)²: how much copper loss beside mechanical power is expected; "
+        "null: nothing is known of it",
+    )
+    generated: Literal["paid", "unpaid"] = Field(
+        "paid",
+        description="whether the reward counts what a joint gives back: as the data say, or not at all, since in "
+        "training no gear keeps any of it (β doubts so much of it)",
     )
     instant: bool = Field(
         True,
@@ -139,22 +145,26 @@ class DriveTrain(TorchModel):
             computed = [computed_inputs(self.signals, recording) for recording in recordings]
             if all(inputs is not None for inputs in computed):
                 sources["computed"] = [inputs for inputs in computed if inputs is not None]
-            found: dict[str, tuple[Drives, np.ndarray, list[np.ndarray]]] = {}
+            new = [new_readings(target) for target in targets]
+            found: dict[str, tuple[Drives, list[np.ndarray], list[np.ndarray]]] = {}
             for source, inputs in sources.items():
                 terms = [self.scaled_features(each.double()).numpy() for each in inputs]
-                drives = Drives(kind, rest, self._expected())
+                drives = Drives(expected(kind, self.feature_std.double().numpy(), self.config.joule_coefficient), rest)
                 seen = [piece.sum(1) for piece in terms]
-                for turn in range(ROUNDS):
-                    sensor = _sensor(seen, targets, self.longest)
+                for _ in range(ROUNDS):
+                    sensor = _sensor(seen, targets, new, self.longest)
                     shown = [_shown(piece, sensor) for piece in terms]
-                    drives.fit(shown, targets, folds, self.longest, choose=turn in (0, ROUNDS - 1))
+                    drives.fit(shown, targets, new, folds, round(BLOCK_SECONDS * self.signals.rate_hz), self.longest)
                     seen = [piece @ drives.weight + drives.bias for piece in terms]
-                found[source] = drives, sensor, shown
+                found[source] = drives, seen, shown
                 if how.progress is not None:
                     how.progress(len(found), len(sources), drives.error)
             torque = min(found, key=lambda source: found[source][0].error)
-            drives, sensor, shown = found[torque]
-            doubt = drives.doubt(shown, targets, self.longest, self.signals.rate_hz)
+            drives, seen, shown = found[torque]
+            doubt = drives.doubt(shown, targets, new, self.longest)
+            # What is shown between readings is the sensor's too: an old number is a late one.
+            sensor = _sensor(seen, targets, [np.ones_like(each) for each in new], self.longest)
+            read = np.concatenate([target[each] for target, each in zip(targets, new, strict=True)])
         for buffer, value in (
             (self.weight, drives.weight),
             (self.bias, drives.bias),
@@ -169,18 +179,10 @@ class DriveTrain(TorchModel):
             "stopped": "solved",
             "warm_started": False,
             "torque": torque,
-            "penalties": {"common": drives.penalties[0], "own": drives.penalties[1]},
+            "readings_per_second": len(read) / sum(len(target) for target in targets) * self.signals.rate_hz,
             "sensor_delay_seconds": float(sensor @ np.arange(len(sensor)) / self.signals.rate_hz),
-            "validation_r2": 1.0 - drives.error / float(np.concatenate(targets).var()),
+            "validation_r2": 1.0 - drives.error / float(read.var()),
         }
-
-    def _expected(self) -> np.ndarray | None:
-        """Weights (TERMS · J,) of scaled terms that are expected up to a factor: those of copper loss and mechanical
-        power. Whether a drive's regeneration is used or burnt nobody knows before: half of it is."""
-        if self.config.joule_coefficient is None:
-            return None
-        watts = np.array([self.config.joule_coefficient, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0])  # of each term of `features`
-        return np.repeat(watts, self.signals.sizes[0]) * self.feature_std.double().numpy()
 
     def _before_statistics(self, mean: Tensor, std: Tensor, target_mean: Tensor, target_std: Tensor) -> None:
         """Each term has one scale for all joints, so that weights of joints built alike are alike; none is shifted, so
@@ -198,14 +200,25 @@ class DriveTrain(TorchModel):
         return state.masked_fill(begun[:, None], 0.0)
 
     def settled(self, inputs: Tensor) -> Prediction:
-        """What the target would settle at if these inputs stayed: inputs (..., F) -> (...)."""
+        """What the target would settle at if these inputs stayed: inputs (..., F) -> (...).
+
+        Where what joints give back is not paid, all of it is doubted."""
+        prediction, joints = self._taken(inputs)
+        if self.config.generated == "paid":
+            return prediction
+        return Prediction(prediction.mean, prediction.std + (-joints).clamp_min(0.0).sum(-1))
+
+    def _taken(self, inputs: Tensor) -> tuple[Prediction, Tensor]:
+        """The same, with the data's own doubt alone; and what each joint adds to it, (..., J)."""
         weight, constant = self._weights()
         # Row by row and not as one product: the order of a product's sums may hang on how many worlds there are.
-        found = (self.features(inputs).unsqueeze(-2) * weight).sum(-1) + constant
-        return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt())
+        each = self.features(inputs).unsqueeze(-2) * weight
+        found = each.sum(-1) + constant
+        joints = each[..., 0, :].unflatten(-1, (TERMS, -1)).sum(-2)
+        return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt()), joints
 
     def sequence(self, inputs: Tensor, state: Tensor | None = None) -> tuple[Prediction, Tensor]:
-        mean, std = self.settled(inputs)
+        (mean, std), _ = self._taken(inputs)
         batch, length = mean.shape
         total = mean.new_zeros(batch, length + self.longest)
         if state is not None:
@@ -216,7 +229,7 @@ class DriveTrain(TorchModel):
 
     @torch.no_grad()
     def step(self, inputs: Tensor, state: Tensor) -> tuple[Prediction, Tensor]:
-        mean, std = self.settled(inputs)
+        (mean, std), _ = self._taken(inputs)
         total = mean[:, None] * self.sensor + torch.cat((state, torch.zeros_like(mean[:, None])), 1)
         return Prediction(total[:, 0], std), total[:, 1:]
 
@@ -275,17 +288,22 @@ def _shown(values: np.ndarray, sensor: np.ndarray) -> np.ndarray:
     return np.stack([np.convolve(column, sensor)[: len(values)] for column in values.T], 1)
 
 
-def _sensor(seen: Sequence[np.ndarray], targets: Sequence[np.ndarray], longest: int) -> np.ndarray:
-    """h (M + 1,) by non-negative least squares from what the drives take (T,) to what is shown, with a free level."""
+def _sensor(
+    seen: Sequence[np.ndarray], targets: Sequence[np.ndarray], new: Sequence[np.ndarray], longest: int
+) -> np.ndarray:
+    """h (M + 1,) by non-negative least squares from what the drives take (T,) to what is read, with a free level."""
     from scipy.optimize import nnls
 
     rows, right = [], []
-    for taken, target in zip(seen, targets, strict=True):
+    for taken, target, readings in zip(seen, targets, new, strict=True):
         skip = skipped(len(target), longest)
+        read = readings[skip:]
+        if not read.any():
+            continue
         padded = np.concatenate((np.full(longest, taken[0]), taken))
-        windows = np.lib.stride_tricks.sliding_window_view(padded, longest + 1)[:, ::-1][skip:]
+        windows = np.lib.stride_tricks.sliding_window_view(padded, longest + 1)[:, ::-1][skip:][read]
         rows.append(windows - windows.mean(0))
-        right.append(target[skip:] - target[skip:].mean())
+        right.append(target[skip:][read] - target[skip:][read].mean())
     gram = sum(row.T @ row for row in rows)
     cross = sum(row.T @ y for row, y in zip(rows, right, strict=True))
     gram[np.diag_indices_from(gram)] += 1e-6 * np.trace(gram) / len(gram)

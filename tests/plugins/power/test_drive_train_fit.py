@@ -1,4 +1,4 @@
-"""Weights of the drives' terms: the constrained least squares they come from."""
+"""Weights of the drives' terms: the constrained least squares they come from, and what is expected of them."""
 
 from __future__ import annotations
 
@@ -6,91 +6,125 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from hts_power.drive_train_fit import IDLE_SHARE, TERMS, Drives, Sums
+from hts_power.drive_train_fit import IDLE_SHARE, Drives, Sums
+from hts_power.drive_train_prior import TERMS, Expected, expected
 
 KIND = np.array([0, 1, 0, 1])
-COMMON, OWN, REST = 1e-3, 100.0, -1.7
+REST = -1.7
+SIZE = TERMS * len(KIND)
+MEAN = np.repeat([0.6, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0], len(KIND))
 
 
 def problem(seed: int, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Terms (T, TERMS · J) of which some are nearly the same, and a target with noise."""
     rng = np.random.default_rng(seed)
-    terms = np.abs(rng.normal(size=(400, TERMS * len(KIND))))
+    terms = np.abs(rng.normal(size=(400, SIZE)))
     terms[:, -len(KIND) :] = terms[:, : len(KIND)] ** 2 + 0.05 * rng.normal(size=(400, len(KIND)))
     return terms, terms @ truth - 2.0 + 0.3 * rng.normal(size=400)
 
 
-EXPECTED = np.repeat([0.6, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0], len(KIND))  # p: copper loss and mechanical power
+def every(terms: np.ndarray) -> np.ndarray:
+    return np.ones(len(terms), dtype=bool)
 
 
-@pytest.mark.parametrize("expected", [None, EXPECTED])
+def drawn(seed: int) -> Expected:
+    root = np.random.default_rng(seed).normal(size=(SIZE, SIZE)) / np.sqrt(SIZE)
+    return Expected(MEAN, root @ root.T + 0.1 * np.eye(SIZE))
+
+
+def fitted(prior: Expected, terms: np.ndarray, target: np.ndarray, parts: int = 3, rest: float | None = None) -> Drives:
+    drives = Drives(prior, rest)
+    pieces = np.array_split(terms, parts)
+    drives.fit(pieces, np.array_split(target, parts), [every(p) for p in pieces], np.arange(parts), 20, 0)
+    return drives
+
+
 @pytest.mark.parametrize("rest", [None, REST])
-def test_it_is_the_least_squares_solution_with_weights_that_are_not_negative(
-    rest: float | None, expected: np.ndarray | None
-) -> None:
-    truth = np.random.default_rng(7).normal(0.0, 0.4, TERMS * len(KIND))  # half of it is what no drive does
+def test_it_is_the_most_probable_solution_with_weights_that_are_not_negative(rest: float | None) -> None:
+    truth = np.random.default_rng(7).normal(0.0, 0.4, SIZE)  # half of it is what no drive does
     terms, target = problem(1, truth)
-    drives = Drives(KIND, rest, expected)
-    found = drives._solved(Sums.of(terms, target, 0), COMMON, OWN)
+    prior = drawn(2)
+    drives = Drives(prior, rest)
+    drives.noise, drives.factor = 0.09, 0.8
+    found = drives._solved(Sums.of(terms, target, every(terms), 0))
 
-    # The same written out: rows for samples, for w - s p - A u, for u, and for the level at rest; u, s, level are free.
-    n, size, joints = len(target), terms.shape[1], len(KIND)
-    spread = np.zeros((size, 2 * TERMS))
-    for term in range(TERMS):
-        for joint, kind in enumerate(KIND):
-            spread[term * joints + joint, 2 * term + kind] = 1.0
-    common, factor = spread.shape[1], (np.zeros(size) if expected is None else expected)[:, None]
+    # The same written out: rows for samples, for w - s m in the prior's own unit, and for the level; s and b are free.
+    n = len(target)
+    root = np.linalg.cholesky(np.linalg.inv(prior.covariance)).T * np.sqrt(0.09) / 0.8
     rows = [
-        np.concatenate((terms, np.zeros((n, common + 1)), np.ones((n, 1))), 1),
-        np.sqrt(COMMON * OWN * n) * np.concatenate((np.eye(size), -spread, -factor, np.zeros((size, 1))), 1),
-        np.sqrt(COMMON * n) * np.concatenate((np.zeros((common, size)), np.eye(common), np.zeros((common, 2))), 1),
+        np.concatenate((terms, np.zeros((n, 1)), np.ones((n, 1))), 1),
+        np.concatenate((root, -(root @ prior.weight)[:, None], np.zeros((SIZE, 1))), 1),
     ]
-    right = [target, np.zeros(size + common)]
+    right = [target, np.zeros(SIZE)]
     if rest is not None:
-        rows.append(np.sqrt(IDLE_SHARE * n) * np.eye(1, size + common + 2, size + common + 1))
+        rows.append(np.sqrt(IDLE_SHARE * n) * np.eye(1, SIZE + 2, SIZE + 1))
         right.append(np.array([np.sqrt(IDLE_SHARE * n) * rest]))
-    low = np.concatenate((np.zeros(size), np.full(common + 2, -np.inf)))
+    low = np.concatenate((np.zeros(SIZE), np.full(2, -np.inf)))
     solution = lsq_linear(np.concatenate(rows), np.concatenate(right), (low, np.inf), method="bvls", tol=1e-14).x
-    np.testing.assert_allclose(found, np.append(solution[:size], solution[-1]), atol=1e-5)
+    np.testing.assert_allclose(found, np.append(solution[:SIZE], solution[-1]), atol=1e-5)
     assert (found[:-1] == 0).sum() > 3 and (found[:-1] >= 0).all()
-
-
-def test_without_anything_to_forbid_it_is_ordinary_ridge_regression() -> None:
-    terms, target = problem(2, np.full(TERMS * len(KIND), 0.5))
-    drives = Drives(KIND, REST)
-    sums = Sums.of(terms, target, 0)
-    found = drives._solved(sums, 1e-6, 10.0)
-    right = sums.xy.copy()
-    right[-1] += IDLE_SHARE * sums.count * REST
-    np.testing.assert_allclose(found, np.linalg.solve(drives._normal(sums, 1e-6, 10.0), right), atol=1e-4)
-    assert (found[:-1] > 0).all()
 
 
 def test_data_that_say_nothing_leave_what_is_expected_and_data_that_do_overrule_it() -> None:
     """Few samples in much noise: the weights are the expected ones times what the data say of their sum."""
     rng = np.random.default_rng(5)
-    truth = np.repeat([0.1, 0.5, 0.0, 0.3, 0.0, 0.0, 0.0], len(KIND))
+    prior = expected(KIND, np.ones(SIZE), 0.3)
+    truth = 2.0 * np.repeat([0.2, 0.9, 0.1, 0.02, 0.01, 0.0, 0.01], len(KIND))
+    truth[: len(KIND)] *= np.where(KIND == 0, 1.5, 0.5)  # another gear
 
-    def fitted(samples: int, noise: float) -> np.ndarray:
-        terms = np.abs(rng.normal(size=(samples, TERMS * len(KIND))))
-        target = terms @ truth + noise * rng.normal(size=samples)
-        drives, parts = Drives(KIND, None, EXPECTED), 3
-        drives.fit(np.array_split(terms, parts), np.array_split(target, parts), np.arange(parts), 0)
-        return drives.weight
+    def weights(samples: int, noise: float) -> np.ndarray:
+        terms = np.abs(rng.normal(size=(samples, SIZE)))
+        return fitted(prior, terms, terms @ truth + noise * rng.normal(size=samples)).weight
 
-    few, many = fitted(60, 3.0), fitted(3000, 0.1)
-    factor = few @ EXPECTED / (EXPECTED @ EXPECTED)
-    assert factor > 0.2 and np.abs(few - factor * EXPECTED).max() < 0.2 * factor
-    np.testing.assert_allclose(many, truth, atol=0.03)
+    few, many = weights(60, 30.0), weights(6000, 0.1)
+    factor = few @ prior.weight / (prior.weight @ prior.weight)
+    assert factor > 0.2 and np.abs(few - factor * prior.weight).max() < 0.35 * factor
+    np.testing.assert_allclose(many, truth, atol=0.06)
+
+
+def test_noise_that_lasts_for_a_recording_counts_as_one_sample_of_it() -> None:
+    """A floor, a heat or a charge of its own shifts a whole recording: three of them say less than their samples."""
+    prior = expected(KIND, np.ones(SIZE), 0.3)
+    terms, target = problem(4, 2.0 * prior.weight)
+    steady, shifted = fitted(prior, terms, target), fitted(prior, terms, target + np.repeat([1.0, -1.0], 200), parts=2)
+    assert shifted.noise > 30 * steady.noise
+    new = [every(terms)]
+    doubts = [np.linalg.norm(drives.doubt([terms], [target], new, 0)) for drives in (steady, shifted)]
+    assert doubts[1] > 2 * doubts[0]
+
+
+def test_only_new_readings_count() -> None:
+    prior = expected(KIND, np.ones(SIZE), 0.3)
+    terms, target = problem(6, 2.0 * prior.weight)
+    new = np.arange(len(target)) % 4 == 0
+    spoilt = np.where(new, target, 1e3)
+    one, other = Drives(prior, None), Drives(prior, None)
+    one.fit([terms], [spoilt], [new], np.zeros(1), 20, 0)
+    other.fit([terms[new]], [target[new]], [every(terms[new])], np.zeros(1), 5, 0)
+    np.testing.assert_allclose(one.weight, other.weight, rtol=1e-9)
 
 
 def test_what_few_gaits_suggest_is_no_gift() -> None:
     """Two gaits in which hard pushes happen to come with a low level: no weight may call them a gain."""
     rng = np.random.default_rng(3)
-    terms = np.abs(rng.normal(size=(600, TERMS * len(KIND))))
+    terms = np.abs(rng.normal(size=(600, SIZE)))
     target = terms[:, : len(KIND)].sum(1) + 0.1 * rng.normal(size=600)
     target -= 0.8 * terms[:, -len(KIND) :].sum(1)
-    drives = Drives(KIND, None)
-    drives.fit([terms[:300], terms[300:]], [target[:300], target[300:]], np.array([0, 1]), 0)
+    drives = fitted(expected(KIND, np.ones(SIZE), 0.3), terms, target, parts=2)
     assert (drives.weight >= 0).all()
     assert drives.weight[-len(KIND) :].max() < 0.02  # and what is left of them is nothing
+
+
+def test_what_is_expected_are_copper_loss_and_work_and_how_far_drives_are_from_it() -> None:
+    size = np.repeat([40.0, 20.0, 15.0, 5.0, 4.0, 30.0, 3000.0], len(KIND))
+    prior = expected(KIND, size, 0.3)
+    watts = prior.weight / size
+    np.testing.assert_allclose(watts.reshape(TERMS, -1)[:, 0], [0.3, 0.5, 0.5, 0, 0, 0, 0])
+    assert np.linalg.eigvalsh(prior.covariance).min() > 0
+    spread = np.sqrt(np.diag(prior.covariance)) / size
+    done = np.zeros(SIZE)
+    done[[len(KIND), 2 * len(KIND)]] = 1 / size[[len(KIND), 2 * len(KIND)]]  # both weights of one joint's work
+    assert np.sqrt(done @ prior.covariance @ done) == pytest.approx(np.hypot(0.05, np.hypot(0.02, 0.03)))
+    assert spread[len(KIND)] == pytest.approx(0.29, abs=0.01)  # of what is generated nobody knows the use
+    nothing = expected(KIND, size, None)
+    assert np.sqrt(nothing.covariance[0, 0]) == pytest.approx(10 * np.sqrt(prior.covariance[0, 0]))

@@ -143,6 +143,36 @@ def test_doubt_grows_where_there_were_no_data_and_is_what_the_reward_is_careful_
     assert model.pessimism == DriveTrainSettings().beta == 1.0
 
 
+def test_a_gauge_that_is_read_five_times_a_second_says_as_much_as_it_reads():
+    """Held readings: over all samples most of what it shows is old, over its readings nearly all is explained."""
+    logs = []
+    for seed in range(5):
+        log = walk(seed)
+        shown = log.values("battery_current").reshape(-1)
+        held = shown[np.arange(len(shown)) // 10 * 10]
+        logs.append(log.replace(channels={**log.channels, "battery_current": Series(TARGET, held)}))
+    model, report = fitted(logs)
+    assert report["readings_per_second"] == pytest.approx(5.0, abs=0.1)
+    assert report["validation_r2"] > 0.97
+    assert report["sensor_delay_seconds"] == pytest.approx((LATE + 2 + 4.5) / RATE, abs=1.5 / RATE)
+    torque = np.array([[3.0, 0.0, 0.0, 0.0]])
+    extra = settled(model, torque, 0 * torque)[0] - settled(model, 0 * torque, 0 * torque)[0]
+    assert extra == pytest.approx(9 * COPPER[0], rel=0.1)
+
+
+def test_what_a_joint_gives_back_is_doubted_where_it_is_not_paid():
+    logs = [walk(seed) for seed in range(3)]
+    paid, unpaid = fitted(logs)[0], fitted(logs, generated="unpaid")[0]
+    braking, pushing = ([[1.0, 0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0]] for speed in (-9.0, 9.0))
+    for inputs, less in ((braking, True), (pushing, False)):
+        first, second = (model.settled(torch.tensor(inputs)) for model in (paid, unpaid))
+        assert torch.equal(first.mean, second.mean)
+        assert bool(second.std > first.std + 0.1) == less
+    rest = unpaid.settled(torch.zeros(1, 2 * JOINTS)).mean
+    told = unpaid.settled(torch.tensor(braking))
+    assert float(told.mean) < float(rest) and float(told.mean + told.std) >= float(rest)
+
+
 def test_joints_built_alike_are_told_by_their_names():
     assert kinds(NAMES, 4).tolist() == [0, 1, 0, 1]
     assert kinds(("shoulder", "elbow"), 2).tolist() == [0, 0]

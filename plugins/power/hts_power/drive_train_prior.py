@@ -1,0 +1,63 @@
+"""What is expected of a drive's weights before any data: textbook values, and how far drives are from them.
+
+The unit is the weight of mechanical power that a drive does, 1; what one unit is in a gauge's amperes is free. Normal
+distributions, with a part that all joints share, one that joints of one kind share, and one of each joint:
+
+- copper loss: r/k², W/(N m)², is the published 0.3 (`hts_power.proxy`), for all joints. Other motors and other gears
+  make another one (it goes with the square of the gear ratio: a stage of 1.5 : 1 more is a factor of 2.25), so it may
+  well be half off in all, and two thirds more between kinds. Windings of one type differ by 5 to 10 %;
+- mechanical power that is done: 1, to a few per cent, which a converter loses; there is no other way to do work;
+- what is generated: used in full, burnt, or anything between (uniform on 0 to 1 has the mean 0.5 and deviation 0.29);
+- inverter loss |tau|, iron loss |q'| and q'^2, saturation tau^4: none is expected, and not more of them in all of a
+  log than shares of the copper loss.
+
+Every share says an order of magnitude. Those of the losses were halved once, on eight development realities.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hts_power.proxy import JOULE_COEFFICIENT
+
+COPPER = (0.5, 0.67, 0.13)  # deviation of the common part, of a kind's, of a joint's; shares of r/k²
+DONE = (0.05, 0.02, 0.03)  # of mechanical power that is done
+GENERATED = (0.29, 0.03, 0.03)  # of what is generated: one bus, so hardly a joint's own
+LOSSES = {"torque": 0.05, "speed": 0.02, "speed_squared": 0.02, "torque_fourth": 0.1}  # shares of the copper loss
+LOSS_OF_KIND, LOSS_OF_JOINT = 0.7, 0.15  # of these
+ANYTHING = 10.0  # times the deviation, where nothing is expected of the copper loss
+TERMS = 7  # per joint: tau^2, tau q', max(tau q', 0), |tau|, |q'|, q'^2, tau^4
+
+
+class Expected(NamedTuple):
+    """weight: mean (TERMS · J,), covariance: (TERMS · J, TERMS · J), of weights of terms that are scaled by size."""
+
+    weight: np.ndarray
+    covariance: np.ndarray
+
+
+def expected(kind: np.ndarray, size: np.ndarray, joule_coefficient: float | None) -> Expected:
+    """kind: of each joint, (J,); size: root mean square of each term in the log, (TERMS · J,), alike for all joints;
+    joule_coefficient: r/k², W/(N m)²; None: nothing is known of it."""
+    joints = len(kind)
+    copper = joule_coefficient or JOULE_COEFFICIENT
+    wide = 1.0 if joule_coefficient else ANYTHING
+    alike = (kind[:, None] == kind).astype(float)
+
+    def spread(shared: float, of_kind: float, own: float) -> np.ndarray:
+        return shared**2 + of_kind**2 * alike + own**2 * np.eye(joints)
+
+    loss = copper * size[0]  # scaled weight of the copper loss
+    blocks = np.zeros((TERMS, joints, TERMS, joints))
+    blocks[0, :, 0] = (wide * copper) ** 2 * spread(*COPPER)
+    done, generated = spread(*DONE), spread(*GENERATED)
+    # w of tau q' is what is generated, w of max(tau q', 0) is what is done less that.
+    blocks[1, :, 1], blocks[2, :, 2] = generated, done + generated
+    blocks[1, :, 2] = blocks[2, :, 1] = -generated
+    for term, share in enumerate(LOSSES.values(), start=3):
+        most = share * loss / size[term * joints] if size[term * joints] > 0 else 1.0
+        blocks[term, :, term] = most**2 * spread(1.0, LOSS_OF_KIND, LOSS_OF_JOINT)
+    weight = np.repeat([copper, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0], joints) * size
+    return Expected(weight, blocks.reshape(TERMS * joints, TERMS * joints) * np.outer(size, size))
