@@ -10,7 +10,7 @@ LEAST_SHARE = 0.02  # of samples that differ from the one before; with fewer, no
 def new_readings(target: np.ndarray) -> np.ndarray:
     """Whether a sample (T,) is a new reading: it differs from the sample before; the first one's age is unknown.
 
-    A battery gauge of 5 Hz in a log of 50 Hz is one number ten times over, of which nine are old: what the robot does
+    A sensor of 5 Hz in a log of 50 Hz is one number ten times over, of which nine are old: what the robot does
     meanwhile explains nothing of them. All samples count where fewer than LEAST_SHARE of them differ.
     """
     new = np.zeros(len(target), dtype=bool)
