@@ -36,9 +36,9 @@ class Drives:
         self._rest, self._mean = rest, expected.weight
         precision = np.linalg.inv(expected.covariance)
         pulled = precision @ self._mean
-        self._certainty = float(self._mean @ pulled)
-        self._along = pulled / self._certainty  # w to s
-        self._pull = precision - np.outer(pulled, pulled) / self._certainty  # what is left when the best s is put in
+        certainty = float(self._mean @ pulled)
+        self._along = pulled / certainty  # w to s
+        self._pull = precision - np.outer(pulled, pulled) / certainty  # what is left when the best s is put in
         self.weight, self.bias, self.error = np.zeros(len(self._mean)), 0.0, math.inf
         self.noise, self.factor = math.nan, math.nan
 

@@ -37,7 +37,7 @@ from torch import Tensor
 
 from hts.config import Config
 from hts.contracts import MeasurementModel, ModelContext, Prediction, Signals
-from hts.errors import ConfigError
+from hts.errors import ConfigError, RecordingError
 from hts.measurement.data import training_data
 from hts.measurement.lstm_fit import one_thread
 from hts.measurement.readings import new_readings
@@ -146,6 +146,12 @@ class DriveTrain(TorchModel):
             if all(inputs is not None for inputs in computed):
                 sources["computed"] = [inputs for inputs in computed if inputs is not None]
             new = [new_readings(target) for target in targets]
+            kept = [target[skipped(len(target), self.longest) :] for target in targets]
+            if max(float(np.ptp(target)) for target in kept) == 0:
+                raise RecordingError(
+                    f"'{name}' stays the same from {self.config.lag_seconds:g} s on in all {len(kept)} recordings. A "
+                    "model cannot be fitted to a constant: check that the sensor was read throughout, and record again."
+                )
             found: dict[str, tuple[Drives, list[np.ndarray], list[np.ndarray]]] = {}
             for source, inputs in sources.items():
                 terms = [self.scaled_features(each.double()).numpy() for each in inputs]
@@ -203,22 +209,26 @@ class DriveTrain(TorchModel):
         """What the target would settle at if these inputs stayed: inputs (..., F) -> (...).
 
         Where what joints give back is not paid, all of it is doubted."""
-        prediction, joints = self._taken(inputs)
-        if self.config.generated == "paid":
-            return prediction
-        return Prediction(prediction.mean, prediction.std + (-joints).clamp_min(0.0).sum(-1))
+        each = self._parts(inputs)
+        mean, std = self._taken(each)
+        if self.config.generated == "unpaid":
+            joints = each[..., 0, :].unflatten(-1, (TERMS, -1)).sum(-2)
+            std = std + (-joints).clamp_min(0.0).sum(-1)
+        return Prediction(mean, std)
 
-    def _taken(self, inputs: Tensor) -> tuple[Prediction, Tensor]:
-        """The same, with the data's own doubt alone; and what each joint adds to it, (..., J)."""
-        weight, constant = self._weights()
-        # Row by row and not as one product: the order of a product's sums may hang on how many worlds there are.
-        each = self.features(inputs).unsqueeze(-2) * weight
-        found = each.sum(-1) + constant
-        joints = each[..., 0, :].unflatten(-1, (TERMS, -1)).sum(-2)
-        return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt()), joints
+    def _parts(self, inputs: Tensor) -> Tensor:
+        """What each term adds to the mean and to the directions of doubt, (..., 1 + DIRECTIONS, TERMS · J)."""
+        return self.features(inputs).unsqueeze(-2) * self._weights()[0]
+
+    def _taken(self, each: Tensor) -> Prediction:
+        """Mean and the data's own doubt (...) of such parts.
+
+        Row by row and not as one product: the order of a product's sums may hang on how many worlds there are."""
+        found = each.sum(-1) + self._weights()[1]
+        return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt())
 
     def sequence(self, inputs: Tensor, state: Tensor | None = None) -> tuple[Prediction, Tensor]:
-        (mean, std), _ = self._taken(inputs)
+        mean, std = self._taken(self._parts(inputs))
         batch, length = mean.shape
         total = mean.new_zeros(batch, length + self.longest)
         if state is not None:
@@ -229,7 +239,7 @@ class DriveTrain(TorchModel):
 
     @torch.no_grad()
     def step(self, inputs: Tensor, state: Tensor) -> tuple[Prediction, Tensor]:
-        (mean, std), _ = self._taken(inputs)
+        mean, std = self._taken(self._parts(inputs))
         total = mean[:, None] * self.sensor + torch.cat((state, torch.zeros_like(mean[:, None])), 1)
         return Prediction(total[:, 0], std), total[:, 1:]
 

@@ -11,7 +11,7 @@ distributions, with a part that all joints share, one that joints of one kind sh
 - inverter loss |tau|, iron loss |q'| and q'^2, saturation tau^4: none is expected, and not more of them in all of a
   log than shares of the copper loss.
 
-Every share says an order of magnitude. Those of the losses were halved once, on eight development realities.
+Every share says an order of magnitude; copper's and the losses' were settled on eight development realities.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Expected(NamedTuple):
 
 
 def expected(kind: np.ndarray, size: np.ndarray, joule_coefficient: float | None) -> Expected:
-    """kind: of each joint, (J,); size: root mean square of each term in the log, (TERMS · J,), alike for all joints;
-    joule_coefficient: r/k², W/(N m)²; None: nothing is known of it."""
+    """kind: of each joint, (J,); size: root mean square of each term in the log, (TERMS · J,), positive,
+    alike for all joints; joule_coefficient: r/k², W/(N m)²; None: nothing is known of it."""
     joints = len(kind)
     copper = joule_coefficient or JOULE_COEFFICIENT
     wide = 1.0 if joule_coefficient else ANYTHING
@@ -57,7 +57,7 @@ def expected(kind: np.ndarray, size: np.ndarray, joule_coefficient: float | None
     blocks[1, :, 1], blocks[2, :, 2] = generated, done + generated
     blocks[1, :, 2] = blocks[2, :, 1] = -generated
     for term, share in enumerate(LOSSES.values(), start=3):
-        most = share * loss / size[term * joints] if size[term * joints] > 0 else 1.0
+        most = share * loss / size[term * joints]
         blocks[term, :, term] = most**2 * spread(1.0, LOSS_OF_KIND, LOSS_OF_JOINT)
     weight = np.repeat([copper, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0], joints) * size
     return Expected(weight, blocks.reshape(TERMS * joints, TERMS * joints) * np.outer(size, size))

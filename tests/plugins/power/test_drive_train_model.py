@@ -11,7 +11,7 @@ pytest.importorskip("hts_power", reason="the model of this test is not installed
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import ModelContext, Signals
-from hts.errors import ConfigError
+from hts.errors import ConfigError, RecordingError
 from hts.recordings.recording import Recording, Series
 from hts_power.drive_train_model import DriveTrainSettings, computed_inputs, kinds, make
 
@@ -158,6 +158,15 @@ def test_a_gauge_that_is_read_five_times_a_second_says_as_much_as_it_reads():
     torque = np.array([[3.0, 0.0, 0.0, 0.0]])
     extra = settled(model, torque, 0 * torque)[0] - settled(model, 0 * torque, 0 * torque)[0]
     assert extra == pytest.approx(9 * COPPER[0], rel=0.1)
+
+
+def test_a_gauge_that_stops_is_refused_in_one_line():
+    log = walk(0)
+    shown = log.values("battery_current").reshape(-1).copy()
+    shown[50:] = shown[50]
+    stopped = log.replace(channels={**log.channels, "battery_current": Series(TARGET, shown)})
+    with pytest.raises(RecordingError, match="'battery_current' stays the same from 1 s on in all 1 recordings"):
+        fitted([stopped])
 
 
 def test_what_a_joint_gives_back_is_doubted_where_it_is_not_paid():
