@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 from collections.abc import Mapping
@@ -17,8 +18,19 @@ CHUNK_SAMPLES = 1 << 20
 def write_group(folder: Path, attributes: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
     """Write one Zarr 3 group into an existing folder.
 
-    attributes: of the group; its `arrays` entry gives each array's own. arrays: name -> (T, …). Raises OSError.
+    attributes: of the group; its `arrays` entry gives each array's own. arrays: name -> (T, …). Raises OSError;
+    by then nothing is still being written into the folder.
     """
+    try:
+        _write(folder, attributes, arrays)
+    except OSError:
+        from zarr.core.sync import sync
+
+        sync(_other_writes_end())
+        raise
+
+
+def _write(folder: Path, attributes: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
     import zarr  # 0.4 s to import: only when something is stored
 
     # Not mode "w": that would remove the folder and make another, and the writer's lock is on this one.
@@ -37,6 +49,12 @@ def write_group(folder: Path, attributes: Mapping[str, Any], arrays: Mapping[str
             attributes={key: value for key, value in attributes["arrays"][name].items() if key != "shape"},
         )
         array[...] = plain
+
+
+async def _other_writes_end() -> None:
+    """zarr writes several files side by side and raises at the first that fails, while the others go on."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    await asyncio.gather(*others, return_exceptions=True)
 
 
 def read_array(folder: Path, shape: tuple[int, ...]) -> np.ndarray:

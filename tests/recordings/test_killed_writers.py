@@ -10,7 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
+import zarr.storage._local as local_storage
 from walker_recording import a_recording
+from zarr.core.buffer import Buffer
 
 from hts.errors import RecordingError
 from hts.recordings import RecordingStore, partial
@@ -123,6 +125,26 @@ def test_a_full_or_read_only_disk_leaves_nothing_behind(
     assert sorted(os.listdir(store.path)) == sorted([kept, "zarr.json"])
     store.write(a_recording(block=3))
     assert store.validate() == []
+
+
+def test_when_one_of_two_writes_fails_the_other_is_not_left_running(
+    store: RecordingStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """zarr writes the metadata of an array and of its group side by side, each in a thread."""
+    put, ended = local_storage._put, []
+
+    def full(path: Path, value: Buffer, exclusive: bool = False) -> int:
+        if exclusive:
+            time.sleep(0.3)
+            ended.append(path.name)
+        elif path.parts[-2:] != ("time", "zarr.json"):
+            return put(path, value)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr(local_storage, "_put", full)
+    with pytest.raises(RecordingError, match="The disk is full"):
+        store.write(a_recording())
+    assert ended == ["zarr.json"]
 
 
 def test_an_array_that_does_not_fit_on_the_disk_leaves_nothing_behind(store: RecordingStore) -> None:
