@@ -132,6 +132,6 @@ class EvaluationConfig(Config):
     trims_again: int = Field(
         4,
         ge=0,
-        description="how often the final repeats a speed whose means ended apart, trimmed twice and then four times as "
-        "long",
+        description="how often the final repeats a speed whose means ended apart, or far from what was asked, trimmed "
+        "twice and then four times as long",
     )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hts.contracts.installed import Installed
 from hts.contracts.settings import Settings
@@ -38,12 +38,19 @@ class HoldSpeed:
     """How a world holds the speed of head-to-heads: the command is trimmed by the measured speed, and then frozen.
 
     commands: lowest and highest command that may be sent, m/s; seconds: of trimming of each policy at each speed, its
-    settling included; tolerance: largest difference of the two mean speeds that counts as one speed, as a share of it.
+    settling included; tolerance: largest difference of the two mean speeds that counts as one speed, as a share of it;
+    again: how often the same was asked for before, in vain: what is recorded now is to be another session.
     """
 
     commands: tuple[float, float]
     seconds: float = 12.0
     tolerance: float = 0.01
+    again: int = 0
+
+    def named(self) -> dict[str, Any]:
+        """Its part of a request's name, from which a session's names and noise follow: all of it, `again` where it is
+        not 0 (so that logs which wait for an earlier version's request are still found)."""
+        return {key: value for key, value in asdict(self).items() if key != "again" or value}
 
 
 class World(ABC):

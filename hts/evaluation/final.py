@@ -124,25 +124,34 @@ def entry_of(objective: Objective, results: Mapping[float, HeadToHead]) -> dict[
     }
 
 
-def speeds_apart(
+def speeds_missed(
     objective: Objective,
     recordings: Sequence[Recording],
     config: EvaluationConfig,
     seed: int = 0,
     task: Task = VELOCITY,
 ) -> list[float]:
-    """Held speeds at which the policy and its reference ended apart, m/s, slowest first."""
+    """Held speeds, m/s, slowest first, for which trimming did not find the commands: the policy and its reference ended
+    apart, or too few seconds count because one of them went steadily faster or slower than was asked."""
     found = []
     for speed, group in by_speed(recordings, task).items():
         try:
             compare(objective, group, config, seed, task)
         except CommandAtLimit:
             continue
-        except SpeedNotHeld:
-            found.append(speed)
+        except NotComparable as error:
+            if isinstance(error, SpeedNotHeld) or _off(error, config.speed_tolerance):
+                found.append(speed)
         except EvaluationError:  # for another reason, which trimming does not mend
             continue
     return found
+
+
+def _off(error: NotComparable, tolerance: float) -> bool:
+    """Whether who is refused went another speed than was asked: off on average by more than half of what a second may
+    be. Who is nearer, and yet keeps the speed in too few seconds, wanders, which no command mends."""
+    asked, walked = error.numbers.get("speed"), error.numbers.get("walked")
+    return walked is not None and asked is not None and abs(walked - asked) > tolerance / 2 * abs(asked)
 
 
 def segment_scores(results: Mapping[float, HeadToHead]) -> dict[str, Any]:

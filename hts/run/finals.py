@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hts.contracts import HoldSpeed
-from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, speeds_apart, walked_speeds
+from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, speeds_missed, walked_speeds
 from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.recordings.recording import Recording
 from hts.run.job import Job
@@ -153,21 +153,21 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
 def _held(job: Job, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:
     """The head-to-head with the speed held; and what was recorded in vain.
 
-    A speed at which the two ended apart is done again, trimmed twice as long each time, up to LONGEST times: whether a
-    command was found well enough says nothing about what is saved with it.
+    A speed whose commands were not found is done again, trimmed twice as long each time, up to LONGEST times: whether
+    they were says nothing about what is saved with them.
     """
     config, task, objective = job.config.evaluation, job.robot.task(), next(iter(job.objectives.values()))
     ask_to_hold(job.world, hold)
     good, vain, longest = _head_to_head(job), [], LONGEST * hold.seconds
-    for _ in range(config.trims_again):
-        apart = speeds_apart(objective, good, config, job.seed("interval", "final"), task)
-        if not apart:
+    for again in range(1, config.trims_again + 1):
+        missed = speeds_missed(objective, good, config, job.seed("interval", "final"), task)
+        if not missed:
             break
-        hold = replace(hold, seconds=min(2 * hold.seconds, longest))
+        hold = replace(hold, seconds=min(2 * hold.seconds, longest), again=again)
         ask_to_hold(job.world, hold)
-        vain += [recording for recording in good if recording.schedule.commands[0].commanded in apart]
-        kept = [recording for recording in good if recording.schedule.commands[0].commanded not in apart]
-        good = [*kept, *_head_to_head(job, apart)]
+        vain += [recording for recording in good if recording.schedule.commands[0].commanded in missed]
+        kept = [recording for recording in good if recording.schedule.commands[0].commanded not in missed]
+        good = [*kept, *_head_to_head(job, missed)]
     return good, vain
 
 

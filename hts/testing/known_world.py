@@ -9,7 +9,6 @@ channels, so that a model can be fitted to it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +91,7 @@ class KnownWorld(World):
         factor, pace = {"reference": 1.0, "policy": 1.0 - self.settings.saving}, {"policy": self.settings.pace}
         if file_hash(policy) == file_hash(reference):
             factor["policy"] = pace["policy"] = 1.0
-        holding = [asdict(self._hold)] if self._hold is not None else []
+        holding = [self._hold.named()] if self._hold is not None else []
         request = request_id("head to head", self.seed, file_hash(policy), file_hash(reference), *holding)
         paths = {"policy": policy, "reference": reference}
         recordings = []

@@ -7,7 +7,6 @@ command to type next. When the logs lie in the bundle, the same request reads th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -178,7 +177,7 @@ class FieldWorld(World):
 
     def _holding(self) -> list[Any]:
         """What a request's name says about holding the speed; nothing where it is not held."""
-        return [asdict(self._hold)] if self._hold is not None else []
+        return [self._hold.named()] if self._hold is not None else []
 
     def _recordings(self, request: str, orders: Sequence[Order]) -> list[Recording]:
         """What the logs of a bundle hold, in order; writes the bundle and waits if any is missing."""

@@ -109,7 +109,9 @@ def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence
         },
         "policies": list(policies),
         "rows": list(rows),
-        "hold": None if held is None else {**asdict(held), "commands": list(held.commands)},
+        "hold": None
+        if held is None
+        else {"commands": list(held.commands), "seconds": held.seconds, "tolerance": held.tolerance},
         "channels": {
             channel.name: {
                 "unit": channel.unit,

@@ -11,7 +11,7 @@ from hts.config_loading import load_config
 from hts.contracts import VELOCITY, Comparison, HoldSpeed
 from hts.errors import ConfigError, EvaluationError
 from hts.evaluation.across_speeds import mean_comparison
-from hts.evaluation.final import candidate_result, entry_both_ways, walked_speeds
+from hts.evaluation.final import candidate_result, entry_both_ways, speeds_missed, walked_speeds
 from hts.evaluation.halves import halves
 from hts.evaluation.head_to_head import compare
 from hts.evaluation.held import SpeedNotHeld, ask_to_hold, check_hold, hold_of
@@ -112,6 +112,20 @@ def test_a_difference_that_chance_explains_is_not_refused():
     compare(CostObjective(), session(0.8, 0.790, 0.800, **short), few)  # 1.25 %
     with pytest.raises(SpeedNotHeld):
         compare(CostObjective(), session(0.8, 0.760, 0.800, **short), few)  # 5 %
+
+
+@pytest.mark.parametrize("role", ["policy", "reference"])
+def test_a_speed_is_walked_again_where_the_command_was_wrong_and_not_where_the_policy_wanders(role):
+    def missed(**given) -> list[float]:
+        speeds = {"policy": 0.8, "reference": 0.8} | {role: given.pop("mean", 0.8)}
+        return speeds_missed(CostObjective(), session(0.8, **speeds, **given), CONFIG)
+
+    assert missed() == []
+    assert missed(mean=0.9) == [0.8]  # steadily 12 % too fast: no second counts
+    assert missed(mean=0.81) == [0.8]  # each second counts, the means are apart
+    assert missed(noise=0.4) == []  # right on average, in few of its seconds
+    saturated = {role: held(1.2, saturated=True)}
+    assert missed(mean=0.7, notes=saturated) == []  # trimming longer does not help
 
 
 def test_blocks_that_held_the_speed_do_not_mix_with_others():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 
 from hts.config import Command, EvaluationConfig, ScheduleConfig
@@ -15,7 +16,7 @@ class World:
     name = "made up"
 
     def __init__(self, until):
-        self.asked, self.until = [], until
+        self.asked, self.named, self.until = [], [], until
 
     def hold_speed(self, hold):
         self.hold = hold
@@ -23,6 +24,7 @@ class World:
 
     def head_to_head(self, policy, reference, speeds):
         self.asked.append((self.hold.seconds, tuple(speeds)))
+        self.named.append(self.hold.named())
         return [
             SimpleNamespace(
                 schedule=ScheduleConfig(commands=(Command(seconds=20.0, vx=speed),)),
@@ -46,7 +48,7 @@ def held(monkeypatch, again, until=40.0):
     def apart(objective, recordings, config, seed, task):
         return [one.schedule.commands[0].vx for one in recordings if one.apart]
 
-    monkeypatch.setattr(finals, "speeds_apart", apart)
+    monkeypatch.setattr(finals, "speeds_missed", apart)
     return world, *finals._held(job, HoldSpeed((0.2, 1.5), 12.0, 0.01))
 
 
@@ -61,6 +63,11 @@ def test_what_is_still_apart_stays_to_be_refused(monkeypatch):
     world, good, _ = held(monkeypatch, again=1)
     assert world.asked[-1] == (24.0, (0.5,)) and any(one.apart for one in good)
     assert held(monkeypatch, again=0)[0].asked == [(12.0, (0.5, 0.8))]
+
+
+def test_each_try_is_asked_for_as_another_session(monkeypatch):
+    world, _, _ = held(monkeypatch, again=4, until=1000.0)
+    assert len({json.dumps(one, sort_keys=True) for one in world.named}) == 5  # two of them trim equally long
 
 
 def test_trimming_ends_at_four_times_the_first_one(monkeypatch):

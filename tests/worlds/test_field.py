@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -304,6 +305,14 @@ def test_a_bundle_says_how_to_trim_and_before_which_rows(run, policy):
     with pytest.raises(WaitingForRobot):
         field(run).head_to_head(policy, policy, [0.8])
     assert len([path for path in (run / "field").iterdir() if path.is_dir()]) == 2  # another request
+
+
+def test_a_speed_that_is_walked_again_gets_a_bundle_of_its_own(run, policy, robot):
+    head_to_head_at(run, policy, robot, [0.82, 0.85, 0.85, 0.82])
+    world = field(run)
+    world.hold_speed(replace(HOLD, again=1))
+    with pytest.raises(WaitingForRobot):  # and does not read the logs of the first time again
+        world.head_to_head(policy, policy, [0.8])
 
 
 def test_the_frozen_command_is_read_from_the_logs(run, policy, robot):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -137,6 +139,15 @@ def test_a_held_block_keeps_the_asked_speed_in_its_schedule_and_sends_the_frozen
     assert [recording.id for recording in again] == [recording.id for recording in before]
     assert not {recording.session for recording in held} & {recording.session for recording in again}
     assert "held_command" not in again[0].notes
+
+
+def test_what_was_walked_in_vain_is_walked_anew_and_not_told_again(twin, policies):
+    walk, _ = policies
+    found = []
+    for again in (0, 1, 2):
+        twin.hold_speed(replace(SHORT, again=again))
+        found.append({recording.session for recording in twin.head_to_head(walk, walk, [0.8])})
+    assert not found[0] & found[1] and not found[1] & found[2] and not found[0] & found[2]
 
 
 def test_one_machine_walks_all_speeds_of_a_session(twin, policies):

@@ -6,7 +6,6 @@ import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +180,7 @@ class TwinWorld(World):
         """What a request's name says about holding the speed; nothing where it is not held."""
         if self._hold is None:
             return []
-        return [asdict(self._hold), *([policy, one.asked, one.command] for policy, one in kept)]
+        return [self._hold.named(), *([policy, one.asked, one.command] for policy, one in kept)]
 
     def _kept_for(self, paths: Sequence[str], speeds: Sequence[float]) -> list[tuple[str, Kept]]:
         """Commands found in round 0, each with the hash of its policy's file."""

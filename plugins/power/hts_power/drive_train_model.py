@@ -28,7 +28,7 @@ action is paid for when it is taken and not half a second later.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -67,11 +67,6 @@ class DriveTrainSettings(Config):
         gt=0,
         description="r/k², W/(N·m)²: how much copper loss beside mechanical power is expected; "
         "null: nothing is known of it",
-    )
-    generated: Literal["paid", "unpaid"] = Field(
-        "paid",
-        description="whether the reward counts what a joint gives back: as the data say, or not at all, since in "
-        "training no gear keeps any of it (β doubts so much of it)",
     )
     instant: bool = Field(
         True,
@@ -208,27 +203,13 @@ class DriveTrain(TorchModel):
     def settled(self, inputs: Tensor) -> Prediction:
         """What the target would settle at if these inputs stayed: inputs (..., F) -> (...).
 
-        Where what joints give back is not paid, all of it is doubted."""
-        each = self._parts(inputs)
-        mean, std = self._taken(each)
-        if self.config.generated == "unpaid":
-            joints = each[..., 0, :].unflatten(-1, (TERMS, -1)).sum(-2)
-            std = std + (-joints).clamp_min(0.0).sum(-1)
-        return Prediction(mean, std)
-
-    def _parts(self, inputs: Tensor) -> Tensor:
-        """What each term adds to the mean and to the directions of doubt, (..., 1 + DIRECTIONS, TERMS · J)."""
-        return self.features(inputs).unsqueeze(-2) * self._weights()[0]
-
-    def _taken(self, each: Tensor) -> Prediction:
-        """Mean and the data's own doubt (...) of such parts.
-
         Row by row and not as one product: the order of a product's sums may hang on how many worlds there are."""
-        found = each.sum(-1) + self._weights()[1]
+        weights, level = self._weights()
+        found = (self.features(inputs).unsqueeze(-2) * weights).sum(-1) + level
         return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt())
 
     def sequence(self, inputs: Tensor, state: Tensor | None = None) -> tuple[Prediction, Tensor]:
-        mean, std = self._taken(self._parts(inputs))
+        mean, std = self.settled(inputs)
         batch, length = mean.shape
         total = mean.new_zeros(batch, length + self.longest)
         if state is not None:
@@ -239,7 +220,7 @@ class DriveTrain(TorchModel):
 
     @torch.no_grad()
     def step(self, inputs: Tensor, state: Tensor) -> tuple[Prediction, Tensor]:
-        mean, std = self._taken(self._parts(inputs))
+        mean, std = self.settled(inputs)
         total = mean[:, None] * self.sensor + torch.cat((state, torch.zeros_like(mean[:, None])), 1)
         return Prediction(total[:, 0], std), total[:, 1:]
 

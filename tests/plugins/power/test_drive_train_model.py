@@ -169,19 +169,6 @@ def test_a_gauge_that_stops_is_refused_in_one_line():
         fitted([stopped])
 
 
-def test_what_a_joint_gives_back_is_doubted_where_it_is_not_paid():
-    logs = [walk(seed) for seed in range(3)]
-    paid, unpaid = fitted(logs)[0], fitted(logs, generated="unpaid")[0]
-    braking, pushing = ([[1.0, 0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0]] for speed in (-9.0, 9.0))
-    for inputs, less in ((braking, True), (pushing, False)):
-        first, second = (model.settled(torch.tensor(inputs)) for model in (paid, unpaid))
-        assert torch.equal(first.mean, second.mean)
-        assert bool(second.std > first.std + 0.1) == less
-    rest = unpaid.settled(torch.zeros(1, 2 * JOINTS)).mean
-    told = unpaid.settled(torch.tensor(braking))
-    assert float(told.mean) < float(rest) and float(told.mean + told.std) >= float(rest)
-
-
 def test_joints_built_alike_are_told_by_their_names():
     assert kinds(NAMES, 4).tolist() == [0, 1, 0, 1]
     assert kinds(("shoulder", "elbow"), 2).tolist() == [0, 0]

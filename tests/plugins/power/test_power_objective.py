@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
+from hts.config_loading import load_config
 from hts.evaluation.segments import cut
 from hts.recordings.recording import Recording, Series
 from hts_power import plugin
@@ -95,6 +96,20 @@ def test_the_sweeps_are_those_of_the_paper():
     exact = plugin.PRESETS["paper-exact"]
     assert exact["weights"] == [0.5, 1.0, 5.0] and exact["baseline_weights"] == [5e-5, 1e-4, 5e-4, 1e-3, 5e-3]
     plugin.make_power({key: value for key, value in exact.items() if key != "model"})
+
+
+@pytest.mark.parametrize("preset", ["quick", "paper"])
+def test_the_baseline_has_as_many_steps_and_tests_as_the_method(preset: str) -> None:
+    method, baseline = (
+        load_config(objectives=["power"], robot="go1", preset=preset, baseline=baseline) for baseline in (False, True)
+    )
+    assert baseline.iterations * baseline.selection.elites == method.iterations * method.selection.elites
+    power = Power(PowerSettings(**plugin.PRESETS.get(preset, {})))
+    trained = [
+        config.iterations * len(weights) * len(config.sweep.kl_bounds) * config.finetune.steps
+        for config, weights in ((method, power.weights), (baseline, power.baseline_weights))
+    ]
+    assert trained[1] == pytest.approx(trained[0], rel=0.01)
 
 
 def test_settings_reach_the_measurement_model_and_wrong_ones_are_refused():
