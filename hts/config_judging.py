@@ -69,6 +69,12 @@ class SelectionConfig(Config):
         description="refuse an elite below this share of valid segments, where that is more than the final asks of "
         "both policies (evaluation.min_valid): a short trial flatters",
     )
+    trims_again: int = Field(
+        0,
+        ge=0,
+        description="how often a trial repeats a speed whose means ended apart, or far from what was asked, trimmed "
+        "twice and then four times as long; within `max_real_samples`",
+    )
     confirm: int = Field(
         0,
         ge=0,

@@ -58,6 +58,7 @@ OURS: dict[str, Any] = {
         "speeds": [0.5, 0.8, 1.1],
         "block_seconds": 20.0,
         "min_valid": 0.6,
+        "trims_again": 1,
         "confirm": 2,
     },
     "evaluation": {"speeds": [0.5, 0.8, 1.1], "hold_speed": True, "trim_seconds": 20.0, "finals": 3},

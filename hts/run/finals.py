@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from hts.contracts import HoldSpeed
@@ -19,10 +19,9 @@ from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.recordings.recording import Recording
 from hts.run.job import Job
 from hts.run.stages import read_json, write_json
+from hts.run.walked_again import walked_again
 
 Report = Callable[[float], None]
-
-LONGEST = 4.0  # of the first trimming: what still moves the speed then is no noise that a longer one averages out
 
 
 @dataclass
@@ -151,24 +150,17 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
 
 
 def _held(job: Job, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:
-    """The head-to-head with the speed held; and what was recorded in vain.
-
-    A speed whose commands were not found is done again, trimmed twice as long each time, up to LONGEST times: whether
-    they were says nothing about what is saved with them.
-    """
+    """The head-to-head with the speed held; and what was recorded in vain, see `walked_again`."""
     config, task, objective = job.config.evaluation, job.robot.task(), next(iter(job.objectives.values()))
-    ask_to_hold(job.world, hold)
-    good, vain, longest = _head_to_head(job), [], LONGEST * hold.seconds
-    for again in range(1, config.trims_again + 1):
-        missed = speeds_missed(objective, good, config, job.seed("interval", "final"), task)
-        if not missed:
-            break
-        hold = replace(hold, seconds=min(2 * hold.seconds, longest), again=again)
+
+    def missed(recordings: Sequence[Recording]) -> list[float]:
+        return speeds_missed(objective, recordings, config, job.seed("interval", "final"), task)
+
+    def ask(hold: HoldSpeed, speeds: Sequence[float] = ()) -> list[Recording]:
         ask_to_hold(job.world, hold)
-        vain += [recording for recording in good if recording.schedule.commands[0].commanded in missed]
-        kept = [recording for recording in good if recording.schedule.commands[0].commanded not in missed]
-        good = [*kept, *_head_to_head(job, missed)]
-    return good, vain
+        return _head_to_head(job, speeds)
+
+    return walked_again(ask(hold), hold, config.trims_again, missed, ask)
 
 
 def _head_to_head(job: Job, speeds: Sequence[float] = ()) -> list[Recording]:

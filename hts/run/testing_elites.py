@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hts.config import EvaluationConfig
-from hts.contracts import Comparison, FineTuning, RacedCandidate, Rounds, Selector, Task, TestedCandidate
+from hts.contracts import Comparison, FineTuning, HoldSpeed, RacedCandidate, Rounds, Selector, Task, TestedCandidate
 from hts.contracts.task import FollowVelocity
 from hts.evaluation.across_speeds import mean_comparison
-from hts.evaluation.final import CandidateResult, candidate_result
+from hts.evaluation.final import CandidateResult, candidate_result, speeds_missed
 from hts.evaluation.halves import Half, halves
+from hts.evaluation.held import ask_to_hold
 from hts.measurement import files
 from hts.measurement.checks import check
 from hts.recordings.recording import Recording
@@ -20,6 +22,7 @@ from hts.run.job import Job
 from hts.run.judging import fine_tuning
 from hts.run.learning import bound_scale, model_path
 from hts.run.trust_region import agreement, next_scale, tried_elites
+from hts.run.walked_again import walked_again
 
 Report = Callable[[float], None]
 
@@ -49,7 +52,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     rounds = selector.rounds()
     tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None and elites else None
     if tests is None:  # this selector, or this world, knows no rounds
-        tests = whole(job, elites, job.config.selection.tested_speeds, report)
+        tests = whole(job, elites, job.config.selection.tested_speeds, job.spent(iteration), report)
     ids = job.keep(tests.recorded, iteration + 1)
     tested = [found.tested for found in tests.results.values() if found.tested is not None]
     incumbent = [] if best == job.first else [tested_before(job, best)]  # nobody before the first success
@@ -71,22 +74,54 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
 test.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 
-def whole(job: Job, elites: Sequence[str], speeds: Sequence[float], report: Report) -> Tests:
-    """A whole head-to-head of each elite at every one of the speeds, on one machine where the world can."""
+def whole(job: Job, elites: Sequence[str], speeds: Sequence[float], spent: int, report: Report) -> Tests:
+    """A whole head-to-head of each elite at every one of the speeds, on one machine where the world can; speeds whose
+    commands were not found once more, as `selection.trims_again` says. spent: real samples before."""
     job.watch(report)
+    of = dict(zip(elites, _head_to_heads(job, elites, speeds), strict=True))
+    vain = _again(job, of, spent)
+    recorded = [recording for session in of.values() for recording in session] + vain
+    return Tests(of, recorded, {elite: _result(job, elite, recordings) for elite, recordings in of.items()})
+
+
+def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> list[list[Recording]]:
+    """Of each elite, its recordings and its reference's."""
     selection = job.config.selection
     policies, reference = [job.exported(elite) for elite in elites], job.exported("pretrained")
-    sessions = None
-    if len(speeds) > 1 or selection.block_seconds is not None:
+    if len(selection.tested_speeds) > 1 or selection.block_seconds is not None:
         sessions = job.world.head_to_heads_in_session(policies, reference, speeds, selection.block_seconds)
-        if sessions is None:
-            world = job.config.world.name
-            job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: {one_for_each(job.robot.task())}")
-    if sessions is None:
-        sessions = job.world.head_to_heads(policies, reference, speeds)
-    of = {elite: list(session) for elite, session in zip(elites, sessions, strict=True)}
-    results = {elite: _result(job, elite, recordings) for elite, recordings in of.items()}
-    return Tests(of, [recording for session in of.values() for recording in session], results)
+        if sessions is not None:
+            return [list(session) for session in sessions]
+        world = job.config.world.name
+        job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: {one_for_each(job.robot.task())}")
+    return [list(session) for session in job.world.head_to_heads(policies, reference, speeds)]
+
+
+def _again(job: Job, of: dict[str, list[Recording]], spent: int) -> list[Recording]:
+    """Walk the speeds of each elite again whose commands were not found: changes `of`, gives what was in vain."""
+    selection, most = job.config.selection, job.config.max_real_samples
+    if job.hold is None or selection.trims_again == 0:
+        return []
+    config, task, objective = _evaluation(job), job.robot.task(), next(iter(job.objectives.values()))
+    asked = config.model_copy(update={"min_valid": max(config.min_valid, selection.min_valid or 0.0)})
+    spent += sum(recording.robot_samples for session in of.values() for recording in session)
+    vain: list[Recording] = []
+    for elite, session in of.items():
+
+        def missed(recordings: Sequence[Recording], seed: int = job.seed("interval", elite)) -> list[float]:
+            return speeds_missed(objective, recordings, asked, seed, task)
+
+        def ask(hold: HoldSpeed, speeds: Sequence[float], elite: str = elite) -> list[Recording]:
+            ask_to_hold(job.world, hold)
+            return _head_to_heads(job, [elite], speeds)[0]
+
+        room = math.inf if most is None else most - spent
+        of[elite], more = walked_again(session, job.hold, selection.trims_again, missed, ask, room)
+        spent += sum(recording.robot_samples for recording in (*session, *more))
+        spent -= sum(recording.robot_samples for recording in session)
+        vain += more
+    ask_to_hold(job.world, job.hold)
+    return vain
 
 
 def one_for_each(task: Task) -> str:

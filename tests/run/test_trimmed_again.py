@@ -1,13 +1,21 @@
-"""A final at held speeds is trimmed again where policy and reference ended apart."""
+"""A final, or a trial, at held speeds is trimmed again where policy and reference ended apart."""
 
 from __future__ import annotations
 
 import json
+import math
 from types import SimpleNamespace
+
+import pytest
 
 from hts.config import Command, EvaluationConfig, ScheduleConfig
 from hts.contracts import HoldSpeed
+from hts.recordings.recording import Series
 from hts.run import finals
+from hts.run.walked_again import walked_again
+from hts.testing.known_world import KnownWorld
+from hts.testing.packages import kit_installed
+from hts.testing.tiny_run import tiny_run
 
 
 class World:
@@ -28,6 +36,7 @@ class World:
         return [
             SimpleNamespace(
                 schedule=ScheduleConfig(commands=(Command(seconds=20.0, vx=speed),)),
+                robot_samples=round(100 * self.hold.seconds),
                 apart=speed == 0.5 and self.hold.seconds < self.until,
             )
             for speed in speeds
@@ -74,3 +83,53 @@ def test_trimming_ends_at_four_times_the_first_one(monkeypatch):
     world, good, vain = held(monkeypatch, again=4, until=1000.0)
     assert [seconds for seconds, _ in world.asked] == [12.0, 24.0, 48.0, 48.0, 48.0] and len(vain) == 4
     assert [one.apart for one in good] == [False, True]  # the last try stands, to be refused
+
+
+@pytest.mark.parametrize(("room", "tries"), [(2399, 0), (2400, 1), (7199, 1), (7200, 2), (math.inf, 2)])
+def test_nothing_is_walked_again_that_does_not_fit_into_the_real_samples(room, tries):
+    """12 s are 1,200 samples here, 24 s twice as many, and 48 s four times."""
+    world = World(1000.0)
+
+    def ask(hold, speeds):
+        world.hold_speed(hold)
+        return world.head_to_head("policy", "reference", speeds)
+
+    def missed(recordings):
+        return [one.schedule.commands[0].vx for one in recordings if one.apart]
+
+    hold = HoldSpeed((0.2, 1.5), 12.0)
+    good, vain = walked_again(ask(hold, (0.5, 0.8)), hold, 2, missed, ask, room)
+    assert (len(good), len(vain)) == (2, tries)
+
+
+def test_a_trial_walks_a_speed_again_whose_command_was_not_found(tmp_path, monkeypatch):
+    """Every policy goes 20 % too fast the first time that 0.8 m/s are to be held."""
+    plain = KnownWorld._recording
+
+    def recording(self, policy, schedule, session, block, role, *rest, **given):
+        found = plain(self, policy, schedule, session, block, role, *rest, **given)
+        if role != "policy" or self._hold is None or self._hold.again or schedule.commands[0].vx != 0.8:
+            return found
+        walked = found.channels["base_velocity"]
+        faster = Series(walked.channel, 1.2 * walked.values)
+        return found.replace(channels={**found.channels, "base_velocity": faster})
+
+    monkeypatch.setattr(KnownWorld, "_recording", recording)
+    settings = {
+        "sweep.kl_bounds": [0.5, 1.0],
+        "selection.speeds": [0.5, 0.8],
+        "selection.block_seconds": 10.0,
+        "evaluation.hold_speed": True,
+        "evaluation.speeds": [0.5],
+    }
+
+    def trials(name, tries):
+        with kit_installed():
+            run = tiny_run(tmp_path / name, settings=settings | {"selection.trims_again": tries})
+        return json.loads((run.folder / "iterations/00/test.json").read_text())
+
+    once, again = trials("once", 0), trials("again", 1)
+    assert [row["refusal"]["speed"] for row in once["results"].values()] == [0.8] * len(once["elites"])
+    assert not any(row["refused"] for row in again["results"].values())
+    assert again["samples"] == once["samples"] * 3 // 2  # one speed of two, once more
+    assert len(again["recordings"]) == len(once["recordings"]) * 3 // 2  # what was in vain is kept

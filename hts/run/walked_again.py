@@ -1,0 +1,49 @@
+"""Held speeds that are walked again because trimming did not find the commands: in trials and in the final."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from hts.contracts import HoldSpeed
+from hts.recordings.recording import Recording
+
+LONGEST = 4.0  # of the first trimming: what still moves the speed then is no noise that a longer one averages out
+
+
+def walked_again(
+    first: Sequence[Recording],
+    hold: HoldSpeed,
+    most: int,
+    missed: Callable[[Sequence[Recording]], Sequence[float]],
+    ask: Callable[[HoldSpeed, Sequence[float]], Sequence[Recording]],
+    room: float = math.inf,
+) -> tuple[list[Recording], list[Recording]]:
+    """The recordings that count, and those that were made in vain.
+
+    first: of the first time, held by `hold`; missed(recordings): the speeds, m/s, whose commands were not found;
+    ask(hold, speeds): recordings of those alone. Up to `most` times, trimmed twice as long each time, up to LONGEST
+    times; not once more where the last time took more real samples than there is room left for. Whether commands were
+    found says nothing about what is saved with them, so each try is a fair one.
+    """
+    good, vain, longest = list(first), [], LONGEST * hold.seconds
+    for again in range(1, most + 1):
+        speeds = missed(good)
+        old = [recording for recording in good if _asked(recording) in speeds]
+        if not speeds or 2 * _samples(old) > room:  # it is trimmed longer now
+            break
+        hold = replace(hold, seconds=min(2 * hold.seconds, longest), again=again)
+        new = ask(hold, speeds)
+        room -= _samples(new)
+        vain += old
+        good = [*(recording for recording in good if _asked(recording) not in speeds), *new]
+    return good, vain
+
+
+def _asked(recording: Recording) -> float:
+    return recording.schedule.commands[0].commanded
+
+
+def _samples(recordings: Sequence[Recording]) -> int:
+    return sum(recording.robot_samples for recording in recordings)
