@@ -22,7 +22,7 @@ from hts.run.job import Job
 from hts.run.judging import fine_tuning
 from hts.run.learning import bound_scale, model_path
 from hts.run.trust_region import agreement, next_scale, tried_elites
-from hts.run.walked_again import walked_again
+from hts.run.walked_again import samples_of, walked_again
 
 Report = Callable[[float], None]
 
@@ -64,7 +64,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
         "best": selector.best(tested),
         # The protocol is the same in every iteration, so an earlier winner that measured better stays.
         "best_so_far": selector.best([*tested, *incumbent]) or best,
-        "samples": sum(recording.robot_samples for recording in tests.recorded),
+        "samples": samples_of(tests.recorded),
         **races,
         "model_checks": _check_models(job, iteration, ids),
         **_trust(job, iteration, {elite: result_row(found) for elite, found in tests.results.items()}),
@@ -104,7 +104,7 @@ def _again(job: Job, of: dict[str, list[Recording]], spent: int) -> list[Recordi
         return []
     config, task, objective = _evaluation(job), job.robot.task(), next(iter(job.objectives.values()))
     asked = config.model_copy(update={"min_valid": max(config.min_valid, selection.min_valid or 0.0)})
-    spent += sum(recording.robot_samples for session in of.values() for recording in session)
+    spent += sum(map(samples_of, of.values()))
     vain: list[Recording] = []
     for elite, session in of.items():
 
@@ -116,9 +116,9 @@ def _again(job: Job, of: dict[str, list[Recording]], spent: int) -> list[Recordi
             return _head_to_heads(job, [elite], speeds)[0]
 
         room = math.inf if most is None else most - spent
-        of[elite], more = walked_again(session, job.hold, selection.trims_again, missed, ask, room)
-        spent += sum(recording.robot_samples for recording in (*session, *more))
-        spent -= sum(recording.robot_samples for recording in session)
+        good, more = walked_again(session, job.hold, selection.trims_again, missed, ask, room)
+        spent += samples_of([*good, *more]) - samples_of(session)
+        of[elite] = good
         vain += more
     ask_to_hold(job.world, job.hold)
     return vain

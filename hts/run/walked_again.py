@@ -24,18 +24,18 @@ def walked_again(
 
     first: of the first time, held by `hold`; missed(recordings): the speeds, m/s, whose commands were not found;
     ask(hold, speeds): recordings of those alone. Up to `most` times, trimmed twice as long each time, up to LONGEST
-    times; not once more where the last time took more real samples than there is room left for. Whether commands were
+    times; not once more where twice the real samples of the last time do not fit into the room. Whether commands were
     found says nothing about what is saved with them, so each try is a fair one.
     """
     good, vain, longest = list(first), [], LONGEST * hold.seconds
     for again in range(1, most + 1):
         speeds = missed(good)
         old = [recording for recording in good if _asked(recording) in speeds]
-        if not speeds or 2 * _samples(old) > room:  # it is trimmed longer now
+        if not speeds or 2 * samples_of(old) > room:  # it is trimmed longer now
             break
         hold = replace(hold, seconds=min(2 * hold.seconds, longest), again=again)
         new = ask(hold, speeds)
-        room -= _samples(new)
+        room -= samples_of(new)
         vain += old
         good = [*(recording for recording in good if _asked(recording) not in speeds), *new]
     return good, vain
@@ -45,5 +45,6 @@ def _asked(recording: Recording) -> float:
     return recording.schedule.commands[0].commanded
 
 
-def _samples(recordings: Sequence[Recording]) -> int:
+def samples_of(recordings: Sequence[Recording]) -> int:
+    """What they cost of the robot's time, trimming and warming up included, in control steps."""
     return sum(recording.robot_samples for recording in recordings)
