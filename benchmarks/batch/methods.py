@@ -125,6 +125,9 @@ METHODS: dict[str, Method] = {
         about="judged and trained without the pull that trials show",
     ),
     "no-second-trial": Method(settings=("selection.confirm=0",), about="the best of one trial goes to the final"),
+    "no-second-try": Method(
+        settings=("selection.trims_again=0",), about="trials walk each speed once, whatever command was found"
+    ),
     "one-speed": Method(settings=("selection.speeds=[0.8]",), about="elites tried at 0.8 m/s alone"),
     "racing": Method(settings=("selection.selector.name=racing",), about="elites in rounds"),
 }

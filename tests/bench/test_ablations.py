@@ -37,6 +37,7 @@ SETTINGS = {
     "no-margin": {"selection.min_valid"},
     "no-pull": {"simulation_test.measured_pull", "finetune.measured_pull"},
     "no-second-trial": {"selection.confirm"},
+    "no-second-try": {"selection.trims_again"},
     "one-speed": {"selection.speeds"},
     "racing": {  # another selector, which has no such settings
         "selection.selector.name",

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from hts.config import Command, EvaluationConfig, ScheduleConfig
+from hts.config import Command, EvaluationConfig, ScheduleConfig, SelectionConfig
 from hts.contracts import HoldSpeed
 from hts.recordings.recording import Series
-from hts.run import finals
+from hts.run import finals, testing_elites
 from hts.run.walked_again import walked_again
 from hts.testing.known_world import KnownWorld
 from hts.testing.packages import kit_installed
@@ -133,3 +133,42 @@ def test_a_trial_walks_a_speed_again_whose_command_was_not_found(tmp_path, monke
     assert not any(row["refused"] for row in again["results"].values())
     assert again["samples"] == once["samples"] * 3 // 2  # one speed of two, once more
     assert len(again["recordings"]) == len(once["recordings"]) * 3 // 2  # what was in vain is kept
+
+
+@pytest.mark.parametrize(
+    ("most", "walked"), [(599, []), (600, ["a"]), (749, ["a"]), (750, ["a", "b"]), (None, ["a", "b"])]
+)
+def test_second_tries_of_trials_stay_within_the_real_samples(monkeypatch, most, walked):
+    """Two elites of two blocks, 100 samples each, one missed; walked again, trimmed longer, it takes 150."""
+
+    def block(speed, samples, missed):
+        schedule = ScheduleConfig(commands=(Command(seconds=20.0, vx=speed),))
+        return SimpleNamespace(schedule=schedule, robot_samples=samples, missed=missed)
+
+    asked = []
+
+    def head_to_heads(job, elites, speeds):
+        asked.extend(elites)
+        return [[block(speed, 150, False) for speed in speeds] for _ in elites]
+
+    def missed(objective, recordings, config, seed, task):
+        return [one.schedule.commands[0].vx for one in recordings if one.missed]
+
+    monkeypatch.setattr(testing_elites, "_head_to_heads", head_to_heads)
+    monkeypatch.setattr(testing_elites, "speeds_missed", missed)
+    job = SimpleNamespace(
+        world=World(0.0),
+        config=SimpleNamespace(
+            evaluation=EvaluationConfig(), selection=SelectionConfig(trims_again=1), max_real_samples=most
+        ),
+        hold=HoldSpeed((0.2, 1.5)),
+        objectives={"power": None},
+        robot=SimpleNamespace(task=lambda: None),
+        seed=lambda *what: 0,
+    )
+    of = {elite: [block(0.5, 100, False), block(0.8, 100, True)] for elite in "ab"}
+    vain = testing_elites._again(job, of, spent=0)
+    assert asked == walked and len(vain) == len(walked) and job.world.hold == job.hold
+    assert [sum(one.robot_samples for one in row) for row in of.values()] == [
+        250 if one in walked else 200 for one in of
+    ]
