@@ -29,6 +29,32 @@ def methods(groups: Sequence[Group]) -> str:
     return noted(groups, table(head, [_method(group, rivals(groups, group), speeds) for group in groups]))
 
 
+def short(groups: Sequence[Group]) -> str:
+    """The same in a few columns, each method less the first one on the realities they share."""
+    first, rows = groups[0], []
+    for group in groups:
+        show, values = shown(group.unit), group.values()
+        if not values:
+            continue
+        less = NONE
+        if group is not first and set(values) & set(first.values()):
+            less = with_interval(paired(values, first.values()), differences(group.unit))
+        rows.append(
+            [
+                group.name,
+                str(len(values)),
+                show(population(values, quantile(0.5)).estimate),
+                with_interval(population(values), show),
+                show(min(mean(map(_number, runs)) for runs in values.values())),
+                str(group.count_refused()),
+                str(group.final_falls()),
+                less,
+            ]
+        )
+    head = ["method", "machines", "median", "mean, 95 %", "lowest machine", "speeds refused", "falls"]
+    return noted(groups, table([*head, f"less {first.name}, mean, 95 %"], rows))
+
+
 def rivals(groups: Sequence[Group], group: Group) -> list[Group]:
     """The other methods. An oracle is none, and is measured against nobody."""
     return [] if group.saw_inside else [one for one in groups if one is not group and not one.saw_inside]
@@ -337,6 +363,7 @@ def _number(run: float | Sequence[float]) -> float:
 
 TABLES: dict[str, Callable[[Sequence[Group]], str]] = {
     "methods": methods,
+    "short": short,
     "best-other": best_other,
     "realities": realities,
     "open-loop": open_loop,

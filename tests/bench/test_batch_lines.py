@@ -78,6 +78,13 @@ def test_a_table_over_realities_can_be_checked_on_paper():
     assert row[-1].startswith("−0.2 points (")
 
 
+def test_the_short_table_compares_with_its_first_row():
+    text = tables.short(two_methods())
+    ours, other = row_of(text, "ours"), row_of(text, "baseline")
+    assert ours[1:3] == ["3", "20.0 %"] and ours[4:] == ["10.0 %", "0", "0", "–"]
+    assert other[2] == "22.0 %" and other[4] == "8.0 %" and other[-1].startswith("+0.2 points (")
+
+
 def test_what_was_refused_counts_as_nothing_saved_and_is_counted():
     groups = groups_of([line(saved=(None, 0.3, 0.3)), line(reality="dev-01", saved=(None, None, None))])
     assert [saving(result, "power") for _, result in groups[0].results] == pytest.approx([0.2, 0.0])
