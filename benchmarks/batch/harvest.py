@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from batch.lines import Doubt, Figures, GivenUp, Model, Outcome, Pair, Point, Result, Tried
+from batch.lines import CONFIRM, Doubt, Figures, GivenUp, Model, Outcome, Pair, Point, Result, Tried
 from hts.config_loading import read_config
 from hts.errors import RunError
 
@@ -164,9 +164,9 @@ def _model(iteration: int, name: str, found: Json, check: Json) -> Model:
 def _samples(folder: Path, iterations: int, total: int) -> dict[str, int]:
     """Real samples of each stage: its `samples`, and what else it counts under a name that ends in `_samples`."""
     found: dict[str, int] = {}
-    for stage in ("collect", *(f"iterations/{index:02d}/test" for index in range(iterations)), "final"):
+    for stage in ("collect", *(f"iterations/{index:02d}/test" for index in range(iterations)), CONFIRM, "final"):
         path = folder / f"{stage}.json"
-        entry = _json(path) if path.exists() else {}  # a baseline collects nothing
+        entry = _json(path) if path.exists() else {}  # a baseline collects nothing, not every run confirms its best
         if "samples" in entry:
             found[stage] = entry["samples"]
         found |= {f"{stage}:{key[:-8]}": value for key, value in entry.items() if key.endswith("_samples")}

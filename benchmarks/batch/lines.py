@@ -13,6 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hts.errors import RunError
 
 VERSION: Literal[1] = 1
+CONFIRM = "confirm"
+"""The stage in which the best of all iterations walk again; among a line's `real_samples`."""
 Read = TypeVar("Read", bound=BaseModel)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from statistics import mean, median
 
 import numpy as np
 
 from batch.groups import Group, chosen, saving
-from batch.lines import Result, Tried
+from batch.lines import CONFIRM, Result, Tried
 from hts.errors import EvaluationError
 from hts.evaluation.population import Population, Values, paired, population, quantile, spread
 from hts.measurement.scoring import spearman
@@ -166,7 +166,7 @@ def pairs(groups: Sequence[Group], against: str) -> str:
                 with_interval(found, show),
                 show(float(np.median(each))),
                 f"{sum(value > 0 for value in each)} of {len(each)}",
-                f"{group.count_refused(shared) - whole.count_refused(shared):+d}",
+                signed(group.count_refused(shared) - whole.count_refused(shared)),
             ]
         )
     head = ["method", "realities", f"less {against}, mean, 95 %", "median", "better on", "more speeds refused"]
@@ -261,7 +261,7 @@ def samples(groups: Sequence[Group]) -> str:
         found = [result for _, result in group.results]
         if not found:
             continue
-        selection = [sum(v for stage, v in one.real_samples.items() if stage.endswith("/test")) for one in found]
+        selection = [_trials(one.real_samples) for one in found]
         rows.append(
             [
                 group.name,
@@ -339,6 +339,11 @@ def ratio(found: Population) -> str:
     return f"{found.estimate:.2f} ({found.interval[0]:.2f} to {found.interval[1]:.2f})"
 
 
+def signed(count: int) -> str:
+    """`+2` or `−2`."""
+    return f"{count:+d}".replace("-", "−")
+
+
 def number(value: float | None) -> str:
     """With two decimals."""
     return NONE if value is None else f"{value:.2f}".replace("-", "−")
@@ -347,6 +352,13 @@ def number(value: float | None) -> str:
 def samples_median(group: Group) -> str:
     """Real samples of a run."""
     return f"{median(result.real_samples['total'] for _, result in group.results):,.0f}"
+
+
+def _trials(by_stage: Mapping[str, int]) -> int:
+    """Of all iterations, and those that confirm the best; lines of before do not name these, but count them in all."""
+    tests = sum(value for stage, value in by_stage.items() if stage.endswith("/test"))
+    named = sum(value for stage, value in by_stage.items() if stage != "total")
+    return tests + by_stage.get(CONFIRM, by_stage["total"] - named)
 
 
 def _stage(found: Sequence[Result], stage: str) -> list[int]:

@@ -94,11 +94,20 @@ def _time(seen: Glance, columns: Mapping[str, np.ndarray]) -> tuple[str | None, 
     anonymous = rising if seen.keys.get("header") is False else []
     for name in (*named, *anonymous[:1]):
         there = columns[name][np.isfinite(columns[name])]
-        step = float(there[-1] - there[0]) / (len(there) - 1)
+        step = _step(there)
         stated = [unit for unit in TIME_UNITS if unit in _words(name)]
         unit = stated[0] if stated else _unit_of(step, float(np.nanmax(np.abs(columns[name]))))
         return name, unit, 1.0 / (step * TIME_UNITS[unit])
     return (dated[0], "iso", float("nan")) if dated else (None, None, float("nan"))
+
+
+HOLE = 10.0  # mean steps: from there on it is a hole and no step
+
+
+def _step(stamps: np.ndarray) -> float:
+    """Mean step of rising stamps, in their unit, holes left out. Not their median: some loggers stamp in bursts."""
+    steps = np.diff(stamps)
+    return float(steps[steps <= HOLE * steps.mean()].mean())
 
 
 def _rises(values: np.ndarray) -> bool:

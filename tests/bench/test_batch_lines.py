@@ -10,7 +10,7 @@ from batch.ablation import ablation
 from batch.all_tables import ALL
 from batch.groups import groups_of, saving
 from batch.harvest import result_of
-from batch.lines import append, read_lines
+from batch.lines import CONFIRM, append, read_lines
 from fake_lines import line
 
 from hts.errors import EvaluationError, RunError
@@ -90,6 +90,16 @@ def test_what_was_refused_counts_as_nothing_saved_and_is_counted():
     assert [saving(result, "power") for _, result in groups[0].results] == pytest.approx([0.2, 0.0])
     row = row_of(tables.methods(groups), "ours")
     assert row[11] == "1 of 6"  # the second one stayed with the pretrained policy: nothing was refused
+
+
+@pytest.mark.parametrize("named", [True, False], ids=["named", "in the total alone"])
+def test_samples_that_confirm_the_best_are_part_of_selection(named):
+    one = line()
+    by_stage = {"collect": 20_000, "iterations/00/test": 10_000, "final": 20_000, "total": 57_000}
+    by_stage |= {CONFIRM: 7_000} if named else {}
+    changed = one.model_copy(update={"result": one.result.model_copy(update={"real_samples": by_stage})})
+    row = row_of(tables.samples(groups_of([changed])), "ours")
+    assert row[1:5] == ["20,000", "17,000", "20,000", "57,000"]
 
 
 def test_a_failed_run_has_no_saving_and_is_counted():

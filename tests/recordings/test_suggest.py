@@ -81,6 +81,19 @@ def test_the_unit_of_stamps_is_told_by_their_size(tmp_path, two_joints, stamps, 
     assert yaml.safe_load(suggested_mapping(tmp_path / "log.csv", two_joints))["time"] == {"column": "t", "unit": unit}
 
 
+@pytest.mark.parametrize(
+    "steps_ms",
+    [np.where(STEPS == 40, 2020, 20), np.where(STEPS % 2 == 0, 2, 38)],
+    ids=["a hole of two seconds", "in bursts of two"],
+)
+def test_the_rate_is_that_between_holes(tmp_path, two_joints, steps_ms):
+    log = tmp_path / "log.csv"
+    log.write_text(csv_of({**COLUMNS, "timestamp_ms": 1_763_000_000_000 + np.cumsum(steps_ms)}))
+    text = suggested_mapping(log, two_joints)
+    (told,) = [line for line in text.splitlines() if line.startswith("rate_hz")]
+    assert 49 < float(told.split("about ")[1].split(" Hz")[0]) < 51
+
+
 def test_what_cannot_be_told_is_marked(tmp_path, two_joints):
     """No header line; numbered joints; torques beyond the robot's limits; no time."""
     (tmp_path / "log.csv").write_text(csv_of(COLUMNS).split("\n", 1)[1])
