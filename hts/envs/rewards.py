@@ -10,6 +10,8 @@ needs it. Changes, each because the released A1 setting stood still or shuffled 
 - tracking is narrower, exp(-e^2 / 0.05) instead of exp(-e^2 / 0.25): at 0.5 m/s the paper's protocol accepts
   +-0.05 m/s, an error that costs 1 % of the released term and 5 % of this one;
 - foot slip is penalised, since the floor of training cannot know the floor of the day;
+- how far joints are beyond soft limits costs nothing by default: who walks by the task's reward alone stays far from
+  them, and who saves power does not (docs/decisions.md);
 - termination costs a fixed amount, because without the clip falling would otherwise save penalties.
 Collisions have no term: touching the floor with the trunk ends the episode; a knee may touch it, and the trunk's least
 height and largest tilt keep that rare.
@@ -18,6 +20,7 @@ height and largest tilt keep that rare.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -38,8 +41,11 @@ DEFAULT_WEIGHTS: dict[str, float] = {
     "pose": -0.15,
     "slip": -0.05,
     "stand_still": -0.5,
+    "joint_range": 0.0,  # -10 as released; presets that save power need more
     "termination": -50.0,  # x dt = -1 once
 }
+
+SOFT = 0.9  # of a joint's range: soft_dof_pos_limit of the release's robots
 
 
 @dataclass
@@ -49,6 +55,7 @@ class RewardInputs:
     velocity, angular_velocity, gravity: trunk frame (.., 3); command (.., 3): vx, vy, yaw rate;
     torque, joint_velocity, last_joint_velocity, pose_error (.., J); action, last_action (.., J);
     air_time s, landed, contact bool (.., F); foot_speed_squared: horizontal, m^2/s^2 (.., F); fell bool (..);
+    pose_range: the pose errors at the joints' soft limits, lower and upper, rad (J) each, `soft_range`; None: no limits;
     dt: control step, s; tracking_sigma (m/s)^2: 0.25 in Rudin et al. 2022; broken bool (..): instances whose physics
     broke, whose numbers mean nothing and whose only reward is that of a fall; None where there is none.
     """
@@ -71,6 +78,7 @@ class RewardInputs:
     dt: float
     tracking_sigma: float
     broken: torch.Tensor | None = None
+    pose_range: tuple[torch.Tensor, torch.Tensor] | None = None
 
 
 def stacked(steps: Sequence[RewardInputs]) -> RewardInputs:
@@ -99,7 +107,7 @@ def resolve_weights(overrides: Mapping[str, float]) -> dict[str, float]:
 def terms(inputs: RewardInputs) -> dict[str, torch.Tensor]:
     """Every unweighted term, each of the leading dimensions."""
     squares = {name: vector.square().sum(-1) for name, vector in _vectors(inputs).items()}
-    return squares | _others(inputs)
+    return squares | _others(inputs) | {"joint_range": _beyond(inputs)}
 
 
 def total(inputs: RewardInputs, weights: Mapping[str, float]) -> torch.Tensor:
@@ -118,6 +126,8 @@ def total(inputs: RewardInputs, weights: Mapping[str, float]) -> torch.Tensor:
     for name, value in _others(inputs).items():
         if weights.get(name):
             result.add_(value, alpha=weights[name])
+    if weights.get("joint_range"):
+        result.add_(_beyond(inputs), alpha=weights["joint_range"])
     result.mul_(inputs.dt)
     if inputs.broken is not None:
         result = torch.where(inputs.broken, weights.get("termination", 0.0) * inputs.dt, result)
@@ -151,6 +161,28 @@ def _others(m: RewardInputs) -> dict[str, torch.Tensor]:
         "stand_still": m.pose_error.abs().sum(-1) * (1.0 - moving),
         "termination": m.fell.float(),
     }
+
+
+def _beyond(m: RewardInputs) -> torch.Tensor:
+    """By how much joints are beyond their soft limits, summed, rad [P, N]; as `dof_pos_limits` in the release."""
+    if m.pose_range is None:
+        return torch.zeros_like(m.pose_error[..., 0])
+    low, high = m.pose_range
+    return (m.pose_error - m.pose_error.clamp(low, high)).abs().sum(-1)
+
+
+def soft_range(
+    limits: Sequence[tuple[float, float]], pose: Sequence[float], device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """(lower, upper) soft limits (J) as errors of the default pose, rad: the middle `SOFT` of each joint's range, none
+    where a range is not finite or empty."""
+    ends = []
+    for (low, high), rest in zip(limits, pose, strict=True):
+        known = low < high and math.isfinite(low) and math.isfinite(high)
+        middle, half = ((low + high) / 2, SOFT * (high - low) / 2) if known else (0.0, math.inf)
+        ends.append((middle - half - rest, middle + half - rest))
+    lower, upper = torch.tensor(ends, device=device).unbind(-1)
+    return lower, upper
 
 
 @functools.lru_cache(maxsize=8)

@@ -19,7 +19,7 @@ from hts.envs.disturbances import Disturbances
 from hts.envs.episodes import time_outs
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
 from hts.envs.pose import trunk_frame, yaw_of
-from hts.envs.rewards import RewardInputs, resolve_weights, stacked, total
+from hts.envs.rewards import RewardInputs, resolve_weights, soft_range, stacked, total
 from hts.rl.random import PopulationRandom
 from hts.rl.task_env import LaunchedSimulator, ReplacedState, SplitStepEnv
 from hts.rl.tracing import any_or_tracing
@@ -71,6 +71,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.random = PopulationRandom(seeds, engine.device)
         joints, feet, device = spec.num_joints, len(spec.foot_sites), engine.device
         self.default_pose = torch.tensor(spec.default_pose, device=device)
+        self._pose_range = soft_range(spec.position_limit, spec.default_pose, device)
         self.action_scale = torch.tensor(spec.action_scale, device=device)
         self._torques = self._sensor_block([f"torque_{name}" for name in spec.joint_names])
         legs = [site.removesuffix("_foot") for site in spec.foot_sites]
@@ -315,6 +316,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
             fell=fell,
             dt=self.dt,
             tracking_sigma=self.config.tracking_sigma,
+            pose_range=self._pose_range,
         )
         self.air_time = air_time * ~contact
         self.was_contact = now
