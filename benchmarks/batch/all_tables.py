@@ -9,6 +9,7 @@ from batch.groups import Group
 
 ALL: dict[str, Callable[[Sequence[Group]], str]] = {
     **tables.TABLES,
+    "prediction": predictions.prediction,
     "calibration": predictions.calibration,
     "failures": predictions.failures,
     "doubt": predictions.doubt,

@@ -11,8 +11,7 @@ import numpy as np
 
 from batch.curve import median_curve, staircases
 from batch.groups import Group
-from batch.predictions import doubts, improvements
-from batch.tables import predicted
+from batch.predictions import doubts, improvements, predicted
 from hts.evaluation.population import population, quantile
 from hts.report.style import ACCENT, MARKERS, RC, REFERENCE, SOFT, WARN, figure, zero_line
 from hts.report.wording import scale

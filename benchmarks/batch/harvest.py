@@ -26,7 +26,8 @@ def result_of(folder: Path) -> Result:
     summary, config = _json(folder / "summary.json"), read_config(folder / "config.yaml")
     tests = [_json(folder / f"iterations/{row['index']:02d}/test.json") for row in summary["iterations"]]
     rows = {row["id"]: (entry["index"], row) for entry in summary["iterations"] for row in entry["candidates"]}
-    tried = [_tried(index, row) for index, row in rows.values() if row["elite"]]
+    gates = _gates(folder, len(tests))
+    tried = [_tried(index, row, gates.get(name)) for name, (index, row) in rows.items() if row["elite"]]
     samples = _samples(folder, len(tests), summary["real_samples"])
     final = summary["final"]
     return Result(
@@ -34,7 +35,7 @@ def result_of(folder: Path) -> Result:
         asked_speeds=list(config.evaluation.speeds),
         objectives={name: _outcome(entry) for name, entry in final["objectives"].items()},
         given_up=[GivenUp(**one) for one in final.get("given_up", ())],
-        best=_tried(*rows[final["policy"]]) if final["policy"] in rows else None,
+        best=_tried(*rows[final["policy"]], gates.get(final["policy"])) if final["policy"] in rows else None,
         tried=tried,
         candidates=len(rows),
         stopped_candidates=sum("stopped" in row for _, row in rows.values()),
@@ -96,7 +97,14 @@ def _refused(entry: Json) -> dict[str, str]:
     return {speed: str(why) for speed, why in (entry.get("refused") or {}).items()}
 
 
-def _tried(iteration: int, row: Json) -> Tried:
+def _gates(folder: Path, iterations: int) -> dict[str, bool]:
+    """Candidate -> whether it passed the gate, of those that were asked."""
+    paths = [folder / f"iterations/{index:02d}/gate.json" for index in range(iterations)]
+    found = [_json(path)["policies"] for path in paths if path.exists()]
+    return {name: row["passed"] for policies in found for name, row in policies.items()}
+
+
+def _tried(iteration: int, row: Json, gate: bool | None = None) -> Tried:
     real = row["real"] or {}
     predicted, spread = _predicted(row.get("predicted"))
     return Tried(
@@ -116,6 +124,7 @@ def _tried(iteration: int, row: Json) -> Tried:
         fell=bool(row.get("fell")),
         refused=bool(row.get("refused")),
         why=row.get("refused") or None,
+        gate=gate,
     )
 
 

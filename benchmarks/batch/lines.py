@@ -70,6 +70,7 @@ class Tried(Part):
     fell: bool = False
     refused: bool = False
     why: str | None = Field(None, description="why it was refused; none in lines of before it was kept")
+    gate: bool | None = Field(None, description="whether it passed the gate; none: not asked, or a line of before")
 
 
 class Pair(Part):

@@ -16,8 +16,8 @@ from statistics import mean, median
 import numpy as np
 
 from batch.groups import Group
-from batch.lines import Result
-from batch.tables import NONE, differences, number, predicted, ratio, shown, table, with_interval
+from batch.lines import Result, Tried
+from batch.tables import NONE, differences, number, ratio, shown, table, with_interval
 from hts.evaluation.population import population, quantile
 from hts.measurement.scoring import spearman
 
@@ -33,6 +33,48 @@ class Doubted:
 
     error: float
     spread: float
+
+
+def prediction(groups: Sequence[Group]) -> str:
+    """What was predicted of the candidates that were tried, and what was measured."""
+    rows = []
+    for group in groups:
+        found = [
+            pair for _, result in group.results for one in result.tried for pair in predicted(one, group.objective)
+        ]
+        ranks = [
+            result.pooled_rank[group.objective] for _, result in group.results if group.objective in result.pooled_rank
+        ]
+        known = [rank for rank in ranks if rank is not None]
+        fits = [
+            model.held_out_r2
+            for _, result in group.results
+            for model in result.models
+            if model.objective == group.objective and model.held_out_r2 is not None
+        ]
+        total = sum(one for one, _ in found)
+        rank = spearman(*zip(*found, strict=True)) if len(found) > 1 else None
+        rows.append(
+            [
+                group.name,
+                str(len(found)),
+                number(sum(one for _, one in found) / total if total else None),
+                number(rank),
+                number(median(known) if known else None),
+                number(min(known) if known else None),
+                number(median(fits) if fits else None),
+                number(min(fits) if fits else None),
+            ]
+        )
+    head = ["method", "candidates with a prediction", "measured / predicted", "rank correlation, all"]
+    head += ["rank of costs in a run, median", "lowest", "R² held out, median", "lowest"]
+    return table(head, rows)
+
+
+def predicted(one: Tried, objective: str) -> list[tuple[float, float]]:
+    """(predicted, measured) improvement at each speed that has both."""
+    told, found = (one.predicted or {}).get(objective, {}), one.measured.get(objective, {})
+    return [(told[speed], found[speed]) for speed in told if speed in found]
 
 
 def improvements(group: Group) -> dict[str, list[tuple[float, float]]]:

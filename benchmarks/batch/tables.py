@@ -8,10 +8,9 @@ from statistics import mean, median
 import numpy as np
 
 from batch.groups import Group, chosen, saving
-from batch.lines import CONFIRM, Result, Tried
+from batch.lines import CONFIRM, Result
 from hts.errors import EvaluationError
 from hts.evaluation.population import Population, Values, paired, population, quantile, spread
-from hts.measurement.scoring import spearman
 from hts.report.wording import scale
 
 POINT = {"1": 0.01}
@@ -212,48 +211,6 @@ def open_loop(groups: Sequence[Group]) -> str:
     return table([*head, "open loop: median", "open loop: m/s against the reference"], rows)
 
 
-def prediction(groups: Sequence[Group]) -> str:
-    """What was predicted of the candidates that were tried, and what was measured."""
-    rows = []
-    for group in groups:
-        found = [
-            pair for _, result in group.results for one in result.tried for pair in predicted(one, group.objective)
-        ]
-        ranks = [
-            result.pooled_rank[group.objective] for _, result in group.results if group.objective in result.pooled_rank
-        ]
-        known = [rank for rank in ranks if rank is not None]
-        fits = [
-            model.held_out_r2
-            for _, result in group.results
-            for model in result.models
-            if model.objective == group.objective and model.held_out_r2 is not None
-        ]
-        total = sum(one for one, _ in found)
-        rank = spearman(*zip(*found, strict=True)) if len(found) > 1 else None
-        rows.append(
-            [
-                group.name,
-                str(len(found)),
-                number(sum(one for _, one in found) / total if total else None),
-                number(rank),
-                number(median(known) if known else None),
-                number(min(known) if known else None),
-                number(median(fits) if fits else None),
-                number(min(fits) if fits else None),
-            ]
-        )
-    head = ["method", "candidates with a prediction", "measured / predicted", "rank correlation, all"]
-    head += ["rank of costs in a run, median", "lowest", "R² held out, median", "lowest"]
-    return table(head, rows)
-
-
-def predicted(one: Tried, objective: str) -> list[tuple[float, float]]:
-    """(predicted, measured) improvement at each speed that has both."""
-    told, found = (one.predicted or {}).get(objective, {}), one.measured.get(objective, {})
-    return [(told[speed], found[speed]) for speed in told if speed in found]
-
-
 def samples(groups: Sequence[Group]) -> str:
     """Where the robot's time goes, and the computer's: medians over runs."""
     rows = []
@@ -271,6 +228,21 @@ def samples(groups: Sequence[Group]) -> str:
             ]
         )
     return table(["method", "first data", "selection", "final", "all real samples", "minutes of computing"], rows)
+
+
+def gate(groups: Sequence[Group]) -> str:
+    """How many of the policies that walked a machine would have been spared, by the gate (docs/safety.md)."""
+    rows = []
+    for group in groups:
+        best = [result.best.gate for _, result in group.results if result.best is not None]
+        tried = [one.gate for _, result in group.results for one in result.tried]
+        rows.append([group.name, str(len(group.results)), *(_refused_of(asked) for asked in (best, tried))])
+    return table(["method", "runs", "finals of who fails the gate", "elites that fail it"], rows)
+
+
+def _refused_of(passed: Sequence[bool | None]) -> str:
+    known = [one for one in passed if one is not None]
+    return f"{known.count(False)} of {len(known)}" if known else NONE
 
 
 def seeds(groups: Sequence[Group]) -> str:
@@ -379,8 +351,8 @@ TABLES: dict[str, Callable[[Sequence[Group]], str]] = {
     "best-other": best_other,
     "realities": realities,
     "open-loop": open_loop,
-    "prediction": prediction,
     "samples": samples,
+    "gate": gate,
     "seeds": seeds,
     "variation": variation,
 }

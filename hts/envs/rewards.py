@@ -11,7 +11,7 @@ needs it. Changes, each because the released A1 setting stood still or shuffled 
   +-0.05 m/s, an error that costs 1 % of the released term and 5 % of this one;
 - foot slip is penalised, since the floor of training cannot know the floor of the day;
 - how far joints are beyond soft limits costs nothing by default: who walks by the task's reward alone stays far from
-  them, and who saves power does not (docs/decisions.md);
+  them, and who is paid for something else may not (docs/decisions.md);
 - termination costs a fixed amount, because without the clip falling would otherwise save penalties.
 Collisions have no term: touching the floor with the trunk ends the episode; a knee may touch it, and the trunk's least
 height and largest tilt keep that rare.
@@ -41,7 +41,7 @@ DEFAULT_WEIGHTS: dict[str, float] = {
     "pose": -0.15,
     "slip": -0.05,
     "stand_still": -0.5,
-    "joint_range": 0.0,  # -10 as released; presets that save power need more
+    "joint_range": 0.0,  # -10 as released; presets that pay for a measurement may need more
     "termination": -50.0,  # x dt = -1 once
 }
 
@@ -55,7 +55,7 @@ class RewardInputs:
     velocity, angular_velocity, gravity: trunk frame (.., 3); command (.., 3): vx, vy, yaw rate;
     torque, joint_velocity, last_joint_velocity, pose_error (.., J); action, last_action (.., J);
     air_time s, landed, contact bool (.., F); foot_speed_squared: horizontal, m^2/s^2 (.., F); fell bool (..);
-    pose_range: the pose errors at the joints' soft limits, lower and upper, rad (J) each, `soft_range`; None: no limits;
+    pose_range: pose errors at the joints' soft limits, lower and upper, rad (J) each (`soft_range`); None: no limits;
     dt: control step, s; tracking_sigma (m/s)^2: 0.25 in Rudin et al. 2022; broken bool (..): instances whose physics
     broke, whose numbers mean nothing and whose only reward is that of a fall; None where there is none.
     """

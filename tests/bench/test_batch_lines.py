@@ -102,6 +102,17 @@ def test_samples_that_confirm_the_best_are_part_of_selection(named):
     assert row[1:5] == ["20,000", "17,000", "20,000", "57,000"]
 
 
+def test_who_fails_the_gate_is_counted_where_it_was_asked():
+    def with_gate(reality, *passed):
+        one = line(reality=reality)
+        tried = [one.result.tried[0].model_copy(update={"gate": found}) for found in passed]
+        return one.model_copy(update={"result": one.result.model_copy(update={"tried": tried, "best": tried[0]})})
+
+    groups = groups_of([with_gate("dev-00", True, False), with_gate("dev-01", False, None)])
+    assert row_of(tables.gate(groups), "ours")[1:] == ["2", "1 of 2", "2 of 3"]
+    assert row_of(tables.gate(groups_of([line()])), "ours")[1:] == ["1", "–", "–"]
+
+
 def test_a_failed_run_has_no_saving_and_is_counted():
     groups = groups_of([line(), line(seed=1, status="failed", error="boom", result=None)])
     assert row_of(tables.methods(groups), "ours")[1:4] == ["1 × 1", "1", "10.0 %"]

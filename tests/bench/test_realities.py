@@ -12,7 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from batch import tables
+from batch import predictions, tables
 from batch.groups import groups_of
 from batch.lines import read_lines
 from batch.methods import METHODS, Method, jobs_of, read_methods, realities_of, seeds_of
@@ -200,7 +200,7 @@ def test_the_line_holds_what_tables_need(place):
     }
     (tried,) = row.result.tried
     assert (tried.kl, tried.kl_bound, tried.std_ratio) == (3.0, None, 0.5)
-    assert tables.predicted(tried, "power") == [(0.25, 0.2)]
+    assert predictions.predicted(tried, "power") == [(0.25, 0.2)]
     assert tried.predicted_sd == {"power": {"0.8": 0.02}}
     assert row.result.curve[0].samples == 300
     assert row.result.curve[0].final == {"power": {"0.8": 0.2, "1.1": 0.0}}  # what was refused saves nothing
