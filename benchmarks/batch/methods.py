@@ -72,6 +72,8 @@ METHODS: dict[str, Method] = {
             "simulation_test.measured_pull=false",
             "simulation_test.min_valid=0",
             "finetune.measured_pull=false",
+            "finetune.env.reward_weights={joint_range: 0.0}",
+            "gate.strict=null",
         ),
         own_elsewhere={
             "power": (
@@ -117,6 +119,10 @@ METHODS: dict[str, Method] = {
     ),
     "no-held-speed": Method(settings=("evaluation.hold_speed=false",), about="commands as asked, speed not held"),
     "last-moment": Method(settings=("finetune.also_at=[]",), about="candidates judged as their training ended, alone"),
+    "no-stops": Method(
+        settings=("finetune.env.reward_weights={joint_range: 0.0}", "gate.strict=null"),
+        about="joints not kept from their end stops, the gate not binding on twins",
+    ),
     "no-average": Method(settings=("finetune.average=0",), about="parameters as they ended, not averaged"),
     "prices-anew": Method(settings=("finetune.hold_from_anchor=false",), about="prices begin at nothing each time"),
     "no-margin": Method(settings=("selection.min_valid=null",), about="trials ask for no more than the final"),

@@ -38,6 +38,7 @@ SETTINGS = {
     "no-pull": {"simulation_test.measured_pull", "finetune.measured_pull"},
     "no-second-trial": {"selection.confirm"},
     "no-second-try": {"selection.trims_again"},
+    "no-stops": {"finetune.env.reward_weights.joint_range", "gate.strict"},
     "one-speed": {"selection.speeds"},
     "racing": {  # another selector, which has no such settings
         "selection.selector.name",
