@@ -49,7 +49,7 @@ VARIED: dict[str, Any] = {"strength": [0.8, 1.2], "friction": [0.3, 1.3], "push_
 
 # An end stop catches a leg for nothing, in any simulation, so who is paid for something else swings its legs there:
 # training keeps joints from them, and nobody whom a machine would not get is tried, on a twin either.
-STOPS: dict[str, Any] = {"joint_range": -50.0}
+STOPS: dict[str, Any] = {"joint_range": -50.0}  # 1/(rad s); -10 as released, too little against what is paid for
 
 # Speed is held on both sides; selection and final are at the speeds that are reported; exploration is gentle enough for
 # a machine; the bounds follow how well promises are kept. docs/decisions.md says what each was chosen by.

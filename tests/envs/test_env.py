@@ -14,6 +14,7 @@ from torchrl.envs.utils import check_env_specs
 from hts.config import CommandConfig, EnvConfig, RandomisationConfig
 from hts.contracts import Robot
 from hts.envs.observation import NOISE, observation_layout
+from hts.envs.rewards import DEFAULT_WEIGHTS
 from hts.errors import ConfigError
 
 pytest.importorskip("hts_go1", reason="the robot of these tests is not installed")
@@ -132,6 +133,22 @@ def test_velocity_is_seen_from_the_trunk(make):
 
 
 # ----------------------------------------------------------------------------------------------- episodes
+
+
+def test_joints_near_their_end_stops_are_charged_by_the_robots_own_limits(make, robot):
+    weights = {**dict.fromkeys(DEFAULT_WEIGHTS, 0.0), "joint_range": -10.0}
+    env = make(reward_weights=weights, channels=("joint_position",))
+    folded = env.reset()["observation"].new_zeros(1, 2, 12)
+    folded[..., 2::3] = -10.0  # calves, the last joint of each leg
+    charged = 0
+    for _ in range(10):
+        data = step(env, folded)
+        low, high = torch.tensor(robot.spec.position_limit).unbind(-1)
+        middle, half = (low + high) / 2, 0.9 * (high - low) / 2
+        beyond = ((data["channels", "joint_position"] - middle).abs() - half).clamp(min=0).sum(-1)
+        torch.testing.assert_close(data["reward"].squeeze(-1), -10.0 * env.dt * beyond, atol=1e-5, rtol=1e-4)
+        charged += int((beyond > 0.01).sum())
+    assert charged > 0
 
 
 def test_a_time_out_is_no_fall(make):
