@@ -75,6 +75,13 @@ class EnvConfig(Config):
     reward_weights: dict[str, float] = Field(
         default_factory=dict, description="overrides of the task's reward weights, 1/s"
     )
+    soft_joint_range: float = Field(
+        0.9,
+        gt=0,
+        le=1,
+        description="share of each joint's range, around its middle, outside of which the reward term `joint_range` "
+        "counts, 1 (soft_dof_pos_limit of Rudin et al.)",
+    )
     threads: int = Field(0, ge=0, description="threads of the CPU engine; 0: one per core")
     seed: int = Field(0, ge=0, description="of everything random in the env")
     contacts_per_world: int = Field(0, ge=0, description="contact buffer of the warp engine; 0: the robot's worst case")

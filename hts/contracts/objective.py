@@ -75,6 +75,16 @@ class Objective(ABC):
     def compare(self, policy: Mapping[str, float], reference: Mapping[str, float]) -> Comparison:
         """From the means of `score` over a policy's and its reference's segments to one comparison."""
 
+    def weights_for(self, spread: float, recordings: Sequence[Recording]) -> tuple[float, ...]:
+        """Its own λ, as many as `weights`, for a model that was just fitted; by default those. Not asked where the
+        configuration's `sweep.weights` names them, nor for the analytic proxy.
+
+        spread: standard deviation of the target, in its unit, in the data of the model, which is what λ counts in;
+        recordings: that data. Sensors of one quantity show other standard deviations of it, as they average and as
+        they are noisy: an objective that knows a measure which they do not change can give λ of one worth for all.
+        """
+        return self.weights
+
     def predicted_channels(self, target: np.ndarray, known: Sequence[Recording]) -> Mapping[str, np.ndarray]:
         """Real channels that `score` reads, from the predicted target: for the improvement that a model promises.
 

@@ -45,8 +45,6 @@ DEFAULT_WEIGHTS: dict[str, float] = {
     "termination": -50.0,  # x dt = -1 once
 }
 
-SOFT = 0.9  # of a joint's range: soft_dof_pos_limit of the release's robots
-
 
 @dataclass
 class RewardInputs:
@@ -172,14 +170,14 @@ def _beyond(m: RewardInputs) -> torch.Tensor:
 
 
 def soft_range(
-    limits: Sequence[tuple[float, float]], pose: Sequence[float], device: torch.device
+    limits: Sequence[tuple[float, float]], pose: Sequence[float], share: float, device: torch.device
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """(lower, upper) soft limits (J) as errors of the default pose, rad: the middle `SOFT` of each joint's range, none
+    """(lower, upper) soft limits (J) as errors of the default pose, rad: the middle `share` of each joint's range, none
     where a range is not finite or empty."""
     ends = []
     for (low, high), rest in zip(limits, pose, strict=True):
         known = low < high and math.isfinite(low) and math.isfinite(high)
-        middle, half = ((low + high) / 2, SOFT * (high - low) / 2) if known else (0.0, math.inf)
+        middle, half = ((low + high) / 2, share * (high - low) / 2) if known else (0.0, math.inf)
         ends.append((middle - half - rest, middle + half - rest))
     lower, upper = torch.tensor(ends, device=device).unbind(-1)
     return lower, upper

@@ -71,7 +71,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.random = PopulationRandom(seeds, engine.device)
         joints, feet, device = spec.num_joints, len(spec.foot_sites), engine.device
         self.default_pose = torch.tensor(spec.default_pose, device=device)
-        self._pose_range = soft_range(spec.position_limit, spec.default_pose, device)
+        self._pose_range = soft_range(spec.position_limit, spec.default_pose, config.soft_joint_range, device)
         self.action_scale = torch.tensor(spec.action_scale, device=device)
         self._torques = self._sensor_block([f"torque_{name}" for name in spec.joint_names])
         legs = [site.removesuffix("_foot") for site in spec.foot_sites]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,12 +12,15 @@ from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs.transforms import Transform
 
 from hts.config import FinetuneConfig
+from hts.contracts import MeasurementModel, Objective
+from hts.errors import PluginError
 from hts.measurement import files
 from hts.measurement.fit_command import fit_and_check
 from hts.measurement.fit_report import doubts
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
+from hts.recordings import Recording
 from hts.run.felt_pull import felt_pull, pull_line
 from hts.run.front import real_front
 from hts.run.job import Job
@@ -24,7 +28,7 @@ from hts.run.task_watch import reward_scale, scale_lines
 from hts.run.trust_region import scaled
 from hts.selection.fronts import towards
 from hts.training.finetune import finetune as finetune_candidates
-from hts.training.sweep import FRONT, Candidate, candidates
+from hts.training.sweep import FRONT, Candidate, candidates, combinations
 from hts.training.trainer import BatchStats
 
 Report = Callable[[float], None]
@@ -54,11 +58,34 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         notes = {"dataset": dataset.sha256, "iteration": iteration}
         files.save(fitted.model, model_path(job, iteration, name), notes)
         result[name] = {**fitted.report, "dataset": dataset.sha256, "recordings": list(dataset.ids)}
+        if job.config.reward_source == "model":
+            result[name]["weights"] = own_weights_of(objective, fitted.model, recordings)
         before = job.read(f"iterations/{iteration - 1:02d}/fit")[name] if iteration else None
         if before is None or not doubts(before):  # once is enough
             for line in doubts(result[name]):
                 job.stages.progress.say(line)
     return result
+
+
+def own_weights_of(objective: Objective, model: MeasurementModel, recordings: Sequence[Recording]) -> list[float]:
+    """Its own λ behind a fitted model. Raises PluginError for others than the contract allows."""
+    found = list(objective.weights_for(float(model.target_std), recordings))
+    if len(found) != len(objective.weights) or not all(math.isfinite(one) and one > 0 for one in found):
+        raise PluginError(
+            f"Objective '{objective.name}': weights_for gave {found}; expected as many finite λ above 0 as `weights` "
+            f"has, {len(objective.weights)}."
+        )
+    return found
+
+
+def combinations_of(job: Job, iteration: int) -> list[dict[str, float]]:
+    """λ of each candidate of an iteration: own ones as the objectives say behind the models of now; of a run by an
+    earlier version, or without models, those that need none."""
+    own = {name: objective.weights for name, objective in job.objectives.items()}
+    if job.config.reward_source != "model":
+        return job.combinations
+    fits = job.read(f"iterations/{iteration:02d}/fit")
+    return combinations({name: fits[name].get("weights", own[name]) for name in own}, job.config.sweep.weights)
 
 
 def model_path(job: Job, iteration: int, objective: str) -> Path:
@@ -101,7 +128,7 @@ def sweep(job: Job, iteration: int, best: str) -> list[Candidate]:
         return name, policy_hash(name)
 
     bounds = scaled(job.config.sweep.kl_bounds, bound_scale(job, iteration), job.config.sweep.trust_region)
-    return candidates(iteration, hashes, job.combinations, bounds, furthest)
+    return candidates(iteration, hashes, combinations_of(job, iteration), bounds, furthest)
 
 
 def bound_scale(job: Job, iteration: int) -> float:

@@ -40,7 +40,8 @@ def tiny_run(
     selector: str | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> Run:
-    """Run into the new folder `out`; what it left behind. settings: dotted key -> value, laid over all others.
+    """Run into the new folder `out`; what it left behind. settings: dotted key -> value, laid over all others; None
+    takes one of them away.
 
     Names are looked up among the installed plugins and the kit's own, so this needs `packages.kit_installed`.
     Raises what `hts run` prints as its one line.
@@ -54,4 +55,5 @@ def tiny_run(
     if selector is not None:
         chosen["selection.selector.name"] = selector
     chosen |= dict(settings or {})
+    chosen = {key: value for key, value in chosen.items() if value is not None}
     return load(run(names, robot, out=out, preset="smoke", world=world, settings=chosen))

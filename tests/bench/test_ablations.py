@@ -38,7 +38,14 @@ SETTINGS = {
     "no-pull": {"simulation_test.measured_pull", "finetune.measured_pull"},
     "no-second-trial": {"selection.confirm"},
     "no-second-try": {"selection.trims_again"},
-    "no-stops": {"finetune.env.reward_weights.joint_range", "gate.strict"},
+    "no-stops": {
+        "finetune.env.reward_weights.joint_range",
+        "finetune.env.reward_weights.termination",
+        "finetune.env.soft_joint_range",
+        "finetune.env.randomisation.added_mass",
+        "finetune.env.randomisation.delay_steps",
+        "gate.strict",
+    },
     "one-speed": {"selection.speeds"},
     "racing": {  # another selector, which has no such settings
         "selection.selector.name",

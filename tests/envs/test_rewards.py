@@ -47,20 +47,22 @@ def test_standing_still_when_commanded_to_earns_both_tracking_terms_and_nothing_
     assert float(rewards.total(still(), rewards.DEFAULT_WEIGHTS)) == pytest.approx(0.055)
 
 
-def test_joints_cost_what_they_are_beyond_the_middle_nine_tenths_of_their_range():
+def test_joints_cost_what_they_are_beyond_the_middle_share_of_their_range():
     # Ranges of 2 rad about 0.5 and -0.5: soft limits at -0.4 and 1.4, and at -1.4 and 0.4; the pose is at 0.4 and 0.
-    limits = rewards.soft_range([(-0.5, 1.5), (-1.5, 0.5)], (0.4, 0.0), torch.device("cpu"))
+    limits = rewards.soft_range([(-0.5, 1.5), (-1.5, 0.5)], (0.4, 0.0), 0.9, torch.device("cpu"))
     assert [end.tolist() for end in limits] == [pytest.approx([-0.8, -1.4]), pytest.approx([1.0, 0.4])]
     seen = dataclasses.replace(still(pose_error=[1.2, -1.5]), pose_range=limits)
     assert float(rewards.terms(seen)["joint_range"]) == pytest.approx(0.2 + 0.1)
     alone = dict.fromkeys(rewards.DEFAULT_WEIGHTS, 0.0)
     assert float(rewards.total(seen, {**alone, "joint_range": -10.0})) == pytest.approx(-10 * 0.3 * 0.02)
+    half = rewards.soft_range([(-0.5, 1.5), (-1.5, 0.5)], (0.4, 0.0), 0.5, torch.device("cpu"))
+    assert [end.tolist() for end in half] == [pytest.approx([-0.4, -1.0]), pytest.approx([0.6, 0.0])]
     inside = dataclasses.replace(still(pose_error=[0.9, 0.3]), pose_range=limits)
     assert float(rewards.terms(inside)["joint_range"]) == 0.0
 
 
 def test_joints_without_limits_are_never_beyond_them():
-    limits = rewards.soft_range([(-math.inf, math.inf), (0.0, 0.0)], (0.0, 0.0), torch.device("cpu"))
+    limits = rewards.soft_range([(-math.inf, math.inf), (0.0, 0.0)], (0.0, 0.0), 0.9, torch.device("cpu"))
     seen = dataclasses.replace(still(pose_error=[9.0, -9.0]), pose_range=limits)
     assert float(rewards.terms(seen)["joint_range"]) == 0.0
     assert float(rewards.terms(still(pose_error=[9.0, -9.0]))["joint_range"]) == 0.0

@@ -35,6 +35,16 @@ def has_its_parts(entry: Entry, registry: Registry) -> None:
     ensure(bool(objective.weights), "weights are empty, so nothing is swept")
 
 
+def own_weights_fit_any_sensor(entry: Entry, registry: Registry) -> None:
+    """weights_for gives as many finite λ above 0 as `weights`, whatever standard deviation the data have."""
+    objective = entry.factory({})
+    recordings = [walk(objective, registry, seed=seed) for seed in range(2)]
+    for spread in (0.1, 10.0):
+        found = tuple(objective.weights_for(spread, recordings))
+        ensure(len(found) == len(objective.weights), f"weights_for gives {found}, weights are {objective.weights}")
+        ensure(all(math.isfinite(one) and one > 0 for one in found), f"weights_for gives {found}")
+
+
 def channels_are_known(entry: Entry, registry: Registry) -> None:
     """Its inputs are sim channels of some installed robot, and what it measures is none of them."""
     objective, known = entry.factory({}), sim_channels(registry)
@@ -180,6 +190,7 @@ def _all_values(made_up: Segments) -> dict[str, np.ndarray]:
 
 CHECKS = (
     has_its_parts,
+    own_weights_fit_any_sensor,
     channels_are_known,
     instrument_measures_the_target,
     model_is_registered,

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
 GRAVITY = 9.81  # m/s²
+USUAL_SPREAD = 1 / 3
+"""A gauge's standard deviation over the mean net current: 0.25 to 0.63 on sixteen drawn machines (docs/power.md)."""
 
 
 class PowerSettings(Config):
@@ -35,8 +37,16 @@ class PowerSettings(Config):
         description="what a candidate counts with: the smaller of its savings in net power and in cost of "
         "transport (slower walking is no saving), or net power alone as in the paper",
     )
-    weights: tuple[float, ...] = Field(
-        (3.0,), min_length=1, description="λ swept, reward per second and standard deviation of current"
+    weights: tuple[float, ...] | None = Field(
+        None,
+        min_length=1,
+        description="λ swept, reward per second and standard deviation of the current that the gauge shows; null: as "
+        "`net_weights` say",
+    )
+    net_weights: tuple[float, ...] = Field(
+        (9.0,),
+        min_length=1,
+        description="λ swept where `weights` is null, reward per second for all of the net current, behind any gauge",
     )
     baseline_weights: tuple[float, ...] = Field(
         (5e-3, 2e-2, 6e-2), min_length=1, description="λ swept with the analytic proxy, reward per joule"
@@ -60,7 +70,8 @@ class Power(Objective):
     λ applies to r_real = −ẑ, where ẑ is the predicted current in standard deviations of the current in the data the
     model was fitted on, per second. So λ = 1 says: one standard deviation less current is worth one unit of reward a
     second, half as much as perfect speed tracking (weight 2 in the velocity task, `hts.envs.rewards`, per second too).
-    It needs no other scale, and changes meaning as the data changes; its zero moves too, which reward centring absorbs.
+    What one standard deviation is in watts depends on the gauge more than on the robot, so its own λ are said per net
+    current (`weights_for`). The zero of ẑ moves with the data too, which reward centring absorbs.
     """
 
     name = "power"
@@ -72,7 +83,9 @@ class Power(Objective):
 
     def __init__(self, settings: PowerSettings | None = None) -> None:
         self.settings = settings or PowerSettings()
-        self.weights = self.settings.weights
+        self.weights = self.settings.weights or tuple(
+            _rounded(weight * USUAL_SPREAD) for weight in self.settings.net_weights
+        )
         self.baseline_weights = self.settings.baseline_weights
 
     def measurement_model(self) -> Named:
@@ -82,6 +95,19 @@ class Power(Objective):
             expected = {"joule_coefficient": self.settings.joule_coefficient} if "joule_coefficient" in asked else {}
             return Named(name="drive_train", **expected)
         return Named(name="battery_current", hidden=self.settings.hidden, products=self.settings.products)
+
+    def weights_for(self, spread: float, recordings: Sequence[Recording]) -> tuple[float, ...]:
+        """`net_weights` x spread / net current, the mean less idle of the policies that candidates are compared with;
+        `weights` where they are given, or where no recording knows its idle level."""
+        name = self.target.name
+        known = [one for one in recordings if name in one.idle and one.role in ("collection", "reference")]
+        if self.settings.weights is not None or not known:
+            return self.weights
+        levels = [float(one.values(name).astype(float).mean()) - float(one.idle[name]) for one in known]
+        net = float(np.average(levels, weights=[one.num_samples for one in known]))
+        if not net > 0:
+            return self.weights
+        return tuple(_rounded(weight * spread / net) for weight in self.settings.net_weights)
 
     def reward(self, prediction: torch.Tensor) -> torch.Tensor:
         """−ẑ, per second; with the analytic proxy, whose prediction is in W, −P."""
@@ -118,6 +144,11 @@ class Power(Objective):
     def proxy(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Yang et al.'s analytic power, W; see `hts_power.proxy`."""
         return analytic_power(channels["joint_torque"], channels["joint_velocity"], self.settings.joule_coefficient)
+
+
+def _rounded(weight: float) -> float:
+    """To three digits: λ are read by people."""
+    return float(f"{weight:.3g}")
 
 
 def mean_power(current: np.ndarray, voltage: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,6 +91,29 @@ def test_the_proxy_adds_mechanical_power_and_copper_loss_and_clips_each_joint_at
     # 2·3 + 0.3·4 = 7.2; 0.3·100 = 30; 1·(−5) + 0.3 < 0 -> 0
     assert analytic_power(torque, velocity).tolist() == pytest.approx([37.2])
     assert Power().proxy({"joint_torque": torque, "joint_velocity": velocity}).tolist() == pytest.approx([37.2])
+
+
+def test_its_own_weights_are_worth_the_same_behind_every_gauge():
+    """Net current is 3 A in both; one gauge averages, the other shows every swing."""
+    power = Power(PowerSettings(net_weights=(9.0, 18.0)))
+    assert power.weights == (3.0, 6.0)
+    for low, high, spread in ((4.0, 6.0, 1.0), (3.0, 7.0, 2.0)):
+        data = [recording([low, high], [20.0, 20.0], 0.8), replace(recording([2.5], [20.0], 0.8), role="policy")]
+        assert power.weights_for(spread, data) == pytest.approx((9 * spread / 3, 18 * spread / 3))
+
+
+def test_weights_that_are_given_stay_and_without_an_idle_level_there_is_no_net_current():
+    data = [recording([4.0, 6.0], [20.0, 20.0], 0.8)]
+    assert Power(PowerSettings(weights=(0.5, 1.0))).weights_for(0.1, data) == (0.5, 1.0)
+    unknown, resting = replace(data[0], idle={}), replace(data[0], idle={"battery_current": 5.0})
+    for one in (unknown, resting):
+        assert Power().weights_for(0.1, [one]) == Power().weights == (3.0,)
+
+
+def test_a_configuration_written_and_read_again_asks_the_data_again():
+    settings = PowerSettings()
+    assert PowerSettings.model_validate(settings.model_dump(mode="json")) == settings
+    assert settings.weights is None
 
 
 def test_the_sweeps_are_those_of_the_paper():

@@ -1,0 +1,61 @@
+"""An objective's own λ behind the model of an iteration."""
+
+from __future__ import annotations
+
+import pytest
+
+from hts.errors import PluginError
+from hts.testing.packages import kit_installed, on_path, write_package
+from hts.testing.tiny_run import tiny_run
+
+PLUGIN = '''
+from hts import hookimpl
+from hts.testing.examples.objective.objective import Fake
+
+HTS_API = 2
+
+
+class Spread(Fake):
+    """λ of one worth behind every sensor: a share of its standard deviation; `one` gives too few."""
+
+    def __init__(self, name, few):
+        super().__init__()
+        self.name, self.few, self.weights = name, few, (1.0, 2.0)
+
+    def weights_for(self, spread, recordings):
+        assert recordings and {one.role for one in recordings} <= {"collection", "reference", "policy"}
+        return (spread,) if self.few else (spread, 3 * spread)
+
+
+@hookimpl
+def hts_objectives(register):
+    register("spread", lambda settings: Spread("spread", False))
+    register("few", lambda settings: Spread("few", True))
+'''
+
+
+@pytest.fixture(autouse=True)
+def installed(tmp_path):
+    package = write_package(tmp_path / "site", "spread-demo", {"spread_demo.py": PLUGIN}, {"spread": "spread_demo"})
+    with kit_installed(), on_path(package):
+        yield
+
+
+def weights_of(run, iteration: int = 0) -> list[float]:
+    return [one["weights"]["spread"] for one in run.summary["iterations"][iteration]["candidates"]]
+
+
+def test_candidates_get_the_weights_that_the_objective_gives_behind_the_fitted_model(tmp_path):
+    run = tiny_run(tmp_path / "run", "spread", settings={"sweep.weights.spread": None})
+    low, high = weights_of(run)
+    assert high == pytest.approx(3 * low) and low not in (1.0, 2.0)
+
+
+def test_weights_that_a_configuration_names_are_taken_as_they_are(tmp_path):
+    run = tiny_run(tmp_path / "run", "spread", settings={"sweep.weights.spread": [0.7]})
+    assert weights_of(run) == [0.7]
+
+
+def test_too_few_weights_end_in_one_line(tmp_path):
+    with pytest.raises(PluginError, match="'few': weights_for gave .* as many finite λ above 0 as `weights` has, 2"):
+        tiny_run(tmp_path / "run", "few", settings={"sweep.weights.few": None})
