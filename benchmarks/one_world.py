@@ -44,7 +44,7 @@ class OneWorld:
         noise = [np.full(int(p["size"]), NOISE.get(str(p["name"]), 0.0)) for p in observation_layout(joints)]
         self.noise = np.concatenate(noise) * c.observation_noise
         on = c.randomisation.enabled
-        self.delay = int(self.rng.integers(*c.randomisation.delay_steps, endpoint=True)) if on else 0
+        self.delay = int(self.rng.integers(*c.randomisation.delays(spec.substeps), endpoint=True)) if on else 0
         self.joint_offset = self.rng.uniform(*c.randomisation.joint_offset, joints) if on else np.zeros(joints)
         self.observation_size, self.action_size = 9 + 3 * joints, joints
         self.command = np.zeros(3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, NonNegativeFloat
+from pydantic import BeforeValidator, Field, NonNegativeFloat, field_validator
 
 from hts.config_base import Config
 
@@ -36,7 +36,24 @@ class RandomisationConfig(Config):
     )
     pull_seconds: float = Field(3.0, gt=0, description="mean time until it is another, s")
     delay_steps: tuple[int, int] = Field((0, 3), description="actuation delay in physics steps, inclusive range")
+    delay_share: tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]] | None = Field(
+        None, description="the same as shares of a control step, whatever the robot's physics step; null: `delay_steps`"
+    )
     models: int = Field(32, ge=1, description="size of the pool of randomised models on the CPU engine")
+
+    @field_validator("delay_steps", "delay_share")
+    @classmethod
+    def _in_order(cls, ends: tuple[float, float] | None) -> tuple[float, float] | None:
+        if ends is not None and not 0 <= ends[0] <= ends[1]:
+            raise ValueError(f"{list(ends)} is not a range: two numbers from 0 on, the smaller one first")
+        return ends
+
+    def delays(self, substeps: int) -> tuple[int, int]:
+        """Actuation delay in physics steps, of which a control step has so many; inclusive range."""
+        if self.delay_share is None:
+            return self.delay_steps
+        least, most = (round(share * substeps) for share in self.delay_share)
+        return least, most
 
 
 class CommandConfig(Config):

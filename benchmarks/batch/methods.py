@@ -52,7 +52,7 @@ NO_STOPS = (
     "finetune.env.reward_weights={joint_range: 0.0, termination: -50.0}",
     "finetune.env.soft_joint_range=0.9",
     "finetune.env.randomisation.added_mass=[-1.0, 2.0]",
-    "finetune.env.randomisation.delay_steps=[0, 3]",
+    "finetune.env.randomisation.delay_share=null",
     "gate.strict=null",
 )
 

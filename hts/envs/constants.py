@@ -16,13 +16,14 @@ def delays_and_offsets(config: EnvConfig, spec: RobotSpec, count: int) -> tuple[
     longer than a control step.
     """
     r = config.randomisation
-    if r.enabled and r.delay_steps[1] > spec.substeps:
+    least, most = r.delays(spec.substeps)
+    if r.enabled and most > spec.substeps:
         raise ConfigError(
-            f"randomisation.delay_steps: {r.delay_steps[1]} physics steps are longer than a control step "
+            f"randomisation.delay_steps: {most} physics steps are longer than a control step "
             f"({spec.substeps} of them), the longest delay the env simulates. Lower the upper end."
         )
     rng = np.random.default_rng([config.seed, 5417])
-    delay = rng.integers(r.delay_steps[0], r.delay_steps[1], size=count, endpoint=True)
+    delay = rng.integers(least, most, size=count, endpoint=True)
     offset = rng.uniform(*r.joint_offset, size=(count, spec.num_joints))
     if not r.enabled:
         delay, offset = np.zeros_like(delay), np.zeros_like(offset)
@@ -31,5 +32,5 @@ def delays_and_offsets(config: EnvConfig, spec: RobotSpec, count: int) -> tuple[
 
 def delay_seconds(config: EnvConfig, spec: RobotSpec) -> tuple[float, float]:
     """The least and the longest action delay of the env instances, s."""
-    least, most = config.randomisation.delay_steps if config.randomisation.enabled else (0, 0)
+    least, most = config.randomisation.delays(spec.substeps) if config.randomisation.enabled else (0, 0)
     return least * spec.physics_dt, most * spec.physics_dt

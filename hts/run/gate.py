@@ -107,7 +107,7 @@ class Trials:
         self.instances = config.gate.num_envs * len(self.set_points)
         self.seed = job.seed("gate")  # the same dynamics in every iteration
         straight = test_config(config.finetune.env, self.set_points, config.gate.seconds, self.seed)
-        self.env_config = varied(straight, config.gate, job.robot.spec.substeps, self.instances)
+        self.env_config = varied(straight, config.gate, self.instances)
 
     def of(self, names: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Policy -> its row of `gate.json`."""

@@ -32,15 +32,15 @@ SETTLING = 1.0  # s
 PACKETS = 9341  # so that losing them shares no random number with anything else of a seed
 
 
-def varied(base: EnvConfig, gate: GateConfig, substeps: int, instances: int) -> EnvConfig:
+def varied(base: EnvConfig, gate: GateConfig, instances: int) -> EnvConfig:
     """The env's configuration with the dynamics that the gate tries, another in each env instance; sensor noise, centre
-    of mass, joint friction and encoder errors stay as they are. substeps: physics steps of a control step."""
+    of mass, joint friction and encoder errors stay as they are."""
     ranges = {
         "enabled": True,
         "friction": gate.friction,
         "added_mass": gate.payload,
         "strength": gate.gains,
-        "delay_steps": tuple(round(share * substeps) for share in gate.latency),
+        "delay_share": gate.latency,
         "models": instances,
     }
     return base.model_copy(update={"randomisation": base.randomisation.model_copy(update=ranges)})

@@ -17,6 +17,7 @@ from hts.errors import PluginError
 from hts.measurement import files
 from hts.measurement.fit_command import fit_and_check
 from hts.measurement.fit_report import doubts
+from hts.measurement.outliers import masked_split
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
@@ -58,7 +59,7 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         notes = {"dataset": dataset.sha256, "iteration": iteration}
         files.save(fitted.model, model_path(job, iteration, name), notes)
         result[name] = {**fitted.report, "dataset": dataset.sha256, "recordings": list(dataset.ids)}
-        if job.config.reward_source == "model":
+        if asks_weights(job, iteration, name):
             result[name]["weights"] = own_weights_of(objective, fitted.model, recordings)
         before = job.read(f"iterations/{iteration - 1:02d}/fit")[name] if iteration else None
         if before is None or not doubts(before):  # once is enough
@@ -67,20 +68,30 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     return result
 
 
+def asks_weights(job: Job, iteration: int, name: str) -> bool:
+    """Whether an objective's own λ are asked for behind its model: where nobody names any, and not in the midst of a
+    run that an earlier version began without."""
+    if job.config.reward_source != "model" or job.config.sweep.weights.get(name):
+        return False
+    return iteration == 0 or "weights" in job.read(f"iterations/{iteration - 1:02d}/fit")[name]
+
+
 def own_weights_of(objective: Objective, model: MeasurementModel, recordings: Sequence[Recording]) -> list[float]:
     """Its own λ behind a fitted model. Raises PluginError for others than the contract allows."""
-    found = list(objective.weights_for(float(model.target_std), recordings))
-    if len(found) != len(objective.weights) or not all(math.isfinite(one) and one > 0 for one in found):
+    channels = (*objective.inputs, objective.target.name)
+    clean, _, _ = masked_split(recordings, (), channels, None)  # as the model saw them
+    found = [float(one) for one in objective.weights_for(float(model.target_std), clean)]
+    if len(found) != len(objective.weights) or not all(math.isfinite(one) and one >= 0 for one in found):
         raise PluginError(
-            f"Objective '{objective.name}': weights_for gave {found}; expected as many finite λ above 0 as `weights` "
-            f"has, {len(objective.weights)}."
+            f"Objective '{objective.name}': weights_for gave {found}; expected as many finite λ of at least 0 as "
+            f"`weights` has, {len(objective.weights)}."
         )
     return found
 
 
 def combinations_of(job: Job, iteration: int) -> list[dict[str, float]]:
-    """λ of each candidate of an iteration: own ones as the objectives say behind the models of now; of a run by an
-    earlier version, or without models, those that need none."""
+    """λ of each candidate of an iteration: own ones as the objectives say behind the models of now, or where they were
+    not asked those that need no model."""
     own = {name: objective.weights for name, objective in job.objectives.items()}
     if job.config.reward_source != "model":
         return job.combinations

@@ -169,6 +169,9 @@ def _trained(card: SimpleNamespace, facts: Facts) -> dict[str, Any] | None:
         steps, ranges = _inside(env, "randomisation", "delay_steps"), _inside(env, "commands")
         if steps is None or ranges is None:
             continue
+        share = _inside(env, "randomisation", "delay_share")
+        if share is not None:  # of a control step; it is what counts where both are said
+            steps = [float(end) * facts.spec.substeps for end in share]
         delay = (float(steps[0]) * facts.spec.physics_dt, float(steps[1]) * facts.spec.physics_dt)
         commands = {key: list(ranges[key]) for key in ("vx", "vy", "yaw_rate") if key in ranges}
         return asdict(Trained(delay, commands, source))

@@ -43,7 +43,7 @@ SETTINGS = {
         "finetune.env.reward_weights.termination",
         "finetune.env.soft_joint_range",
         "finetune.env.randomisation.added_mass",
-        "finetune.env.randomisation.delay_steps",
+        "finetune.env.randomisation.delay_share",
         "gate.strict",
     },
     "one-speed": {"selection.speeds"},

@@ -8,6 +8,7 @@ import sys
 
 import pytest
 import torch
+from pydantic import ValidationError
 from stepping import CALM, MIXED, put, roll, step, still
 from torchrl.envs.utils import check_env_specs
 
@@ -225,6 +226,15 @@ def test_a_delay_of_d_physics_steps_applies_the_old_target_for_d_of_them(make, m
 def test_a_delay_longer_than_a_control_step_is_refused(make):
     with pytest.raises(ConfigError, match="delay_steps: 5 physics steps"):
         make(randomisation=RandomisationConfig(models=1, delay_steps=(0, 5)))
+
+
+def test_delays_may_be_said_in_shares_of_a_control_step():
+    assert RandomisationConfig(delay_share=(0.0, 1.0)).delays(4) == (0, 4)
+    assert RandomisationConfig(delay_share=(0.25, 0.5), delay_steps=(0, 9)).delays(10) == (2, 5)
+    assert RandomisationConfig(delay_steps=(1, 2)).delays(10) == (1, 2)
+    for name, ends in (("delay_share", (0.5, 0.2)), ("delay_steps", (3, 1)), ("delay_share", (0.0, 1.5))):
+        with pytest.raises(ValidationError, match=name):
+            RandomisationConfig(**{name: ends})
 
 
 def test_an_encoder_offset_shifts_what_is_read_and_what_is_held(make, monkeypatch):

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+
 import pytest
 
+from hts.api import load, resume
 from hts.errors import PluginError
 from hts.testing.packages import kit_installed, on_path, write_package
 from hts.testing.tiny_run import tiny_run
@@ -16,7 +20,7 @@ HTS_API = 2
 
 
 class Spread(Fake):
-    """λ of one worth behind every sensor: a share of its standard deviation; `one` gives too few."""
+    """λ of one worth behind every sensor: a share of its standard deviation; where `few`, too few."""
 
     def __init__(self, name, few):
         super().__init__()
@@ -56,6 +60,25 @@ def test_weights_that_a_configuration_names_are_taken_as_they_are(tmp_path):
     assert weights_of(run) == [0.7]
 
 
+def test_nobody_asks_for_weights_that_the_configuration_names(tmp_path):
+    """A fault in them stops no run that does not need them."""
+    run = tiny_run(tmp_path / "run", "few", settings={"sweep.weights.few": [0.7]})
+    assert "weights" not in json.loads((run.folder / "iterations/00/fit.json").read_text())["few"]
+
+
+def test_a_run_that_an_earlier_version_began_keeps_its_weights(tmp_path):
+    settings = {"sweep.weights.spread": None, "iterations": 2, "sweep.anchors": ["pretrained"]}
+    run = tiny_run(tmp_path / "run", "spread", settings=settings)
+    fit = json.loads((run.folder / "iterations/00/fit.json").read_text())
+    del fit["spread"]["weights"]
+    (run.folder / "iterations/00/fit.json").write_text(json.dumps(fit))
+    shutil.rmtree(run.folder / "iterations/01")
+    for name in ("summary.json", "final.json", "confirm.json"):
+        (run.folder / name).unlink(missing_ok=True)
+    resume(run.folder)
+    assert weights_of(load(run.folder), 1) == [1.0, 2.0]
+
+
 def test_too_few_weights_end_in_one_line(tmp_path):
-    with pytest.raises(PluginError, match="'few': weights_for gave .* as many finite λ above 0 as `weights` has, 2"):
+    with pytest.raises(PluginError, match="'few': weights_for gave .* as many finite λ of at least 0"):
         tiny_run(tmp_path / "run", "few", settings={"sweep.weights.few": None})

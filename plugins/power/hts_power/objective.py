@@ -8,7 +8,7 @@ robot: mean of current times voltage, less what the robot draws with its motors 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -29,6 +29,9 @@ USUAL_SPREAD = 1 / 3
 """A gauge's standard deviation over the mean net current: 0.25 to 0.63 on sixteen drawn machines (docs/power.md)."""
 
 
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
 class PowerSettings(Config):
     """Settings of objective `power`."""
 
@@ -37,13 +40,13 @@ class PowerSettings(Config):
         description="what a candidate counts with: the smaller of its savings in net power and in cost of "
         "transport (slower walking is no saving), or net power alone as in the paper",
     )
-    weights: tuple[float, ...] | None = Field(
+    weights: tuple[Weight, ...] | None = Field(
         None,
         min_length=1,
         description="λ swept, reward per second and standard deviation of the current that the gauge shows; null: as "
         "`net_weights` say",
     )
-    net_weights: tuple[float, ...] = Field(
+    net_weights: tuple[Weight, ...] = Field(
         (9.0,),
         min_length=1,
         description="λ swept where `weights` is null, reward per second for all of the net current, behind any gauge",
@@ -97,8 +100,8 @@ class Power(Objective):
         return Named(name="battery_current", hidden=self.settings.hidden, products=self.settings.products)
 
     def weights_for(self, spread: float, recordings: Sequence[Recording]) -> tuple[float, ...]:
-        """`net_weights` x spread / net current, the mean less idle of the policies that candidates are compared with;
-        `weights` where they are given, or where no recording knows its idle level."""
+        """`net_weights` x spread / net current, the mean less idle of first recordings and references; `weights` where
+        they are given, or where no recording knows its idle level."""
         name = self.target.name
         known = [one for one in recordings if name in one.idle and one.role in ("collection", "reference")]
         if self.settings.weights is not None or not known:

@@ -110,6 +110,13 @@ def test_weights_that_are_given_stay_and_without_an_idle_level_there_is_no_net_c
         assert Power().weights_for(0.1, [one]) == Power().weights == (3.0,)
 
 
+@pytest.mark.parametrize("value", [-9.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("key", ["weights", "net_weights"])
+def test_weights_that_are_none_are_refused_before_anything_is_spent(key: str, value: float) -> None:
+    with pytest.raises(ValidationError, match=key):
+        PowerSettings.model_validate({key: [1.0, value]})
+
+
 def test_a_configuration_written_and_read_again_asks_the_data_again():
     settings = PowerSettings()
     assert PowerSettings.model_validate(settings.model_dump(mode="json")) == settings
