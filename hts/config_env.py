@@ -45,7 +45,7 @@ class RandomisationConfig(Config):
     @classmethod
     def _in_order(cls, ends: tuple[float, float] | None) -> tuple[float, float] | None:
         if ends is not None and not 0 <= ends[0] <= ends[1]:
-            raise ValueError(f"{list(ends)} is not a range: two numbers from 0 on, the smaller one first")
+            raise ValueError("expected two numbers from 0 on, the smaller one first")
         return ends
 
     def delays(self, substeps: int) -> tuple[int, int]:
