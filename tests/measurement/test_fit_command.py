@@ -158,7 +158,8 @@ def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_
         """As much of a run as its fit stage asks for."""
 
         folder, objectives, registry = tmp_path, {"warm": KnownHeat()}, None
-        config = SimpleNamespace(measurement=None, objectives={"warm": {}})
+        named = SimpleNamespace(weights={"warm": (1.0,)})
+        config = SimpleNamespace(measurement=None, objectives={"warm": {}}, reward_source="model", sweep=named)
         said: ClassVar[list[str]] = []
         stages = SimpleNamespace(progress=SimpleNamespace(say=said.append))
 
