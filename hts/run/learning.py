@@ -92,11 +92,11 @@ def own_weights_of(objective: Objective, model: MeasurementModel, recordings: Se
 def combinations_of(job: Job, iteration: int) -> list[dict[str, float]]:
     """λ of each candidate of an iteration: own ones as the objectives say behind the models of now, or where they were
     not asked those that need no model."""
-    own = {name: objective.weights for name, objective in job.objectives.items()}
     if job.config.reward_source != "model":
         return job.combinations
     fits = job.read(f"iterations/{iteration:02d}/fit")
-    return combinations({name: fits[name].get("weights", own[name]) for name in own}, job.config.sweep.weights)
+    own = {name: fits[name].get("weights", objective.weights) for name, objective in job.objectives.items()}
+    return combinations(own, job.config.sweep.weights)
 
 
 def model_path(job: Job, iteration: int, objective: str) -> Path:

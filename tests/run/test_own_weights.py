@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import pytest
 
+from hts import plugins
 from hts.api import load, resume
 from hts.errors import PluginError
+from hts.run.learning import own_weights_of
+from hts.testing.checks.made_up import walk
+from hts.testing.examples.objective.objective import Fake
 from hts.testing.packages import kit_installed, on_path, write_package
 from hts.testing.tiny_run import tiny_run
 
@@ -77,6 +82,23 @@ def test_a_run_that_an_earlier_version_began_keeps_its_weights(tmp_path):
         (run.folder / name).unlink(missing_ok=True)
     resume(run.folder)
     assert weights_of(load(run.folder), 1) == [1.0, 2.0]
+
+
+def test_a_sample_that_no_machine_makes_is_not_among_the_data():
+    """As the model was fitted: one glitch would move a mean current by half of it."""
+    seen = []
+
+    class Keeps(Fake):
+        def weights_for(self, spread, recordings):
+            seen.extend(recordings)
+            return self.weights
+
+    objective, registry = Keeps(), plugins.load()
+    recordings = [walk(objective, registry, seed=seed) for seed in range(2)]
+    target = objective.target.name
+    recordings[0].channels[target].values[50] = 65_535.0
+    own_weights_of(objective, SimpleNamespace(target_std=1.0), recordings)
+    assert max(float(one.values(target).max()) for one in seen) < 1000.0
 
 
 def test_too_few_weights_end_in_one_line(tmp_path):

@@ -211,6 +211,17 @@ def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, p
     assert manifest["first_runs"] == {"speed_scale": 0.4, "torque_scale": 0.7, "seconds": 20.0}
 
 
+def test_a_delay_in_shares_of_a_control_step_is_told_in_seconds(robot):
+    from types import SimpleNamespace
+
+    from hts.worlds.field_manifest import _trained
+
+    ranges = {"delay_steps": [0, 3], "delay_share": [0.5, 1.0]}
+    card = SimpleNamespace(made={"config": {"env": {"randomisation": ranges, "commands": {}}}})
+    told = _trained(card, SimpleNamespace(run=None, spec=robot.spec))
+    assert told["delay_s"] == pytest.approx((0.01, 0.02))  # a control step of 20 ms
+
+
 def test_a_policy_that_nobody_vouches_for_is_not_bundled(run, tmp_path, robot):
     from hts.policies.export import to_onnx
     from hts.policies.files import load_policy

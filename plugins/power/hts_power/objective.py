@@ -101,7 +101,7 @@ class Power(Objective):
 
     def weights_for(self, spread: float, recordings: Sequence[Recording]) -> tuple[float, ...]:
         """`net_weights` x spread / net current, the mean less idle of first recordings and references; `weights` where
-        they are given, or where no recording knows its idle level."""
+        they are given, or where no recording knows its idle level. spread: of the current, A."""
         name = self.target.name
         known = [one for one in recordings if name in one.idle and one.role in ("collection", "reference")]
         if self.settings.weights is not None or not known:
