@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from hts.channels import Channel
+from hts.contracts import Objective
 from hts.errors import ConfigError, HtsError, unknown_name
 from hts.plugin_settings import WITH_SETTINGS, settings_model, settings_of
 from hts.plugins import KINDS, Registry
@@ -76,6 +77,7 @@ def _more(registry: Registry, kind: str, name: str) -> Data:
         }
     if kind == "objectives":
         objective = registry.make_objective(name)
+        from_data = type(objective).weights_for is not Objective.weights_for
         return {
             "facts": {
                 "inputs": list(objective.inputs),
@@ -84,6 +86,7 @@ def _more(registry: Registry, kind: str, name: str) -> Data:
                 "instrument": objective.instrument,
                 "improvement in": "a fraction" if objective.unit == "1" else objective.unit,
                 "λ": list(objective.weights),
+                **({"λ behind a fitted model": "from its data, where the settings name none"} if from_data else {}),
                 "λ of the baseline": list(objective.baseline_weights),
             },
             "channels": [_channel(channel) for channel in objective.real_channels],

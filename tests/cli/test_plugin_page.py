@@ -47,6 +47,15 @@ def test_an_objectives_page_names_inputs_target_and_default_weights():
     assert page["facts"]["inputs"] and page["facts"]["λ"]
 
 
+def test_an_objectives_page_says_where_its_weights_follow_the_data(monkeypatch):
+    registry = load()
+    (page,) = plugin_data(registry, "fake")
+    assert not any("fitted model" in key for key in page["facts"])
+    monkeypatch.setattr(type(registry.make_objective("fake")), "weights_for", lambda self, spread, recordings: (1.0,))
+    (page,) = plugin_data(registry, "fake")
+    assert any("fitted model" in key for key in page["facts"])
+
+
 def test_no_line_of_a_page_is_wider_than_the_terminal(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     for name in ("tiny", "fake", "racing", "twin", "field"):
