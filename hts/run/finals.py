@@ -13,13 +13,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hts.contracts import HoldSpeed
-from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, speeds_missed, walked_speeds
+from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, walked_speeds
 from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.recordings.recording import Recording
+from hts.run.head_to_head import head_to_head, held_head_to_head
 from hts.run.job import Job
 from hts.run.stages import read_json, write_json
-from hts.run.walked_again import walked_again
 
 Report = Callable[[float], None]
 
@@ -123,13 +122,13 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
     held: list[Recording] = []
     if job.hold is not None:
         job.watch(lambda share: report(share / 2))
-        held, again = _held(job, job.hold)
+        held, again = held_head_to_head(job, "best", job.hold)
         job.watch(lambda share: report((1 + share) / 2))
         ask_to_hold(job.world, None)  # the paper's figures beside: equal commands
         tried.recordings += [*held, *again]
     else:
         job.watch(report)
-    recordings = _head_to_head(job)
+    recordings = head_to_head(job, "best")
     tried.recordings += recordings
     seed, task = job.seed("interval", "final"), job.robot.task()
     try:
@@ -147,31 +146,3 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
     except NotComparable as error:
         tried.error = error
     return tried
-
-
-def _held(job: Job, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:
-    """The head-to-head with the speed held; and what was recorded in vain, see `walked_again`."""
-    config, task, objective = job.config.evaluation, job.robot.task(), next(iter(job.objectives.values()))
-
-    def missed(recordings: Sequence[Recording]) -> list[float]:
-        return speeds_missed(objective, recordings, config, job.seed("interval", "final"), task)
-
-    def ask(hold: HoldSpeed, speeds: Sequence[float] = ()) -> list[Recording]:
-        ask_to_hold(job.world, hold)
-        return _head_to_head(job, speeds)
-
-    return walked_again(ask(hold), hold, config.trims_again, missed, ask)
-
-
-def _head_to_head(job: Job, speeds: Sequence[float] = ()) -> list[Recording]:
-    """The best policy against the pretrained one, as the world does it now; speeds: none, all."""
-    config = job.config.evaluation
-    speeds, pair = speeds or config.speeds, (job.exported("best"), job.exported("pretrained"))
-    if config.sessions > 1:
-        found = job.world.head_to_head_sessions(*pair, speeds, config.sessions)
-        if found is not None:
-            return found
-        job.stages.progress.say(
-            f"World '{job.config.world.name}' makes a head-to-head once: one session, not {config.sessions}."
-        )
-    return job.world.head_to_head(*pair, speeds)

@@ -6,7 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 from hts.evaluation.final import entry_of, judged_speeds
+from hts.evaluation.held import ask_to_hold
+from hts.recordings.recording import Recording
+from hts.run.head_to_head import head_to_head, held_head_to_head
 from hts.run.job import Job
+from hts.run.walked_again import samples_of
 
 Report = Callable[[float], None]
 
@@ -23,8 +27,8 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
 
 
 def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
-    """The best so far against the pretrained policy as the final would have it, for curves of saving over real samples:
-    nothing is kept of it but its numbers, and `uncounted` is what the robot walked."""
+    """The best so far against the pretrained policy as in a final of its own, with speeds walked again, for
+    curves of saving over real samples. Nothing is kept of it but its numbers; `uncounted` is what the robot walked."""
     if best == "pretrained":
         return {"policy": best, "objectives": {}, "uncounted": 0}
     if iteration > 0:
@@ -33,10 +37,15 @@ def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str
             return {**before, "uncounted": 0}
     job.watch(report)
     config, task = job.config.evaluation, job.robot.task()
-    recordings = job.world.head_to_head(job.exported(best), job.exported("pretrained"), config.speeds)
+    vain: list[Recording] = []
+    if job.hold is not None:
+        recordings, vain = held_head_to_head(job, best, job.hold)
+        ask_to_hold(job.world, job.hold)  # as the next trials begin
+    else:
+        recordings = head_to_head(job, best)
     entries = {}
     for name, objective in job.objectives.items():
         results, refusals = judged_speeds(objective, recordings, config, job.seed("interval", "best", best), task)
         entries[name] = entry_of(objective, results)
         entries[name]["refused"] = {speed: str(why) for speed, why in refusals.items()}
-    return {"policy": best, "objectives": entries, "uncounted": sum(one.robot_samples for one in recordings)}
+    return {"policy": best, "objectives": entries, "uncounted": samples_of([*recordings, *vain])}

@@ -11,7 +11,7 @@ import pytest
 from hts.config import Command, EvaluationConfig, ScheduleConfig, SelectionConfig
 from hts.contracts import HoldSpeed
 from hts.recordings.recording import Series
-from hts.run import finals, testing_elites
+from hts.run import head_to_head, testing_elites
 from hts.run.walked_again import walked_again
 from hts.testing.known_world import KnownWorld
 from hts.testing.packages import kit_installed
@@ -57,8 +57,8 @@ def held(monkeypatch, again, until=40.0):
     def apart(objective, recordings, config, seed, task):
         return [one.schedule.commands[0].vx for one in recordings if one.apart]
 
-    monkeypatch.setattr(finals, "speeds_missed", apart)
-    return world, *finals._held(job, HoldSpeed((0.2, 1.5), 12.0, 0.01))
+    monkeypatch.setattr(head_to_head, "speeds_missed", apart)
+    return world, *head_to_head.held_head_to_head(job, "best", HoldSpeed((0.2, 1.5), 12.0, 0.01))
 
 
 def test_only_the_speed_that_ended_apart_is_done_again_and_longer_each_time(monkeypatch):
@@ -102,7 +102,7 @@ def test_nothing_is_walked_again_that_does_not_fit_into_the_real_samples(room, t
     assert (len(good), len(vain)) == (2, tries)
 
 
-def test_a_trial_walks_a_speed_again_whose_command_was_not_found(tmp_path, monkeypatch):
+def too_fast_at_first(monkeypatch):
     """Every policy goes 20 % too fast the first time that 0.8 m/s are to be held."""
     plain = KnownWorld._recording
 
@@ -115,6 +115,29 @@ def test_a_trial_walks_a_speed_again_whose_command_was_not_found(tmp_path, monke
         return found.replace(channels={**found.channels, "base_velocity": faster})
 
     monkeypatch.setattr(KnownWorld, "_recording", recording)
+
+
+def test_the_best_so_far_walks_a_speed_again_as_the_final_does(tmp_path, monkeypatch):
+    too_fast_at_first(monkeypatch)
+
+    def measured(name, tries):
+        settings = {"iterations": 2, "evaluation.each_iteration": True, "evaluation.hold_speed": True}
+        speeds = {"evaluation.speeds": [0.5, 0.8], "selection.speeds": [0.5], "evaluation.trims_again": tries}
+        with kit_installed():
+            run = tiny_run(tmp_path / name, settings=settings | speeds)
+        return run.summary["final"]["objectives"]["fake"], [row["measured_best"] for row in run.summary["iterations"]]
+
+    _, (once, *_) = measured("once", 0)
+    final, (first, *later) = measured("again", 1)
+    assert list(once["objectives"]["fake"]["refused"]) == ["0.8"]
+    assert not first["objectives"]["fake"]["refused"]
+    assert first["uncounted"] == once["uncounted"] * 3 // 2  # one speed of two, once more
+    assert all(not row["objectives"]["fake"]["refused"] for row in later)
+    assert set(first["objectives"]["fake"]["speeds"]) == set(final["speeds"]) == {"0.5", "0.8"}
+
+
+def test_a_trial_walks_a_speed_again_whose_command_was_not_found(tmp_path, monkeypatch):
+    too_fast_at_first(monkeypatch)
     settings = {
         "sweep.kl_bounds": [0.5, 1.0],
         "selection.speeds": [0.5, 0.8],
