@@ -11,7 +11,7 @@ import pytest
 from hts.config import Command, EvaluationConfig, ScheduleConfig, SelectionConfig
 from hts.contracts import HoldSpeed
 from hts.recordings.recording import Series
-from hts.run import head_to_head, testing_elites
+from hts.run import algorithm, head_to_head, testing_elites
 from hts.run.walked_again import walked_again
 from hts.testing.known_world import KnownWorld
 from hts.testing.packages import kit_installed
@@ -119,6 +119,13 @@ def too_fast_at_first(monkeypatch):
 
 def test_the_best_so_far_walks_a_speed_again_as_the_final_does(tmp_path, monkeypatch):
     too_fast_at_first(monkeypatch)
+    trials, held_by = algorithm.test, []
+
+    def noting(job, *rest):
+        held_by.append(job.world._hold.again)
+        return trials(job, *rest)
+
+    monkeypatch.setattr(algorithm, "test", noting)
 
     def measured(name, tries):
         settings = {"iterations": 2, "evaluation.each_iteration": True, "evaluation.hold_speed": True}
@@ -134,6 +141,7 @@ def test_the_best_so_far_walks_a_speed_again_as_the_final_does(tmp_path, monkeyp
     assert first["uncounted"] == once["uncounted"] * 3 // 2  # one speed of two, once more
     assert all(not row["objectives"]["fake"]["refused"] for row in later)
     assert set(first["objectives"]["fake"]["speeds"]) == set(final["speeds"]) == {"0.5", "0.8"}
+    assert held_by == [0] * 4  # the next trials are not held as the last try was
 
 
 def test_a_trial_walks_a_speed_again_whose_command_was_not_found(tmp_path, monkeypatch):
