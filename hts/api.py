@@ -130,7 +130,7 @@ def evaluate(
 
     For example `api.evaluate("runs/first", [0.8])["objectives"]["OBJECTIVE"]["speeds"]["0.8"]["improvement"]`.
     """
-    from hts.evaluation.final import evaluate_run
+    from hts.evaluation.evaluate import evaluate_run
 
     return evaluate_run(_run_folder(folder), speeds=speeds, policy=policy, world=world, seed=seed, sessions=sessions)
 

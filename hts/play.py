@@ -75,7 +75,7 @@ def play(
 
 def _of_a_run(folder: Path, policy: str | Path, robot: str | None, speed: float) -> Walk:
     from hts.config_loading import read_config
-    from hts.evaluation.final import policy_file
+    from hts.evaluation.evaluate import policy_file
     from hts.plugins import load
 
     config = read_config(folder / "config.yaml")

@@ -81,9 +81,9 @@ def test_fit_returns_what_was_written(tmp_path, monkeypatch):
 
 
 def test_evaluate_passes_on_speeds_policy_world_and_seed(folder, monkeypatch):
-    from hts.evaluation import final
+    from hts.evaluation import evaluate
 
-    monkeypatch.setattr(final, "evaluate_run", lambda place, **given: {"folder": place, **given})
+    monkeypatch.setattr(evaluate, "evaluate_run", lambda place, **given: {"folder": place, **given})
     found = api.evaluate(folder, [0.8], policy="pretrained", seed=1)
     assert found == {
         "folder": folder,

@@ -47,7 +47,7 @@ def ablation(groups: Sequence[Group], against: str = "ours") -> str:
                 group.name + (" (at equal commands)" if kind == "open_loop" else ""),
                 with_interval(gap, show),
                 f"{sum(one < 0 for one, _ in shared.values())} of {len(shared)}",
-                signed(group.count_refused(shared) - whole.count_refused(shared)),
+                signed(group.count_refused(shared, kind) - whole.count_refused(shared, kind)),
                 *(_cell(group, *shared[name]) if name in shared else NONE for name in names),
             ]
         )

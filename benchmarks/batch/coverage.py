@@ -21,7 +21,8 @@ from hts.config import RunConfig
 from hts.config_loading import load_config
 from hts.contracts import Objective, WorldContext
 from hts.errors import HtsError, PolicyError
-from hts.evaluation.final import in_sessions, judged_speeds, speed_key
+from hts.evaluation.evaluate import in_sessions
+from hts.evaluation.final import judged_speeds, speed_key
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.policies.deploy import DeployedPolicy
 from hts.recordings.recording import Recording

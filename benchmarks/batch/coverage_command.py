@@ -20,7 +20,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "docs/results/coverage"
 
 def run(given: argparse.Namespace, commit_of: Callable[[str | None], str]) -> int:
     """Make the lines that are not there yet."""
-    from hts.evaluation.final import policy_file
+    from hts.evaluation.evaluate import policy_file
     from hts.worlds.realities.batch import exported_policy
 
     with tempfile.TemporaryDirectory() as folder:

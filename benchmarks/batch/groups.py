@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -55,16 +56,19 @@ class Group:
         return [one for _, result in self.results for one in chosen(result.objectives.get(self.objective)).values()]
 
     def final_falls(self) -> int:
-        """In all finals, at refused speeds and of policies that were given up too."""
+        """In all finals, held and at equal commands, at refused speeds and of policies that were given up too."""
         others = [one.falls for _, result in self.results for one in result.given_up]
         outcomes = [result.objectives.get(self.objective) for _, result in self.results]
-        at_refused = [sum(one.refused_falls.values()) for one in outcomes if one is not None]
-        return sum(one.falls for one in self.figures()) + sum(others) + sum(at_refused)
+        return sum(others) + sum(falls_of(one) for one in outcomes if one is not None)
 
-    def count_refused(self, realities: Collection[str] | None = None) -> int:
-        """Speeds that were refused, over all runs, or over those on the named realities."""
+    def tried_falls(self) -> int:
+        """Of candidates, before the final."""
+        return sum(max(one.falls, falls_told(one.why)) for _, result in self.results for one in result.tried)
+
+    def count_refused(self, realities: Collection[str] | None = None, kind: str = "chosen") -> int:
+        """Speeds that were refused, over all runs, or over those on the named realities; kind: as of `chosen`."""
         return sum(
-            len(result.objectives[self.objective].refused)
+            len(refused(result.objectives[self.objective], kind))
             for line, result in self.results
             if self.objective in result.objectives and (realities is None or line.reality in realities)
         )
@@ -77,6 +81,24 @@ def chosen(outcome: Outcome | None, kind: str = "chosen") -> Mapping[str, Figure
     if kind == "chosen":
         kind = "held" if outcome.held is not None else "open_loop"
     return (outcome.held if kind == "held" else outcome.open_loop) or {}
+
+
+def refused(outcome: Outcome, kind: str = "chosen") -> Mapping[str, str]:
+    """Why speeds were refused, of the figures that `chosen` gives."""
+    return outcome.refused_open_loop if kind == "open_loop" and outcome.held is not None else outcome.refused
+
+
+def falls_of(outcome: Outcome) -> int:
+    """In a final, held and at equal commands, at refused speeds too."""
+    figures = [one for found in (outcome.held, outcome.open_loop) for one in (found or {}).values()]
+    at_refused = [*outcome.refused_falls.values(), *outcome.refused_falls_open_loop.values()]
+    return sum(one.falls for one in figures) + sum(at_refused)
+
+
+def falls_told(why: str | None) -> int:
+    """That a refusal speaks of; lines of before did not count them besides."""
+    found = re.search(r"with (\d+) falls", why or "")
+    return int(found[1]) if found else 0
 
 
 def saving(result: Result, objective: str, speed: str | None = None, kind: str = "chosen") -> float:
@@ -116,6 +138,12 @@ def groups_of(
                 f"{line.reality_hash[:12]}. Give the newer file another name, or leave one's lines out."
             )
     name = objective or next((found for line in wanted for found in objectives_of(line)), "")
+    others = sorted({" + ".join(objectives_of(line)) for line in wanted if name not in objectives_of(line)})
+    if objective is None and others:
+        raise EvaluationError(
+            f"These lines are of objectives {name} and {', '.join(others)}, which have no common unit. Name one: "
+            f"--objective {name}."
+        )
     unit = next(
         (line.result.objectives[name].unit for line in wanted if line.result and name in line.result.objectives), "1"
     )

@@ -78,6 +78,7 @@ def _outcome(entry: Json) -> Outcome:
         refused=refused,
         refused_falls=entry.get("refused_falls") or {},
         refused_open_loop=_refused(beside),
+        refused_falls_open_loop=beside.get("refused_falls") or {},
     )
 
 
@@ -106,6 +107,8 @@ def _gates(folder: Path, iterations: int) -> dict[str, bool]:
 
 def _tried(iteration: int, row: Json, gate: bool | None = None) -> Tried:
     real = row["real"] or {}
+    falls = max((sum(one["falls"] for one in found.values()) for found in real.values()), default=0)
+    falls += sum((row.get("refused_falls") or {}).values())
     predicted, spread = _predicted(row.get("predicted"))
     return Tried(
         id=row["id"],
@@ -120,8 +123,8 @@ def _tried(iteration: int, row: Json, gate: bool | None = None) -> Tried:
         predicted=predicted,
         predicted_sd=spread,
         measured={name: {key: one["improvement"] for key, one in found.items()} for name, found in real.items()},
-        falls=max((sum(one["falls"] for one in found.values()) for found in real.values()), default=0),
-        fell=bool(row.get("fell")),
+        falls=falls,
+        fell=bool(row.get("fell") or falls),
         refused=bool(row.get("refused")),
         why=row.get("refused") or None,
         gate=gate,

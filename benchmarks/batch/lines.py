@@ -49,6 +49,7 @@ class Outcome(Part):
     refused: dict[str, str] = {}
     refused_falls: dict[str, int] = {}
     refused_open_loop: dict[str, str] = {}
+    refused_falls_open_loop: dict[str, int] = {}
 
 
 class Tried(Part):

@@ -71,7 +71,6 @@ def _method(group: Group, others: Sequence[Group], speeds: Sequence[str]) -> lis
     if not values:
         return [group.name, "0", str(failed), *[NONE] * (len(speeds) + 9)]
     whole, lowest = population(values), min(mean(map(_number, runs)) for runs in values.values())
-    tried = sum(one.falls for _, result in group.results for one in result.tried)
     within, less = _against_best(group, others)
     return [
         group.name,
@@ -82,7 +81,7 @@ def _method(group: Group, others: Sequence[Group], speeds: Sequence[str]) -> lis
         with_interval(whole, show),
         show(population(values, quantile(0.05)).estimate),
         show(lowest),
-        f"{group.final_falls()}, {tried}",
+        f"{group.final_falls()}, {group.tried_falls()}",
         f"{group.count_refused()} of {sum(len(result.asked_speeds) for _, result in group.results)}{_given_up(group)}",
         samples_median(group),
         within,

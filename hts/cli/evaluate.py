@@ -26,7 +26,7 @@ def command(
 
     existing_run(folder)
     from hts.config_loading import read_config
-    from hts.evaluation.final import evaluate_run
+    from hts.evaluation.evaluate import evaluate_run
     from hts.report.table import print_evaluation
 
     if read_config(folder / "config.yaml").reward_source == "oracle":

@@ -140,7 +140,7 @@ def truth(
     """What a policy truly saves there: no noise, true speed, many sessions. As JSON."""
     from hts.config import EvaluationConfig
     from hts.cores import available
-    from hts.evaluation.final import policy_file
+    from hts.evaluation.evaluate import policy_file
     from hts.worlds.realities.batch import exported_policy
     from hts.worlds.realities.truth import Truth
     from hts.worlds.realities.truth import truth as found

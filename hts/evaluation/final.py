@@ -1,24 +1,20 @@
-"""From recordings of head-to-heads to the entries of `summary.json`, and `hts evaluate`."""
+"""From recordings of head-to-heads to the entries of `summary.json`."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from hts.atomic import atomic_write
-from hts.config import EvaluationConfig, Named
-from hts.contracts import VELOCITY, FollowVelocity, Objective, Task, TestedCandidate, World, WorldContext
-from hts.errors import EvaluationError, PolicyError, RunError
+from hts.config import EvaluationConfig
+from hts.contracts import VELOCITY, FollowVelocity, Objective, Task, TestedCandidate
+from hts.errors import EvaluationError
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
-from hts.evaluation.held import CommandAtLimit, NotComparable, SpeedNotHeld, ask_to_hold, hold_of, refusal
-from hts.evaluation.segments import Segments
+from hts.evaluation.held import CommandAtLimit, NotComparable, SpeedNotHeld, refusal
+from hts.evaluation.segments import Segments, falls_of
 
 if TYPE_CHECKING:
-    from hts.plugins import Registry
     from hts.recordings.recording import Recording
 
 RESULT = "evaluation.json"
@@ -110,9 +106,10 @@ def entry_both_ways(
     for place, why in ((entry, refusals), (entry["open_loop"], refusals_beside)):
         if why:
             place["refused"] = {key: str(error) for key, error in why.items()}
-        fallen = {key: int(error.numbers.get("falls") or 0) for key, error in why.items()}
-        if any(fallen.values()):
-            place["refused_falls"] = {key: count for key, count in fallen.items() if count}
+    for place, why, recordings in ((entry, refusals, held), (entry["open_loop"], refusals_beside, open_loop)):
+        fallen = {key: count for key, count in falls_by_speed(recordings, task).items() if key in why}
+        if fallen:
+            place["refused_falls"] = fallen
     return entry, segment_scores(results or beside), refusals
 
 
@@ -132,9 +129,12 @@ def speeds_missed(
     task: Task = VELOCITY,
 ) -> list[float]:
     """Held speeds, m/s, slowest first, for which trimming did not find the commands: the policy and its reference ended
-    apart, or too few seconds count because one of them went steadily faster or slower than was asked."""
+    apart, or too few seconds count because one of them went steadily faster or slower than was asked. Not those at
+    which the policy fell: that is an answer, and a machine that fell does not try the same again."""
     found = []
     for speed, group in by_speed(recordings, task).items():
+        if falls_of("policy", group):
+            continue
         try:
             compare(objective, group, config, seed, task)
         except CommandAtLimit:
@@ -170,13 +170,15 @@ class CandidateResult:
     """An elite after its head-to-head.
 
     entry: `real` of its candidate in `summary.json`, None if nothing could be reported;
-    tested: for the selector, None likewise; refused: why, one line, or None; refusal: its numbers, as `TooFewSegments`.
+    tested: for the selector, None likewise; refused: why, one line, or None; refusal: its numbers, as `TooFewSegments`,
+    None where the reference is why; refused_falls: of who is refused, speed key -> how often it fell, where it did.
     """
 
     entry: dict[str, Any] | None
     tested: TestedCandidate | None
     refused: str | None
     refusal: Mapping[str, float | None] | None = None
+    refused_falls: Mapping[str, int] = field(default_factory=dict)
 
 
 def candidate_result(
@@ -203,17 +205,25 @@ def candidate_result(
         except NotComparable as error:
             if error.role == "reference" and isinstance(error, TooFewSegments):
                 raise
-            return CandidateResult(None, None, f"{candidate}: {error}", error.numbers)
+            own = error.numbers if error.role == "policy" else None
+            return CandidateResult(None, None, f"{candidate}: {error}", own, falls_by_speed(recordings, task))
         for speed, result in results.items():
             if min_valid is not None and result.valid < min_valid:
                 why = unsteady(candidate, speed, result.policy_segments, min_valid, task)
-                return CandidateResult(None, None, why, refusal(result.policy_segments, speed))
+                own = refusal(result.policy_segments, speed)
+                return CandidateResult(None, None, why, own, falls_by_speed(recordings, task))
         entry[name] = {
             speed_key(speed): {key: result.entry()[key] for key in REAL_KEYS} for speed, result in results.items()
         }
         comparisons[name] = mean_comparison([result.comparison for result in results.values()])
         fell = fell or any(result.falls > 0 for result in results.values())
     return CandidateResult(entry, TestedCandidate(candidate, comparisons, fell), None)
+
+
+def falls_by_speed(recordings: Sequence[Recording], task: Task) -> dict[str, int]:
+    """Speed key -> how often the policy fell, where it did."""
+    counts = {speed_key(speed): falls_of("policy", group) for speed, group in by_speed(recordings, task).items()}
+    return {key: count for key, count in counts.items() if count}
 
 
 def unsteady(candidate: str, speed: float, segments: Segments, min_valid: float, task: Task) -> str:
@@ -225,98 +235,6 @@ def unsteady(candidate: str, speed: float, segments: Segments, min_valid: float,
     )
 
 
-def evaluate_run(
-    folder: Path,
-    speeds: Sequence[float] | None = None,
-    policy: str | Path | None = None,
-    world: str | None = None,
-    seed: int | None = None,
-    registry: Registry | None = None,
-    sessions: int | None = None,
-) -> dict[str, Any]:
-    """Head-to-head of a policy against the run's pretrained one, written to `folder`/evaluation.json and returned.
-
-    speeds: m/s (or set-points of another task), by default those of the run's configuration; policy: "best" (default),
-    "pretrained", a candidate's id or an ONNX file; world: a name, by default the run's own world with its settings;
-    seed, sessions: by default the run's; sessions: how often it is done anew, and the interval is over them.
-    Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
-    head-to-head is refused (EvaluationError).
-    """
-    from hts.config_loading import read_config
-    from hts.plugins import load
-    from hts.recordings.store import RecordingStore
-
-    folder = Path(folder)
-    config = read_config(folder / "config.yaml")
-    registry = registry or load()
-    task = registry.make_robot(config.robot.name, config.robot.settings).task()
-    task.check(speeds or (), "--speed")
-    speeds = tuple(speeds or config.evaluation.speeds)
-    seed = config.seed if seed is None else seed
-    count = sessions or config.evaluation.sessions
-    tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
-    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
-    named = config.world if world in (None, config.world.name) else Named(name=str(world))
-    place = folder / "evaluation"
-    context = WorldContext(
-        robot=config.robot.name,
-        robot_settings=config.robot.settings,
-        objectives=config.objectives,
-        seed=seed,
-        folder=place,
-        registry=registry,
-    )
-    place.mkdir(exist_ok=True)
-    where = registry.make_world(named.name, named.settings, context)
-    hold = hold_of(config)
-    if hold is not None:
-        task.check_hold("evaluation.hold_speed")
-    held: list[Recording] = []
-    try:
-        if hold is not None:
-            ask_to_hold(where, hold)
-            held = in_sessions(where, tested, reference, speeds, count)
-            ask_to_hold(where, None)
-        recordings = in_sessions(where, tested, reference, speeds, count)
-    finally:
-        where.close()
-    store = RecordingStore(place / "data.zarr", create=True)
-    ids = [store.write(recording) for recording in [*held, *recordings]]
-    entries, segments = {}, {}
-    for name, objective in objectives.items():
-        if hold is not None:
-            both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
-            entries[name], segments[name], _ = both
-        else:
-            found = head_to_heads(objective, recordings, config.evaluation, seed, task)
-            entries[name], segments[name] = entry_of(objective, found), segment_scores(found)
-    result = {
-        "world": named.name,
-        "world_simulated": where.simulated,
-        "policy": str(policy or "best"),
-        "seed": seed,
-        "sessions": count,
-        "task": task_entry(task),
-        "recordings": ids,
-        "objectives": entries,
-        "segments": segments,
-    }
-    _write(folder / RESULT, result)
-    return result
-
-
-def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int) -> list[Recording]:
-    """A head-to-head, or as many as asked for. Raises EvaluationError for a world that makes one only."""
-    if sessions == 1:
-        return world.head_to_head(policy, reference, speeds)
-    found = world.head_to_head_sessions(policy, reference, speeds, sessions)
-    if found is None:
-        raise EvaluationError(
-            f"World '{world.name}' makes a head-to-head once; {sessions} sessions were asked for. Ask for one."
-        )
-    return found
-
-
 def task_entry(task: Task) -> dict[str, Any]:
     """`task` of `summary.json` and `evaluation.json`: how its set-points and what it achieves are called. `commanded`:
     whether anything is; if not, the one set-point, 0, is no number to show."""
@@ -326,38 +244,3 @@ def task_entry(task: Task) -> dict[str, Any]:
         "unit": task.unit,
         "commanded": task.set_points != (),
     }
-
-
-def policy_file(folder: Path, policy: str | Path) -> Path:
-    """An exported (ONNX) policy: "best", "pretrained", a candidate's id, or a file. Raises PolicyError.
-
-    One that a run folder holds only as parameters (.safetensors), or such a file, is exported to `folder`/evaluation.
-    """
-    from hts.policies.export_command import find_policy
-
-    given = Path(policy)
-    if given.suffix == ".onnx" and given.is_file():
-        return given
-    if given.suffix and not (given.suffix == ".safetensors" and given.is_file()):
-        raise PolicyError(f"{policy}: expected a policy file that exists, ending in .onnx or .safetensors.")
-    found = sorted((folder / "policies").glob("*.onnx")) + sorted((folder / "iterations").glob("**/*.onnx"))
-    by_name = {file.stem: file for file in reversed(found)}  # policies/ wins over iterations/
-    if str(policy) in by_name:
-        return by_name[str(policy)]
-    parameters = given if given.suffix else find_policy(folder, str(policy))
-
-    from hts.policies.export import to_onnx
-    from hts.policies.files import load_policy
-
-    to = folder / "evaluation" / f"{parameters.stem}.onnx"
-    to.parent.mkdir(exist_ok=True)
-    return to_onnx(load_policy(parameters), to)
-
-
-def _write(path: Path, result: dict[str, Any]) -> None:
-    try:
-        atomic_write(path, json.dumps(result, indent=1, allow_nan=False) + "\n")
-    except OSError as error:
-        raise RunError(
-            f"{path}: cannot be written ({error.strerror}). Make room or permission, then repeat."
-        ) from error

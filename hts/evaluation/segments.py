@@ -156,6 +156,11 @@ def cut(
     )
 
 
+def falls_of(role: str, recordings: Sequence[Recording]) -> int:
+    """How often that role fell in all of them, "policy" or "reference": counted as in `Segments`."""
+    return sum(_near_falls(recording, 0.0)[1] for recording in recordings if recording.role == role)
+
+
 def _achieved(recording: Recording, task: Task) -> np.ndarray:
     """What the task says of each sample, (T,). Raises RecordingError for a missing channel, PluginError if it says
     something else."""

@@ -9,11 +9,11 @@ here; all that was walked is kept and counted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, walked_speeds
+from hts.evaluation.final import entry_both_ways, entry_of, falls_by_speed, segment_scores, walked_speeds
 from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.recordings.recording import Recording
 from hts.run.head_to_head import head_to_head, held_head_to_head
@@ -25,14 +25,16 @@ Report = Callable[[float], None]
 
 @dataclass
 class Tried:
-    """One final. entries: `final.objectives` of `summary.json`; scores: `segments.json`; blamed: at how many speeds it
-    was refused for what it did itself; error: nothing could be compared at any speed."""
+    """One final. entries: `final.objectives` of `summary.json`; scores: `segments.json`; blamed: speeds at which
+    it was refused for what it did itself; fallen: speed -> how often it fell, in all that it walked; error: nothing
+    could be compared at any speed."""
 
     policy: str
     entries: dict[str, Any] = field(default_factory=dict)
     scores: dict[str, Any] = field(default_factory=dict)
     recordings: list[Recording] = field(default_factory=list)
-    blamed: int = 0
+    blamed: set[str] = field(default_factory=set)
+    fallen: Mapping[str, int] = field(default_factory=dict)
     error: NotComparable | None = None
 
     @property
@@ -45,20 +47,14 @@ class Tried:
         """At how many of its speeds it was refused or fell; infinite where nothing is left."""
         if self.error is not None:
             return math.inf
-        return self.blamed + sum(
-            row["falls"] > 0 for entry in self.entries.values() for row in entry["speeds"].values()
-        )
+        return len(self.blamed | self.fallen.keys())
 
     def given_up(self) -> dict[str, Any]:
         """What `summary.json` says of it where another one was taken."""
-        falls = [
-            sum(row["falls"] for row in entry["speeds"].values()) + sum(entry.get("refused_falls", {}).values())
-            for entry in self.entries.values()
-        ]
         return {
             "policy": self.policy,
             "refused": self.refused,
-            "falls": max(falls, default=0),
+            "falls": sum(self.fallen.values()),
             **({"error": str(self.error)} if self.error else {}),
         }
 
@@ -131,18 +127,19 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
     recordings = head_to_head(job, "best")
     tried.recordings += recordings
     seed, task = job.seed("interval", "final"), job.robot.task()
+    tried.fallen = falls_by_speed(tried.recordings, task)
     try:
         for key, objective in job.objectives.items():
             if job.hold is not None:
                 both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
                 tried.entries[key], tried.scores[key], why = both
-                tried.blamed += sum(one.role == "policy" for one in why.values())
+                tried.blamed |= {key for key, one in why.items() if one.role == "policy"}
                 continue
             results, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
             tried.entries[key], tried.scores[key] = entry_of(objective, results), segment_scores(results)
             if refused:  # for what the policy did: a reference that cannot be judged raises
                 tried.entries[key]["refused"] = refused
-                tried.blamed += len(refused)
+                tried.blamed |= refused.keys()
     except NotComparable as error:
         tried.error = error
     return tried

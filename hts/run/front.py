@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,9 +39,13 @@ def tested_policies(job: Job, iterations: int) -> list[Measured]:
     return found
 
 
-def real_front(job: Job, iterations: int) -> list[Measured]:
-    """The undominated ones among them and the pretrained policy, whose gain is 0 in every objective; never empty."""
-    policies = [Measured(PRETRAINED, (0.0,) * len(job.objectives)), *tested_policies(job, iterations)]
+def real_front(job: Job, iterations: int, without: Collection[str] = ()) -> list[Measured]:
+    """The undominated ones among them and the pretrained policy, whose gain is 0 in every objective; never empty.
+
+    without: ids of policies that may not be on it, since they fell afterwards.
+    """
+    tested = [policy for policy in tested_policies(job, iterations) if policy.id not in without]
+    policies = [Measured(PRETRAINED, (0.0,) * len(job.objectives)), *tested]
     return [policies[index] for index in non_dominated([policy.gains for policy in policies])]
 
 
@@ -55,15 +59,15 @@ def simulated_front(objectives: Sequence[str], simulated: Mapping[str, Any]) -> 
     return [names[index] for index in non_dominated(points)]
 
 
-def front_entry(job: Job) -> dict[str, Any]:
-    """`front` of `summary.json`."""
+def front_entry(job: Job, without: Collection[str]) -> dict[str, Any]:
+    """`front` of `summary.json`; without: as in `real_front`."""
     objectives = list(job.objectives)
     iterations = range(job.done_iterations)
     simulated = {index: job.read(f"iterations/{index:02d}/simulate") for index in iterations}
     return {
         "units": {name: objective.unit for name, objective in job.objectives.items()},
         "simulation": [{"iteration": i, "ids": simulated_front(objectives, simulated[i])} for i in iterations],
-        "real": [_entry(policy, objectives) for policy in real_front(job, len(iterations))],
+        "real": [_entry(policy, objectives) for policy in real_front(job, len(iterations), without)],
     }
 
 

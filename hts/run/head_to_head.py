@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from hts.contracts import HoldSpeed
 from hts.evaluation.final import speeds_missed
 from hts.evaluation.held import ask_to_hold
+from hts.evaluation.walked_again import walked_again
 from hts.recordings.recording import Recording
 from hts.run.job import Job
-from hts.run.walked_again import walked_again
 
 
 def held_head_to_head(job: Job, policy: str, hold: HoldSpeed) -> tuple[list[Recording], list[Recording]]:

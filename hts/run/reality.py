@@ -7,10 +7,10 @@ from typing import Any
 
 from hts.evaluation.final import entry_of, judged_speeds
 from hts.evaluation.held import ask_to_hold
+from hts.evaluation.walked_again import samples_of
 from hts.recordings.recording import Recording
 from hts.run.head_to_head import head_to_head, held_head_to_head
 from hts.run.job import Job
-from hts.run.walked_again import samples_of
 
 Report = Callable[[float], None]
 

@@ -72,7 +72,7 @@ def summarise(job: Job) -> dict[str, Any]:
         "iterations_asked": config.iterations,
         "iterations": iterations,
         "measurement_models": ranks,
-        "front": front_entry(job),
+        "front": front_entry(job, fell_later(again, final)),
         **({"confirmation": {key: again[key] for key in ("tried", "results", "best")}} if again else {}),
         "final": {
             "policy": final["policy"],
@@ -80,6 +80,17 @@ def summarise(job: Job) -> dict[str, Any]:
             **({"given_up": final["given_up"]} if final.get("given_up") else {}),
         },
     }
+
+
+def fell_later(again: Mapping[str, Any] | None, final: Mapping[str, Any]) -> set[str]:
+    """Policies that fell after the trials of their iteration: in the stage `confirm` (None: there was none) or in a
+    final."""
+    rows = again["results"] if again else {}
+    second = {name for name, row in rows.items() if (row.get("tested") or {}).get("fell") or row.get("refused_falls")}
+    given_up = {one["policy"] for one in final.get("given_up") or () if one["falls"]}
+    ways = [way for entry in final["objectives"].values() for way in (entry, entry.get("open_loop") or {})]
+    fell = any(way.get("refused_falls") or any(row["falls"] for row in way.get("speeds", {}).values()) for way in ways)
+    return second | given_up | ({final["policy"]} if fell else set())
 
 
 def pooled_ranks(checks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -176,7 +187,9 @@ def _candidate(
         entry["selection_scores"], entry["fell"] = result["tested"]["selection_score"], result["tested"]["fell"]
     if result.get("refused"):
         entry["refused"] = result["refused"]
-        entry["refusal"] = result.get("refusal")  # of runs from before it was written: none
+        entry["refusal"] = result.get("refusal")  # none where the reference is why, and in runs from before it
+        if result.get("refused_falls"):
+            entry["refused_falls"] = result["refused_falls"]
     if "task_rewards" in simulated:
         entry["task_reward"] = simulated["task_rewards"].get(name)
     if "predicted" in simulated:  # not in runs from before it was written

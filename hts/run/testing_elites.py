@@ -14,6 +14,7 @@ from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import CandidateResult, candidate_result, speeds_missed
 from hts.evaluation.halves import Half, halves
 from hts.evaluation.held import ask_to_hold
+from hts.evaluation.walked_again import samples_of, walked_again
 from hts.measurement import files
 from hts.measurement.checks import check
 from hts.recordings.recording import Recording
@@ -22,7 +23,6 @@ from hts.run.job import Job
 from hts.run.judging import fine_tuning
 from hts.run.learning import bound_scale, model_path
 from hts.run.trust_region import agreement, next_scale, tried_elites
-from hts.run.walked_again import samples_of, walked_again
 
 Report = Callable[[float], None]
 
@@ -219,6 +219,8 @@ def result_row(found: CandidateResult) -> dict[str, Any]:
     row: dict[str, Any] = {"real": found.entry, "refused": found.refused}
     if found.refusal is not None:
         row["refusal"] = dict(found.refusal)
+    if found.refused_falls:
+        row["refused_falls"] = dict(found.refused_falls)
     if found.tested is not None:
         row["tested"] = {"fell": found.tested.fell, "selection_score": _scores(found.tested)}
     return row
@@ -257,7 +259,7 @@ def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -
         for row in job.read(f"{stage}/finetune")["candidates"]
     }
     tried = tried_elites(next(iter(job.objectives)), rows, results)
-    scale, why = next_scale(bound_scale(job, iteration), tried, config)
+    scale, why = next_scale(bound_scale(job, iteration), tried, config, job.config.sweep.kl_bounds)
     return {"trust_region": {"scale": scale, "why": why, **agreement(tried).entry()}}
 
 

@@ -75,8 +75,21 @@ def agreement(tried: Sequence[Tried]) -> Agreement:
     return Agreement(rho, (rho - half, rho + half))
 
 
-def next_scale(scale: float, tried: Sequence[Tried], config: TrustRegionConfig) -> tuple[float, str]:
-    """The factor on all finite KL bounds in the next iteration, and why."""
+def next_scale(
+    scale: float, tried: Sequence[Tried], config: TrustRegionConfig, bounds: Sequence[float]
+) -> tuple[float, str]:
+    """The factor on all finite KL bounds in the next iteration, and why.
+
+    bounds: c as given, nats. The factor goes no further than where the first of them meets its limit, so that what
+    narrows it always narrows every bound: a factor that grew on beyond a limit would first have to come back.
+    """
+    finite = [c for c in bounds if math.isfinite(c)] or [1.0]
+    low, high = sorted((config.least / min(finite), config.most / max(finite)))
+    found, why = _unlimited(min(max(scale, low), high), tried, config)
+    return min(max(found, low), high), why
+
+
+def _unlimited(scale: float, tried: Sequence[Tried], config: TrustRegionConfig) -> tuple[float, str]:
     if any(one.fell for one in tried):
         return scale * config.shrink, "an elite fell"
     found = agreement(tried)
@@ -106,14 +119,14 @@ def tried_elites(
     """From a run's stages. candidates: id -> kl, kl_bound and predicted, objective -> speed -> entry; results: of the
     stage `test`. Means are over the speeds that were both promised and measured. One that was refused for what it
     did itself (it fell, or did not keep to a speed) counts as a promise that was not kept at all; any other without
-    such a speed is left out."""
+    such a speed, for instance one whose reference did not keep to it, is left out."""
     found = []
     for name, result in results.items():
         row, real = candidates[name], (result.get("real") or {}).get(objective) or {}
         promised = row["predicted"].get(objective, {})
         speeds = [speed for speed in real if speed in promised]
         refusal = result.get("refusal") or {}
-        fell = bool((result.get("tested") or {}).get("fell")) or bool(refusal.get("falls"))
+        fell = bool((result.get("tested") or {}).get("fell") or result.get("refused_falls") or refusal.get("falls"))
         if not speeds and not (promised and (fell or refusal)):
             continue
         over = speeds or list(promised)
@@ -127,8 +140,8 @@ def tried_elites(
                 sum(promised[speed]["improvement"] for speed in over) / count,
                 measured,
                 half,
-                row["kl"],
-                row["kl_bound"],
+                math.nan if row["kl"] is None else row["kl"],
+                math.inf if row["kl_bound"] is None else row["kl_bound"],  # JSON has neither
                 fell,
             )
         )

@@ -61,7 +61,7 @@ class Hierarchical(Selector):
         ordered = sorted(candidates, key=key)
         if self.settings.each_bound:
             firsts = list({_bound(candidate): candidate for candidate in reversed(ordered)}.values())
-            ordered = sorted(ordered, key=lambda candidate: (candidate not in firsts, *key(candidate)))
+            ordered = sorted(ordered, key=lambda one: (*key(one)[:3], one not in firsts, key(one)[3]))
         drawn = min(self.settings.at_random, max(0, count - 1))
         chosen, rest = ordered[: count - drawn], ordered[count - drawn :]
         sound = [candidate for candidate in rest if candidate.falls == 0 and candidate.tracked]

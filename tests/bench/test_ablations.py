@@ -124,7 +124,7 @@ def test_bounds_stay_where_they_do_not_move():
     kept = Tried("a", predicted=0.2, measured=0.25, half_width=0.001, kl=2.9, kl_bound=3.0, fell=False)
     for name, moved in (("ours", True), ("fixed-bounds", False)):
         region = config_of(name).sweep.trust_region
-        scale, _ = next_scale(1.0, [kept, replace(kept, id="b")], region)
+        scale, _ = next_scale(1.0, [kept, replace(kept, id="b")], region, (3.0, 10.0))
         assert (scaled((3.0, 10.0), scale, region) != (3.0, 10.0)) is moved
 
 

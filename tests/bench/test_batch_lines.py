@@ -136,6 +136,32 @@ def test_refusals_are_compared_where_both_ran():
     assert row_of(ablation(groups), "part")[3] == "+1"
 
 
+def test_at_equal_commands_it_is_refusals_at_equal_commands_that_are_compared():
+    def refused_open_loop(one, speeds, held=True):
+        outcome = one.result.objectives["power"]
+        why = {speed: "too slow" for speed in speeds}
+        changed = {"refused_open_loop": why} if held else {"held": None, "refused": why}
+        outcome = outcome.model_copy(update=changed)
+        return one.model_copy(update={"result": one.result.model_copy(update={"objectives": {"power": outcome}})})
+
+    ours = refused_open_loop(line("ours"), ["0.5", "0.8"])
+    other = refused_open_loop(line("no-held-speed"), ["0.5"], held=False)
+    row = row_of(ablation(groups_of([ours, other])), "no-held-speed (at equal commands)")
+    assert row[3] == "−1"
+
+
+def test_falls_are_counted_where_a_speed_or_a_candidate_was_refused_too():
+    one = line()
+    tried = one.result.tried[0]
+    told = tried.model_copy(update={"refused": True, "why": "00-01: 3 of 40 segments are valid, with 2 falls"})
+    counted = tried.model_copy(update={"refused": True, "why": "00-02: 3 of 40 are valid, with 2 falls", "falls": 3})
+    outcome = one.result.objectives["power"].model_copy(
+        update={"refused_falls": {"0.5": 1}, "refused_falls_open_loop": {"0.8": 1, "1.1": 2}}
+    )
+    result = one.result.model_copy(update={"tried": [told, counted], "objectives": {"power": outcome}})
+    assert row_of(tables.methods(groups_of([one.model_copy(update={"result": result})])), "ours")[10] == "4, 5"
+
+
 def test_the_best_other_is_another_one_on_each_reality():
     a = [line("a", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.20), (2, 0.10), (3, 0.30))]
     b = [line("b", f"dev-{n:02d}", saved=(saved,) * 3) for n, saved in ((1, 0.10), (2, 0.20), (3, 0.00))]
@@ -151,6 +177,7 @@ def test_the_best_other_is_another_one_on_each_reality():
         ([], "No line has"),
         ([line(), line(preset="paper", key="other")], "presets paper, quick"),
         ([line(), line(reality_hash="other", key="other")], "two realities named 'dev-00'"),
+        ([line(), line(key="other", arguments=["run", "--objective", "noise"])], "objectives power and noise"),
     ],
 )
 def test_what_does_not_belong_together_is_not_averaged(lines, said):

@@ -128,6 +128,34 @@ def test_a_speed_is_walked_again_where_the_command_was_wrong_and_not_where_the_p
     assert missed(mean=0.7, notes=saturated) == []  # trimming longer does not help
 
 
+def test_a_speed_at_which_the_policy_fell_is_not_walked_again():
+    fallen = {"policy": held(0.83) | {"falls": "1"}}
+    assert speeds_missed(CostObjective(), session(0.8, 0.81, 0.8), CONFIG) == [0.8]
+    assert speeds_missed(CostObjective(), session(0.8, 0.81, 0.8, notes=fallen), CONFIG) == []
+
+
+def test_falls_of_a_refused_candidate_are_kept_at_every_speed():
+    fallen = {"policy": held(0.83) | {"falls": "1"}}
+    recordings = session(0.5, 0.55, 0.5) + session(0.8, 0.8, 0.8, notes=fallen)  # the slower one is what refuses it
+    found = candidate_result("c", {"cost": CostObjective()}, recordings, CONFIG)
+    assert found.refusal["speed"] == 0.5 and found.refused_falls == {"0.8": 2}
+
+
+def test_a_candidate_is_not_blamed_for_its_reference():
+    limit = {"reference": held(1.2, saturated=True) | {"falls": "1"}}
+    found = candidate_result("c", {"cost": CostObjective()}, session(0.8, 0.8, 0.8, notes=limit), CONFIG)
+    assert "the reference policy cannot be held" in found.refused
+    assert found.refusal is None and not found.refused_falls
+
+
+def test_falls_at_speeds_that_the_reference_cannot_keep_are_the_policys_own():
+    notes = {"policy": held(0.83) | {"falls": "1"}, "reference": held(1.2, saturated=True) | {"falls": "3"}}
+    recordings = session(0.5, 0.5, 0.5) + session(0.8, 0.8, 0.8, notes=notes)
+    plain = {"notes": {"policy": {}, "reference": {}}}
+    entry, *_ = entry_both_ways(CostObjective(), recordings, session(0.5, 0.5, 0.5, **plain), CONFIG)
+    assert entry["refused_falls"] == {"0.8": 2}  # one in each of its two blocks
+
+
 def test_blocks_that_held_the_speed_do_not_mix_with_others():
     with pytest.raises(EvaluationError, match="2 of 4 blocks held the speed"):
         compare(CostObjective(), session(0.8, 0.8, 0.8, notes={"reference": {}}), CONFIG)

@@ -11,7 +11,8 @@ from hts.config import EvaluationConfig
 from hts.config_loading import dump_config, load_config
 from hts.contracts import Comparison, World
 from hts.errors import EvaluationError, PolicyError
-from hts.evaluation.final import candidate_result, entry_of, evaluate_run, head_to_heads, policy_file, segment_scores
+from hts.evaluation.evaluate import evaluate_run, policy_file
+from hts.evaluation.final import candidate_result, entry_of, head_to_heads, segment_scores
 from hts.evaluation.head_to_head import TooFewSegments, compare
 from hts.evaluation.intervals import interval, lag_one_correlation, variance_of_mean
 from hts.plugins import Entry, Registry

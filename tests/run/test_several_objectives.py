@@ -293,3 +293,21 @@ def test_a_dry_run_lists_the_combinations_and_the_selector(two_objectives):
     assert cost["selector"] == "pareto"
     assert cost["combinations"].split(", ")[::3] == ["0.5 calm", "0.5 cheap", "0.5 calm + 0.5 cheap"]
     assert cost["candidates"] == 2 * 9 and cost["tested on the robot"] == 2 * 6
+
+
+def test_who_fell_in_a_second_trial_or_in_a_final_is_off_the_front(run):
+    from hts.config_loading import read_config
+    from hts.plugins import load
+    from hts.run.front import real_front
+    from hts.run.job import Job
+    from hts.run.summary import fell_later
+
+    again = {"results": {"a": {"tested": {"fell": True}}, "b": {"refused_falls": {"0.8": 1}}, "c": {"tested": None}}}
+    walked, open_loop = {"speeds": {"0.8": {"falls": 0}}}, {"speeds": {"0.8": {"falls": 1}}}
+    given_up = [{"policy": "e", "falls": 2}, {"policy": "f", "falls": 0}]
+    final = {"policy": "d", "objectives": {"fake": walked | {"open_loop": open_loop}}, "given_up": given_up}
+    assert fell_later(again, final) == {"a", "b", "d", "e"}
+    assert fell_later(None, {"policy": "d", "objectives": {"fake": walked}}) == set()
+
+    job = Job(read_config(run / "config.yaml"), run, load(), None)
+    assert {policy.id for policy in real_front(job, 2, {"01-02"})} == {"01-00", "01-01", "00-02"}

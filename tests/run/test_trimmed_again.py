@@ -10,9 +10,10 @@ import pytest
 
 from hts.config import Command, EvaluationConfig, ScheduleConfig, SelectionConfig
 from hts.contracts import HoldSpeed
+from hts.evaluation.evaluate import evaluate_run
+from hts.evaluation.walked_again import walked_again
 from hts.recordings.recording import Series
 from hts.run import algorithm, head_to_head, testing_elites
-from hts.run.walked_again import walked_again
 from hts.testing.known_world import KnownWorld
 from hts.testing.packages import kit_installed
 from hts.testing.tiny_run import tiny_run
@@ -203,3 +204,34 @@ def test_second_tries_of_trials_stay_within_the_real_samples(monkeypatch, most, 
     assert [sum(one.robot_samples for one in row) for row in of.values()] == [
         250 if one in walked else 200 for one in of
     ]
+
+
+def test_evaluating_afterwards_walks_a_speed_again_as_the_final_does(tmp_path, monkeypatch):
+    too_fast_at_first(monkeypatch)
+    settings = {"evaluation.hold_speed": True, "evaluation.speeds": [0.5, 0.8], "evaluation.trims_again": 1}
+    with kit_installed():
+        run = tiny_run(tmp_path / "run", settings=settings)
+        found = evaluate_run(run.folder)
+        once = evaluate_run(run.folder, speeds=[0.5])
+    assert set(found["objectives"]["fake"]["speeds"]) == {"0.5", "0.8"}
+    assert "refused" not in found["objectives"]["fake"]
+    assert len(found["recordings"]) == len(once["recordings"]) // 2 * 5  # 0.8 m/s held twice; what was in vain is kept
+
+
+def test_evaluating_at_equal_commands_refuses_one_speed_alone_as_the_final_does(tmp_path, monkeypatch):
+    with kit_installed():
+        run = tiny_run(tmp_path / "run", settings={"evaluation.speeds": [0.5, 0.8]})
+        plain = KnownWorld._recording
+
+        def recording(self, policy, schedule, session, block, role, *rest, **given):
+            found = plain(self, policy, schedule, session, block, role, *rest, **given)
+            if role != "policy" or schedule.commands[0].vx != 0.8:
+                return found
+            walked = found.channels["base_velocity"]
+            return found.replace(
+                channels={**found.channels, "base_velocity": Series(walked.channel, 2 * walked.values)}
+            )
+
+        monkeypatch.setattr(KnownWorld, "_recording", recording)
+        found = evaluate_run(run.folder)["objectives"]["fake"]
+    assert list(found["speeds"]) == ["0.5"] and list(found["refused"]) == ["0.8"]

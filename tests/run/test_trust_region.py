@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -11,6 +12,7 @@ from hts.config import TrustRegionConfig
 from hts.run.trust_region import Tried, agreement, next_scale, scaled, tried_elites
 
 CONFIG = TrustRegionConfig(enabled=True)
+C = (1.0,)
 
 
 def elite(predicted, measured, half=0.01, kl=1.0, bound=1.0, fell=False, name="00-00"):
@@ -19,30 +21,51 @@ def elite(predicted, measured, half=0.01, kl=1.0, bound=1.0, fell=False, name="0
 
 def test_kept_promises_widen_the_bound_and_broken_ones_narrow_it():
     kept = [elite(0.20, 0.19), elite(0.10, 0.095), elite(0.15, 0.14)]
-    assert next_scale(1.0, kept, CONFIG)[0] == 4.0
+    assert next_scale(1.0, kept, CONFIG, C)[0] == 4.0
     mostly = [elite(0.20, 0.144), elite(0.10, 0.072), elite(0.15, 0.108)]
-    assert next_scale(1.0, mostly, CONFIG)[0] == 2.0
+    assert next_scale(1.0, mostly, CONFIG, C)[0] == 2.0
     two = [elite(0.08, 0.083), elite(0.14, 0.18)]  # two say enough where promises are usually kept to some 15 %
-    assert next_scale(1.0, two, CONFIG)[0] == 4.0
+    assert next_scale(1.0, two, CONFIG, C)[0] == 4.0
     broken = [elite(0.20, 0.02), elite(0.10, 0.01), elite(0.15, 0.01)]
-    assert next_scale(2.0, broken, CONFIG)[0] == 1.0
+    assert next_scale(2.0, broken, CONFIG, C)[0] == 1.0
 
 
 def test_what_cannot_be_told_changes_nothing():
     scattered = [elite(0.20, 0.30), elite(0.10, -0.05), elite(0.15, 0.05)]
-    assert next_scale(1.0, scattered, CONFIG)[0] == 1.0
+    assert next_scale(1.0, scattered, CONFIG, C)[0] == 1.0
     noisy = [elite(0.05, 0.05, half=0.2), elite(0.05, 0.05, half=0.2)]
-    assert next_scale(1.0, noisy, CONFIG)[0] == 1.0
-    assert next_scale(1.0, [], CONFIG) == (1.0, "nothing to judge by")
+    assert next_scale(1.0, noisy, CONFIG, C)[0] == 1.0
+    assert next_scale(1.0, [], CONFIG, C) == (1.0, "nothing to judge by")
 
 
 def test_a_fall_narrows_the_bound_whatever_was_saved():
-    assert next_scale(1.0, [elite(0.2, 0.2), elite(0.2, 0.2, fell=True)], CONFIG)[0] == 0.5
+    assert next_scale(1.0, [elite(0.2, 0.2), elite(0.2, 0.2, fell=True)], CONFIG, C)[0] == 0.5
+
+
+@pytest.mark.parametrize("bounds", [(16.0,), (3.0, 10.0), (16.0, math.inf), (50.0,), (0.01,)])
+def test_a_fall_narrows_every_bound_however_far_they_had_grown(bounds):
+    kept, fell = [elite(0.20, 0.19, kl=c, bound=c) for c in bounds], [elite(0.2, 0.2, fell=True)]
+    scale = 1.0
+    for _ in range(4):
+        scale, _ = next_scale(scale, kept, CONFIG, bounds)
+    widest = scaled(bounds, scale, CONFIG)
+    narrowed = scaled(bounds, next_scale(scale, fell, CONFIG, bounds)[0], CONFIG)
+    for c, before, after in zip(bounds, widest, narrowed, strict=True):
+        assert math.isinf(c) or after == max(CONFIG.least, before / 2)
+
+
+def test_a_bound_at_its_lower_limit_grows_at_once_when_promises_are_kept():
+    scale, bounds = 1.0, (0.2,)
+    for _ in range(6):
+        scale, _ = next_scale(scale, [elite(0.2, 0.0, fell=True)], CONFIG, bounds)
+    assert scaled(bounds, scale, CONFIG) == (CONFIG.least,)
+    scale, _ = next_scale(scale, [elite(0.2, 0.19)] * 3, CONFIG, bounds)
+    assert scaled(bounds, scale, CONFIG) == (pytest.approx(4 * CONFIG.least),)
 
 
 def test_a_bound_that_held_nobody_back_is_not_widened():
     slack = [elite(0.20, 0.20, kl=0.2), elite(0.10, 0.10, kl=0.3), elite(0.1, 0.1, kl=3.0, bound=math.inf)]
-    assert next_scale(1.0, slack, CONFIG)[0] == 1.0
+    assert next_scale(1.0, slack, CONFIG, C)[0] == 1.0
 
 
 def test_bounds_stay_within_limits_and_infinity_stays():
@@ -80,17 +103,22 @@ def test_elites_are_read_from_a_run():
             "kl_bound": 1.0,
             "predicted": {"power": {"0.5": {"improvement": 0.2}, "0.8": {"improvement": 0.1}}},
         }
-        for name in ("a", "b", "c", "d", "e")
+        for name in ("a", "b", "c", "d", "e", "f")
     }
     candidates["d"]["predicted"] = {}
+    candidates["f"] |= {"kl": None, "kl_bound": None}  # as JSON has NaN and infinity
     results = {
         "a": {"real": {"power": {"0.8": entry(0.08)}}, "tested": {"fell": False}},
         "b": {"real": None, "refused": "it fell", "refusal": {"falls": 2, "speed": 0.8}},
         "c": {"real": None, "refused": "it walked too slowly", "refusal": {"falls": 0, "speed": 0.8}},
         "d": {"real": {"power": {"0.8": entry(0.08)}}, "tested": {"fell": False}},
-        "e": {"real": None, "refused": "nothing was recorded"},
+        "e": {"real": None, "refused": "the reference policy cannot be held"},
+        "f": {"real": None, "refused": "the reference policy cannot be held", "refused_falls": {"0.5": 1}},
     }
-    first, second, third = tried_elites("power", candidates, results)
+    candidates, results = (json.loads(json.dumps(one, allow_nan=False)) for one in (candidates, results))
+    first, second, third, last = tried_elites("power", candidates, results)
+    assert (last.id, last.fell, last.kl_bound, last.active) == ("f", True, math.inf, False)
+    assert next_scale(1.0, [first, last], CONFIG, C) == (0.5, "an elite fell")
     assert (first.id, first.predicted, first.measured) == ("a", 0.1, 0.08)
     assert first.half_width == pytest.approx(0.02)
     assert (second.id, second.measured, second.fell) == ("b", 0.0, True)

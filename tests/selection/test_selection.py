@@ -101,6 +101,11 @@ def test_the_best_of_each_bound_is_tried_before_any_second_one():
     assert make({"each_bound": True}).elites(group, 3) == ["a", "d", "b"]
 
 
+def test_the_best_of_a_bound_that_fell_is_no_reason_to_leave_a_sound_one_out():
+    group = [bounded("a", 5, 3.0), bounded("b", 4, 3.0), bounded("fell", 3, 10.0, falls=1)]
+    assert make({"each_bound": True}).elites(group, 2) == ["a", "b"]
+
+
 def test_a_drawn_elite_does_not_hang_on_scores_and_is_sound():
     def drawn(scores):
         group = [bounded(f"{i:02d}", score, 1.0, falls=int(i == 3)) for i, score in enumerate(scores)]

@@ -1,0 +1,159 @@
+"""`hts evaluate`: a head-to-head of a run's policy against its pretrained one, once the run is over."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hts.atomic import atomic_write
+from hts.config import Named
+from hts.contracts import HoldSpeed, World, WorldContext
+from hts.errors import EvaluationError, PolicyError, RunError
+from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, speeds_missed, task_entry, walked_speeds
+from hts.evaluation.held import ask_to_hold, hold_of
+from hts.evaluation.walked_again import walked_again
+
+if TYPE_CHECKING:
+    from hts.plugins import Registry
+    from hts.recordings.recording import Recording
+
+RESULT = "evaluation.json"
+
+
+def evaluate_run(
+    folder: Path,
+    speeds: Sequence[float] | None = None,
+    policy: str | Path | None = None,
+    world: str | None = None,
+    seed: int | None = None,
+    registry: Registry | None = None,
+    sessions: int | None = None,
+) -> dict[str, Any]:
+    """Head-to-head of a policy against the run's pretrained one, written to `folder`/evaluation.json and returned.
+
+    speeds: m/s (or set-points of another task), by default those of the run's configuration; policy: "best" (default),
+    "pretrained", a candidate's id or an ONNX file; world: a name, by default the run's own world with its settings;
+    seed, sessions: by default the run's; sessions: how often it is done anew, and the interval is over them.
+    Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
+    head-to-head is refused (EvaluationError).
+    """
+    from hts.config_loading import read_config
+    from hts.plugins import load
+    from hts.recordings.store import RecordingStore
+
+    folder = Path(folder)
+    config = read_config(folder / "config.yaml")
+    registry = registry or load()
+    task = registry.make_robot(config.robot.name, config.robot.settings).task()
+    task.check(speeds or (), "--speed")
+    speeds = tuple(speeds or config.evaluation.speeds)
+    seed = config.seed if seed is None else seed
+    count = sessions or config.evaluation.sessions
+    tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
+    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
+    named = config.world if world in (None, config.world.name) else Named(name=str(world))
+    place = folder / "evaluation"
+    context = WorldContext(
+        robot=config.robot.name,
+        robot_settings=config.robot.settings,
+        objectives=config.objectives,
+        seed=seed,
+        folder=place,
+        registry=registry,
+    )
+    place.mkdir(exist_ok=True)
+    where = registry.make_world(named.name, named.settings, context)
+    hold = hold_of(config)
+    if hold is not None:
+        task.check_hold("evaluation.hold_speed")
+    held: list[Recording] = []
+    vain: list[Recording] = []
+
+    def missed(recordings: Sequence[Recording]) -> list[float]:
+        return speeds_missed(next(iter(objectives.values())), recordings, config.evaluation, seed, task)
+
+    def ask(hold: HoldSpeed, asked: Sequence[float]) -> list[Recording]:
+        ask_to_hold(where, hold)
+        return in_sessions(where, tested, reference, asked, count)
+
+    try:
+        if hold is not None:
+            held, vain = walked_again(ask(hold, speeds), hold, config.evaluation.trims_again, missed, ask)
+            ask_to_hold(where, None)
+        recordings = in_sessions(where, tested, reference, speeds, count)
+    finally:
+        where.close()
+    store = RecordingStore(place / "data.zarr", create=True)
+    ids = [store.write(recording) for recording in [*held, *vain, *recordings]]
+    entries, segments = {}, {}
+    for name, objective in objectives.items():
+        if hold is not None:
+            both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
+            entries[name], segments[name], _ = both
+        else:
+            found, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
+            entries[name], segments[name] = entry_of(objective, found), segment_scores(found)
+            if refused:
+                entries[name]["refused"] = refused
+    result = {
+        "world": named.name,
+        "world_simulated": where.simulated,
+        "policy": str(policy or "best"),
+        "seed": seed,
+        "sessions": count,
+        "task": task_entry(task),
+        "recordings": ids,
+        "objectives": entries,
+        "segments": segments,
+    }
+    _write(folder / RESULT, result)
+    return result
+
+
+def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int) -> list[Recording]:
+    """A head-to-head, or as many as asked for. Raises EvaluationError for a world that makes one only."""
+    if sessions == 1:
+        return world.head_to_head(policy, reference, speeds)
+    found = world.head_to_head_sessions(policy, reference, speeds, sessions)
+    if found is None:
+        raise EvaluationError(
+            f"World '{world.name}' makes a head-to-head once; {sessions} sessions were asked for. Ask for one."
+        )
+    return found
+
+
+def policy_file(folder: Path, policy: str | Path) -> Path:
+    """An exported (ONNX) policy: "best", "pretrained", a candidate's id, or a file. Raises PolicyError.
+
+    One that a run folder holds only as parameters (.safetensors), or such a file, is exported to `folder`/evaluation.
+    """
+    from hts.policies.export_command import find_policy
+
+    given = Path(policy)
+    if given.suffix == ".onnx" and given.is_file():
+        return given
+    if given.suffix and not (given.suffix == ".safetensors" and given.is_file()):
+        raise PolicyError(f"{policy}: expected a policy file that exists, ending in .onnx or .safetensors.")
+    found = sorted((folder / "policies").glob("*.onnx")) + sorted((folder / "iterations").glob("**/*.onnx"))
+    by_name = {file.stem: file for file in reversed(found)}  # policies/ wins over iterations/
+    if str(policy) in by_name:
+        return by_name[str(policy)]
+    parameters = given if given.suffix else find_policy(folder, str(policy))
+
+    from hts.policies.export import to_onnx
+    from hts.policies.files import load_policy
+
+    to = folder / "evaluation" / f"{parameters.stem}.onnx"
+    to.parent.mkdir(exist_ok=True)
+    return to_onnx(load_policy(parameters), to)
+
+
+def _write(path: Path, result: dict[str, Any]) -> None:
+    try:
+        atomic_write(path, json.dumps(result, indent=1, allow_nan=False) + "\n")
+    except OSError as error:
+        raise RunError(
+            f"{path}: cannot be written ({error.strerror}). Make room or permission, then repeat."
+        ) from error
