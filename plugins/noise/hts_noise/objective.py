@@ -34,7 +34,7 @@ class NoiseSettings(Config):
         "metre (slower walking is no gain), or mean level alone",
     )
     weights: tuple[float, ...] = Field(
-        (0.25, 0.5, 1.0), min_length=1, description="λ swept, reward per second and standard deviation of the level"
+        (1.0,), min_length=1, description="λ swept, reward per second and standard deviation of the level"
     )
     baseline_weights: tuple[float, ...] = Field(
         (1e-4, 3e-4, 1e-3, 3e-3, 1e-2), min_length=1, description="λ swept with the analytic proxy, per N·(rad/s)²"
