@@ -23,7 +23,7 @@ from hts import units
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
-from hts.errors import ConfigError, HtsError, RecordingError
+from hts.errors import ConfigError, HtsError, RecordingError, unknown_name
 from hts.recordings.checks import check
 from hts.recordings.joining import joined
 from hts.recordings.mapping import (
@@ -40,7 +40,7 @@ from hts.recordings.motion import check_motion
 from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.plausible import check_idle, check_limits
 from hts.recordings.recording import Recording, Series
-from hts.recordings.samples import Samples, common_grid, interpolated, resampled, samples_of
+from hts.recordings.samples import Samples, common_grid, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
 from hts.recordings.stretches import stretches
 from hts.recordings.table import ColumnName, Table, table_of
@@ -145,7 +145,8 @@ def _one(
         kept = _within(when, log, table)
         limits = outlier_limits(name, one, robot)
         values, dropped[name] = without_outliers(name, values[kept], one, limits, table.path)
-        samples[name] = samples_of(name, when[kept], values, str(table.path), _listed(columns[name]))
+        names = [f"column {column}" if isinstance(column, int) else column for column in columns[name]]
+        samples[name] = samples_of(name, when[kept], values, str(table.path), listed(names), names)
     where = ", ".join(str(path) for path in files)
     grid = common_grid(samples, log.rate_hz, log.max_gap_seconds)
     channels = {name: _series(one, log, robot, grid) for name, one in samples.items()}
@@ -198,10 +199,10 @@ def _channel(name: str, one: ChannelMapping, components: int, robot: Robot) -> C
     own = robot.channels().get(name)
     if own is None:
         if one.real and one.idle is None:
+            unknown = unknown_name(f"channel of robot '{robot.spec.name}'", name, robot.channels())
             raise ConfigError(
-                f"Mapping: '{name}' is no channel of robot '{robot.spec.name}' "
-                f"({', '.join(sorted(robot.channels()))}). If only the real robot measures it, give its `idle` level "
-                "(electronics on, motors idle); if not, say real: false."
+                f"Mapping: {unknown} If only the real robot measures it, give its `idle` level (electronics on, motors "
+                "idle); if not, say real: false."
             )
         shape = () if components == 1 else (components,)
         return Channel(name, one.unit, shape, one.description, one.may_be_constant)
@@ -311,8 +312,3 @@ def _reading(columns_of: Callable[[Path], Columns]) -> Callable[[Path, Sequence[
         return table_of(path, log.time.column, log.time.unit, wanted, columns, run)
 
     return read
-
-
-def _listed(columns: tuple[ColumnName, ...]) -> str:
-    text = ", ".join(f"column {column}" if isinstance(column, int) else column for column in columns[:3])
-    return text + (", …" if len(columns) > 3 else "")
