@@ -70,8 +70,7 @@ def command(
     if figure is not None:
         check_picture(figure)
     given = load_mapping(mapping)
-    channels = given.get("channels")
-    _drop(channels, drop or (), mapping)
+    _drop(given, drop or (), mapping)
     for name in objective or []:
         check_mapping(registry.make_objective(name), given, mapping)
     groups = [files] if given.get("files") else [[file] for file in files]
@@ -93,14 +92,19 @@ def command(
         typer.echo(printable(str(figure)))
 
 
-def _drop(channels: Any, names: Sequence[str], mapping: Path) -> None:
+def _drop(given: dict[str, Any], names: Sequence[str], mapping: Path) -> None:
     from hts.errors import ConfigError, unknown_name
+    from hts.recordings.mapping import ordered
 
+    order_mattered = bool(ordered(given))
+    channels = given.get("channels")
     for name in names:
         if not isinstance(channels, dict) or name not in channels:
             known = channels if isinstance(channels, dict) else ()
             raise ConfigError(f"{mapping}: --drop: " + unknown_name("channel", name, known))
         del channels[name]
+    if order_mattered and not ordered(given):  # what it was for is left out
+        given.pop("joint_order", None)
 
 
 def _read(
@@ -109,13 +113,17 @@ def _read(
     """The recordings of each group of files; every refused one is named before the command ends."""
     from hts.cli.printable import printable
     from hts.errors import ConfigError, RecordingError
+    from hts.recordings.commanded import check_commanded
     from hts.recordings.reading import read_logs
 
     read: list[Sequence[Recording]] = []
     refused: list[RecordingError] = []
     for group in groups:
         try:
-            read.append(read_logs(registry, group, given, machine))
+            recordings = read_logs(registry, group, given, machine)
+            for recording in recordings:
+                check_commanded(recording, group)
+            read.append(recordings)
         except ConfigError as error:
             raise ConfigError(f"{mapping}: {error}") from error
         except RecordingError as error:

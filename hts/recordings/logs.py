@@ -25,12 +25,14 @@ from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
 from hts.errors import ConfigError, HtsError, RecordingError, unknown_name
 from hts.recordings.checks import check
+from hts.recordings.commanded import until_the_end
 from hts.recordings.joining import joined
 from hts.recordings.mapping import (
     SECONDS,
     ChannelMapping,
     LogMapping,
     Mapped,
+    check_joint_order,
     column_names,
     follows_joints,
     parse_mapping,
@@ -114,6 +116,7 @@ def recordings_from_tables(
     read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
 ) -> list[Recording]:
     """One recording for each run that the mapping's `runs` or `labels` tell apart; one where it has neither."""
+    check_joint_order(log, robot.spec.joint_names)
     columns = {name: column_names(name, one, log, robot.spec.joint_names) for name, one in log.channels.items()}
     assigned = assign(files, log)
     tables = read_tables(assigned, log, columns, read)
@@ -151,7 +154,7 @@ def _one(
     grid = common_grid(samples, log.rate_hz, log.max_gap_seconds)
     channels = {name: _series(one, log, robot, grid) for name, one in samples.items()}
     told = _notes(files, tables, samples, grid, log, dropped)
-    recording = _recording(channels, grid, log, robot, {**told, **notes})
+    recording = _recording(channels, grid, log, robot, {**told, **notes}, where)
     per_joint = {name for name, one in log.channels.items() if follows_joints(name, one)}
     stated = _stated_limits(channels, log)
     check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
@@ -262,14 +265,15 @@ def _notes(
 
 
 def _recording(
-    channels: dict[str, Series], grid: np.ndarray, log: LogMapping, robot: Robot, notes: dict[str, str]
+    channels: dict[str, Series], grid: np.ndarray, log: LogMapping, robot: Robot, notes: dict[str, str], where: str
 ) -> Recording:
-    facts, spec = log.recording, robot.spec
+    facts, spec, seconds = log.recording, robot.spec, len(grid) / log.rate_hz
     notes = {**facts.notes, **notes}
-    schedule = facts.schedule
-    if schedule is None:
-        schedule = ScheduleConfig(commands=(Command(seconds=len(grid) / log.rate_hz, vx=0.0),))
+    if facts.schedule is None:
+        schedule = ScheduleConfig(commands=(Command(seconds=seconds, vx=0.0),))
         notes["schedule"] = "not stated in the mapping"
+    else:
+        schedule = until_the_end(facts.schedule, seconds, where)
     return Recording(
         robot=spec.name,
         world=facts.world,

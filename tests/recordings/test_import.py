@@ -129,6 +129,17 @@ def test_what_the_log_cannot_say_comes_from_the_mapping(tmp_path: Path) -> None:
     assert recording.schedule.commands[0].vx == 0.5
 
 
+def test_a_last_command_without_seconds_lasts_until_the_log_ends(tmp_path: Path) -> None:
+    """Ten samples at 50 Hz are 0.2 s, of which the first command takes 0.08."""
+    commands: list[dict[str, float]] = [{"seconds": 0.08, "vx": 0.5}, {"vx": 0.8}]
+    recording = read(a_log(tmp_path), a_mapping(recording={"schedule": {"commands": commands}}))
+    assert [(one.seconds, one.vx) for one in recording.schedule.commands] == [(0.08, 0.5), (pytest.approx(0.12), 0.8)]
+    for seconds in (0.2, 5.0, float("inf")):
+        commands[0]["seconds"] = seconds
+        with pytest.raises(RecordingError, match=r"log.csv: the log lasts 0.20 s, but in recording.schedule .* take "):
+            read(a_log(tmp_path), a_mapping(recording={"schedule": {"commands": commands}}))
+
+
 # -------------------------------------------------------------------------------------------------- what is refused
 
 
@@ -227,6 +238,12 @@ def bad_mappings() -> dict[str, tuple[dict[str, Any], str]]:
             "1 columns for 2 joints. List one per joint, 'K_tau[0..1]' where the column 'K_tau' holds lists, or say",
         ),
         "bad range": (a_mapping(channels={"joint_torque": {**torque, "columns": "2..1"}}), "are no range of numbers"),
+        "another robot's joint order": (a_mapping(joint_order=["a", "b"]), "joint_order: No joint named 'a'."),
+        "joint order of none": (a_mapping(joint_order=["knee", "hip"]), "joint_order has no effect: no channel's"),
+        "schedule without a beginning": (
+            a_mapping(recording={"schedule": {"commands": [{"vx": 0.5}, {"seconds": 1, "vx": 0.8}]}}),
+            "recording.schedule.commands.0.seconds: this key is needed",
+        ),
         "no time": ({k: v for k, v in a_mapping().items() if k != "time"}, "time: this key is needed"),
     }
 
