@@ -33,7 +33,7 @@ def command(
     ] = None,
     objective: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Refuse logs that lack what this objective needs. May be repeated."),
+        typer.Option(metavar="NAME", help="Refuse logs that lack what it needs, convert to its units. Repeatable."),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Read and check, say what would be stored, store nothing.")
@@ -54,7 +54,7 @@ def command(
     from hts.plugins import load
     from hts.recordings.drawing import check_picture, draw
     from hts.recordings.mapping import assumed_order, load_mapping
-    from hts.recordings.needs import check_mapping
+    from hts.recordings.needs import check_mapping, in_units_of
 
     registry = load()
     machine = registry.make_robot(robot)
@@ -71,10 +71,15 @@ def command(
         check_picture(figure)
     given = load_mapping(mapping)
     _drop(given, drop or (), mapping)
-    for name in objective or []:
-        check_mapping(registry.make_objective(name), given, mapping)
+    objectives = [registry.make_objective(name) for name in objective or []]
+    for one in objectives:
+        check_mapping(one, given, mapping)
     groups = [files] if given.get("files") else [[file] for file in files]
-    read = _read(registry, groups, given, machine, mapping)
+    own = machine.channels()
+    read = [
+        [in_units_of(objectives, recording, own, mapping) for recording in recordings]
+        for recordings in _read(registry, groups, given, machine, mapping)
+    ]
     if figure is not None:
         draw([recording for recordings in read for recording in recordings], figure)
     stored = _dry(read) if dry_run or to is None else _store(to, groups, read)

@@ -274,6 +274,11 @@ def _recording(
         notes["schedule"] = "not stated in the mapping"
     else:
         schedule = until_the_end(facts.schedule, seconds, where)
+    idle = {}
+    for name, one in log.channels.items():
+        if one.idle is not None:
+            scale, offset = units.conversion(one.unit, channels[name].channel.unit)
+            idle[name] = scale * one.idle + offset
     return Recording(
         robot=spec.name,
         world=facts.world,
@@ -284,7 +289,7 @@ def _recording(
         kd=facts.kd or spec.kd,
         rate_hz=log.rate_hz,
         schedule=schedule,
-        idle={name: one.idle for name, one in log.channels.items() if one.idle is not None},
+        idle=idle,
         clock=facts.clock,
         time=np.arange(len(grid)) / log.rate_hz,
         channels=channels,

@@ -50,7 +50,7 @@ def without_outliers(
     low, high = limits
     given = one.sign * one.scale * values + one.offset
     outside: np.ndarray = (given < low) | (given > high)
-    wrong: np.ndarray = outside.any(axis=1)
+    wrong: np.ndarray = np.any(outside, axis=1)
     if wrong.mean() > MOST_DROPPED:
         raise RecordingError(
             f"{path}: '{name}' lies outside {np.min(low):g} to {np.max(high):g} {one.unit} in {wrong.sum()} of "

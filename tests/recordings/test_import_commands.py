@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
 from two_joint_log import TWO_JOINTS, a_log, a_mapping
 
+from hts.channels import Channel
 from hts.cli import data, import_
 from hts.cli.main import main
 from hts.contracts import Robot
@@ -25,6 +27,16 @@ class OneRobot:
     def make_robot(self, name: str) -> Robot:
         assert name == "logger"
         return TWO_JOINTS
+
+    def make_objective(self, name: str) -> Any:
+        channels = {
+            "save": (Channel("draw", "mA"),),
+            "haste": (Channel("draw", "m/s"),),
+            "each": (Channel("draw", "A", (2,)),),
+            "own": (Channel("joint_torque", "N*cm", (2,)),),
+            "plain": (Channel("draw", "A"),),
+        }
+        return SimpleNamespace(name=name, inputs=("joint_torque",), real_channels=channels[name])
 
     def make_log_reader(self, name: str) -> Any:
         assert name == "csv"
@@ -208,3 +220,47 @@ def test_dropping_the_channel_that_an_order_was_for_drops_the_order(commands: Pa
     hts_import(commands, a_log(commands, header=""), drop=["joint_torque"])
     store = RecordingStore(commands / "data.zarr")
     assert list(store.read(store.ids()[0]).channels) == ["draw"]
+
+
+# ----------------------------------------------------------------------------------- units of an objective
+
+
+def test_an_objectives_unit_is_converted_to_with_the_idle_level(
+    commands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The mapping says A; the objective measures mA."""
+    store = commands / "data.zarr"
+    import_.command([a_log(commands)], "logger", commands / "m.yaml", store, objective=["save"])
+    (recording_id,) = RecordingStore(store).ids()
+    recording = RecordingStore(store).read(recording_id)
+    assert recording.channels["draw"].channel.unit == "mA" and recording.idle == {"draw": 1500.0}
+    assert recording.values("draw").tolist() == pytest.approx([1000.0 * i for i in range(10)])
+    assert "units_converted draw A to mA" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("objectives", "words"),
+    [
+        (["haste"], "m.yaml: 'draw' is in A, objective 'haste' needs m/s: .*different quantities. Correct its unit"),
+        (["each"], r"m.yaml: 'draw' has shape \(\), objective 'each' needs \(2,\)"),
+        (["own"], r"'joint_torque' is in N\*m for the robot, objective 'own' needs N\*cm. They cannot share"),
+        (["plain", "save"], "'draw' is in A for objective 'plain', objective 'save' needs mA. They cannot share"),
+        (["save", "plain"], "'draw' is in mA for objective 'save', objective 'plain' needs A. They cannot share"),
+    ],
+)
+def test_a_unit_that_an_objective_cannot_use_is_refused_also_before_anything_is_stored(
+    commands: Path, objectives: list[str], words: str
+) -> None:
+    for to, dry in ((None, True), (commands / "data.zarr", False)):
+        with pytest.raises(ConfigError, match=words) as refused:
+            import_.command([a_log(commands)], "logger", commands / "m.yaml", to, None, objectives, dry)
+        assert "\n" not in str(refused.value)
+    assert not (commands / "data.zarr").exists()
+
+
+def test_the_idle_level_of_one_of_the_robots_channels_is_converted_as_its_values_are(commands: Path) -> None:
+    torque = {"columns": "{joint}_tau", "unit": "N*cm", "idle": 5.0, "limits": [-99, 99]}
+    (commands / "m.yaml").write_text(yaml.safe_dump(a_mapping(channels={"joint_torque": torque})))
+    hts_import(commands, a_log(commands))
+    store = RecordingStore(commands / "data.zarr")
+    assert store.read(store.ids()[0]).idle == {"joint_torque": pytest.approx(0.05)}
