@@ -33,7 +33,7 @@ def command(
     ] = None,
     objective: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Refuse logs that lack what this objective needs. May be repeated."),
+        typer.Option(metavar="NAME", help="Refuse logs that lack what it needs, convert to its units. Repeatable."),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Read and check, say what would be stored, store nothing.")
@@ -54,7 +54,7 @@ def command(
     from hts.plugins import load
     from hts.recordings.drawing import check_picture, draw
     from hts.recordings.mapping import assumed_order, load_mapping
-    from hts.recordings.needs import check_mapping
+    from hts.recordings.needs import check_mapping, in_units_of
 
     registry = load()
     machine = registry.make_robot(robot)
@@ -70,12 +70,16 @@ def command(
     if figure is not None:
         check_picture(figure)
     given = load_mapping(mapping)
-    channels = given.get("channels")
-    _drop(channels, drop or (), mapping)
-    for name in objective or []:
-        check_mapping(registry.make_objective(name), given, mapping)
+    _drop(given, drop or (), mapping)
+    objectives = [registry.make_objective(name) for name in objective or []]
+    for one in objectives:
+        check_mapping(one, given, mapping)
     groups = [files] if given.get("files") else [[file] for file in files]
-    read = _read(registry, groups, given, machine, mapping)
+    own = machine.channels()
+    read = [
+        [in_units_of(objectives, recording, own, mapping) for recording in recordings]
+        for recordings in _read(registry, groups, given, machine, mapping)
+    ]
     if figure is not None:
         draw([recording for recordings in read for recording in recordings], figure)
     stored = _dry(read) if dry_run or to is None else _store(to, groups, read)
@@ -93,14 +97,19 @@ def command(
         typer.echo(printable(str(figure)))
 
 
-def _drop(channels: Any, names: Sequence[str], mapping: Path) -> None:
+def _drop(given: dict[str, Any], names: Sequence[str], mapping: Path) -> None:
     from hts.errors import ConfigError, unknown_name
+    from hts.recordings.mapping import ordered
 
+    order_mattered = bool(ordered(given))
+    channels = given.get("channels")
     for name in names:
         if not isinstance(channels, dict) or name not in channels:
             known = channels if isinstance(channels, dict) else ()
             raise ConfigError(f"{mapping}: --drop: " + unknown_name("channel", name, known))
         del channels[name]
+    if order_mattered and not ordered(given):  # what it was for is left out
+        given.pop("joint_order", None)
 
 
 def _read(
@@ -109,13 +118,17 @@ def _read(
     """The recordings of each group of files; every refused one is named before the command ends."""
     from hts.cli.printable import printable
     from hts.errors import ConfigError, RecordingError
+    from hts.recordings.commanded import check_commanded
     from hts.recordings.reading import read_logs
 
     read: list[Sequence[Recording]] = []
     refused: list[RecordingError] = []
     for group in groups:
         try:
-            read.append(read_logs(registry, group, given, machine))
+            recordings = read_logs(registry, group, given, machine)
+            for recording in recordings:
+                check_commanded(recording, group)
+            read.append(recordings)
         except ConfigError as error:
             raise ConfigError(f"{mapping}: {error}") from error
         except RecordingError as error:

@@ -98,9 +98,11 @@ def check_units(signals: Signals, recording: Recording) -> None:
     for channel in (*signals.inputs, signals.target):
         found = recording.channels.get(channel.name)
         if found is not None and not same_unit(found.channel.unit, channel.unit):
+            does = "predicts" if channel is signals.target else "reads"
             raise RecordingError(
                 f"Recording {recording.id or '(not stored)'}: '{channel.name}' is in {found.channel.unit}, the model "
-                f"reads {channel.unit}. Import the log again with that unit."
+                f"{does} {channel.unit}. Import the log again with that channel in {channel.unit}: correct its `unit` "
+                "and `scale` in the mapping, or name the objective with --objective, which converts."
             )
 
 

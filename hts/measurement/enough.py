@@ -17,10 +17,10 @@ import numpy as np
 
 from hts.contracts import Signals
 from hts.measurement.checks import traces_of
-from hts.measurement.data import recorded_signals
+from hts.measurement.data import check_units, recorded_signals
 from hts.measurement.linear import Linear, LinearSettings
 from hts.measurement.scoring import Trace, commanded_speed, r2
-from hts.measurement.split import part
+from hts.measurement.split import named_part
 
 if TYPE_CHECKING:
     from hts.contracts import Objective
@@ -79,6 +79,8 @@ def enough(objective: Objective, recordings: Sequence[Recording], speeds: Sequen
     Raises RecordingError for recordings that no model can be fitted to.
     """
     signals = recorded_signals(objective, recordings[0])
+    for one in recordings:
+        check_units(signals, one)
     policies = list(dict.fromkeys(one.policy_hash for one in recordings))
     at = _speeds(recordings)
     seconds = float(sum(one.seconds for one in recordings))
@@ -151,8 +153,8 @@ def _by_time(recordings: Sequence[Recording]) -> list[Pair]:
     for one in recordings:
         stop = round(one.num_samples * (1 - HELD_OUT_SHARE))
         if min(stop, one.num_samples - stop) >= 2:
-            first.append(part(one, 0, stop))
-            last.append(part(one, stop, one.num_samples))
+            first.append(named_part(one, 0, stop))
+            last.append(named_part(one, stop, one.num_samples))
     return [(recordings[0].policy_hash, last, first)] if first else []
 
 

@@ -25,6 +25,7 @@ ASKED = {
     "delay_seconds": "from observation to the target's effect that it was trained with, s: one number or [low, high]",
 }
 """Every key that has to be stated, and what it means."""
+GAINS = ("kp", "kd")
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,16 @@ def known_joints(path: Path, contract: Contract, robot: RobotSpec) -> tuple[str,
 
 
 def per_joint(path: Path, what: str, values: Values, names: Sequence[str]) -> tuple[float, ...]:
-    """One number per joint, in the order of names. Raises PolicyError naming the joint that has none, or two."""
+    """One number per joint, in the order of names. Raises PolicyError naming the joint that has none, or two, and for
+    gains below 0."""
+    found = _per_joint(path, what, values, names)
+    least = min(found, default=0.0)
+    if what in GAINS and least < 0:
+        raise PolicyError(f"{path}: {what} is {least:g} for a joint, expected 0 or more. Correct it (--layout).")
+    return found
+
+
+def _per_joint(path: Path, what: str, values: Values, names: Sequence[str]) -> tuple[float, ...]:
     if isinstance(values, bool):
         raise PolicyError(f"{path}: {what} is {values}, expected numbers.")
     if isinstance(values, int | float):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hts.config import Config, EnvConfig
 from hts.contracts import Robot, RobotSpec
@@ -17,7 +17,7 @@ from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError
 from hts.explain import explain
 from hts.policies.card_checks import LARGEST_OBSERVATION
-from hts.policies.contract import Contract
+from hts.policies.contract import GAINS, Contract
 from hts.rl.task_env import TaskEnv
 from hts.yaml_text import load_mapping_file
 
@@ -88,6 +88,15 @@ class LayoutFile(Config):
     )
     action_clip: float | None = Field(None, gt=0, description="actions were kept within this, + and -")
     rest: Literal["robot"] | None = Field(None, description="robot: what is left out is the robot's own")
+
+    @field_validator(*GAINS)
+    @classmethod
+    def _no_gain_pushes(cls, gains: Numbers | None) -> Numbers | None:
+        """A negative gain drives a joint away from its target."""
+        given = gains.values() if isinstance(gains, dict) else gains if isinstance(gains, list) else [gains]
+        if any(one is not None and one < 0 for one in given):
+            raise ValueError("expected gains of 0 or more")
+        return gains
 
 
 def load_layout(file: Path, robot: RobotSpec | None = None) -> Layout:

@@ -26,7 +26,7 @@ from hts.contracts import RobotSpec
 from hts.errors import PolicyError
 from hts.policies.contract import Contract, known_joints, per_joint
 from hts.policies.importing import Imported
-from hts.policies.layers import TOLERANCE, actions_of, difference
+from hts.policies.layers import FEWEST_EXAMPLES, TOLERANCE, actions_of, difference
 from hts.policies.position_control import (
     ALIKE,
     FEWEST,
@@ -82,6 +82,7 @@ class _Replay:
         self.stated = imported.contract
         assert imported.maps is not None
         self.maps = imported.maps
+        self._check_columns()
         self.given = log.observation
         values = {key: getattr(contract, key) for key in ("default_pose", "action_scale", "kp", "kd")}
         self.pose, self.scale, self.kp, self.kd = (
@@ -96,6 +97,23 @@ class _Replay:
             self.action = (self.target - self.pose) / self.scale
         self.offset: int | None = None  # O
         self.asked = _changes(self.action)
+
+    def _check_columns(self) -> None:
+        """Raise PolicyError for a log of another policy or robot: of another width, or with other joints."""
+        wanted = {"observation": len(self.maps.entry), "action": len(self.names)}
+        for key, width in wanted.items():
+            values = getattr(self.log, key)
+            if values is not None and values.shape[1] != width:
+                raise PolicyError(
+                    f"{self.log.path}: '{key}' has {values.shape[1]} columns, the policy in {self.path} has {width}. "
+                    "Replay a log of this policy, or correct its layout (--layout)."
+                )
+        missing = [name for name in self.names if name not in self.log.joint_names]
+        if self.log.joint_names and missing:
+            raise PolicyError(
+                f"{self.log.path}: its joint_names {list(self.log.joint_names)[:12]} lack '{missing[0]}' of robot "
+                f"'{self.robot.name}'. Name the columns as the robot calls its joints."
+            )
 
     # -------------------------------------------------------------------------------------------- rate
 
@@ -154,6 +172,13 @@ class _Replay:
             raise self._refuted(
                 f"its actions are off by up to {off:.2g} from the log's. Is `observation` what the "
                 "network was given, before its normaliser, and the action without noise"
+            )
+        different = len(np.unique(self.given, axis=0))
+        if different < FEWEST_EXAMPLES:
+            return _open(
+                "actions",
+                f"different observations in the log's {len(self.given)} rows: {different}, expected at least "
+                f"{FEWEST_EXAMPLES}",
             )
         return _shown("actions", f"{len(self.action)} actions replayed, off by at most {off:.1g}")
 

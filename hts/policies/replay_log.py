@@ -110,6 +110,8 @@ def _log_of(path: Path, arrays: Mapping[str, np.ndarray]) -> Log:
         if rows not in (None, shape[0]):
             raise PolicyError(f"{path}: '{key}' has {shape[0]} rows, others {rows}.")
         rows = shape[0]
+        if rows == 0:
+            raise PolicyError(f"{path}: '{key}' has no rows. Replay a log of a minute, a row per control step.")
         found[key] = values.astype(np.float64)
         if not np.isfinite(found[key]).all():
             raise PolicyError(f"{path}: '{key}' holds numbers that are not finite. Cut these rows out.")

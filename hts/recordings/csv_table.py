@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,14 +15,14 @@ from hts.recordings.table import ColumnName, Table, no_column, whole_rows
 if TYPE_CHECKING:
     from hts.recordings.csv_reader import CsvMapping
 
+DELIMITERS = ";\t|,"
 MISSING = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "NULL", "None"]
 
 
 def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Table:
     """Read the time column and those wanted; rows that are empty but for the time are dropped.
 
-    Without a header line columns are numbers from 0. Raises RecordingError naming file, column and row
-    (the first row of data is row 1).
+    Without a header line columns are numbers from 0. Raises RecordingError naming file, column and line of the file.
     """
     needs_pyarrow(path)
     import pyarrow as pa
@@ -34,12 +36,13 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
         use_threads=False,
     )
     parsing = csv.ParseOptions(delimiter=log.delimiter)
+    names: list[str] = []
     try:
         # Opened here: pyarrow cannot take the name of a file that is no text.
         with path.open("rb") as file, csv.open_csv(file, read_options=reading, parse_options=parsing) as opened:
             names = opened.schema.names
-        time_name = _column(path, time, names, log.header)
-        by_column = {column: _column(path, column, names, log.header) for column in wanted}
+        time_name = _column(path, time, names, log)
+        by_column = {column: _column(path, column, names, log) for column in wanted}
         # Stamps are left to pyarrow, which tells integers from others: that keeps nanoseconds exact.
         types = {name: pa.float64() for name in by_column.values() if name != time_name}
         converting = csv.ConvertOptions(
@@ -54,18 +57,63 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
-        what = " ".join(str(error).split())
+        what = _in_words(path, log, names, " ".join(str(error).split()))
         raise RecordingError(
-            f"{path}: not the table that the mapping describes: {what:.300}.{_hint(what)} Repair the file or the "
-            "mapping."
+            f"{path}: not the table that the mapping describes: {what:.300}.{_hint(path, log, what)} Repair the file "
+            "or the mapping."
         ) from error
     stamps, there = stamps_of(path, time, log.time.unit, table.column(time_name))
     columns = {column: numbers_of(path, column, table.column(name)) for column, name in by_column.items()}
-    return whole_rows(path, time, stamps, there, columns, log.runs.column if log.runs else None)
+    run = log.runs.column if log.runs else None
+    return whole_rows(path, time, stamps, there, columns, run, lambda index: _line(path, log, index))
 
 
-def _hint(what: str) -> str:
+def _line(path: Path, log: CsvMapping, index: int) -> str:
+    """Where a row of data is. index: from 0; empty lines are no rows, those before the table are all counted."""
+    before = log.preamble + int(log.header) + int(log.units_row)
+    left = index + 1
+    with path.open("rb") as file:
+        for number, line in enumerate(file, 1):
+            if number <= before:
+                continue
+            left -= line.strip(b"\r\n") != b""
+            if left == 0:
+                return f"line {number} of the file"
+    return f"row {index + 1} of the data"
+
+
+def _in_words(path: Path, log: CsvMapping, names: Sequence[str], what: str) -> str:
+    """What pyarrow says, with the column's name and the line of the file instead of its own numbers."""
+    column = re.match(r"In CSV column #(\d+): ", what)
+    if column is not None and int(column[1]) < len(names):
+        what = f"column '{names[int(column[1])]}': {what[column.end() :]}"
+    row = re.search(r"Row #(\d+)", what)
+    if row is None:
+        return what
+    index = int(row[1]) - 1 - log.preamble - int(log.header) - int(log.units_row)
+    place = _line(path, log, index) if index >= 0 else f"line {row[1]} of the file"
+    return what[: row.start()] + place + what[row.end() :]
+
+
+def _other_delimiter(path: Path, log: CsvMapping) -> str:
+    """What to say of a table whose first line has none of the mapping's delimiters, but as many of another one as the
+    second line; empty for others."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            first, second = (*itertools.islice(file, log.preamble, log.preamble + 2), "", "")[:2]
+    except OSError:
+        return ""
+    other = max(DELIMITERS, key=first.count)
+    if log.delimiter in first or not 0 < first.count(other) == second.count(other):
+        return ""
+    shown = "\\t" if other == "\t" else other
+    return f' If "{shown}" stands between columns, say delimiter: "{shown}".'
+
+
+def _hint(path: Path, log: CsvMapping, what: str) -> str:
     """What a mapping can say about the commonest reasons."""
+    if other := _other_delimiter(path, log):
+        return other + (' If numbers have a decimal comma, say decimal: "," too.' if log.decimal == "." else "")
     value = what.partition("invalid value '")[2].partition("'")[0]
     if "," in value and value.replace(",", "").lstrip("-+").isdecimal():
         return ' If that is a decimal comma, say decimal: "," and delimiter: ";".'
@@ -76,17 +124,18 @@ def _hint(what: str) -> str:
     return ""
 
 
-def _column(path: Path, column: ColumnName, names: Sequence[str], header: bool) -> str:
+def _column(path: Path, column: ColumnName, names: Sequence[str], log: CsvMapping) -> str:
     """The name pyarrow knows the column by."""
-    if not header:
+    if not log.header:
         if not isinstance(column, int) or not 0 <= column < len(names):
             raise RecordingError(
                 f"{path}: no column {column!r}. Without a header line columns are numbers, 0 to {len(names) - 1}."
+                + _other_delimiter(path, log)
             )
         return names[column]
     name = str(column)
     if list(names).count(name) > 1:
         raise RecordingError(f"{path}: two columns are named '{name}'. Rename one in the file's first line.")
     if name not in names:
-        raise RecordingError(f"{path}: {no_column(name, names)}")
+        raise RecordingError(f"{path}: {no_column(name, names)}{_other_delimiter(path, log)}")
     return name

@@ -23,14 +23,16 @@ from hts import units
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
-from hts.errors import ConfigError, HtsError, RecordingError
+from hts.errors import ConfigError, HtsError, RecordingError, unknown_name
 from hts.recordings.checks import check
+from hts.recordings.commanded import until_the_end
 from hts.recordings.joining import joined
 from hts.recordings.mapping import (
     SECONDS,
     ChannelMapping,
     LogMapping,
     Mapped,
+    check_joint_order,
     column_names,
     follows_joints,
     parse_mapping,
@@ -40,7 +42,7 @@ from hts.recordings.motion import check_motion
 from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.plausible import check_idle, check_limits
 from hts.recordings.recording import Recording, Series
-from hts.recordings.samples import Samples, common_grid, interpolated, resampled, samples_of
+from hts.recordings.samples import Samples, common_grid, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
 from hts.recordings.stretches import stretches
 from hts.recordings.table import ColumnName, Table, table_of
@@ -114,6 +116,7 @@ def recordings_from_tables(
     read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
 ) -> list[Recording]:
     """One recording for each run that the mapping's `runs` or `labels` tell apart; one where it has neither."""
+    check_joint_order(log, robot.spec.joint_names)
     columns = {name: column_names(name, one, log, robot.spec.joint_names) for name, one in log.channels.items()}
     assigned = assign(files, log)
     tables = read_tables(assigned, log, columns, read)
@@ -145,12 +148,13 @@ def _one(
         kept = _within(when, log, table)
         limits = outlier_limits(name, one, robot)
         values, dropped[name] = without_outliers(name, values[kept], one, limits, table.path)
-        samples[name] = samples_of(name, when[kept], values, str(table.path), _listed(columns[name]))
+        names = [f"column {column}" if isinstance(column, int) else column for column in columns[name]]
+        samples[name] = samples_of(name, when[kept], values, str(table.path), listed(names), names)
     where = ", ".join(str(path) for path in files)
     grid = common_grid(samples, log.rate_hz, log.max_gap_seconds)
     channels = {name: _series(one, log, robot, grid) for name, one in samples.items()}
     told = _notes(files, tables, samples, grid, log, dropped)
-    recording = _recording(channels, grid, log, robot, {**told, **notes})
+    recording = _recording(channels, grid, log, robot, {**told, **notes}, where)
     per_joint = {name for name, one in log.channels.items() if follows_joints(name, one)}
     stated = _stated_limits(channels, log)
     check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
@@ -198,10 +202,10 @@ def _channel(name: str, one: ChannelMapping, components: int, robot: Robot) -> C
     own = robot.channels().get(name)
     if own is None:
         if one.real and one.idle is None:
+            unknown = unknown_name(f"channel of robot '{robot.spec.name}'", name, robot.channels())
             raise ConfigError(
-                f"Mapping: '{name}' is no channel of robot '{robot.spec.name}' "
-                f"({', '.join(sorted(robot.channels()))}). If only the real robot measures it, give its `idle` level "
-                "(electronics on, motors idle); if not, say real: false."
+                f"Mapping: {unknown} If only the real robot measures it, give its `idle` level (electronics on, motors "
+                "idle); if not, say real: false."
             )
         shape = () if components == 1 else (components,)
         return Channel(name, one.unit, shape, one.description, one.may_be_constant)
@@ -261,14 +265,20 @@ def _notes(
 
 
 def _recording(
-    channels: dict[str, Series], grid: np.ndarray, log: LogMapping, robot: Robot, notes: dict[str, str]
+    channels: dict[str, Series], grid: np.ndarray, log: LogMapping, robot: Robot, notes: dict[str, str], where: str
 ) -> Recording:
-    facts, spec = log.recording, robot.spec
+    facts, spec, seconds = log.recording, robot.spec, len(grid) / log.rate_hz
     notes = {**facts.notes, **notes}
-    schedule = facts.schedule
-    if schedule is None:
-        schedule = ScheduleConfig(commands=(Command(seconds=len(grid) / log.rate_hz, vx=0.0),))
+    if facts.schedule is None:
+        schedule = ScheduleConfig(commands=(Command(seconds=seconds, vx=0.0),))
         notes["schedule"] = "not stated in the mapping"
+    else:
+        schedule = until_the_end(facts.schedule, seconds, where)
+    idle = {}
+    for name, one in log.channels.items():
+        if one.idle is not None:
+            scale, offset = units.conversion(one.unit, channels[name].channel.unit)
+            idle[name] = scale * one.idle + offset
     return Recording(
         robot=spec.name,
         world=facts.world,
@@ -279,7 +289,7 @@ def _recording(
         kd=facts.kd or spec.kd,
         rate_hz=log.rate_hz,
         schedule=schedule,
-        idle={name: one.idle for name, one in log.channels.items() if one.idle is not None},
+        idle=idle,
         clock=facts.clock,
         time=np.arange(len(grid)) / log.rate_hz,
         channels=channels,
@@ -311,8 +321,3 @@ def _reading(columns_of: Callable[[Path], Columns]) -> Callable[[Path, Sequence[
         return table_of(path, log.time.column, log.time.unit, wanted, columns, run)
 
     return read
-
-
-def _listed(columns: tuple[ColumnName, ...]) -> str:
-    text = ", ".join(f"column {column}" if isinstance(column, int) else column for column in columns[:3])
-    return text + (", …" if len(columns) > 3 else "")

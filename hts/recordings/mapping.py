@@ -22,6 +22,7 @@ from hts import units
 from hts.config import Config, ScheduleConfig
 from hts.errors import ConfigError, unknown_name
 from hts.explain import explain
+from hts.recordings.commanded import without_end
 from hts.recordings.table import DATES, ColumnName
 from hts.yaml_text import load_mapping_file
 
@@ -118,7 +119,11 @@ class RecordingFacts(Config):
     clock: str = Field("log", description="what the stamps count")
     policy_hash: str = Field("", description="of the exported policy that ran")
     iteration: int = Field(0, ge=0, description="round of the run it belongs to")
-    schedule: ScheduleConfig | None = Field(None, description="commanded velocities; left out: one stretch at 0 m/s")
+    schedule: ScheduleConfig | None = Field(
+        None,
+        description="commanded velocities, as long as the log; the last may leave out `seconds` and lasts until the "
+        "log ends. Left out: one stretch at 0 m/s",
+    )
     mass_kg: float | None = Field(None, gt=0, description="of the robot as it walked, kg")
     session: str = Field("", description="head-to-head it belongs to")
     block: int = Field(0, ge=0, description="position in the session")
@@ -129,6 +134,11 @@ class RecordingFacts(Config):
     kp: tuple[float, ...] | None = Field(None, description="gains, N*m/rad; left out: the robot's own")
     kd: tuple[float, ...] | None = Field(None, description="gains, N*m*s/rad; left out: the robot's own")
     notes: dict[str, str] = Field(default_factory=dict, description="anything else worth keeping")
+
+    @field_validator("schedule", mode="before")
+    @classmethod
+    def _may_have_no_end(cls, schedule: Any) -> Any:
+        return without_end(schedule)
 
 
 class LogMapping(Config):
@@ -271,16 +281,38 @@ def assumed_order(mapping: Mapping[str, Any], joint_names: Sequence[str]) -> str
 
     mapping: as it was written, of a log that could be read with it.
     """
-    channels = mapping.get("channels")
-    if mapping.get("joint_order") is not None or not isinstance(channels, Mapping) or len(joint_names) < 2:
+    if mapping.get("joint_order") is not None or len(joint_names) < 2 or not ordered(mapping):
         return None
-    for name, one in channels.items():
+    return f"no joint_order: columns taken in the robot's, {', '.join(joint_names)}"
+
+
+def ordered(mapping: Mapping[str, Any]) -> list[str]:
+    """Channels whose columns are listed or numbered per joint, so that `joint_order` matters to them.
+
+    mapping: as it was written.
+    """
+    channels = mapping.get("channels")
+    found = []
+    for name, one in channels.items() if isinstance(channels, Mapping) else ():
         given = one if isinstance(one, Mapping) else {}
         per_joint = given.get("per_joint")
         follows = str(name).startswith("joint_") if per_joint is None else per_joint
         if follows and "{joint}" not in str(given.get("columns", "{joint}")):
-            return f"no joint_order: columns taken in the robot's, {', '.join(joint_names)}"
-    return None
+            found.append(str(name))
+    return found
+
+
+def check_joint_order(mapping: LogMapping, joint_names: tuple[str, ...]) -> None:
+    """Raise ConfigError for a `joint_order` that is not of the robot's joints, or that no channel follows."""
+    if mapping.joint_order is None:
+        return
+    _same_joints("joint_order", mapping.joint_order, joint_names)
+    if not ordered(mapping.model_dump()):
+        raise ConfigError(
+            "Mapping: joint_order has no effect: no channel's columns are listed or numbered per joint; those with "
+            "{joint} are found by the names in `joints`. Leave joint_order out, or list the columns in that order (and "
+            "say per_joint: true of channels whose name does not begin with joint_)."
+        )
 
 
 def _range(name: str, columns: str) -> tuple[ColumnName, ...]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from hts.errors import ConfigError, RecordingError, unknown_name
+from hts.recordings.recording import Series
 from hts.units import conversion
 
 if TYPE_CHECKING:
@@ -22,6 +24,58 @@ def check_mapping(objective: Objective, mapping: Mapping[str, Any], where: objec
         if isinstance(channels, Mapping) and wanted not in channels:
             text = unknown_name("channel of this mapping", wanted, channels)
             raise ConfigError(f"{where}: objective '{objective.name}' needs '{wanted}'. {text}")
+
+
+def in_units_of(
+    objectives: Sequence[Objective], recording: Recording, own: Mapping[str, Channel], where: object
+) -> Recording:
+    """The recording with each real channel of the objectives, and its idle level, in the unit that they ask for.
+
+    own: the robot's channels, which keep its units; where: what the mapping is called in messages. What is converted is
+    in the notes. Raises ConfigError for a unit of another quantity, another shape, or two objectives that disagree.
+    """
+    channels, idle, notes = dict(recording.channels), dict(recording.idle), []
+    settled: dict[str, tuple[str, str]] = {}
+    for objective in objectives:
+        for wanted in objective.real_channels:
+            series = channels.get(wanted.name)
+            if series is None:  # left out by the reader; said elsewhere
+                continue
+            found, unit = series.channel, series.channel.unit
+            begin = f"{where}: '{wanted.name}'"
+            if found.shape != wanted.shape:
+                raise ConfigError(
+                    f"{begin} has shape {found.shape}, objective '{objective.name}' needs {wanted.shape}. Correct its "
+                    "`columns`."
+                )
+            scale, offset = _converted(begin, unit, wanted.unit, objective.name)
+            known = settled.setdefault(wanted.name, (wanted.unit, objective.name))
+            if (scale, offset) == (1.0, 0.0):
+                continue
+            if known[0] != wanted.unit or wanted.name in own:
+                other = f"objective '{known[1]}'" if known[0] != wanted.unit else "the robot"
+                raise ConfigError(
+                    f"{begin} is in {unit} for {other}, objective '{objective.name}' needs {wanted.unit}. They cannot "
+                    "share recordings: import for one of them."
+                )
+            values = scale * series.values.astype("float64") + offset
+            channels[wanted.name] = Series(replace(found, unit=wanted.unit), values)
+            if wanted.name in idle:
+                idle[wanted.name] = scale * idle[wanted.name] + offset
+            notes.append(f"{wanted.name} {unit} to {wanted.unit}")
+    if not notes:
+        return recording
+    told = {**recording.notes, "units_converted": ", ".join(notes)}
+    return recording.replace(channels=channels, idle=idle, notes=told)
+
+
+def _converted(begin: str, unit: str, wanted: str, objective: str) -> tuple[float, float]:
+    try:
+        return conversion(unit, wanted)
+    except RecordingError as error:
+        raise ConfigError(
+            f"{begin} is in {unit}, objective '{objective}' needs {wanted}: {error} Correct its unit, or its columns."
+        ) from error
 
 
 def check_recorded(objectives: Iterable[Objective], recordings: Iterable[Recording]) -> None:

@@ -44,15 +44,16 @@ def outlier_limits(name: str, one: ChannelMapping, robot: Robot) -> tuple[np.nda
 def without_outliers(
     name: str, values: np.ndarray, one: ChannelMapping, limits: tuple[np.ndarray, np.ndarray] | None, path: Path
 ) -> tuple[np.ndarray, int]:
-    """Values (rows, k), NaN in rows outside the limits, and how many rows that were. Raises RecordingError for many."""
+    """Values (rows, k), NaN outside the limits, and in how many rows that was. Raises RecordingError for many."""
     if limits is None:
         return values, 0
     low, high = limits
     given = one.sign * one.scale * values + one.offset
-    wrong: np.ndarray = np.any((given < low) | (given > high), axis=1)
+    outside: np.ndarray = (given < low) | (given > high)
+    wrong: np.ndarray = np.any(outside, axis=1)
     if wrong.mean() > MOST_DROPPED:
         raise RecordingError(
             f"{path}: '{name}' lies outside {np.min(low):g} to {np.max(high):g} {one.unit} in {wrong.sum()} of "
             f"{len(wrong)} rows; at most {MOST_DROPPED:.0%} are dropped. Correct the limits, or the column."
         )
-    return np.where(wrong[:, None], np.nan, values), int(wrong.sum())
+    return np.where(outside, np.nan, values), int(wrong.sum())

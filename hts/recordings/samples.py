@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,7 +25,8 @@ class Samples:
     """What a log holds of one channel, rows that hold no whole sample left out.
 
     times: (rows,) s, increasing; values: (rows, k), as in the log; where: begins every message, such as the file;
-    columns: where in it the channel is, for messages; missing: how many rows were left out.
+    columns: where in it the channel is, for messages; missing: how many rows were left out;
+    holes: name of each component's column -> times of the rows in which it has no number, (h,) s, for messages.
     Made by `samples_of`, which checks them.
     """
 
@@ -35,16 +36,35 @@ class Samples:
     where: str
     columns: str = ""
     missing: int = 0
+    holes: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def rate_hz(self) -> float:
         """Of the log: one over the median step."""
         return 1.0 / float(np.median(np.diff(self.times)))
 
+    def empty_between(self, start: float, end: float) -> str:
+        """In words, the columns that lack numbers between two times, s; empty where whole rows are missing."""
+        return listed([name for name, when in self.holes.items() if ((when > start) & (when < end)).any()])
 
-def samples_of(name: str, times: np.ndarray, values: np.ndarray, where: str, columns: str = "") -> Samples:
+
+def listed(names: Sequence[str], most: int = 3) -> str:
+    """The first names, and a sign that there are more."""
+    return ", ".join(names[:most]) + (", …" if len(names) > most else "")
+
+
+def samples_of(
+    name: str,
+    times: np.ndarray,
+    values: np.ndarray,
+    where: str,
+    columns: str = "",
+    components: Sequence[str] = (),
+) -> Samples:
     """The samples of channel `name`: times (rows,) s, values (rows,) or (rows, k), NaN where the log has nothing.
 
+    where: begins every message; columns: where in the log the channel is, for messages; components: what the column of
+    each component is called, k of them, so that messages can name those that lack numbers.
     Raises RecordingError for times that do not increase, other lengths, infinite values, less than two samples.
     """
     times, values = np.asarray(times, dtype=np.float64), np.asarray(values, dtype=np.float64)
@@ -61,12 +81,18 @@ def samples_of(name: str, times: np.ndarray, values: np.ndarray, where: str, col
         )
     there = np.isfinite(values).all(axis=1)
     if there.sum() < 2:
-        listed = f" ({columns})" if columns else ""
+        named = components if len(components) == values.shape[1] else ()
+        empty = [one for one, column in zip(named, values.T, strict=False) if np.isfinite(column).sum() < 2]
+        said = listed(empty) or columns
         raise RecordingError(
-            f"{where}: columns of '{name}'{listed} hold no numbers. "
+            f"{where}: columns of '{name}'{f' ({said})' if said else ''} hold no numbers. "
             f"Correct the mapping, or import without it: --drop {name}"
         )
-    return Samples(name, times[there], values[there], where, columns, int((~there).sum()))
+    holes = {}
+    if len(components) == values.shape[1]:
+        missing = ((one, times[~np.isfinite(column)]) for one, column in zip(components, values.T, strict=True))
+        holes = {one: when for one, when in missing if len(when)}
+    return Samples(name, times[there], values[there], where, columns, int((~there).sum()), holes)
 
 
 def common_grid(samples: Mapping[str, Samples], rate_hz: float, max_gap_seconds: float = 0.1) -> np.ndarray:
@@ -100,9 +126,9 @@ def common_grid(samples: Mapping[str, Samples], rate_hz: float, max_gap_seconds:
         widths = np.where((one.times[1:] > start) & (one.times[:-1] < end), steps, 0.0)
         longest = int(np.argmax(widths))
         if widths[longest] > max_gap_seconds:
-            listed = f" ({one.columns})" if one.columns else ""
+            said = one.empty_between(one.times[longest], one.times[longest + 1]) or one.columns
             raise RecordingError(
-                f"{one.where}: '{name}'{listed} has nothing for {widths[longest]:.3g} s, "
+                f"{one.where}: '{name}'{f' ({said})' if said else ''} has nothing for {widths[longest]:.3g} s, "
                 f"from {one.times[longest]:.3f} s on; gaps up to {max_gap_seconds:g} s are filled. "
                 "Cut the log there, or raise max_gap_seconds if that is harmless."
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,11 @@ class Table:
         return Table(self.path, self.stamps[kept], columns, self.empty_rows)
 
 
+def row_of_data(index: int) -> str:
+    """What messages call a row of a file that has no lines: its number, from 1. index: from 0."""
+    return f"row {index + 1} of the data"
+
+
 def table_of(
     path: Path,
     time: ColumnName,
@@ -45,7 +50,7 @@ def table_of(
 
     columns: name -> (rows,) numbers, None or NaN where there is none; integers of the time column are kept exact.
     unit: of the stamps; "iso" for numpy's datetime64, which become whole nanoseconds; run: as in `whole_rows`.
-    Raises RecordingError naming file, column and row (the first row of data is row 1).
+    Raises RecordingError naming file, column and row.
     """
     for column in (time, *wanted):
         if column not in columns:
@@ -62,11 +67,13 @@ def whole_rows(
     there: np.ndarray,
     columns: dict[ColumnName, np.ndarray],
     run: ColumnName | None = None,
+    place: Callable[[int], str] = row_of_data,
 ) -> Table:
     """A table without the rows in which there is nothing but a time.
 
     stamps: those that are there, in order; there: (rows,) bool, which rows have one; columns: (rows,) float64;
-    run: the column among them that numbers the runs of the file, each of which has a clock that may begin anew.
+    run: the column among them that numbers the runs of the file, each of which has a clock that may begin anew;
+    place: what messages call a row, from its index.
     Raises RecordingError for infinite numbers, data without a time, time that does not increase, less than two rows.
     """
     if not there.any():
@@ -76,14 +83,14 @@ def whole_rows(
         infinite = np.isinf(values)
         if infinite.any():
             raise RecordingError(
-                f"{path}: column '{column}' is infinite in row {int(np.argmax(infinite)) + 1}. "
+                f"{path}: column '{column}' is infinite in {place(int(np.argmax(infinite)))}. "
                 "Repair the log or cut it there."
             )
         filled |= ~np.isnan(values)
     if (filled & ~there).any():
-        row = int(np.argmax(filled & ~there)) + 1
+        where = place(int(np.argmax(filled & ~there)))
         raise RecordingError(
-            f"{path}: row {row} has data but no time in column '{time}'. Repair the log or remove the row."
+            f"{path}: {where} has data but no time in column '{time}'. Repair the log or remove it there."
         )
     rows = np.flatnonzero(filled)
     if len(rows) < 2:
@@ -95,14 +102,14 @@ def whole_rows(
     if run is not None:
         number = columns[run][rows]
         if np.isnan(number).any():
-            row = rows[int(np.argmax(np.isnan(number)))] + 1
-            raise RecordingError(f"{path}: row {row} has no number in '{run}', the column of runs. Repair the log.")
+            where = place(int(rows[np.argmax(np.isnan(number))]))
+            raise RecordingError(f"{path}: {where} has no number in '{run}', the column of runs. Repair the log.")
         back &= number[1:] == number[:-1]
     back = np.flatnonzero(back)
     if len(back):
         at = int(back[0])
         raise RecordingError(
-            f"{path}: time does not increase in row {rows[at + 1] + 1}: column '{time}' reads {kept[at]}, "
+            f"{path}: time does not increase in {place(int(rows[at + 1]))}: column '{time}' reads {kept[at]}, "
             f"then {kept[at + 1]}. Sort or repair the log, or name another time column."
         )
     return Table(path, kept, {column: values[rows] for column, values in columns.items()}, len(there) - len(rows))

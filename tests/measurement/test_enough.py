@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from hts.channels import Channel
 from hts.errors import RecordingError
 from hts.measurement.enough import enough
 from hts.recordings import Series
@@ -99,3 +100,23 @@ def test_recordings_that_lack_an_input_are_refused(plenty):
     channels = {name: series for name, series in plenty[0].channels.items() if name != "rate"}
     with pytest.raises(RecordingError, match="No channel named 'rate'"):
         enough(KnownHeat(), [plenty[0].replace(channels=channels)])
+
+
+@pytest.mark.parametrize("policies", [1, 3])
+def test_a_target_in_another_unit_is_refused_with_the_stored_recording_and_what_to_do(plenty, policies):
+    other = [
+        one.replace(
+            channels={**one.channels, "heat": Series(Channel("heat", "mW"), 1000 * one.values("heat"))},
+            policy_hash=str(number % policies),
+        ).replace(id=f"r{number}")
+        for number, one in enumerate(plenty)
+    ]
+    with pytest.raises(RecordingError, match="^Recording r0: 'heat' is in mW, the model predicts W. Import .* in W: "):
+        enough(KnownHeat(), other)
+
+
+def test_a_part_of_a_recording_is_named_by_its_recording(plenty):
+    """At another rate than the first, of one policy: the end of each recording is held out."""
+    slow = plenty[1].replace(rate_hz=25.0, policy_hash=plenty[0].policy_hash).replace(id="slow")
+    with pytest.raises(RecordingError, match=r"Recording slow\[0:\d+\] has 25 Hz, the model is for"):
+        enough(KnownHeat(), [plenty[0].replace(id="first"), slow])

@@ -18,7 +18,7 @@ from hts.errors import ConfigError, PolicyError
 from hts.policies.contract import Contract
 from hts.policies.files import load_policy, save_policy
 from hts.policies.importing import import_whole
-from hts.policies.layout import Layout
+from hts.policies.layout import Layout, load_layout
 from hts.policies.proof import ACCEPTED, ITEMS, NOT_PROVEN, PROVEN, State, accepted, as_card, unproven
 from hts.policies.replay import replay
 from hts.policies.replay_log import read_log
@@ -241,3 +241,59 @@ def test_a_person_vouches_by_name_and_the_card_keeps_it(checkpoint, full, tmp_pa
         accepted(alone, ["gains"], " ")
     with pytest.raises(ConfigError, match="No item named 'gain'. Did you mean 'gains'"):
         accepted(alone, ["gain"], "Ada")
+
+
+# ------------------------------------------------------------------------------------------- logs that do not fit
+
+
+def alone(full: dict[str, np.ndarray], rows: slice | list[int]) -> dict[str, np.ndarray]:
+    """Observations and actions of some rows, and nothing else."""
+    return {key: full[key][rows] for key in ("observation", "action")}
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        (slice(1), "different observations in the log's 1 rows: 1, expected at least 16"),
+        (slice(15), "15 rows: 15"),
+        ([7] * 40, "40 rows: 1,"),
+    ],
+)
+def test_a_few_rows_prove_no_actions(checkpoint, full, rows, words):
+    found = states(checkpoint, alone(full, rows))
+    assert found["actions"].state == NOT_PROVEN and words in found["actions"].why
+    assert states(checkpoint, alone(full, slice(16)))["actions"].state == PROVEN
+
+
+def test_one_row_is_enough_to_refute_actions(checkpoint, full):
+    row = alone(full, slice(1))
+    with pytest.raises(PolicyError, match="its actions are off by up to"):
+        states(checkpoint, {**row, "action": row["action"] + 0.1})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (lambda full: {"observation": full["observation"][:, :20]}, "'observation' has 20 columns, .*model.pt has 21"),
+        (lambda full: {"action": full["action"][:, :3]}, "'action' has 3 columns, the policy in .*model.pt has 4"),
+        (lambda full: {"joint_names": np.array(["a", "b"])}, r"its joint_names \['a', 'b'\] lack 'b_knee' of"),
+    ],
+)
+def test_a_log_of_another_policy_or_robot_is_refused_in_one_line(checkpoint, full, changes, words):
+    with pytest.raises(PolicyError, match=f"log.npz: {words}") as caught:
+        states(checkpoint, {**alone(full, slice(None)), **changes(full)})
+    assert "\n" not in str(caught.value)
+
+
+def test_a_log_without_rows_is_refused(checkpoint, full):
+    with pytest.raises(PolicyError, match="log.npz: 'observation' has no rows"):
+        states(checkpoint, alone(full, slice(0)))
+
+
+@pytest.mark.parametrize("gains", ["-1", "[20, -1, 20, 20]", "{.*_hip: -1.0, .*_knee: 30}"])
+def test_gains_below_zero_are_refused(checkpoint, tmp_path, gains):
+    (tmp_path / "layout.yaml").write_text(f"kp: {gains}\n")
+    with pytest.raises(ConfigError, match=r"layout.yaml: kp: expected gains of 0 or more, found"):
+        load_layout(tmp_path / "layout.yaml")
+    with pytest.raises(PolicyError, match=r"model.pt: kd is -0.5 for a joint, expected 0 or more"):
+        import_whole(checkpoint, SPEC, Layout(PARTS, THEIRS, replace(TRUE, kd={".*_hip": -0.5, ".*_knee": 0.8})))

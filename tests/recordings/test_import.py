@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +129,17 @@ def test_what_the_log_cannot_say_comes_from_the_mapping(tmp_path: Path) -> None:
     assert recording.schedule.commands[0].vx == 0.5
 
 
+def test_a_last_command_without_seconds_lasts_until_the_log_ends(tmp_path: Path) -> None:
+    """Ten samples at 50 Hz are 0.2 s, of which the first command takes 0.08."""
+    commands: list[dict[str, float]] = [{"seconds": 0.08, "vx": 0.5}, {"vx": 0.8}]
+    recording = read(a_log(tmp_path), a_mapping(recording={"schedule": {"commands": commands}}))
+    assert [(one.seconds, one.vx) for one in recording.schedule.commands] == [(0.08, 0.5), (pytest.approx(0.12), 0.8)]
+    for seconds in (0.2, 5.0, float("inf")):
+        commands[0]["seconds"] = seconds
+        with pytest.raises(RecordingError, match=r"log.csv: the log lasts 0.20 s, but in recording.schedule .* take "):
+            read(a_log(tmp_path), a_mapping(recording={"schedule": {"commands": commands}}))
+
+
 # -------------------------------------------------------------------------------------------------- what is refused
 
 
@@ -142,11 +154,23 @@ def bad_logs() -> dict[str, tuple[list[str] | None, dict[str, Any], str]]:
     return {
         "long gap": (rows[:5] + rows[12:], {}, "has nothing for 0.16 s, from 0.080 s on; gaps up to 0.1 s are filled"),
         "slow log": (rows[::2], {}, "was logged at 25 Hz, the mapping wants 50"),
-        "time goes back": (rows[:5] + rows[3:], {}, "time does not increase in row 6: column 't' reads 80, then 60"),
-        "text": ([*rows[:4], "80,4,high,3", *rows[5:]], {}, "invalid value 'high'"),
-        "infinite": ([*rows[:4], "80,4,inf,3", *rows[5:]], {}, "column 'H_tau' is infinite in row 5"),
-        "ragged": ([*rows[:4], "80,4", *rows[5:]], {}, "Expected 4 columns, got 2"),
-        "no stamp": ([*rows[:4], ",4,-4,-4000", *rows[5:]], {}, "row 5 has data but no time in column 't'"),
+        "time goes back": (
+            rows[:5] + rows[3:],
+            {},
+            "time does not increase in line 7 of the file: column 't' reads 80, then 60",
+        ),
+        "text": (
+            [*rows[:4], "80,4,high,3", *rows[5:]],
+            {},
+            "column 'H_tau': line 6 of the file: CSV conversion error to double: invalid value 'high'",
+        ),
+        "infinite": ([*rows[:4], "80,4,inf,3", *rows[5:]], {}, "column 'H_tau' is infinite in line 6 of the file"),
+        "ragged": ([*rows[:4], "80,4", *rows[5:]], {}, "line 6 of the file: Expected 4 columns, got 2"),
+        "no stamp": (
+            [*rows[:4], ",4,-4,-4000", *rows[5:]],
+            {},
+            "line 6 of the file has data but no time in column 't'",
+        ),
         "empty column": ([f"{20 * i},{i},{-i}," for i in range(20)], {}, "columns of 'draw' (amps) hold no numbers"),
         "empty file": ([], {}, "no row has a time"),
         "no such column": (
@@ -202,6 +226,10 @@ def bad_mappings() -> dict[str, tuple[dict[str, Any], str]]:
         "unknown unit": (a_mapping(channels={"joint_torque": {**torque, "unit": "Nm"}}), "No unit named 'Nm'"),
         "other unit": (a_mapping(channels={"joint_torque": {**torque, "unit": "N"}}), "'joint_torque' is in N*m"),
         "no idle": (a_mapping(channels={"draw": {"columns": "amps", "unit": "A"}}), "give its `idle` level"),
+        "misspelt channel": (
+            a_mapping(channels={"joint_torqe": torque}),
+            "No channel of robot 'logger' named 'joint_torqe'. Did you mean 'joint_torque'? Known: joint_position",
+        ),
         "no joints": (a_mapping(joints=None), "'joint_torque' uses {joint}; give `joints`"),
         "wrong joint": (a_mapping(joints={"hip": "H", "kne": "K"}), "No joint named 'kne'. Did you mean 'knee'"),
         "missing joint": (a_mapping(joints={"hip": "H"}), "joints: knee missing"),
@@ -210,6 +238,12 @@ def bad_mappings() -> dict[str, tuple[dict[str, Any], str]]:
             "1 columns for 2 joints. List one per joint, 'K_tau[0..1]' where the column 'K_tau' holds lists, or say",
         ),
         "bad range": (a_mapping(channels={"joint_torque": {**torque, "columns": "2..1"}}), "are no range of numbers"),
+        "another robot's joint order": (a_mapping(joint_order=["a", "b"]), "joint_order: No joint named 'a'."),
+        "joint order of none": (a_mapping(joint_order=["knee", "hip"]), "joint_order has no effect: no channel's"),
+        "schedule without a beginning": (
+            a_mapping(recording={"schedule": {"commands": [{"vx": 0.5}, {"seconds": 1, "vx": 0.8}]}}),
+            "recording.schedule.commands.0.seconds: this key is needed",
+        ),
         "no time": ({k: v for k, v in a_mapping().items() if k != "time"}, "time: this key is needed"),
     }
 
@@ -294,3 +328,57 @@ def test_single_broken_rows_are_dropped_where_limits_say_so_and_counted(tmp_path
 def test_columns_that_are_listed_without_an_order_are_noted(changes: dict[str, Any], noted: bool) -> None:
     note = assumed_order(a_mapping(**changes), TWO_JOINTS.spec.joint_names)
     assert note == ("no joint_order: columns taken in the robot's, hip, knee" if noted else None)
+
+
+# ------------------------------------------------------------------------------------------------ where it is
+
+
+def four_joints(tmp_path: Path, last: Callable[[int], str]) -> tuple[Path, dict[str, Any], LogOnly]:
+    """A log of four joints whose last column holds what `last` says of each of its 40 rows."""
+    joints = ("a", "b", "c", "d")
+    rows = [f"{20 * i},{i % 7},{i % 5},{i % 3},{last(i)}" for i in range(40)]
+    channels = {"joint_torque": {"columns": "{joint}_tau", "unit": "N*m"}}
+    file = a_log(tmp_path, rows, header="t,a_tau,b_tau,c_tau,d_tau")
+    return file, a_mapping(channels=channels, joints={one: one for one in joints}), LogOnly(joints, torque=20.0)
+
+
+def test_a_hole_is_named_by_the_columns_that_have_it(tmp_path: Path) -> None:
+    hole = four_joints(tmp_path, lambda i: "nan" if 10 <= i < 20 else str(i % 4))
+    with pytest.raises(RecordingError, match=r"'joint_torque' \(d_tau\) has nothing for 0.22 s, from 0.180 s on"):
+        read(*hole)
+    empty = four_joints(tmp_path, lambda i: "")
+    with pytest.raises(RecordingError, match=r"columns of 'joint_torque' \(d_tau\) hold no numbers"):
+        read(*empty)
+    file, mapping, robot = four_joints(tmp_path, lambda i: "99" if 10 <= i < 20 else str(i % 4))
+    mapping["channels"]["joint_torque"] |= {"limits": [-20, 20], "outside": "drop"}
+    file.write_text(file.read_text() + "".join(f"{20 * i},{i % 7},{i % 5},{i % 3},{i % 4}\n" for i in range(40, 1100)))
+    with pytest.raises(RecordingError, match=r"'joint_torque' \(d_tau\) has nothing for 0.22 s"):
+        read(file, mapping, robot)
+
+
+@pytest.mark.parametrize("cell", ["inf", "high"])
+def test_a_bad_cell_is_named_by_its_column_and_the_line_of_the_file(tmp_path: Path, cell: str) -> None:
+    """Two lines of text, one empty; the header, units, an empty line: the fifth row is line 10."""
+    rows = [f"{20 * i},{i},{-i},{-1000 * i}" for i in range(10)]
+    rows[4] = f"80,4,{cell},3"
+    file = a_log(tmp_path, ["ms,N*m,N*m,mA", rows[0], "", *rows[1:]], header="of a walk\n\nt,K_tau,H_tau,amps")
+    with pytest.raises(RecordingError) as refused:
+        read(file, a_mapping(preamble=2, units_row=True))
+    assert file.read_text().splitlines()[9] == rows[4]
+    assert "column 'H_tau'" in str(refused.value) and "line 10 of the file" in str(refused.value)
+
+
+@pytest.mark.parametrize(("between", "said"), [(";", ";"), ("\t", "\\t")])
+def test_another_delimiter_is_told(tmp_path: Path, between: str, said: str) -> None:
+    file = a_log(tmp_path)
+    file.write_text(file.read_text().replace(",", between))
+    with pytest.raises(RecordingError, match="No column named 't'") as refused:
+        read(file, a_mapping())
+    assert f'If "{said}" stands between columns, say delimiter: "{said}".' in str(refused.value)
+    with pytest.raises(RecordingError, match="no column 3.") as refused:
+        read(file, a_mapping(header=False, time={"column": 3, "unit": "ms"}))
+    assert f'say delimiter: "{said}".' in str(refused.value)
+    file.write_text(file.read_text().replace("1000", "1000,5"))
+    with pytest.raises(RecordingError, match="Expected 1 columns") as refused:
+        read(file, a_mapping())
+    assert f'say delimiter: "{said}". If numbers have a decimal comma, say decimal: "," too.' in str(refused.value)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
 from two_joint_log import TWO_JOINTS, a_log, a_mapping
 
+from hts.channels import Channel
 from hts.cli import data, import_
 from hts.cli.main import main
 from hts.contracts import Robot
@@ -25,6 +27,16 @@ class OneRobot:
     def make_robot(self, name: str) -> Robot:
         assert name == "logger"
         return TWO_JOINTS
+
+    def make_objective(self, name: str) -> Any:
+        channels = {
+            "save": (Channel("draw", "mA"),),
+            "haste": (Channel("draw", "m/s"),),
+            "each": (Channel("draw", "A", (2,)),),
+            "own": (Channel("joint_torque", "N*cm", (2,)),),
+            "plain": (Channel("draw", "A"),),
+        }
+        return SimpleNamespace(name=name, inputs=("joint_torque",), real_channels=channels[name])
 
     def make_log_reader(self, name: str) -> Any:
         assert name == "csv"
@@ -143,3 +155,112 @@ def test_data_says_what_it_cannot_find(tmp_path: Path) -> None:
     RecordingStore(tmp_path / "s.zarr", create=True)
     with pytest.raises(HtsError, match="recording named 'abc'"):
         data.show(tmp_path / "s.zarr", "abc")
+
+
+# -------------------------------------------------------------------------------------- what was commanded
+
+
+def import_with(folder: Path, schedule: list[dict[str, float]], name: str = "log.csv", **facts: Any) -> None:
+    """`hts import` of a log of 10 s with a schedule of these commands."""
+    facts = {**facts, "schedule": {"commands": schedule}}
+    (folder / "m.yaml").write_text(yaml.safe_dump(a_mapping(recording=facts)))
+    hts_import(folder, a_log(folder, [f"{20 * i},{i % 7},{i % 5},{-1000 * (i % 9)}" for i in range(500)], name=name))
+
+
+@pytest.mark.parametrize(
+    ("schedule", "facts", "words"),
+    [
+        ([{"seconds": 2, "vx": 0.5}, {"seconds": 3, "vx": 0.8}], {}, "10.00 s, its recording.schedule 5 s: what was"),
+        (
+            [{"seconds": 5, "vx": 0.5}, {"seconds": 4, "vx": 0.8}],
+            {"fell": True},
+            "10.00 s, its recording.schedule 9 s: what",
+        ),
+        ([{"seconds": 100, "vx": 0.5}], {}, ".* 100 s: so it ends before its commands do.*recording.fell: true"),
+    ],
+)
+def test_a_schedule_of_another_length_than_the_log_is_refused(
+    commands: Path, schedule: list[dict[str, float]], facts: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(RecordingError, match=f"log.csv: the log lasts {words}.*Nothing was stored") as refused:
+        import_with(commands, schedule, **facts)
+    assert "\n" not in str(refused.value) and not (commands / "data.zarr").exists()
+
+
+@pytest.mark.parametrize(
+    ("schedule", "name", "facts"),
+    [
+        ([{"seconds": 5, "vx": 0.5}, {"seconds": 5.4, "vx": 0.8}], "log.csv", {}),
+        ([{"seconds": 5, "vx": 0.5}, {"vx": 0.8}], "log.csv", {}),
+        ([{"seconds": 30, "vx": 0.5}], "log.csv", {"fell": True}),
+        ([{"seconds": 30, "vx": 0.5}], ".00.csv.partial", {}),
+    ],
+)
+def test_a_log_that_is_cut_at_a_fall_or_a_crash_or_by_hand_is_taken(
+    commands: Path, schedule: list[dict[str, float]], name: str, facts: dict[str, Any]
+) -> None:
+    import_with(commands, schedule, name, **facts)
+    assert len(RecordingStore(commands / "data.zarr").ids()) == 1
+
+
+def test_each_run_of_a_file_is_held_against_the_schedule_and_named(commands: Path) -> None:
+    rows = [f"{20 * i},{i % 7},{i % 5},{-1000 * (i % 9)},{1 + (i >= 150)}" for i in range(250)]
+    file = a_log(commands, rows, header="t,K_tau,H_tau,amps,trial")
+    mapping = a_mapping(runs={"column": "trial"}, recording={"schedule": {"commands": [{"seconds": 3, "vx": 0.5}]}})
+    (commands / "m.yaml").write_text(yaml.safe_dump(mapping))
+    with pytest.raises(RecordingError, match=r"log.csv \(run_trial 2\): the log lasts 2.00 s"):
+        hts_import(commands, file)
+
+
+def test_dropping_the_channel_that_an_order_was_for_drops_the_order(commands: Path) -> None:
+    channels = {**a_mapping()["channels"], "joint_torque": {"columns": "1..2", "unit": "N*m"}}
+    channels["draw"]["columns"] = 3
+    given = a_mapping(channels=channels, header=False, time={"column": 0, "unit": "ms"}, joint_order=["knee", "hip"])
+    (commands / "m.yaml").write_text(yaml.safe_dump(given))
+    hts_import(commands, a_log(commands, header=""), drop=["joint_torque"])
+    store = RecordingStore(commands / "data.zarr")
+    assert list(store.read(store.ids()[0]).channels) == ["draw"]
+
+
+# ----------------------------------------------------------------------------------- units of an objective
+
+
+def test_an_objectives_unit_is_converted_to_with_the_idle_level(
+    commands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The mapping says A; the objective measures mA."""
+    store = commands / "data.zarr"
+    import_.command([a_log(commands)], "logger", commands / "m.yaml", store, objective=["save"])
+    (recording_id,) = RecordingStore(store).ids()
+    recording = RecordingStore(store).read(recording_id)
+    assert recording.channels["draw"].channel.unit == "mA" and recording.idle == {"draw": 1500.0}
+    assert recording.values("draw").tolist() == pytest.approx([1000.0 * i for i in range(10)])
+    assert "units_converted draw A to mA" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("objectives", "words"),
+    [
+        (["haste"], "m.yaml: 'draw' is in A, objective 'haste' needs m/s: .*different quantities. Correct its unit"),
+        (["each"], r"m.yaml: 'draw' has shape \(\), objective 'each' needs \(2,\)"),
+        (["own"], r"'joint_torque' is in N\*m for the robot, objective 'own' needs N\*cm. They cannot share"),
+        (["plain", "save"], "'draw' is in A for objective 'plain', objective 'save' needs mA. They cannot share"),
+        (["save", "plain"], "'draw' is in mA for objective 'save', objective 'plain' needs A. They cannot share"),
+    ],
+)
+def test_a_unit_that_an_objective_cannot_use_is_refused_also_before_anything_is_stored(
+    commands: Path, objectives: list[str], words: str
+) -> None:
+    for to, dry in ((None, True), (commands / "data.zarr", False)):
+        with pytest.raises(ConfigError, match=words) as refused:
+            import_.command([a_log(commands)], "logger", commands / "m.yaml", to, None, objectives, dry)
+        assert "\n" not in str(refused.value)
+    assert not (commands / "data.zarr").exists()
+
+
+def test_the_idle_level_of_one_of_the_robots_channels_is_converted_as_its_values_are(commands: Path) -> None:
+    torque = {"columns": "{joint}_tau", "unit": "N*cm", "idle": 5.0, "limits": [-99, 99]}
+    (commands / "m.yaml").write_text(yaml.safe_dump(a_mapping(channels={"joint_torque": torque})))
+    hts_import(commands, a_log(commands))
+    store = RecordingStore(commands / "data.zarr")
+    assert store.read(store.ids()[0]).idle == {"joint_torque": pytest.approx(0.05)}

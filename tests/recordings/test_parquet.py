@@ -96,7 +96,7 @@ def wrong(columns: dict[str, pa.Array]) -> dict[str, tuple[dict[str, pa.Array], 
         "time goes back": (
             {**columns, "t": pa.array(np.r_[0:15, 3:8] * 20)},
             {},
-            "time does not increase in row 16: column 't' reads 280, then 60",
+            "time does not increase in row 16 of the data: column 't' reads 280, then 60",
         ),
         "no time": ({**columns, "t": pa.nulls(20)}, {}, "no row has a time"),
         "infinite": ({**columns, "amps": pa.array([np.inf] * 20)}, {}, "column 'amps' is infinite in row 1"),

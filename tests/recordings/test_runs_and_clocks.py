@@ -32,7 +32,7 @@ STEPS = np.arange(40)
 
 def test_a_column_that_changes_begins_a_run(tmp_path, amps, two_joints):
     log = csv(tmp_path / "a.csv", "t,amps,run", np.tile(20 * np.arange(20), 2), 2 + STEPS / 10, np.repeat([3, 4], 20))
-    with pytest.raises(RecordingError, match="time does not increase in row 21"):
+    with pytest.raises(RecordingError, match="time does not increase in line 22 of the file"):
         make({}).read([log], amps, two_joints)
     amps["runs"] = {"column": "run"}
     first, second = make({}).read_all([log], amps, two_joints)
@@ -74,7 +74,7 @@ def test_runs_are_told_apart_in_one_way(tmp_path, amps, two_joints, runs, expect
 def test_a_row_without_its_run_is_refused(tmp_path, amps, two_joints):
     log = csv(tmp_path / "a.csv", "t,amps,run", 20 * STEPS, 2 + STEPS / 10, ["", *[1] * 39])
     amps["runs"] = {"column": "run"}
-    with pytest.raises(RecordingError, match="row 1 has no number in 'run', the column of runs"):
+    with pytest.raises(RecordingError, match="line 2 of the file has no number in 'run', the column of runs"):
         make({}).read_all([log], amps, two_joints)
 
 

@@ -18,6 +18,7 @@ import pytest
 
 from hts import plugins
 from hts.contracts import HoldSpeed
+from hts.recordings.commanded import check_commanded
 from hts.recordings.mapping import load_mapping
 from hts.recordings.reading import read_log
 from hts.worlds.twin.trimming import Trimming as Twins
@@ -57,6 +58,7 @@ def test_a_session_records_its_rows_and_hts_reads_them_as_they_are(bundle):
     for name, hashed in (("00", load_bundle(bundle).rows[0].policy_hash), ("01", "e" * 64)):
         mapping = load_mapping(bundle / "logs" / "mappings" / f"{name}.yaml")
         recording = read_log(registry, [bundle / "logs" / f"{name}.csv"], mapping, robot)
+        check_commanded(recording, [bundle / "logs" / f"{name}.csv"])
         assert (recording.policy_hash, recording.clock, recording.kp) == (hashed, "simulated", robot.spec.kp)
         assert recording.mass_kg == 13.0
         assert recording.idle == pytest.approx({"battery_current": 3.0, "battery_voltage": 22.0}, abs=0.2)

@@ -1,0 +1,73 @@
+"""The schedule that a mapping states against the log: what was commanded must end where the log does.
+
+A last command without end, `seconds` left out or infinite, lasts until the log ends. Anything else is a schedule of
+another log: read on, every second would count for a speed that nobody commanded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hts.errors import RecordingError
+from hts.recordings.recording import Recording
+from hts.schedules import ScheduleConfig
+
+SHARE, SECONDS = 0.02, 0.5
+"""A log may be longer or shorter than its schedule by this share of it, or by so many seconds if that is more: where it
+is cut by hand, and where channels begin a little apart."""
+RUN = ("run", "labels")
+"""Begin the notes that say which part of a file a recording is."""
+UNFINISHED = ".partial"
+"""Begins the last part of the name of a file whose writer was killed."""
+
+
+def without_end(schedule: Any) -> Any:
+    """A schedule as it stands in a mapping, whose last command may leave out `seconds`: then they are infinite."""
+    commands = schedule.get("commands") if isinstance(schedule, Mapping) else None
+    if not isinstance(commands, Sequence) or isinstance(commands, str) or not commands:
+        return schedule
+    last = commands[-1]
+    if not isinstance(last, Mapping) or "seconds" in last:
+        return schedule
+    return {**schedule, "commands": [*commands[:-1], {"seconds": math.inf, **last}]}
+
+
+def until_the_end(schedule: ScheduleConfig, seconds: float, where: str) -> ScheduleConfig:
+    """The schedule with a last command that lasts until a log of so many seconds ends, if it had no end.
+
+    where: how the message begins. Raises RecordingError where the log ends before that command.
+    """
+    if math.isfinite(schedule.seconds):
+        return schedule
+    *before, last = schedule.commands
+    gone = sum(command.seconds for command in before)
+    if not gone < seconds:
+        raise RecordingError(
+            f"{where}: the log lasts {seconds:.2f} s, but in recording.schedule the commands before the last one take "
+            f"{gone:g} s. Correct them, or leave out those that the log does not reach."
+        )
+    return schedule.model_copy(update={"commands": (*before, last.model_copy(update={"seconds": seconds - gone}))})
+
+
+def check_commanded(recording: Recording, files: Sequence[Path]) -> None:
+    """Raise RecordingError if a log and its schedule differ in length by more than SHARE and SECONDS.
+
+    files: those of the log. It may be shorter where the robot fell, or where a file is UNFINISHED.
+    """
+    stated, found = recording.schedule.seconds, recording.seconds
+    if abs(found - stated) <= max(SHARE * stated, SECONDS) + 0.5 / recording.rate_hz:
+        return
+    ended_early = recording.fell or any(path.suffix.startswith(UNFINISHED) for path in files)
+    if found < stated and ended_early:
+        return
+    where = ", ".join(str(path) for path in files)
+    run = next((f" ({key} {text})" for key, text in recording.notes.items() if key.startswith(RUN)), "")
+    known = "what was commanded after that is not known" if found > stated else "so it ends before its commands do"
+    fell = "" if found > stated else " If the robot fell there, say recording.fell: true."
+    raise RecordingError(
+        f"{where}{run}: the log lasts {found:.2f} s, its recording.schedule {stated:g} s: {known}. Correct the "
+        f"seconds, or leave out those of the last command, which then lasts until the log ends.{fell}"
+    )
