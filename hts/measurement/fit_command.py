@@ -30,6 +30,7 @@ from hts.measurement.shared import Shared, shared_samples, without_shared
 from hts.measurement.split import split
 from hts.measurement.splits import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
 from hts.overrides import Override, nested, parsed
+from hts.places import check_place
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, RobotSpec, Settings
@@ -184,6 +185,7 @@ def fit_store(
     report_file = Path(out) / "fit.json"
     if report_file.exists():
         raise RunError(f"{report_file} exists: nothing is overwritten. Choose another folder with --out.")
+    check_place(Path(out), "--out DIR")
     store = RecordingStore(store_path)
     if objective_name is None:
         objective: Objective = _plain(store, wanted)
