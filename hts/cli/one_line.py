@@ -12,7 +12,7 @@ from pathlib import Path
 import typer
 
 from hts.cli.device_faults import device_fault
-from hts.errors import HtsError, RunError, UnfitWorldError, WaitingForRobot
+from hts.errors import HtsError, PluginError, RunError, UnfitWorldError, WaitingForRobot
 from hts.places import place_fault
 
 OF_PATHS = (errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP)
@@ -24,7 +24,8 @@ def one_line(error: Exception) -> tuple[str, int] | None:
     if isinstance(error, WaitingForRobot):  # not a failure
         return str(error), error.exit_code
     if isinstance(error, HtsError):
-        return "error: " + " ".join(str(error).split()), error.exit_code
+        fault = device_fault(error.__cause__) if isinstance(error, PluginError) else None  # not the plugin's then
+        return " ".join(["error:", *str(error).split(), *([fault] if fault else [])]), error.exit_code
     if isinstance(error, typer.TyperException):
         if type(error).__name__ == "NoArgsIsHelpError":
             return error.format_message(), error.exit_code
