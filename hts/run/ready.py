@@ -50,7 +50,7 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
             "nothing to train. Give some: --set sweep.weights.NAME=[0.5,1,5]"
         )
     for name, objective in objectives.items():
-        check_score(objective, robot, registry, registry.entry("objectives", name).package)
+        check_score(objective, robot, registry.entry("objectives", name).package)
     transforms(config, registry)
     pretrained_policy(robot)
     check_world(config, registry)

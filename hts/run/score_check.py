@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Objective, Robot
-from hts.errors import HtsError, PluginError, RecordingError
+from hts.errors import PluginError, RecordingError
 from hts.evaluation.segments import Segments
-from hts.plugins import Registry
 from hts.recordings.recording import Recording, Series
 
 SEGMENTS = 3
@@ -19,13 +18,13 @@ MISTAKES = (RecordingError, LookupError, AttributeError, NameError, TypeError, I
 """What wrong names and types raise. Anything else may be the score's opinion of numbers that nobody measured."""
 
 
-def check_score(objective: Objective, robot: Robot, registry: Registry, package: str) -> None:
+def check_score(objective: Objective, robot: Robot, package: str) -> None:
     """Raise PluginError for a score that reads a channel that no recording of this robot has, fails on a recording, or
     is not one number per segment."""
     what = f"Objective '{objective.name}' (from {package}): score"
     try:
         with np.errstate(all="ignore"):
-            scores = objective.score(made_up_segments(robot, _measured(objective, robot, registry)))
+            scores = objective.score(made_up_segments(robot, objective.real_channels))
     except MISTAKES as error:
         text = " ".join(str(error).split()).rstrip(".")
         raise PluginError(
@@ -45,13 +44,13 @@ def check_score(objective: Objective, robot: Robot, registry: Registry, package:
             )
 
 
-def made_up_segments(robot: Robot, measured: Mapping[str, Channel]) -> Segments:
+def made_up_segments(robot: Robot, measured: Sequence[Channel]) -> Segments:
     """SEGMENTS valid seconds of one recording: every sim channel of the robot and every measured one, between 0.5 and
     1.5 in the channel's unit, idle at 0.1."""
     spec, rng = robot.spec, np.random.default_rng(0)
     samples = round(spec.control_rate_hz)
     count = SEGMENTS * samples
-    channels = {**robot.channels(), **measured}
+    channels = {**robot.channels(), **{one.name: one for one in measured}}
     recording = Recording(
         robot=spec.name,
         world="made-up",
@@ -62,7 +61,7 @@ def made_up_segments(robot: Robot, measured: Mapping[str, Channel]) -> Segments:
         kd=spec.kd,
         rate_hz=spec.control_rate_hz,
         schedule=ScheduleConfig(commands=(Command(seconds=float(SEGMENTS), vx=1.0),)),
-        idle=dict.fromkeys(measured, 0.1),
+        idle={one.name: 0.1 for one in measured},
         clock="simulated",
         time=np.arange(count) / spec.control_rate_hz,
         channels={name: Series(one, rng.uniform(0.5, 1.5, (count, *one.shape))) for name, one in channels.items()},
@@ -81,15 +80,3 @@ def made_up_segments(robot: Robot, measured: Mapping[str, Channel]) -> Segments:
         falls=0,
         walked=1.0,
     )
-
-
-def _measured(objective: Objective, robot: Robot, registry: Registry) -> dict[str, Channel]:
-    """What the objective names, and whatever else its instrument shows on a twin."""
-    found = {channel.name: channel for channel in objective.real_channels}
-    if objective.instrument is not None:
-        try:
-            shown = registry.make_instrument(objective.instrument, {}, robot).channels
-        except HtsError:  # a world that needs the instrument says why it cannot be made
-            shown = ()
-        found = {**{channel.name: channel for channel in shown}, **found}
-    return found
