@@ -183,7 +183,7 @@ class SweepConfig(Config):
         for name, values in self.weights.items():
             for value in values:
                 if not (math.isfinite(value) and value >= 0):
-                    raise ValueError(f"weights: {name}: {value} is not a number of at least 0")
+                    raise ValueError(f"weights.{name}: {value} is not a number of at least 0")
         for bound in self.kl_bounds:
             if not bound > 0 or math.isnan(bound):
                 raise ValueError(f"kl_bounds: {bound} is not a positive number")

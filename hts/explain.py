@@ -71,6 +71,8 @@ def _fault(fault: Mapping[str, Any], model: type[BaseModel] | None, origin: Call
         return f"{where}: this key is needed and missing."
     if fault["type"] == "value_error" and not where:  # of a whole model, whose own words name the key
         return f"{fault['msg'].removeprefix('Value error, ')}."
+    if fault["type"] == "value_error" and isinstance(fault["input"], Mapping):  # the rest of a section says nothing
+        return f"{where}: {_expected(fault)}."
     found = f"{_expected(fault)}, found {shortened(fault['input'])}."
     return f"{where}: {found}" if where else found[:1].upper() + found[1:]
 

@@ -20,6 +20,7 @@ from torchrl.envs.transforms import Transform
 from hts.config import RunConfig
 from hts.config_loading import check_names, read_config
 from hts.errors import ConfigError, PolicyError
+from hts.places import check_place
 from hts.plugins import Registry, load
 from hts.run import make_folder
 from hts.run.algorithm import run
@@ -44,6 +45,7 @@ def start_oracle(config: RunConfig, folder: Path, *, dry_run: bool = False, regi
     """An oracle into the new folder; returns it. Raises what `hts.run.start_run` raises, and ConfigError for a world
     that is not simulated here: only a twin can be looked into."""
     registry = registry or load()
+    check_place(Path(folder), "--out DIR")
     config = prepared(config, registry)
     check_oracle(config, registry)
     if dry_run:

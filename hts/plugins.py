@@ -105,14 +105,7 @@ class Registry:
 
     def make_measurement_model(self, name: str, settings: Settings | None, context: ModelContext) -> MeasurementModel:
         """A fresh, unfitted model; its factory also gets this registry, for models that are made of others."""
-        from hts.contracts import MeasurementModel
-
         model = self._make("measurement_models", name, dict(settings or {}), replace(context, registry=self))
-        if not isinstance(model, MeasurementModel):
-            raise PluginError(
-                f"Measurement model '{name}' (from {self.measurement_models[name].package}): its factory gives a "
-                f"{type(model).__name__}, not a hts.contracts.MeasurementModel."
-            )
         model.name = name
         return model
 
@@ -144,17 +137,11 @@ class Registry:
         return entries[name]
 
     def _make(self, kind: str, name: str, settings: dict[str, Any], *context: Any) -> Any:
-        """Call the factory; what pydantic says of wrong settings becomes one line with the closest key."""
-        from pydantic import ValidationError
+        """Call the factory; whatever goes wrong in it is one line, see `hts.factories.made_by`."""
+        from hts.factories import made_by
 
         entry = self.entry(kind, name)
-        try:
-            return entry.factory(settings, *context)
-        except ValidationError as error:
-            from hts.explain import explain
-
-            where = f"{KINDS[kind]} '{name}' (from {entry.package})"
-            raise ConfigError(f"Settings of {where}: {explain(error)}") from error
+        return made_by(entry.factory, kind, f"{KINDS[kind]} '{name}'", entry.package, settings, *context)
 
 
 def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) -> Registry:

@@ -334,3 +334,20 @@ def test_a_plugin_that_ends_the_process_is_named(check):
     )
     assert said.status == 1
     assert [line for line in said.faults if "broken-robot: entry point 'hopper': SystemExit: 3" in line], said.text
+
+
+ALONE = {
+    "a unit": ("objective.py", '"W", ()', '"wattage", ()', 2),  # the instrument imports it too
+    "an input": ("objective.py", '"joint_torque", "joint_velocity")', '"joint_torqe", "joint_velocity")', 1),
+    "a reward of numpy": ("objective.py", REWARD, f"{REWARD}.numpy()", 1),
+}
+"""One mistake -> where, what for what, and in how many lines it may be said: once for each thing that has it."""
+
+
+@pytest.mark.parametrize("what", ALONE)
+def test_one_mistake_is_one_line_and_what_needs_it_waits(check, what):
+    file, before, after, lines = ALONE[what]
+    said = check("objective", file, before, after)
+    assert len(said.faults) == lines, said.text
+    assert re.search(rf"checks, {lines} failed, \d+ wait until these are kept", said.text)
+    assert "is float32" not in said.text and "KeyError" not in said.text

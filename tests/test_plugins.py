@@ -41,7 +41,7 @@ def test_hook_measurement_models(install):
     )
     registry = load()
     assert registry.measurement_models["mean"].package == "made"
-    with pytest.raises(PluginError, match="'mean' .from made.: its factory gives a type, not a hts.contracts.Measure"):
+    with pytest.raises(PluginError, match="'mean' .from made.: its factory gives the class dict itself, not a hts"):
         registry.make_measurement_model("mean", {}, ModelContext(SIGNALS))
 
 

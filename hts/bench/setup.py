@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from hts.bench.bare import engines_of
 from hts.bench.widening import widened
 from hts.config import Command, EnvConfig, PPOConfig, ScheduleConfig
 from hts.contracts import MODEL, MeasurementModel, ModelContext, chosen_model, robot_signals
-from hts.errors import ConfigError
+from hts.errors import ConfigError, HtsError
 from hts.measurement.data import gather
 from hts.measurement.transform import MeasurementTransform
 from hts.plugins import load
@@ -50,7 +51,10 @@ def find(robot: str | None, objective: str | None) -> tuple[Robot, Objective]:
         raise ConfigError(f"Robot '{machine.spec.name}' is log-only: it has no policy to collect with.")
     if objective is not None:
         return machine, registry.make_objective(objective)
-    offered = [registry.make_objective(name) for name in sorted(registry.objectives)]
+    offered: list[Objective] = []
+    for name in sorted(registry.objectives):
+        with suppress(HtsError):  # one that needs settings, or is broken: `hts plugins` lists it with its reason
+            offered.append(registry.make_objective(name))
     fitting = [one for one in offered if set(one.inputs) <= set(machine.channels())]
     if not fitting:
         raise ConfigError(f"No objective is installed whose inputs robot '{machine.spec.name}' gives.")

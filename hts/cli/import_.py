@@ -51,6 +51,7 @@ def command(
     """
     from hts.cli.printable import printable
     from hts.errors import ConfigError
+    from hts.places import check_place
     from hts.plugins import load
     from hts.recordings.drawing import check_picture, draw
     from hts.recordings.mapping import assumed_order, load_mapping
@@ -67,6 +68,8 @@ def command(
         raise ConfigError("--mapping M.yaml is needed; `hts import FILE --robot R --suggest > M.yaml` begins one.")
     if to is None and not dry_run:
         raise ConfigError("--to STORE is needed, or --dry-run, which stores nothing.")
+    if to is not None:
+        check_place(to, "--to STORE")
     if figure is not None:
         check_picture(figure)
     given = load_mapping(mapping)

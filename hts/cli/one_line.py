@@ -12,16 +12,11 @@ from pathlib import Path
 import typer
 
 from hts.cli.device_faults import device_fault
-from hts.errors import HtsError, RunError, UnfitWorldError, WaitingForRobot
+from hts.errors import HtsError, PluginError, RunError, UnfitWorldError, WaitingForRobot
+from hts.places import place_fault
 
-DISK_FAULTS: dict[int, str] = {
-    errno.EROFS: "the file system is read-only. Choose a place that can be written, with --out DIR",
-    errno.EACCES: "no permission. Change its owner or mode, or choose another place with --out DIR",
-    errno.EPERM: "not permitted. Change its owner or mode, or choose another place with --out DIR",
-    errno.ENOSPC: "the disk is full. Nothing finished is lost: free some space and give the command again",
-    errno.EDQUOT: "the disk quota is used up. Nothing finished is lost: free some space and give the command again",
-}
-"""errno -> what happened and what to do, the end of a sentence that began with the file."""
+OF_PATHS = (errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP)
+"""Said only of the error itself: as the cause of another one they may have been dealt with."""
 
 
 def one_line(error: Exception) -> tuple[str, int] | None:
@@ -29,7 +24,8 @@ def one_line(error: Exception) -> tuple[str, int] | None:
     if isinstance(error, WaitingForRobot):  # not a failure
         return str(error), error.exit_code
     if isinstance(error, HtsError):
-        return "error: " + " ".join(str(error).split()), error.exit_code
+        fault = device_fault(error.__cause__) if isinstance(error, PluginError) else None  # not the plugin's then
+        return " ".join(["error:", *str(error).split(), *([fault] if fault else [])]), error.exit_code
     if isinstance(error, typer.TyperException):
         if type(error).__name__ == "NoArgsIsHelpError":
             return error.format_message(), error.exit_code
@@ -47,16 +43,20 @@ def one_line(error: Exception) -> tuple[str, int] | None:
 
 
 def disk_fault(error: BaseException | None, place: Path | None = None) -> str | None:
-    """What a full or read-only disk did, and what to do; None if no disk is at fault.
+    """What a full or read-only disk, or a wrong path, did, and what to do; None if neither is at fault.
 
     Libraries written in other languages give only the text of the system's error, so that is looked at too;
     place: named where the error itself names no file.
     """
+    first = error
     while error is not None:
-        number = error.errno if isinstance(error, OSError) else _errno_in_text(str(error))
-        if number in DISK_FAULTS:
+        number = (error.errno or 0) if isinstance(error, OSError) else _errno_in_text(str(error))
+        said = (
+            None if number == errno.ENOENT else place_fault(number, "--out or --to")
+        )  # a file that we forgot is a bug
+        if said is not None and (error is first or number not in OF_PATHS):
             file = (error.filename if isinstance(error, OSError) else None) or place or "a file"
-            return f"{file}: {DISK_FAULTS[number]}."
+            return f"{file}: {said}."
         error = error.__cause__ or error.__context__
     return None
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from hts.cli import options
+from hts.errors import HtsError, PluginError
 from hts.plugins import KINDS, Registry, load
 
 
@@ -30,10 +31,12 @@ def command(
 
 def as_data(registry: Registry) -> dict[str, Any]:
     """{kind: [{"name", "package", "summary"}], "plugins": […], "broken": [{"entry_point", "package", "reason"}]}"""
+    not_made = _not_made(registry)
     data: dict[str, Any] = {
         kind: [
             {"name": entry.name, "package": entry.package, "summary": _summary(entry.factory)}
             for _, entry in sorted(registry.offered(kind).items())
+            if (kind, entry.name) not in not_made
         ]
         for kind in KINDS
     }
@@ -42,7 +45,30 @@ def as_data(registry: Registry) -> dict[str, Any]:
         for p in registry.plugins
     ]
     data["broken"] = [{"entry_point": b.entry_point, "package": b.package, "reason": b.reason} for b in registry.broken]
+    data["broken"] += [
+        {"entry_point": f"{KINDS[kind]} '{name}'", "package": registry.entry(kind, name).package, "reason": reason}
+        for (kind, name), reason in not_made.items()
+    ]
     return data
+
+
+MADE_QUICKLY = ("objectives", "robots", "selectors", "log_readers")
+"""Kinds that are made of their settings alone, in milliseconds: what is broken behind a factory shows so."""
+
+
+def _not_made(registry: Registry) -> dict[tuple[str, str], str]:
+    """(kind, name) of what is registered and cannot be made -> why. One that only needs settings is not among them."""
+    found: dict[tuple[str, str], str] = {}
+    for kind in MADE_QUICKLY:
+        make = getattr(registry, f"make_{kind.removesuffix('s')}")
+        for name in sorted(registry.offered(kind)):
+            try:
+                make(name)
+            except PluginError as error:
+                found[kind, name] = str(error)
+            except HtsError:  # such as a setting that has no default
+                continue
+    return found
 
 
 def as_text(registry: Registry) -> str:

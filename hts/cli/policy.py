@@ -56,6 +56,7 @@ def import_(
     from dataclasses import replace
 
     from hts.errors import RunError
+    from hts.places import check_place
     from hts.plugins import load
     from hts.policies import proof
     from hts.policies.files import Policy, save_policy, tensor_path
@@ -67,6 +68,7 @@ def import_(
 
     machine = load().make_robot(robot)
     target = tensor_path(to)
+    check_place(target, "--to FILE", file=True)
     for path in (target, target.with_suffix(".json")):
         if path.exists():
             raise RunError(f"{path}: exists already. Choose another file with --to.")

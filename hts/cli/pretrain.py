@@ -23,6 +23,7 @@ def command(
     from hts.config import PretrainConfig
     from hts.config_loading import load_section
     from hts.engines import check_engine
+    from hts.places import check_place
     from hts.plugins import load
 
     given = {key: value for key, value in (("engine", engine), ("seed", seed)) if value is not None}
@@ -30,6 +31,7 @@ def command(
     check_engine(settings.engine)
     machine = load().make_robot(robot)
     refuse_existing(out)
+    check_place(out, "--out DIR")  # before the hours that its policy takes
     from hts.sim.selection import select_engine
     from hts.training.pretrain import pretrain_policy
 

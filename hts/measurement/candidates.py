@@ -13,6 +13,7 @@ from hts.measurement import comparison
 from hts.measurement.baseline import stand_ins
 from hts.measurement.data import recorded_signals
 from hts.measurement.fit_settings import FitSettings
+from hts.measurement.fitting import fit_model
 from hts.measurement.outliers import masked_split
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class Candidates:
     def fitter(self, choice: Named) -> comparison.Fitter:
         def fit(training: Sequence[Recording]) -> tuple[comparison.Predictor, str]:
             model = self.made(choice)
-            report = model.fit(training, **vars(replace(self.how, progress=self.progress)))
+            report = fit_model(model, training, replace(self.how, progress=self.progress), self.registry)
             told = [f"{key} {report[key]:.3g}" for key in ("ridge", "pooling", "lag_seconds") if key in report]
             return comparison.of_model(model), ", ".join(told)
 

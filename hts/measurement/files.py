@@ -55,8 +55,9 @@ def save(model: MeasurementModel, path: Path, notes: Mapping[str, Any] | None = 
         "sha256": hashlib.sha256(numbers).hexdigest(),
         "notes": dict(notes or {}),
     }
+    text = json.dumps(card, indent=2) + "\n"  # what cannot be text stops it before the first file
     atomic_write(path, numbers)
-    atomic_write(path.with_suffix(".json"), json.dumps(card, indent=2) + "\n")
+    atomic_write(path.with_suffix(".json"), text)
     return path
 
 

@@ -7,9 +7,11 @@ recordings in hand, such as a run; what is printed is in `fit_report`.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +19,7 @@ from hts.atomic import atomic_write
 from hts.config import MeasurementConfig
 from hts.contracts import MeasurementModel, ModelContext, chosen_model
 from hts.errors import ConfigError, RecordingError, RunError, unknown_name
+from hts.guarded import guarded
 from hts.layers import in_full
 from hts.measurement import files
 from hts.measurement.alike import check_alike
@@ -24,12 +27,14 @@ from hts.measurement.candidates import Candidates, compared, table_rows
 from hts.measurement.checks import check
 from hts.measurement.data import recorded_signals
 from hts.measurement.fit_settings import FitSettings
+from hts.measurement.fitting import called, fit_model
 from hts.measurement.outliers import masked_split
 from hts.measurement.plain import Plain
 from hts.measurement.shared import Shared, shared_samples, without_shared
 from hts.measurement.split import split
 from hts.measurement.splits import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
 from hts.overrides import Override, nested, parsed
+from hts.places import check_place
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, RobotSpec, Settings
@@ -98,23 +103,29 @@ def fit_and_check(
         return FitSettings(config.seed, config.epochs, config.max_seconds, report, warm_start)
 
     model = new_model(objective, parts.training[0], settings, registry)
-    checked = fit_split(objective, model, parts, fitting(0))
+    checked = fit_split(objective, model, parts, fitting(0), registry=registry)
     if not config.refit:
         return FitResult(model, {**checked.report, "refit": None})
     model = new_model(objective, recordings[0], settings, registry)
     everything, _, _ = masked_split(recordings, (), (*objective.inputs, objective.target.name), None)
-    return FitResult(model, {**checked.report, "refit": model.fit(everything, **vars(fitting(1)))})
+    return FitResult(model, {**checked.report, "refit": fit_model(model, everything, fitting(1), registry)})
 
 
 def fit_split(
-    objective: Objective, model: MeasurementModel, parts: Split, how: FitSettings, spec: RobotSpec | None = None
+    objective: Objective,
+    model: MeasurementModel,
+    parts: Split,
+    how: FitSettings,
+    spec: RobotSpec | None = None,
+    registry: Registry | None = None,
 ) -> FitResult:
     """Fit an unfitted model to one side of a split and check it on the other; see `fit_and_check`. spec: of the robot,
-    whose limits tell what cannot be; None where it is not known."""
+    whose limits tell what cannot be; None where it is not known. registry: for messages, which package a model is of.
+    Raises PluginError for a model that fails."""
     channels = (*objective.inputs, objective.target.name)
     training, held_out, masked = masked_split(parts.training, parts.held_out, channels, spec)
-    fitted = model.fit(training, **vars(how))
-    checked = check(objective, model, held_out, training)
+    fitted = fit_model(model, training, how, registry)
+    checked = guarded(f"{called(model, registry)}: its check", partial(check, objective, model, held_out, training))
     report = {
         "objective": objective.name,
         "model": {"name": model.name, **model.settings},
@@ -181,9 +192,7 @@ def fit_store(
     name = _name(objective_name, wanted)
     settings, registry = _settings(overrides, name), plugins.load()
     config = _measurement_config(settings["measurement"])
-    report_file = Path(out) / "fit.json"
-    if report_file.exists():
-        raise RunError(f"{report_file} exists: nothing is overwritten. Choose another folder with --out.")
+    _refuse_existing(Path(out))
     store = RecordingStore(store_path)
     if objective_name is None:
         objective: Objective = _plain(store, wanted)
@@ -193,12 +202,11 @@ def fit_store(
     dataset = store.dataset([one.id for one in recordings])
     parts, shared = _split(objective, recordings, checks, config, wanted.robot)
     candidates = Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)
-    choice, rows, tried = compared(
-        candidates, parts, checks.models, checks.best, _spec(registry, parts.training[0]), say
-    )
+    spec = _spec(registry, parts.training[0])
+    choice, rows, tried = compared(candidates, parts, checks.models, checks.best, spec, say)
     say(f"fitting {choice.name}")
     how = replace(candidates.how, progress=progress)
-    result = fit_split(objective, candidates.made(choice), parts, how, _spec(registry, parts.training[0]))
+    result = fit_split(objective, candidates.made(choice), parts, how, spec, registry)
     report = {
         **result.report,
         "shared": asdict(shared),
@@ -209,12 +217,32 @@ def fit_store(
         "test": None if checks.test is None else str(checks.test),
     }
     report["compared"] = table_rows(report, rows)
+    return _written(result.model, report, Path(out), {"objective": objective.name, "dataset": dataset.sha256})
+
+
+# ------------------------------------------------------------------------------------------------- what is written
+
+WRITTEN = ("fit.json", "model.json", "model.safetensors")
+
+
+def _refuse_existing(out: Path) -> None:
+    check_place(out, "--out DIR")
+    for name in WRITTEN:
+        if (out / name).exists():
+            raise RunError(f"{out / name} exists: nothing is overwritten. Choose another folder with --out.")
+
+
+def _written(model: MeasurementModel, report: Mapping[str, Any], out: Path, notes: Mapping[str, Any]) -> Path:
+    """All files of the fit, or none of them; the path of fit.json. Raises RunError."""
+    text = json.dumps(report, indent=2, allow_nan=False) + "\n"  # what cannot be text stops it before the first file
     try:
-        files.save(result.model, Path(out) / "model", {"objective": objective.name, "dataset": dataset.sha256})
-        atomic_write(report_file, json.dumps(report, indent=2, allow_nan=False) + "\n")
+        files.save(model, out / "model", notes)
+        return atomic_write(out / "fit.json", text)
     except OSError as error:
+        for name in WRITTEN:
+            with contextlib.suppress(OSError):  # why nothing was written matters more
+                (out / name).unlink(missing_ok=True)
         raise RunError(f"{out}: cannot be written ({error.strerror}). Choose another folder with --out.") from error
-    return report_file
 
 
 # ------------------------------------------------------------------------------------------------- what is read

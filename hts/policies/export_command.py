@@ -9,6 +9,7 @@ from pathlib import Path
 from hts.atomic import atomic_write
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError, RunError, unknown_name
+from hts.places import check_place
 
 
 def export_policy(folder: Path | None, policy: str, format: str, to: Path, robot: RobotSpec | None = None) -> Path:
@@ -18,13 +19,14 @@ def export_policy(folder: Path | None, policy: str, format: str, to: Path, robot
     "onnx" or "torchscript"; robot: whose the policy must be, None for any.
     Before it is there, its actions are compared with the policy's on random observations, and on those of the run's
     recordings.
-    Raises PolicyError for a policy that is not there, is damaged or another robot's, RunError if `to` exists: nothing
-    is overwritten.
+    Raises PolicyError for a policy that is not there, is damaged or another robot's, RunError if `to` exists (nothing
+    is overwritten) or cannot be made.
     """
     from hts.policies import export
     from hts.policies.export_checks import check_export, random_observations, recorded_observations
     from hts.policies.files import load_policy
 
+    check_place(to, "--to FILE", file=True)
     if to.exists():
         raise RunError(f"{to}: exists already. Choose another file with --to.")
     if folder is None or Path(policy).suffix == ".safetensors":

@@ -16,16 +16,19 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     """Run into the new folder `out`; returns it. dry_run: only say what it would cost;
     registry: left out, it is loaded.
 
-    Raises RunError if the folder holds something already; nothing is ever overwritten. Whatever can be wrong with
+    Raises RunError if the folder holds something already (nothing is ever overwritten) or cannot be made, also of a
+    dry run. Whatever can be wrong with
     names, settings and folder shows before anything heavy is imported; then everything that the run will need is built
     once (`hts.run.ready`), before anything is written.
     """
     from hts.config_loading import check_names
+    from hts.places import check_place
     from hts.plugins import load
 
     registry = registry or load()
     refuse_oracle(config)
     check_names(config, registry)
+    check_place(Path(out), "--out DIR")
     config = with_engine(config)
     from hts.run.ready import check_ready
 

@@ -20,6 +20,7 @@ from hts.guarded import guarded
 from hts.plugins import Registry
 from hts.run.budget import plan
 from hts.run.gate_checks import check_told
+from hts.run.score_check import check_score
 from hts.training.sweep import combinations, own_weights
 
 if TYPE_CHECKING:
@@ -33,8 +34,9 @@ FEW_ENVS = 2  # per candidate: enough to see that an env can be made and stepped
 def check_ready(config: RunConfig, registry: Registry, engine: str | None = None) -> None:
     """Raise the HtsError that a run of this configuration would end in, as far as that can be known before it runs.
 
-    Cheap things first: names and settings, inputs, λ, measurement models, the policy's file, the world with this robot
-    and these objectives, last an env that takes a step. engine: what `auto` stands for here; None: the env is not made.
+    Cheap things first: names and settings, inputs, λ, scores, measurement models, the policy's file, the world with
+    this robot and these objectives, last an env that takes a step. engine: what `auto` stands for here; None: the env
+    is not made.
     """
     check_names(config, registry)
     robot = registry.make_robot(config.robot.name, config.robot.settings)
@@ -47,6 +49,8 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
             f"sweep.weights: {', '.join(objectives)} names no {'baseline ' if proxy else ''}λ of its own, so there is "
             "nothing to train. Give some: --set sweep.weights.NAME=[0.5,1,5]"
         )
+    for name, objective in objectives.items():
+        check_score(objective, robot, registry.entry("objectives", name).package)
     transforms(config, registry)
     pretrained_policy(robot)
     check_world(config, registry)

@@ -6,14 +6,14 @@ import subprocess
 import sys
 import tomllib
 import warnings
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hts.errors import ConfigError, HtsError, PluginError, unknown_name
 from hts.plugins import KINDS, Broken, Entry, Plugin, Registry
-from hts.testing.checks import CHECKS
+from hts.testing.checks import CHECKS, NEEDED
 from hts.testing.packages import kit_installed
 
 HEAVY = ("torch", "mujoco", "dm_control", "jax", "tensorflow")
@@ -32,12 +32,14 @@ print(*[name for name in heavy if name in sys.modules])
 
 @dataclass(frozen=True)
 class Finding:
-    """One demand on one thing that a package offers; fault: what was found instead, or None if it is kept."""
+    """One demand on one thing that a package offers; fault: what was found instead, or None if it is kept; tried:
+    False if it was not looked at, because an earlier demand that it needs is not kept."""
 
     package: str
     subject: str
     demand: str
     fault: str | None
+    tried: bool = True
 
     def line(self) -> str:
         """All of it on one line."""
@@ -91,14 +93,31 @@ def _checked(
     for kind, word in KINDS.items():
         for entry in registry.offered(kind).values():
             if entry.package == package:
-                for check in CHECKS[kind]:
-                    yield _tried(package, f"{word} '{entry.name}'", check, entry, registry)
+                yield from _in_turn(package, f"{word} '{entry.name}'", CHECKS[kind], entry, registry)
                 if kind == "commands":
                     yield _tried(package, f"{word} '{entry.name}'", _hides_no_command, entry, reserved)
 
 
+def _in_turn(
+    package: str, subject: str, checks: Sequence[Callable[..., None]], entry: Entry, registry: Registry
+) -> Iterator[Finding]:
+    """Each check of one thing; those after one that they need and that is not kept are not tried."""
+    possible = True
+    for check in checks:
+        if not possible:
+            yield Finding(package, subject, _demand(check), None, tried=False)
+            continue
+        finding = _tried(package, subject, check, entry, registry)
+        possible = finding.fault is None or check not in NEEDED
+        yield finding
+
+
+def _demand(check: Callable[..., None]) -> str:
+    return " ".join((check.__doc__ or check.__name__).split())
+
+
 def _tried(package: str, subject: str, check: Callable[..., None], *given: Any) -> Finding:
-    demand = " ".join((check.__doc__ or check.__name__).split())
+    demand = _demand(check)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of libraries; what matters is found by the checks

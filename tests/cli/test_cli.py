@@ -203,6 +203,9 @@ def test_waiting_for_the_robot_is_not_an_error(fakes, fake_run, tmp_path, capsys
     [
         (errno.EROFS, "read-only"),
         (errno.EACCES, "no permission"),
+        (errno.ENOTDIR, "is a file, not a folder"),
+        (errno.EEXIST, "exists already"),
+        (errno.ENAMETOOLONG, "too long"),
         (errno.ENOSPC, "the disk is full"),
     ],
 )

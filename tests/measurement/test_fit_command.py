@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 from dataclasses import replace
@@ -12,7 +13,7 @@ import pytest
 import torch
 
 from hts.config import MeasurementConfig
-from hts.errors import ConfigError, RunError
+from hts.errors import ConfigError, PluginError, RunError
 from hts.measurement import files, fit_command, fit_report
 from hts.measurement.data import input_tensor
 from hts.measurement.lstm import LSTMSettings
@@ -183,3 +184,97 @@ def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_
     fitted(0.7)
     learning.fit(Job, 3, print)
     assert len(Job.said) == 2 and "below that of `linear`" in Job.said[1]
+
+
+# --------------------------------------------------------------------------------------- a model that goes wrong
+
+
+@pytest.fixture
+def odd(store, monkeypatch):
+    """odd(fit) -> the fit of a model from `odd-lab` whose `fit` is that function, into a folder."""
+    from hts import plugins
+    from hts.measurement.linear import Linear, LinearSettings
+
+    def fit_with(out, fit, settings=None, name="odd"):
+        class Odd(Linear):
+            @property
+            def settings(self):
+                return super().settings if settings is None else settings
+
+        Odd.fit = lambda self, recordings, **how: fit(self, Linear.fit, recordings, how)
+        entry = plugins.Entry("odd", lambda given, context: Odd(LinearSettings(), context.signals), "odd-lab")
+        known = plugins.load()
+        known = replace(known, measurement_models={**known.measurement_models, "odd": entry})
+        monkeypatch.setattr(plugins, "load", lambda: known)
+        return fit_command.fit_store("cool", store.path, out, overrides=(f"objectives.cool.model={name}",))
+
+    return fit_with
+
+
+def with_tensor(model, really, recordings, how):
+    return {**really(model, recordings, **how), "x": torch.zeros(3)}
+
+
+def with_nan(model, really, recordings, how):
+    return {**really(model, recordings, **how), "error": float("nan")}
+
+
+def nothing(model, really, recordings, how):
+    really(model, recordings, **how)
+
+
+def misspelt(model, really, recordings, how):
+    return model.no_such_thing
+
+
+@pytest.mark.parametrize(
+    ("fit", "said"),
+    [
+        (with_tensor, r"its report holds 'x': Tensor, which JSON cannot hold"),
+        (with_nan, r"its report holds 'error': float, which JSON cannot hold"),
+        (nothing, r"gives a NoneType, expected a report: a dict of JSON values"),
+        (misspelt, r"failed, AttributeError: .*no_such_thing"),
+    ],
+)
+def test_a_fit_that_goes_wrong_is_one_line_with_its_package_and_leaves_nothing(odd, tmp_path, fit, said):
+    with pytest.raises(PluginError, match=rf"^Measurement model 'odd' \(from odd-lab\): fit\(\):? ?{said}") as caught:
+        odd(tmp_path / "out", fit)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_settings_that_no_file_can_hold_stop_it_before_it_is_fitted(odd, tmp_path):
+    with pytest.raises(PluginError, match=r"\(from odd-lab\): its `settings` holds 'width'"):
+        odd(tmp_path / "out", nothing, settings={"width": torch.zeros(1)})
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_fit_that_the_disk_stopped_takes_its_files_away(odd, tmp_path, monkeypatch):
+    def full(path, content, **_):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(fit_command, "atomic_write", full)
+    with pytest.raises(RunError, match="No space left"):
+        odd(tmp_path / "out", nothing, name="linear")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["fit.json", "model.json", "model.safetensors"])
+def test_a_fit_overwrites_no_file_of_another(odd, tmp_path, name):
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(RunError, match=f"{name} exists: nothing is overwritten"):
+        odd(tmp_path, nothing, name="linear")
+    assert (tmp_path / name).read_text() == "precious"
+
+
+def test_a_fit_that_ran_out_of_memory_still_says_what_to_do():
+    from hts.cli.one_line import one_line
+    from hts.guarded import guarded
+
+    def full():
+        raise MemoryError
+
+    with pytest.raises(PluginError) as caught:
+        guarded("Measurement model 'odd': fit()", full)
+    line, _ = one_line(caught.value)
+    assert line.startswith("error: Measurement model 'odd': fit() failed") and "Out of memory." in line

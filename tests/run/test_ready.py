@@ -147,3 +147,93 @@ def test_what_only_another_world_can_cure_does_not_send_anybody_to_resume(tmp_pa
     with pytest.raises(UnfitWorldError) as caught, resumable(tmp_path):
         raise UnfitWorldError("No twin of it. Start a run in another world: --world field.")
     assert "resume" not in str(caught.value)
+
+
+# -------------------------------------------------------------------------------------------- scores and instruments
+
+
+@pytest.mark.parametrize(
+    ("score", "said"),
+    [
+        (
+            "{'net': segments.values('fake_levl').mean(axis=1)}",
+            "No channel named 'fake_levl'. Did you mean 'fake_level'?",
+        ),
+        ("{'net': segments.idle('fake_levl')}", "has no idle level of 'fake_levl'"),
+        ("{'net': segments.valeus('fake_level')}", "AttributeError: 'Segments' object has no attribute 'valeus'"),
+        ("{'net': segments.values('fake_level').mean()}", "score 'net' has shape () for 3 segments"),
+        ("segments.values('fake_level').mean(axis=1)", "gives a ndarray, expected names with arrays"),
+    ],
+)
+def test_a_score_that_cannot_be_made_is_found_before_anything_is_recorded(broken, score, said):
+    broken(f"def score(self, segments):\n    return {score}")
+    found = refusal(PluginError, "broken")
+    assert said in found and "Objective 'broken' (from stranger): score" in found
+
+
+def test_a_score_may_refuse_numbers_that_nobody_measured(broken):
+    broken("def score(self, segments):\n    raise ValueError('no such numbers')")
+    check("broken")
+
+
+SENSOR = """
+from dataclasses import replace
+from hts import hookimpl
+from hts.testing.examples.objective.meter import Meter as Sound
+from hts.testing.examples.objective.objective import TARGET, Fake
+
+HTS_API = {api}
+
+class Meter(Sound):
+    channels = ({channel},)
+
+    def read(self):
+        return {read}
+
+class Broken(Fake):
+    name, instrument = "broken", "odd_meter"
+    target = {target}
+
+    def score(self, segments):
+        level = segments.values(TARGET.name)
+        return {{"net": level.reshape(len(segments), -1).mean(1), "gross": level.reshape(len(segments), -1).mean(1)}}
+
+@hookimpl
+def hts_objectives(register):
+    register("broken", lambda settings: Broken())
+
+@hookimpl
+def hts_instruments(register):
+    register("odd_meter", lambda settings, robot: Meter())
+"""
+OF_FOUR = "replace(TARGET, shape=(4,))"
+
+
+@pytest.mark.parametrize(
+    ("channel", "target", "read", "said"),
+    [
+        (
+            *(OF_FOUR, OF_FOUR, "super().read()"),
+            "Instrument 'odd_meter': read() gives 'fake_level' in shape (3,) for 3 robots; its channel says (4,) each",
+        ),
+        (
+            *("TARGET", OF_FOUR, "super().read()"),
+            "Objective 'broken' wants 'fake_level' in W, shape (4,); instrument 'odd_meter' measures it in W, shape ()",
+        ),
+        (
+            *("TARGET", "TARGET", "{'fake_levl': self.level}"),
+            "Instrument 'odd_meter': read() gives no 'fake_level', only fake_levl",
+        ),
+        (
+            *("TARGET", "TARGET", "{'fake_level': self.levl}"),
+            "Instrument 'odd_meter': reading it failed, AttributeError",
+        ),
+    ],
+)
+def test_a_sensor_that_cannot_be_read_is_found_before_a_robot_walks(install, channel, target, read, said):
+    from hts.hookspecs import API_VERSION
+    from hts.testing.packages import on_path
+
+    source = SENSOR.format(api=API_VERSION, channel=channel, target=target, read=read)
+    with on_path(install("stranger", {"stranger": source}, {"stranger": "stranger"})):
+        assert said in refusal(HtsError, "broken", "twin")

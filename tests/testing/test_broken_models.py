@@ -98,6 +98,12 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
         ({"made": OTHER_UNIT}, "is made for 'heat' in W and says 'heat' in V"),
         (fit(after="self.weight += 0.01 * torch.randn(self.num_features)"), "fitting it twice gives two 'weight'"),
         (fit(after="self.target_mean.zero_()"), "target_mean is 0, of the recordings it is"),
+        (
+            {
+                "body": "        def normalise_target(self, target):\n            return target",
+            },
+            "along the recordings that it was fitted to, where standard deviations are about 0 ± 1",
+        ),
         (fit(before="len(recordings[0].channels)"), "no recordings ends in a traceback, IndexError"),
         ({"body": GAIN}, "it predicts something else after it was saved and loaded"),
         (fit(after="self.register_buffer('more', torch.ones(3))"), "it holds 'more', which the model does not have"),

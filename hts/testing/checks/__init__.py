@@ -20,7 +20,12 @@ from hts.testing.checks import (
 
 Check = Callable[[Entry, Registry], None]
 
-MADE: tuple[Check, ...] = (names.name_can_be_typed, settings.settings_are_left_alone, settings.wrong_settings_are_told)
+MADE: tuple[Check, ...] = (
+    names.name_can_be_typed,
+    settings.can_be_made,
+    settings.settings_are_left_alone,
+    settings.wrong_settings_are_told,
+)
 """Of everything that a factory makes from settings."""
 
 CHECKS: Mapping[str, tuple[Check, ...]] = {
@@ -34,3 +39,10 @@ CHECKS: Mapping[str, tuple[Check, ...]] = {
     "commands": (names.name_can_be_typed, *rest.COMMAND_CHECKS),
 }
 """Kind (as in `hts.plugins.KINDS`) -> checks, in the order in which they make sense to a reader."""
+
+NEEDED: tuple[Check, ...] = (
+    settings.can_be_made,
+    objectives.channels_are_known,
+    rewards.gives_one_number_per_world,
+)
+"""Where one of these is not kept, the checks after it are not tried: they would only say the same in other words."""

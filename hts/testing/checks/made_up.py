@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,14 +55,22 @@ def case_for(world: Entry, registry: Registry) -> Case:
     others = [entry for entry in registry.objectives.values() if entry.package != world.package]
     for entry in (entry for entry in registry.robots.values() if entry.package == world.package):
         robot = registry.make_robot(entry.name)
-        pairs = [(registry.make_objective(one.name), one.name) for one in ours]
-        pairs.append((kit.objective, "fake"))
-        pairs += [(registry.make_objective(one.name), one.name) for one in others if one.name != "fake"]
+        pairs = [*_made(ours, registry), (kit.objective, "fake")]
+        pairs += _made((one for one in others if one.name != "fake"), registry)
         for objective, name in pairs:
             case = Case(robot, objective, (entry.name, name))
             if set(objective.inputs) <= set(robot.channels()) and _takes(world, case):
                 return case
     return kit
+
+
+def _made(entries: Iterable[Entry], registry: Registry) -> list[tuple[Objective, str]]:
+    """Those of the objectives that can be made, with their names: another's fault is found when that one is checked."""
+    found: list[tuple[Objective, str]] = []
+    for entry in entries:
+        with suppress(HtsError):
+            found.append((registry.make_objective(entry.name), entry.name))
+    return found
 
 
 def _takes(world: Entry, case: Case) -> bool:

@@ -30,6 +30,7 @@ from hts.testing.checks.fitted_models import (
 
 Check = Callable[[Entry, Registry], None]
 
+FAR_OFF = 1.0  # standard deviations that a model fitted in haste may be off, in mean and in spread
 LONG = 500  # samples: longer than any sensor is late
 
 
@@ -91,6 +92,29 @@ def counts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None
             abs(float(found) - wanted) <= 0.05 * target.std(),
             f"target_{name} is {float(found):g}, of the recordings it is {wanted:g} {context.signals.target.unit}",
         )
+
+
+@after(is_made_unfitted)
+def predicts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None:
+    """Its predictions along the recordings that it was fitted to are in standard deviations: about 0 ± 1."""
+    import torch
+
+    from hts.measurement.data import input_tensor
+
+    context, recordings = context_for(entry, registry)
+    model = fitted_model(entry, registry)
+    run_in = round(context.signals.rate_hz)  # a second, in which a memory fills
+    with torch.no_grad():
+        along = [model.sequence(input_tensor(context.signals, one)[None])[0].mean[0, run_in:] for one in recordings]
+    found = torch.cat(along)
+    mean, spread = float(found.mean()), float(found.std())
+    unit = context.signals.target.unit
+    ensure(
+        abs(mean) <= FAR_OFF and spread <= 1 + FAR_OFF,
+        f"predicts {mean:.3g} ± {spread:.3g} along the recordings that it was fitted to, where standard deviations are "
+        f"about 0 ± 1 (the target is {float(model.target_mean):.3g} ± {float(model.target_std):.3g} {unit}): fit to "
+        "(target - target_mean) / target_std",
+    )
 
 
 @after(is_made_unfitted)
@@ -319,6 +343,7 @@ CHECKS: Sequence[Check] = (
     is_made_unfitted,
     is_fitted_the_same_again,
     counts_in_deviations_of_the_target,
+    predicts_in_deviations_of_the_target,
     predicts_for_each_world,
     step_and_sequence_agree,
     keeps_worlds_apart,

@@ -12,7 +12,7 @@ from hts import units
 from hts.channels import Channel
 from hts.config import MeasurementConfig, Named
 from hts.contracts import MODEL, Comparison, Objective
-from hts.errors import PluginError, unknown_name
+from hts.errors import HtsError, PluginError, unknown_name
 from hts.evaluation.segments import Segments
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import ensure, listed, same
@@ -43,6 +43,19 @@ def own_weights_fit_any_sensor(entry: Entry, registry: Registry) -> None:
         found = tuple(objective.weights_for(spread, recordings))
         ensure(len(found) == len(objective.weights), f"weights_for gives {found}, weights are {objective.weights}")
         ensure(all(math.isfinite(one) and one >= 0 for one in found), f"weights_for gives {found}")
+
+
+def wrong_weights_are_told(entry: Entry, registry: Registry) -> None:
+    """Settings of λ refuse -1 and NaN in one line: below 0, more of what is bad would be rewarded."""
+    for key in ("weights", "baseline_weights"):
+        for wrong in (-1.0, math.nan):
+            try:
+                registry.make_objective(entry.name, {key: [wrong]})
+            except HtsError:
+                continue
+            except Exception as error:
+                raise PluginError(f"{key}=[{wrong:g}] ends in a traceback, {type(error).__name__}: {error}") from error
+            ensure(False, f"takes {key}=[{wrong:g}]")
 
 
 def channels_are_known(entry: Entry, registry: Registry) -> None:
@@ -191,6 +204,7 @@ def _all_values(made_up: Segments) -> dict[str, np.ndarray]:
 CHECKS = (
     has_its_parts,
     own_weights_fit_any_sensor,
+    wrong_weights_are_told,
     channels_are_known,
     instrument_measures_the_target,
     model_is_registered,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from pydantic import ValidationError
+
 from hts.errors import HtsError, PluginError
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import ensure
@@ -33,6 +35,12 @@ for _name in ("__setitem__", "__delitem__", "pop", "popitem", "setdefault", "upd
     _watch(_name)
 
 
+def can_be_made(entry: Entry, registry: Registry) -> None:
+    """Its factory makes it without settings."""
+    made = entry.factory({}, *rest_of(kind_of(entry, registry), entry, registry))
+    ensure(made is not None, "its factory gives None: is `return` missing?")
+
+
 def settings_are_left_alone(entry: Entry, registry: Registry) -> None:
     """The settings that its factory is given are only read: the run's own configuration hangs on them."""
     rest = rest_of(kind_of(entry, registry), entry, registry)
@@ -59,14 +67,18 @@ def wrong_settings_are_told(entry: Entry, registry: Registry) -> None:
 def _refusal(entry: Entry, registry: Registry, settings: dict[str, Any], key: str) -> str | None:
     """What a user would read; None if the settings are taken. Raises PluginError for a text that helps nobody."""
     kind = kind_of(entry, registry)
-    make = getattr(registry, f"make_{kind.removesuffix('s')}")
+    make, rest = getattr(registry, f"make_{kind.removesuffix('s')}"), rest_of(kind, entry, registry)
     try:
-        make(entry.name, settings, *rest_of(kind, entry, registry))
+        entry.factory(dict(settings), *rest)
+    except (HtsError, ValidationError):
+        pass  # what comes of it for a user is looked at below
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}"
+        raise PluginError(f"a wrong setting '{key}' ends in a traceback, {what}") from error
+    try:
+        make(entry.name, settings, *rest)
     except HtsError as error:
         text = str(error)
         ensure("\n" not in text and key in text, f"says of the setting '{key}': {text}")
         return text
-    except Exception as error:
-        what = f"{type(error).__name__}: {error}"
-        raise PluginError(f"a wrong setting '{key}' ends in a traceback, {what}") from error
     return None

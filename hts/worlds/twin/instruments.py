@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 from hts.contracts import Instrument, PhysicsSample, Robot, Settings
 from hts.errors import ConfigError, UnfitWorldError, unknown_name
+from hts.guarded import guarded
 
 if TYPE_CHECKING:
     import numpy as np
 
     from hts.plugins import Registry
     from hts.worlds.twin.parameters import TwinSettings
+
+
+WORLDS = 3  # robots that instruments are tried on; no likely size of a channel, so that no shape fits by chance
 
 
 def instrument_names(registry: Registry, objectives: Mapping[str, Settings]) -> list[str]:
@@ -73,6 +77,43 @@ def maker(
 
     make()
     return make
+
+
+def check_readings(instruments: Mapping[str, Instrument], robot: Robot) -> None:
+    """Raise UnfitWorldError for an instrument that does not give what its channels say: it is read once, after one
+    made-up physics step of WORLDS robots that stand still, before any robot has walked."""
+    import numpy as np
+
+    joints, feet = (WORLDS, robot.spec.num_joints), (WORLDS, len(robot.spec.foot_sites))
+    still = PhysicsSample(
+        motor_torque=np.full(joints, 0.1),
+        joint_velocity=np.zeros(joints),
+        foot_force=np.ones(feet),
+        foot_speed=np.zeros(feet),
+        foot_mass=np.ones(feet),
+        dt=robot.spec.physics_dt,
+    )
+    for name, instrument in instruments.items():
+
+        def read(instrument: Instrument = instrument) -> Mapping[str, np.ndarray]:
+            instrument.reset(WORLDS, np.random.default_rng(0))
+            instrument.step(still)
+            return instrument.read()
+
+        given = guarded(f"Instrument '{name}': reading it", read)
+        for channel in instrument.channels:
+            wanted = (WORLDS, *channel.shape)
+            if channel.name not in given:
+                raise UnfitWorldError(
+                    f"Instrument '{name}': read() gives no '{channel.name}', only "
+                    f"{', '.join(sorted(given)) or 'nothing'}. It must give every one of its channels."
+                )
+            found = np.shape(given[channel.name])
+            if found != wanted:
+                raise UnfitWorldError(
+                    f"Instrument '{name}': read() gives '{channel.name}' in shape {found} for {WORLDS} robots; its "
+                    f"channel says {channel.shape} each, so {wanted}. Correct read(), or the shape of the Channel."
+                )
 
 
 class Unread(Instrument):

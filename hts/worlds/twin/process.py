@@ -51,7 +51,7 @@ class Twin:
         self.settings = resolved_settings(TwinSettings.model_validate(start["settings"]), start["robot"])
         self.seed, self.name = int(start["seed"]), start["name"]
         self.wanted = {
-            name: [channel.name for channel in registry.make_objective(name, settings).real_channels]
+            name: registry.make_objective(name, settings).real_channels
             for name, settings in start["objectives"].items()
         }
         self._make = maker(registry, self.robot, start["objectives"], self.settings)
@@ -66,6 +66,7 @@ class Twin:
 
     def check(self) -> str:
         """A twin of this robot can be made, and its instruments measure what every objective wants."""
+        from hts.worlds.twin.instruments import check_readings
         from hts.worlds.twin.model import build
 
         if not isinstance(self.robot.task(), FollowVelocity):
@@ -73,13 +74,21 @@ class Twin:
                 f"A twin walks at commanded velocities; robot '{self.robot.spec.name}' has another task. Start a run "
                 "in another world: --world field, or one that a plugin brings."
             )
-        shown = {channel.name for instrument in self._make().values() for channel in instrument.channels}
+        instruments = self._make()
+        shown = {one.name: (which, one) for which, instrument in instruments.items() for one in instrument.channels}
         for name, target in ((name, one) for name, wanted in self.wanted.items() for one in wanted):
-            if target not in shown:
+            if target.name not in shown:
                 raise UnfitWorldError(
-                    f"Objective '{name}' wants '{target}', which no instrument of this twin measures "
+                    f"Objective '{name}' wants '{target.name}', which no instrument of this twin measures "
                     f"({', '.join(sorted(shown))}). Name the right one in the objective's class."
                 )
+            which, given = shown[target.name]
+            if (given.unit, given.shape) != (target.unit, target.shape):
+                raise UnfitWorldError(
+                    f"Objective '{name}' wants '{target.name}' in {target.unit}, shape {target.shape}; instrument "
+                    f"'{which}' measures it in {given.unit}, shape {given.shape}. Use one Channel for both."
+                )
+        check_readings(instruments, self.robot)
         build(self.robot, self.settings.dynamics)
         return "ready"
 

@@ -7,7 +7,7 @@ which averages sound energy, because a loud second is not made up for by a quiet
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 LOUD_PERCENTILE = 90.0  # L10: the level exceeded during 10 % of the time
 
 
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
 class NoiseSettings(Config):
     """Settings of objective `noise`."""
 
@@ -33,10 +36,10 @@ class NoiseSettings(Config):
         description="what a candidate counts with: the smaller of its gains in mean level and in sound energy per "
         "metre (slower walking is no gain), or mean level alone",
     )
-    weights: tuple[float, ...] = Field(
+    weights: tuple[Weight, ...] = Field(
         (1.0,), min_length=1, description="λ swept, reward per second and standard deviation of the level"
     )
-    baseline_weights: tuple[float, ...] = Field(
+    baseline_weights: tuple[Weight, ...] = Field(
         (1e-4, 3e-4, 1e-3, 3e-3, 1e-2), min_length=1, description="λ swept with the analytic proxy, per N·(rad/s)²"
     )
     torque: bool = Field(False, description="give the model joint torque too; see the table in docs/noise.md")

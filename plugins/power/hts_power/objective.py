@@ -51,8 +51,8 @@ class PowerSettings(Config):
         min_length=1,
         description="λ swept where `weights` is null, reward per second for all of the net current, behind any gauge",
     )
-    baseline_weights: tuple[float, ...] = Field(
-        (5e-3, 2e-2, 6e-2), min_length=1, description="λ swept with the analytic proxy, reward per joule"
+    baseline_weights: tuple[Weight, ...] = Field(
+        (6e-2, 0.15, 0.4), min_length=1, description="λ swept with the analytic proxy, reward per joule"
     )
     joule_coefficient: float = Field(
         JOULE_COEFFICIENT,

@@ -6,7 +6,7 @@ As it stands: the work that the joints do per second, in W, as one sensor on the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
@@ -24,13 +24,16 @@ if TYPE_CHECKING:
 TARGET = Channel("fake_level", "W", (), "what the sensor on the robot reads")
 
 
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]  # below 0, λ would reward more of the target
+
+
 class Settings(Config):
     """Settings of the objective: `--set objectives.fake.hidden=32`. A key that is not here is refused."""
 
-    weights: tuple[float, ...] = Field(
+    weights: tuple[Weight, ...] = Field(
         (0.5, 1.0, 5.0), min_length=1, description="λ swept, reward per second and standard deviation of the target"
     )
-    baseline_weights: tuple[float, ...] = Field(
+    baseline_weights: tuple[Weight, ...] = Field(
         (0.001, 0.01), min_length=1, description="λ swept by `hts baseline`, reward per second and unit of the proxy"
     )
     hidden: int = Field(64, ge=1, description="units of the measurement model")

@@ -1,0 +1,86 @@
+"""A call of a plugin's factory: it gives what its contract says, or one line names the plugin and its package."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hts import contracts
+from hts.channels import Channel
+from hts.contracts import Objective
+from hts.errors import ConfigError, HtsError, PluginError
+from hts.explain import explain
+
+CONTRACTS: Mapping[str, type] = {
+    "objectives": contracts.Objective,
+    "measurement_models": contracts.MeasurementModel,
+    "robots": contracts.Robot,
+    "worlds": contracts.World,
+    "instruments": contracts.Instrument,
+    "selectors": contracts.Selector,
+    "log_readers": contracts.LogReader,
+}
+"""Kind, as in `hts.plugins.KINDS` -> what its factories give."""
+
+
+def made_by(factory: Callable[..., Any], kind: str, who: str, package: str, *given: Any) -> Any:
+    """What the factory gives; who: "objective 'heat'"; given: its settings and what its kind gets beside them.
+
+    Raises ConfigError for settings that pydantic refuses, what the factory raises of hts.errors, and PluginError for
+    anything else that goes wrong in it, or that is not what the kind's contract asks for.
+    """
+    from pydantic import ValidationError
+
+    remedy = f"Mend {package}, or take it away: pip uninstall {package}"
+    try:
+        made = factory(*given)
+    except HtsError:
+        raise
+    except ValidationError as error:
+        raise ConfigError(f"Settings of {who} (from {package}): {explain(error)}") from error
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise PluginError(
+            f"{_begun(who, package)} cannot be made, {type(error).__name__}: {text.rstrip('.')}. {remedy} "
+            "(HTS_DEBUG=1 shows where)."
+        ) from error
+    strict = kind == "measurement_models" and not isinstance(made, contracts.MeasurementModel)
+    if strict or made is None or isinstance(made, type):  # `return` or a pair of brackets is missing
+        found = f"the class {made.__name__} itself" if isinstance(made, type) else f"a {type(made).__name__}"
+        raise PluginError(
+            f"{_begun(who, package)}: its factory gives {found}, not a hts.contracts.{CONTRACTS[kind].__name__}. "
+            f"{remedy}."
+        )
+    if isinstance(made, Objective):
+        _check_parts(made, f"{_begun(who, package)}", remedy)
+        _check_weights(made, _begun(who, package))
+    return made
+
+
+def _begun(who: str, package: str) -> str:
+    return f"{who[:1].upper()}{who[1:]} (from {package})"
+
+
+def _check_parts(objective: Objective, who: str, remedy: str) -> None:
+    """Raise PluginError for an objective that lacks what every page and command reads of it."""
+    lacking = [part for part in ("name", "unit", "inputs", "target") if part not in dir(objective)]
+    if lacking:
+        raise PluginError(f"{who}: its class sets no {', '.join(lacking)}, which every objective has. {remedy}.")
+    for channel in objective.real_channels:
+        if not isinstance(channel, Channel):
+            raise PluginError(f"{who}: measures {channel!r}, expected a hts.channels.Channel. {remedy}.")
+
+
+def _check_weights(objective: Objective, who: str) -> None:
+    """Raise ConfigError for λ that are no finite numbers of at least 0: below 0 more of what is bad would be paid."""
+    for what in ("weights", "baseline_weights"):
+        values = getattr(objective, what)
+        numbers = isinstance(values, (tuple, list)) and all(isinstance(one, (int, float)) for one in values)
+        if not numbers or not all(math.isfinite(one) and one >= 0 for one in values):
+            found = [float(one) for one in values] if numbers else repr(values)
+            raise ConfigError(
+                f"{who}: {what} are {found}; expected finite λ of at least 0, else more of what is "
+                f"to be less would be rewarded. Change them with --set objectives.{objective.name}.{what}=[1.0], or in "
+                "the package."
+            )

@@ -1,0 +1,61 @@
+"""Places to write to: whether something can be made there, known before anything is spent on it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from pathlib import Path
+
+from hts.atomic import temporary_of
+from hts.errors import RunError
+
+PLACE_FAULTS: dict[int, str] = {
+    errno.EROFS: "the file system is read-only. Choose a place that can be written{option}",
+    errno.EACCES: "no permission. Change its owner or mode, or choose another place{option}",
+    errno.EPERM: "not permitted. Change its owner or mode, or choose another place{option}",
+    errno.ENOSPC: "the disk is full. Nothing finished is lost: free some space and give the command again",
+    errno.EDQUOT: "the disk quota is used up. Nothing finished is lost: free some space and give the command again",
+    errno.ENOTDIR: "a part of this path is a file, not a folder. Choose another place{option}",
+    errno.EISDIR: "is a folder, a file was expected. Choose another place{option}",
+    errno.ENOENT: "is not there, or cannot be made there. Check the path, or choose another place{option}",
+    errno.EEXIST: "exists already. Nothing is overwritten: choose another place{option}",
+    errno.ENAMETOOLONG: "a name in this path is too long for the file system. Choose a shorter one{option}",
+    errno.ELOOP: "a link in this path leads back to itself. Choose another place{option}",
+}
+"""errno -> what is wrong and what to do, the end of a sentence that began with the path."""
+
+
+def place_fault(number: int, option: str = "") -> str | None:
+    """What a system error of this number says of a place; None if it is about something else.
+
+    option: of the command line that names the place, such as "--out DIR"; empty where it is not known.
+    """
+    found = PLACE_FAULTS.get(number)
+    return None if found is None else found.format(option=f" with {option}" if option else "")
+
+
+def check_place(place: Path, option: str, *, file: bool = False) -> None:
+    """Raise RunError unless a folder, or a file, can be made at `place`; option: what names it, such as "--out DIR".
+
+    It is tried: a folder with the same names is made beside it and taken away again. A folder that is there counts as
+    made; whether it may be used is for the caller to say.
+    """
+    above = place.parent if file else place
+    while not os.path.lexists(above) and above != above.parent:
+        above = above.parent
+    if not above.is_dir():
+        what = "a link to nothing" if above.is_symlink() else "a file, not a folder"
+        where = f"{above} is" if above != place else "is"
+        raise RunError(f"{place}: {where} {what}. Choose another place with {option}.")
+    names = [name for name in place.relative_to(above).parts if name != ".."]
+    if file and names:
+        names[-1] = temporary_of(Path(names[-1])).name  # the longest name that it will have
+    try:
+        with tempfile.TemporaryDirectory(prefix=".hts-", dir=above) as beside:
+            Path(beside, *names).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = (
+            place_fault(error.errno or 0, option) or f"cannot be written ({error}). Choose another place with {option}"
+        )
+        raise RunError(f"{place}: {why}.") from error
