@@ -94,8 +94,9 @@ class LayoutFile(Config):
     def _no_gain_pushes(cls, gains: Numbers | None) -> Numbers | None:
         """A negative gain drives a joint away from its target."""
         given = gains.values() if isinstance(gains, dict) else gains if isinstance(gains, list) else [gains]
-        if any(one is not None and one < 0 for one in given):
-            raise ValueError("expected gains of 0 or more")
+        below = [one for one in given if one is not None and one < 0]
+        if below:
+            raise ValueError(f"{below[0]:g} is below 0, expected gains of 0 or more")
         return gains
 
 

@@ -293,7 +293,7 @@ def test_a_log_without_rows_is_refused(checkpoint, full):
 @pytest.mark.parametrize("gains", ["-1", "[20, -1, 20, 20]", "{.*_hip: -1.0, .*_knee: 30}"])
 def test_gains_below_zero_are_refused(checkpoint, tmp_path, gains):
     (tmp_path / "layout.yaml").write_text(f"kp: {gains}\n")
-    with pytest.raises(ConfigError, match=r"layout.yaml: kp: expected gains of 0 or more, found"):
+    with pytest.raises(ConfigError, match=r"layout.yaml: kp: -1 is below 0, expected gains of 0 or more"):
         load_layout(tmp_path / "layout.yaml")
     with pytest.raises(PolicyError, match=r"model.pt: kd is -0.5 for a joint, expected 0 or more"):
         import_whole(checkpoint, SPEC, Layout(PARTS, THEIRS, replace(TRUE, kd={".*_hip": -0.5, ".*_knee": 0.8})))

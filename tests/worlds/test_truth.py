@@ -12,7 +12,7 @@ from hts import plugins
 from hts.cli.main import main
 from hts.contracts import HoldSpeed, Instrument, WorldContext
 from hts.errors import ConfigError, UnfitWorldError
-from hts.evaluation.final import in_sessions
+from hts.evaluation.evaluate import in_sessions
 from hts.evaluation.held import ask_to_hold
 from hts.worlds.realities import truth as truth_module
 from hts.worlds.realities.batch import exported_policy
