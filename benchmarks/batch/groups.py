@@ -91,13 +91,20 @@ def refused(outcome: Outcome, kind: str = "chosen") -> Mapping[str, str]:
 def falls_of(outcome: Outcome) -> int:
     """In a final, held and at equal commands, at refused speeds too."""
     figures = [one for found in (outcome.held, outcome.open_loop) for one in (found or {}).values()]
-    at_refused = [*outcome.refused_falls.values(), *outcome.refused_falls_open_loop.values()]
-    return sum(one.falls for one in figures) + sum(at_refused)
+    at_refused = (
+        (outcome.refused, outcome.refused_falls),
+        (outcome.refused_open_loop, outcome.refused_falls_open_loop),
+    )
+    return sum(one.falls for one in figures) + sum(
+        max(counted.get(speed, 0), falls_told(reasons.get(speed)))
+        for reasons, counted in at_refused
+        for speed in reasons.keys() | counted.keys()
+    )
 
 
 def falls_told(why: str | None) -> int:
-    """That a refusal speaks of; lines of before did not count them besides."""
-    found = re.search(r"with (\d+) falls", why or "")
+    """Of the policy, that a refusal speaks of; lines of before did not count them besides."""
+    found = re.search(r"of the policy are valid .*with (\d+) falls", why or "")
     return int(found[1]) if found else 0
 
 

@@ -67,16 +67,16 @@ def provenance_of(folder: Path) -> tuple[dict[str, str], Json]:
 def _outcome(entry: Json) -> Outcome:
     """Speeds that stand beside `open_loop` were held; without it, nothing was."""
     beside = entry.get("open_loop")
-    speeds, refused = _figures(entry["speeds"]), _refused(entry)
+    speeds, refused, refused_falls = _figures(entry["speeds"]), _refused(entry), entry.get("refused_falls") or {}
     if beside is None:
-        return Outcome(unit=entry["unit"], open_loop=speeds, refused=refused)
+        return Outcome(unit=entry["unit"], open_loop=speeds, refused=refused, refused_falls=refused_falls)
     opened = _figures(beside["speeds"])
     return Outcome(
         unit=entry["unit"],
         held=speeds,
         open_loop=opened,
         refused=refused,
-        refused_falls=entry.get("refused_falls") or {},
+        refused_falls=refused_falls,
         refused_open_loop=_refused(beside),
         refused_falls_open_loop=beside.get("refused_falls") or {},
     )

@@ -9,7 +9,7 @@ from batch import blocks, tables
 from batch.ablation import ablation
 from batch.all_tables import ALL
 from batch.groups import groups_of, saving
-from batch.harvest import result_of
+from batch.harvest import _outcome, result_of
 from batch.lines import CONFIRM, append, read_lines
 from fake_lines import line
 
@@ -150,16 +150,33 @@ def test_at_equal_commands_it_is_refusals_at_equal_commands_that_are_compared():
     assert row[3] == "−1"
 
 
+def told(falls, of="policy"):
+    return f"0 of 40 segments of the {of} are valid (within ±10% of the commanded speed, with {falls} falls)"
+
+
 def test_falls_are_counted_where_a_speed_or_a_candidate_was_refused_too():
     one = line()
     tried = one.result.tried[0]
-    told = tried.model_copy(update={"refused": True, "why": "00-01: 3 of 40 segments are valid, with 2 falls"})
-    counted = tried.model_copy(update={"refused": True, "why": "00-02: 3 of 40 are valid, with 2 falls", "falls": 3})
+    spoken = tried.model_copy(update={"refused": True, "why": f"00-01: {told(2)}"})
+    counted = tried.model_copy(update={"refused": True, "why": f"00-02: {told(2)}", "falls": 3})
     outcome = one.result.objectives["power"].model_copy(
         update={"refused_falls": {"0.5": 1}, "refused_falls_open_loop": {"0.8": 1, "1.1": 2}}
     )
-    result = one.result.model_copy(update={"tried": [told, counted], "objectives": {"power": outcome}})
+    result = one.result.model_copy(update={"tried": [spoken, counted], "objectives": {"power": outcome}})
     assert row_of(tables.methods(groups_of([one.model_copy(update={"result": result})])), "ours")[10] == "4, 5"
+
+
+def test_falls_that_only_a_refusal_speaks_of_are_counted_once_and_the_reference_s_never():
+    one = line()
+    outcome = one.result.objectives["power"].model_copy(
+        update={
+            "refused": {"0.5": told(2), "0.8": told(4, of="reference")},
+            "refused_falls": {"0.5": 2},
+            "refused_open_loop": {"0.5": told(3), "1.1": "too slow"},
+        }
+    )
+    result = one.result.model_copy(update={"tried": [], "objectives": {"power": outcome}})
+    assert row_of(tables.methods(groups_of([one.model_copy(update={"result": result})])), "ours")[10] == "5, 0"
 
 
 def test_the_best_other_is_another_one_on_each_reality():
@@ -264,6 +281,11 @@ def test_a_real_run_folder_becomes_a_result(small_run):
     assert sum(value for stage, value in found.real_samples.items() if stage != "total") == summary["real_samples"]
     assert found.candidates == 2 and len(found.tried) == 1
     assert found.models[0].objective == "power" and found.models[0].pairs
+
+
+def test_a_final_whose_speed_was_not_held_keeps_its_falls_at_refused_speeds():
+    found = _outcome({"unit": "1", "speeds": {}, "refused": {"0.5": told(2)}, "refused_falls": {"0.5": 2}})
+    assert found.held is None and found.refused_falls == {"0.5": 2}
 
 
 def test_an_elite_whose_training_was_stopped_has_no_score_and_its_run_a_line_all_the_same(tmp_path):
