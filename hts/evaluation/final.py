@@ -95,12 +95,13 @@ def entry_both_ways(
 
     The entry's `speeds` (and `refused`) are the held ones; `open_loop`: {"speeds", "refused"}, as the paper has them.
     `refused_falls`: how often it fell at speeds that are refused, where it did.
-    A speed that cannot be judged in one way may be in the other. Raises EvaluationError if there is none in either.
+    A speed that cannot be judged in one way may be in the other. Raises NotComparable if there is none in either: for
+    what the policy did, where it did something.
     """
     results, refusals = judged_speeds(objective, held, config, seed, task)
     beside, refusals_beside = judged_speeds(objective, open_loop, config, seed, task)
     if not results and not beside:
-        raise next(iter(refusals.values()))
+        raise min(refusals.values(), key=lambda error: error.role == "reference")
     entry = entry_of(objective, results)
     entry["open_loop"] = {"speeds": entry_of(objective, beside)["speeds"]}
     for place, why in ((entry, refusals), (entry["open_loop"], refusals_beside)):

@@ -16,6 +16,11 @@ Row = Mapping[str, Any]
 SEVERAL = 3
 """So many iterations in a row that choose nobody are worth a sentence of their own."""
 
+NOBODY_KEPT = (
+    "No final head-to-head counts: nobody who got one could be compared at any speed, so the pretrained policy stays "
+    "the best."
+)
+
 SMALLER = "try smaller λ (sweep.weights) or KL bounds (sweep.kl_bounds)"
 
 
@@ -59,7 +64,10 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
     if (summary.get("final") or {}).get("policy") == "pretrained":
         refused = sum(len((one.get("gate") or {}).get("refused") or ()) for one in summary.get("iterations") or ())
         tried = [row for _, _, rows in iterations for row in rows]
-        sentences.append(_no_final(tried, bool(iterations), task, refused))
+        if summary["final"].get("given_up"):
+            sentences.append(f"{NOBODY_KEPT} {_advice(task)}")
+        else:
+            sentences.append(_no_final(tried, bool(iterations), task, refused))
     sentences += changes(summary)
     for number, one in enumerate(summary.get("iterations") or ()):
         sentences += [f"Iteration {one.get('index', number):02d}: {line}" for line in one.get("warnings") or ()]

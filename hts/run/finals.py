@@ -16,6 +16,7 @@ from typing import Any
 from hts.evaluation.final import entry_both_ways, entry_of, falls_by_speed, segment_scores, walked_speeds
 from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.recordings.recording import Recording
+from hts.run.front import PRETRAINED
 from hts.run.head_to_head import head_to_head, held_head_to_head
 from hts.run.job import Job
 from hts.run.stages import read_json, write_json
@@ -62,12 +63,11 @@ class Tried:
 def final(job: Job, finalists: Sequence[str], report: Report) -> dict[str, Any]:
     """The first of the finalists who keeps every speed, else the one who loses fewest; also writes policies/best.*
 
-    Where the run holds the speed it is done twice: held, and at equal commands as in the paper. Raises EvaluationError
-    if no speed of any of them can be judged.
+    Where the run holds the speed it is done twice: held, and at equal commands as in the paper. Where none of them
+    keeps any speed the policy to start from stays the best. Raises EvaluationError if it is what cannot be judged.
     """
-    if finalists[0] == "pretrained":
-        _as_best(job, "pretrained")
-        return {"policy": "pretrained", "objectives": {}, "recordings": [], "samples": 0}
+    if finalists[0] == PRETRAINED:
+        return _stays(job, [])
     tried: list[Tried] = []
     for number, name in enumerate(finalists):
         share = lambda done, number=number: report((number + done) / len(finalists))
@@ -77,19 +77,35 @@ def final(job: Job, finalists: Sequence[str], report: Report) -> dict[str, Any]:
             break
         if number + 1 < len(finalists):
             job.stages.progress.say(f"{_why(tried[-1])} Next: {finalists[number + 1]}.")
+    for one in tried:
+        if one.error is not None and one.error.role == "reference":
+            raise one.error
     chosen = min(tried, key=lambda one: one.lost)
     if chosen.error is not None:
-        raise chosen.error
+        return _stays(job, tried)
     if chosen is not tried[-1]:
         _as_best(job, chosen.policy)
-    recordings = [recording for one in tried for recording in one.recordings]
-    ids = job.keep(recordings, job.config.iterations + 1)
     write_json(job.folder / "segments.json", chosen.scores)
     return {
         "policy": chosen.policy,
         "objectives": chosen.entries,
         "given_up": [one.given_up() for one in tried if one is not chosen],
-        "recordings": ids,
+        **_walked(job, tried),
+    }
+
+
+def _stays(job: Job, tried: Sequence[Tried]) -> dict[str, Any]:
+    """The policy to start from is the result: nobody is to have a final, or nobody kept any speed in theirs."""
+    _as_best(job, PRETRAINED)
+    given_up = {"given_up": [one.given_up() for one in tried]} if tried else {}
+    return {"policy": PRETRAINED, "objectives": {}, **given_up, **_walked(job, tried)}
+
+
+def _walked(job: Job, tried: Sequence[Tried]) -> dict[str, Any]:
+    """What all finals recorded, kept in the run's store."""
+    recordings = [recording for one in tried for recording in one.recordings]
+    return {
+        "recordings": job.keep(recordings, job.config.iterations + 1) if recordings else [],
         "samples": sum(recording.robot_samples for recording in recordings),
     }
 

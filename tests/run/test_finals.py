@@ -7,7 +7,10 @@ import json
 import pytest
 
 from hts.errors import EvaluationError
+from hts.evaluation import final as judging
+from hts.evaluation.held import NotComparable
 from hts.report.outcome import closing, finals_before
+from hts.run import finals
 from hts.run.finals import Tried
 from hts.testing.known_world import KnownWorld
 from hts.testing.packages import kit_installed
@@ -95,11 +98,42 @@ def test_one_final_alone_is_as_before(tmp_path, losing):
     assert final["policy"] == best and list(final["objectives"]["fake"]["refused"]) == ["0.5"]
 
 
-def test_nothing_that_can_be_judged_in_any_of_them_ends_the_run_in_one_line(tmp_path, losing):
+def test_where_nobody_keeps_any_speed_the_policy_to_start_from_stays_and_what_was_walked_is_kept(tmp_path, losing):
     losing[0][:] = [[0.5, 0.8]] * 3
+    run, order, final = ended(tmp_path)
+    assert final["policy"] == run.summary["final"]["policy"] == "pretrained" and final["objectives"] == {}
+    assert [one["policy"] for one in run.summary["final"]["given_up"]] == order[:3]
+    assert all("segments of the policy are valid" in one["error"] for one in final["given_up"])
+    assert final["samples"] > 0 and len(final["recordings"]) == 3 * 4 * len(SETTINGS["evaluation.speeds"])
+    assert run.summary["real_samples"] == run.summary["real_samples_before_final"] + final["samples"]
+    assert (run.folder / "policies/best.onnx").read_bytes() == (run.folder / "policies/pretrained.onnx").read_bytes()
+    said = closing(run.summary)
+    assert said[0].startswith("No final head-to-head counts: nobody who got one could be compared at any speed")
+    assert f"In a final of its own {order[0]} could not be compared at all; pretrained is the result." in said
+    assert said[0] in (run.folder / "report.html").read_text()
+
+
+def test_a_reference_that_cannot_be_judged_ends_the_run_in_one_line(tmp_path, losing, monkeypatch):
+    losing[0][:] = [[0.5, 0.8]] * 3
+    judge = finals.walked_speeds
+
+    def blaming_the_reference(*args):
+        try:
+            return judge(*args)
+        except NotComparable as error:
+            raise NotComparable(str(error), "reference") from error
+
+    monkeypatch.setattr(finals, "walked_speeds", blaming_the_reference)
     with pytest.raises(EvaluationError, match="segments of the policy are valid"):
         ended(tmp_path)
-    assert len(losing[1]) == 3
+    assert len(losing[1]) == 1
+
+
+def test_where_both_are_why_no_speed_is_left_it_is_the_policy_that_is_said(monkeypatch):
+    why = {"0.5": NotComparable("the reference", "reference"), "0.8": NotComparable("the policy")}
+    monkeypatch.setattr(judging, "judged_speeds", lambda *args: ({}, why))
+    with pytest.raises(NotComparable, match="the policy"):
+        judging.entry_both_ways(None, [], [], None)
 
 
 def test_a_fall_counts_and_what_was_the_references_fault_does_not():
