@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.stats import binomtest
 
 from batch.lines import Part, parsed
 from batch.tables import NONE, differences, table
@@ -121,6 +122,18 @@ def share(rows: dict[str, list[tuple[float, Interval, float]]]) -> Population:
     )
 
 
+def share_interval(rows: dict[str, list[tuple[float, Interval, float]]]) -> Interval | None:
+    """95 % of `share`: over realities, and no narrower than so many intervals say if realities were alike (Clopper and
+    Pearson 1934). A few realities that agree, all intervals of which hold the truth say, would have none at all. None
+    with one reality."""
+    over_realities = share(rows).interval
+    if over_realities is None:
+        return None
+    holds = [low <= truth <= high for each in rows.values() for _, (low, high), truth in each]
+    alike = binomtest(sum(holds), len(holds)).proportion_ci(0.95, method="exact")
+    return min(over_realities[0], float(alike.low)), max(over_realities[1], float(alike.high))
+
+
 def coverage_table(lines: Sequence[CoverageLine]) -> str:
     """Pooled, then by speed and by policy: share that holds the truth, with its interval over realities; mean half
     width; root mean square and mean of estimate less truth."""
@@ -147,9 +160,8 @@ def coverage_table(lines: Sequence[CoverageLine]) -> str:
         every = [row for each in found.values() for row in each]
         held, errors = share(found), np.array([estimate - truth for estimate, _, truth in every])
         half = float(np.mean([(high - low) / 2 for _, (low, high), _ in every]))
-        between = (
-            "one reality" if held.interval is None else f"{_percent(held.interval[0])} to {_percent(held.interval[1])}"
-        )
+        ends = share_interval(found)
+        between = "one reality" if ends is None else f"{_percent(ends[0])} to {_percent(ends[1])}"
         rows.append(
             [
                 kind,

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from statistics import mean
 
-from batch.lines import Figures, Line, Outcome, Result
+from batch.lines import Figures, GivenUp, Line, Outcome, Result
 from batch.methods import ORACLE
 from hts.errors import EvaluationError
 from hts.evaluation.population import Values
@@ -57,20 +57,22 @@ class Group:
 
     def final_falls(self) -> int:
         """In all finals, held and at equal commands, at refused speeds and of policies that were given up too."""
-        others = [one.falls for _, result in self.results for one in result.given_up]
+        others = [given_up_falls(one) for _, result in self.results for one in result.given_up]
         outcomes = [result.objectives.get(self.objective) for _, result in self.results]
         return sum(others) + sum(falls_of(one) for one in outcomes if one is not None)
 
     def tried_falls(self) -> int:
-        """Of candidates, before the final."""
-        return sum(max(one.falls, falls_told(one.why)) for _, result in self.results for one in result.tried)
+        """Of candidates, before the final: in their trials, and in second ones where lines know of them."""
+        every = [one for _, result in self.results for one in result.tried]
+        return sum(max(one.falls, falls_told(one.why)) + (one.falls_again or 0) for one in every)
 
     def count_refused(self, realities: Collection[str] | None = None, kind: str = "chosen") -> int:
-        """Speeds that were refused, over all runs, or over those on the named realities; kind: as of `chosen`."""
+        """Speeds that were refused, over all runs, or over those on the named realities; kind: as of `chosen`. Every
+        speed of a run none of whose finals could be compared."""
         return sum(
-            len(refused(result.objectives[self.objective], kind))
+            count_refused(result, self.objective, kind)
             for line, result in self.results
-            if self.objective in result.objectives and (realities is None or line.reality in realities)
+            if realities is None or line.reality in realities
         )
 
 
@@ -86,6 +88,19 @@ def chosen(outcome: Outcome | None, kind: str = "chosen") -> Mapping[str, Figure
 def refused(outcome: Outcome, kind: str = "chosen") -> Mapping[str, str]:
     """Why speeds were refused, of the figures that `chosen` gives."""
     return outcome.refused_open_loop if kind == "open_loop" and outcome.held is not None else outcome.refused
+
+
+def count_refused(result: Result, objective: str, kind: str = "chosen") -> int:
+    """Speeds that a run's final was refused at; all, where it had finals and none of them could be compared."""
+    if objective in result.objectives:
+        return len(refused(result.objectives[objective], kind))
+    return len(result.asked_speeds) if result.given_up else 0
+
+
+def given_up_falls(one: GivenUp) -> int:
+    """In a final that was given up; lines of before counted those of held speeds alone."""
+    told = [*(why for speeds in one.refused.values() for why in speeds.values()), one.error]
+    return max(one.falls, sum(falls_told(why) for why in dict.fromkeys(told)))
 
 
 def falls_of(outcome: Outcome) -> int:

@@ -27,7 +27,10 @@ def result_of(folder: Path) -> Result:
     tests = [_json(folder / f"iterations/{row['index']:02d}/test.json") for row in summary["iterations"]]
     rows = {row["id"]: (entry["index"], row) for entry in summary["iterations"] for row in entry["candidates"]}
     gates = _gates(folder, len(tests))
-    tried = [_tried(index, row, gates.get(name)) for name, (index, row) in rows.items() if row["elite"]]
+    again = (summary.get("confirmation") or {}).get("results") or {}
+    tried = [
+        _tried(index, row, gates.get(name), again.get(name)) for name, (index, row) in rows.items() if row["elite"]
+    ]
     samples = _samples(folder, len(tests), summary["real_samples"])
     final = summary["final"]
     return Result(
@@ -35,7 +38,9 @@ def result_of(folder: Path) -> Result:
         asked_speeds=list(config.evaluation.speeds),
         objectives={name: _outcome(entry) for name, entry in final["objectives"].items()},
         given_up=[GivenUp(**one) for one in final.get("given_up", ())],
-        best=_tried(*rows[final["policy"]], gates.get(final["policy"])) if final["policy"] in rows else None,
+        best=_tried(*rows[final["policy"]], gates.get(final["policy"]), again.get(final["policy"]))
+        if final["policy"] in rows
+        else None,
         tried=tried,
         candidates=len(rows),
         stopped_candidates=sum("stopped" in row for _, row in rows.values()),
@@ -105,10 +110,14 @@ def _gates(folder: Path, iterations: int) -> dict[str, bool]:
     return {name: row["passed"] for policies in found for name, row in policies.items()}
 
 
-def _tried(iteration: int, row: Json, gate: bool | None = None) -> Tried:
-    real = row["real"] or {}
-    falls = max((sum(one["falls"] for one in found.values()) for found in real.values()), default=0)
-    falls += sum((row.get("refused_falls") or {}).values())
+def _falls(row: Json) -> int:
+    """Of a trial, at refused speeds too; objectives look at the same recordings."""
+    found = [sum(one["falls"] for one in speeds.values()) for speeds in (row["real"] or {}).values()]
+    return max(found, default=0) + sum((row.get("refused_falls") or {}).values())
+
+
+def _tried(iteration: int, row: Json, gate: bool | None = None, again: Json | None = None) -> Tried:
+    real, falls = row["real"] or {}, _falls(row)
     predicted, spread = _predicted(row.get("predicted"))
     return Tried(
         id=row["id"],
@@ -124,6 +133,7 @@ def _tried(iteration: int, row: Json, gate: bool | None = None) -> Tried:
         predicted_sd=spread,
         measured={name: {key: one["improvement"] for key, one in found.items()} for name, found in real.items()},
         falls=falls,
+        falls_again=None if again is None else _falls(again),
         fell=bool(row.get("fell") or falls),
         refused=bool(row.get("refused")),
         why=row.get("refused") or None,

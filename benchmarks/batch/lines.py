@@ -68,6 +68,7 @@ class Tried(Part):
     predicted_sd: dict[str, dict[str, float]] | None = None
     measured: dict[str, dict[str, float]] = {}
     falls: int = 0
+    falls_again: int | None = Field(None, description="in a second trial; none: it had none, or a line of before")
     fell: bool = False
     refused: bool = False
     why: str | None = Field(None, description="why it was refused; none in lines of before it was kept")

@@ -26,10 +26,14 @@ KEPT = 0.5
 shrink its bounds there)."""
 
 
+LEVEL = "\\* Over recordings at all speeds, as a share of what was measured at the slowest."
+"""Below tables of the level: a line keeps errors over all recordings of a policy, and levels at one speed."""
+
+
 @dataclass(frozen=True)
 class Doubted:
-    """A policy's mean level: by how much the model was off and how far off it said it might be, both as a share of the
-    level that was measured."""
+    """A policy's mean level: by how much the model was off and how far off it said it might be, over recordings at all
+    speeds, both as a share of the level that was measured at the slowest."""
 
     error: float
     spread: float
@@ -66,7 +70,7 @@ def prediction(groups: Sequence[Group]) -> str:
                 number(min(fits) if fits else None),
             ]
         )
-    head = ["method", "candidates with a prediction", "measured / predicted", "rank correlation, all"]
+    head = ["method", "promises (a candidate at a speed)", "measured / predicted", "rank correlation, all"]
     head += ["rank of costs in a run, median", "lowest", "R² held out, median", "lowest"]
     return table(head, rows)
 
@@ -155,8 +159,8 @@ def failures(groups: Sequence[Group]) -> str:
                 ]
             )
     head = ["method", "reality", "promised, mean", "measured, mean", "measured / promised", "rank correlation"]
-    head += ["R² held out, lowest", "R² of the elites, lowest", "error of the level, RMS", "its doubt, RMS"]
-    return table([*head, "error / doubt"], rows)
+    head += ["R² held out, lowest", "R² of the elites, lowest", "error of the level, RMS*", "its doubt, RMS*"]
+    return f"{table([*head, 'error / doubt'], rows)}\n\n{LEVEL}"
 
 
 def doubt(groups: Sequence[Group]) -> str:
@@ -194,8 +198,8 @@ def doubt(groups: Sequence[Group]) -> str:
             ]
         )
     head = ["method", "realities", "policies", "within 1, 95 %", "within 2, 95 %", "error / doubt, RMS"]
-    head += ["rank correlation of doubt and error", "error where doubt is smallest (a third)", "where it is largest"]
-    return table(head, rows)
+    head += ["rank correlation of doubt and error", "error where doubt is smallest (a third)*", "where it is largest*"]
+    return f"{table(head, rows)}\n\n{LEVEL}"
 
 
 def _doubts(result: Result, objective: str) -> list[Doubted]:

@@ -46,11 +46,11 @@ def short(groups: Sequence[Group]) -> str:
                 with_interval(population(values), show),
                 show(min(mean(map(_number, runs)) for runs in values.values())),
                 str(group.count_refused()),
-                str(group.final_falls()),
+                f"{group.final_falls()}, {group.tried_falls()}",
                 less,
             ]
         )
-    head = ["method", "machines", "median", "mean, 95 %", "lowest machine", "speeds refused", "falls"]
+    head = ["method", "machines", "median", "mean, 95 %", "lowest machine", "speeds refused", "falls: final, tried"]
     return noted(groups, table([*head, f"less {first.name}, mean, 95 %"], rows))
 
 
@@ -187,7 +187,8 @@ def realities(groups: Sequence[Group]) -> str:
 
 
 def open_loop(groups: Sequence[Group]) -> str:
-    """Held beside open loop: medians over realities, speed by speed, and how much slower the policy walks."""
+    """Held beside open loop: medians over realities, speed by speed, and by how much the policy walks another speed
+    than its reference, of the runs in which that speed was not refused and of how many that is."""
     rows = []
     for group in groups:
         show = shown(group.unit)
@@ -203,11 +204,11 @@ def open_loop(groups: Sequence[Group]) -> str:
                 slower = [one.mean_speed - one.reference_speed for one in walked if one.reference_speed is not None]
                 row += [
                     show(population(group.values(speed, kind), quantile(0.5)).estimate) if walked else NONE,
-                    f"{mean(slower):+.3f}".replace("-", "−") if slower else NONE,
+                    f"{mean(slower):+.3f} ({len(slower)} of {len(there)})".replace("-", "−") if slower else NONE,
                 ]
             rows.append(row)
-    head = ["method", "speed, m/s", "held: median", "held: m/s against the reference"]
-    return table([*head, "open loop: median", "open loop: m/s against the reference"], rows)
+    head = ["method", "speed, m/s", "held: median", "held: m/s against the reference, where not refused"]
+    return table([*head, "open loop: median", "open loop: m/s against the reference, where not refused"], rows)
 
 
 def samples(groups: Sequence[Group]) -> str:

@@ -207,7 +207,6 @@ def _headline(run: RunData, name: str, result: Json) -> str:
     unit = result["unit"]
     better = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[0] > 0]
     worse = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[1] < 0]
-    falls = sum(speed.get("falls") or 0 for speed in speeds.values())
     chosen = (run.summary.get("final") or {}).get("policy")
     policy = f"the final policy ({chosen})" if chosen else "the final policy"
     refused = result.get("refused") or {}
@@ -225,14 +224,29 @@ def _headline(run: RunData, name: str, result: Json) -> str:
         ]
         found = ", ".join(f"{word}{run.task.at(keys)}" for keys, word in parts if keys)
         text = f"Against the pretrained policy, {policy} is, for {name}, {found}."
-    if refused:
-        held = "open_loop" in result
-        why = "the two could not be held at one speed" if held else f"it does not {run.task.done}"
-        text += f" At{run.task.at(refused).removeprefix(' at')} it is not judged: {why}."
+    for speed, why in refused.items():
+        where = run.task.at([speed])
+        text += f" It is not judged{where}: {why.removeprefix(f'Head-to-head{where}: ')}"
     if "open_loop" in result:
         text += " Both walked at held speed: their commands were trimmed by the measured speed, then frozen."
-    fell = "It did not fall." if not falls else f"It fell {falls} time{'' if falls == 1 else 's'}."
-    return f"{text} {fell}"
+    return f"{text} {_fell(result)}"
+
+
+def _fell(result: Json) -> str:
+    """How often it fell in all of its final: held and at equal commands, at refused speeds too."""
+    beside = result.get("open_loop") or {}
+    falls, elsewhere = _falls(result), _falls(beside)
+    if not falls and not elsewhere:
+        return "It did not fall."
+    count, where = falls + elsewhere, ""
+    if elsewhere:
+        where = f", {elsewhere} of them at equal commands" if falls else ", all at equal commands"
+    return f"It fell {count} time{'' if count == 1 else 's'}{where}."
+
+
+def _falls(way: Json) -> int:
+    judged = sum(speed.get("falls") or 0 for speed in (way.get("speeds") or {}).values())
+    return judged + sum((way.get("refused_falls") or {}).values())
 
 
 def _later(run: RunData) -> dict[str, Any] | None:

@@ -77,11 +77,11 @@ def final(job: Job, finalists: Sequence[str], report: Report) -> dict[str, Any]:
             break
         if number + 1 < len(finalists):
             job.stages.progress.say(f"{_why(tried[-1])} Next: {finalists[number + 1]}.")
-    for one in tried:
-        if one.error is not None and one.error.role == "reference":
-            raise one.error
     chosen = min(tried, key=lambda one: one.lost)
-    if chosen.error is not None:
+    if chosen.error is not None:  # so has everybody's
+        for one in tried:
+            if one.error is not None and one.error.role == "reference":
+                raise one.error
         return _stays(job, tried)
     if chosen is not tried[-1]:
         _as_best(job, chosen.policy)

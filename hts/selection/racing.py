@@ -85,9 +85,9 @@ class Racing(Selector):
             return [able[index].id for index in racing]
         table = _table([[self._score(half) for half in one.halves] for one in able])
         if self.settings.test == "anytime":
-            left = anytime.still_racing(table, racing, self.settings.error / len(able), self.settings.indifference)
+            left = anytime.still_racing(table, racing, self.settings.error / len(raced), self.settings.indifference)
             return [able[index].id for index in left]
-        level = self.settings.error / (self.settings.rounds * len(able))
+        level = self.settings.error / (self.settings.rounds * len(raced))
         racing = [index for index in racing if not _clearly_below_zero(table[index], level)]
         return [able[index].id for index in still_racing(table, racing, level, self.settings.indifference)]
 

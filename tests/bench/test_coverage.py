@@ -72,6 +72,13 @@ def test_pooled_coverage_is_the_share_that_holds_the_truth_with_realities_as_clu
     assert row_of(coverage_table(batch()), "blocks as units, sessions pooled")[4].startswith("25.0 % (")
 
 
+def test_realities_that_agree_leave_the_doubt_of_so_many_intervals():
+    lines = [made_up(name, None, saved=0.2) for name in ("dev-00", "dev-01")]
+    lines += [made_up(name, number, saved=0.2) for name in ("dev-00", "dev-01") for number in range(4)]
+    cell = row_of(coverage_table(lines), "sessions as units")[4]
+    assert cell == "100.0 % (63.1 to 100.0)"  # 0.025 ** (1 / 8)
+
+
 def test_a_session_without_an_interval_says_nothing_of_coverage():
     assert "one session alone" not in coverage_table(batch())
 

@@ -185,6 +185,24 @@ def test_falls_are_told_in_the_first_sentence(tmp_path, words_only):
     assert "It fell 2 times." in text(changed(tmp_path, fall))
 
 
+@pytest.mark.parametrize(
+    ("held", "beside", "said"),
+    [
+        ({}, {}, "It did not fall."),
+        ({"0.5": 2}, {}, "It fell 2 times."),
+        ({}, {"0.5": 3}, "It fell 3 times, all at equal commands."),
+        ({"0.5": 1}, {"1.1": 3}, "It fell 4 times, 3 of them at equal commands."),
+    ],
+)
+def test_falls_at_speeds_that_are_refused_are_falls(tmp_path, words_only, held, beside, said):
+    def fall(summary):
+        result = summary["final"]["objectives"]["cost"]
+        result["refused_falls"] = held
+        result["open_loop"] = {"speeds": {}, "refused_falls": beside}
+
+    assert said in text(changed(tmp_path, fall))
+
+
 def test_a_run_in_which_nothing_improved_still_has_a_page(tmp_path):
     def nothing(summary):
         summary["final"] = None

@@ -129,6 +129,22 @@ def test_a_reference_that_cannot_be_judged_ends_the_run_in_one_line(tmp_path, lo
     assert len(losing[1]) == 1
 
 
+def test_a_final_that_can_be_judged_counts_whatever_a_later_reference_does(tmp_path, losing, monkeypatch):
+    losing[0][:] = [[0.5], [0.5, 0.8]]
+    judge = finals.walked_speeds
+
+    def blaming_the_reference(*args):
+        try:
+            return judge(*args)
+        except NotComparable as error:
+            raise NotComparable(str(error), "reference") from error
+
+    monkeypatch.setattr(finals, "walked_speeds", blaming_the_reference)
+    run, order, final = ended(tmp_path)
+    assert final["policy"] == order[0] and [one["policy"] for one in final["given_up"]] == [order[1]]
+    assert list(run.summary["final"]["objectives"]["fake"]["refused"]) == ["0.5"]
+
+
 def test_where_both_are_why_no_speed_is_left_it_is_the_policy_that_is_said(monkeypatch):
     why = {"0.5": NotComparable("the reference", "reference"), "0.8": NotComparable("the policy")}
     monkeypatch.setattr(judging, "judged_speeds", lambda *args: ({}, why))

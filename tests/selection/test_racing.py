@@ -17,6 +17,7 @@ from hts.contracts import TestedCandidate as Elite  # under its own name pytest 
 from hts.errors import ConfigError
 from hts.evaluation.halves import halves
 from hts.evaluation.head_to_head import point
+from hts.selection import racing
 from hts.selection.racing import RacingSettings, make, residual_variance, still_racing
 from hts.testing.known_race import KnownRounds, run_race
 from hts.testing.made_up_recordings import CostObjective
@@ -35,6 +36,17 @@ def raced(name, *scores, fell=False, racing=True, measured=True):
 
 
 # --------------------------------------------------------------------------------------------- the test itself
+
+
+@pytest.mark.parametrize(("test", "level"), [("anytime", 0.06 / 3), ("looks", 0.06 / (4 * 3))])
+def test_the_error_is_shared_among_all_that_were_raced_whoever_fell_since(monkeypatch, test, level):
+    asked = []
+    for module in (racing, racing.anytime):
+        judge = lambda table, left, error, indifference: asked.append(error) or list(left)
+        monkeypatch.setattr(module, "still_racing", judge)
+    selector = make({"objective": "x", "error": 0.06, "rounds": 4, "test": test})
+    field = [raced("a", 1.0, 1.1), raced("b", 0.9, 1.0), raced("c", 0.5, 0.4, fell=True)]
+    assert selector.keep(field) == ["a", "b"] and asked == [pytest.approx(level)]
 
 
 def test_what_candidates_and_halves_explain_is_no_scatter():
