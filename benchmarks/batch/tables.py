@@ -35,13 +35,13 @@ def short(groups: Sequence[Group]) -> str:
         show, values = shown(group.unit), group.values()
         if not values:
             continue
-        less = NONE
+        less, failed = NONE, failed_runs(group)
         if group is not first and set(values) & set(first.values()):
             less = with_interval(paired(values, first.values()), differences(group.unit))
         rows.append(
             [
                 group.name,
-                str(len(values)),
+                f"{len(values)} ({failed} run{'' if failed == 1 else 's'} failed)" if failed else str(len(values)),
                 show(population(values, quantile(0.5)).estimate),
                 with_interval(population(values), show),
                 show(min(mean(map(_number, runs)) for runs in values.values())),
@@ -67,7 +67,7 @@ def noted(groups: Sequence[Group], text: str) -> str:
 
 def _method(group: Group, others: Sequence[Group], speeds: Sequence[str]) -> list[str]:
     show, values = shown(group.unit), group.values()
-    failed = sum(line.status == "failed" for line in group.lines)
+    failed = failed_runs(group)
     if not values:
         return [group.name, "0", str(failed), *[NONE] * (len(speeds) + 9)]
     whole, lowest = population(values), min(mean(map(_number, runs)) for runs in values.values())
@@ -87,6 +87,11 @@ def _method(group: Group, others: Sequence[Group], speeds: Sequence[str]) -> lis
         within,
         less,
     ]
+
+
+def failed_runs(group: Group) -> int:
+    """Runs that ended in an error: they saved nothing that anybody knows, and are in no mean."""
+    return sum(line.status == "failed" for line in group.lines)
 
 
 def _given_up(group: Group) -> str:

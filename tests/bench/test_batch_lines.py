@@ -85,6 +85,11 @@ def test_the_short_table_compares_with_its_first_row():
     assert other[2] == "22.0 %" and other[4] == "8.0 %" and other[-1].startswith("+0.2 points (")
 
 
+def test_the_short_table_says_how_many_runs_failed():
+    lines = [line("ours", "dev-01"), line("ours", "dev-02", key="other", status="failed", error="boom", result=None)]
+    assert row_of(tables.short(groups_of(lines)), "ours")[1] == "1 (1 run failed)"
+
+
 def test_what_was_refused_counts_as_nothing_saved_and_is_counted():
     groups = groups_of([line(saved=(None, 0.3, 0.3)), line(reality="dev-01", saved=(None, None, None))])
     assert [saving(result, "power") for _, result in groups[0].results] == pytest.approx([0.2, 0.0])
