@@ -11,6 +11,7 @@ from hts.atomic import atomic_write
 from hts.config import Named
 from hts.contracts import HoldSpeed, World, WorldContext
 from hts.errors import EvaluationError, PolicyError, RunError
+from hts.evaluation.asked import asked
 from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, speeds_missed, task_entry, walked_speeds
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.evaluation.walked_again import walked_again
@@ -115,8 +116,8 @@ def evaluate_run(
 def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int) -> list[Recording]:
     """A head-to-head, or as many as asked for. Raises EvaluationError for a world that makes one only."""
     if sessions == 1:
-        return world.head_to_head(policy, reference, speeds)
-    found = world.head_to_head_sessions(policy, reference, speeds, sessions)
+        return asked(world, "head_to_head", policy, reference, speeds)
+    found = asked(world, "head_to_head_sessions", policy, reference, speeds, sessions)
     if found is None:
         raise EvaluationError(
             f"World '{world.name}' makes a head-to-head once; {sessions} sessions were asked for. Ask for one."

@@ -15,7 +15,7 @@ import numpy as np
 
 from hts.config import EvaluationConfig
 from hts.contracts import VELOCITY, Comparison, FollowVelocity, Objective, Task
-from hts.errors import EvaluationError
+from hts.errors import EvaluationError, HtsError, PluginError
 from hts.evaluation.held import NAMES, Commanded, NotComparable, check_apart, check_range, commanded, refusal
 from hts.evaluation.segments import Segments, cut
 from hts.evaluation.sessions import interval_of
@@ -166,11 +166,21 @@ class _Measured:
         """Of two means, each (Q,)."""
         one, other = _named(self.names, policy), _named(self.names, reference)
         try:
-            return self.objective.compare(one, other)
+            found = self.objective.compare(one, other)
+            if not isinstance(found, Comparison):
+                raise TypeError(f"it gave {type(found).__name__}, expected Comparison")
+            return found
+        except HtsError:
+            raise
         except ArithmeticError as error:
             raise EvaluationError(
                 f"Objective '{self.objective.name}' cannot compare {one} with {other}: {error}. "
                 "Check the idle level and the recordings."
+            ) from error
+        except Exception as error:
+            raise PluginError(
+                f"Objective '{self.objective.name}': compare() failed, {type(error).__name__}: {error} (HTS_DEBUG=1 "
+                "shows where)."
             ) from error
 
     def comparison(self) -> Comparison:

@@ -12,6 +12,7 @@ from functools import partial
 
 import torch
 from tensordict import TensorDict
+from tensordict.utils import unravel_key
 from torchrl.envs import EnvBase
 
 from hts.rl.actor import PopulationActor, log_prob
@@ -102,7 +103,7 @@ class CapturedCollector(SplitStepCollector):
             measured = transform.evaluate(transform.record(channels))
             outcome |= {key: value.view(*env.batch_size, 1) for key, value in measured.items()}
         outcome |= {(name,): value for name, value in env.observations().items()}
-        self._keys["after"] = [("next", *key) for key in outcome]
+        self._keys["after"] = [unravel_key(("next", key)) for key in outcome]
         done = flags["done"]
         if any_or_tracing(done):
             env.start_episodes(done.view(env.batch_size))

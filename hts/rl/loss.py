@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import CompositeDistribution, TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import nn
 from torch.distributions import Distribution
@@ -30,6 +30,17 @@ def frozen(module: nn.Module) -> nn.Module:
             delattr(part, name)
             part.register_buffer(name, parameter.detach().clone())
     return copied
+
+
+def _check_actor(actor: TensorDictModuleBase) -> None:
+    """Raise TypeError for an actor whose distribution of one action nobody can ask for."""
+    if not hasattr(actor, "get_dist"):
+        raise TypeError(
+            f"actor_network is a {type(actor).__name__} without get_dist; expected a ProbabilisticActor, a "
+            "ProbabilisticTensorDictSequential, or what else has it."
+        )
+    if getattr(actor, "distribution_class", None) is CompositeDistribution:
+        raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
 
 
 class KLConstrainedPPOLoss(LossModule):
@@ -96,6 +107,7 @@ class KLConstrainedPPOLoss(LossModule):
         normalize_advantage: bool = False,
     ) -> None:
         super().__init__()
+        _check_actor(actor_network)
         self.actor_network, self.critic_network = actor_network, critic_network
         self.reference = frozen(actor_network if reference is None else reference)
         self.multiplier = LagrangeMultiplier(kl_bound, multiplier_rate)
@@ -181,7 +193,8 @@ class KLConstrainedPPOLoss(LossModule):
         return self._mean(distribution_kl(self.actor_network.get_dist(batch), self._reference_in(batch)))
 
     def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
-        """alpha <- [alpha + eta (KL / c - 1)]_+, once per batch; see `LagrangeMultiplier`. Returns the new alpha."""
+        """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch; see `LagrangeMultiplier`. Returns the new
+        alpha."""
         return self.multiplier.update(kl)
 
     @torch.no_grad()

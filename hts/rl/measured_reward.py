@@ -54,6 +54,13 @@ class MeasuredReward(Transform):
 
     def _with_reward(self, outcome: TensorDictBase) -> TensorDictBase:
         measured_key, reward_key = self.in_keys
+        for name, key in (("in_key", measured_key), ("reward_key", reward_key)):
+            if outcome.get(key) is None:
+                found = ", ".join(repr(one) for one in outcome.keys(True, True))
+                raise KeyError(
+                    f"{name} is {key!r}, which no step has; it has {found}. Name an entry that the env, or a transform "
+                    "before this one, writes."
+                )
         measured = outcome.get(measured_key)
         self.centring.update(measured)
         outcome.set(reward_key, outcome.get(reward_key) + self.added(measured))

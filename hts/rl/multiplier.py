@@ -16,7 +16,7 @@ LARGEST_ERROR = (
 
 
 class LagrangeMultiplier(nn.Module):
-    """alpha <- [alpha + eta (KL / c - 1)]_+, once per batch and outside `forward`.
+    """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch and outside `forward`.
 
     bounds: c in nats, a float or [P]; infinity switches the bound off. rate: eta. It acts on KL / c, so that tight and
     loose bounds are approached in the same number of batches; alpha starts at 0: nothing pulls until the bound is near.

@@ -18,6 +18,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import unravel_key
 from torch import nn
 from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import EnvBase
@@ -229,7 +230,9 @@ class PopulationCollector(SplitStepCollector):
             entries |= result.result()
         for key, value in entries.items():
             # Laid out alike however many candidates there are: sums take the order of the memory.
-            rows["next", *key] = value.view(self.horizon, *self.bare_env.batch_size, 1).movedim(0, 2).contiguous()
+            rows[unravel_key(("next", key))] = (
+                value.view(self.horizon, *self.bare_env.batch_size, 1).movedim(0, 2).contiguous()
+            )
         return self._batch(rows)
 
     @torch.no_grad()  # each thread has a switch of its own

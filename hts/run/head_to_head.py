@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hts.contracts import HoldSpeed
+from hts.evaluation.asked import asked
 from hts.evaluation.final import speeds_missed
 from hts.evaluation.held import ask_to_hold
 from hts.evaluation.walked_again import walked_again
@@ -37,10 +38,10 @@ def head_to_head(job: Job, policy: str, speeds: Sequence[float] = ()) -> list[Re
     config = job.config.evaluation
     speeds, pair = speeds or config.speeds, (job.exported(policy), job.exported("pretrained"))
     if config.sessions > 1:
-        found = job.world.head_to_head_sessions(*pair, speeds, config.sessions)
+        found = asked(job.world, "head_to_head_sessions", *pair, speeds, config.sessions)
         if found is not None:
             return found
         job.stages.progress.say(
             f"World '{job.config.world.name}' makes a head-to-head once: one session, not {config.sessions}."
         )
-    return job.world.head_to_head(*pair, speeds)
+    return asked(job.world, "head_to_head", *pair, speeds)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from hts.config import RunConfig
 from hts.config_loading import check_names, make_model
-from hts.contracts import Robot, WorldContext, robot_signals
-from hts.errors import ConfigError
+from hts.contracts import Objective, Robot, WorldContext, robot_signals
+from hts.errors import ConfigError, PluginError
 from hts.evaluation.held import ask_to_hold, check_hold, hold_of
 from hts.guarded import guarded
 from hts.plugins import Registry
@@ -109,10 +109,26 @@ def check_world(config: RunConfig, registry: Registry) -> None:
             world.close()
 
 
+def _check_reward(name: str, objective: Objective) -> None:
+    """An objective's reward of a batch has the batch's shape, whatever that is."""
+    import torch
+
+    for shape in ((1, FEW_ENVS, 1), (FEW_ENVS, 3)):
+        found = guarded(f"Objective '{name}': reward()", partial(objective.reward, torch.zeros(shape)))
+        if not isinstance(found, torch.Tensor) or tuple(found.shape) != shape:
+            gave = f"shape {tuple(found.shape)}" if isinstance(found, torch.Tensor) else type(found).__name__
+            raise PluginError(
+                f"Objective '{name}': reward() gave {gave} for a prediction of shape {shape}; expected the same shape, "
+                "one reward for each prediction."
+            )
+
+
 def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
     """The training env of this robot is made, with the rewards in it, and takes a step."""
     from hts.training.finetune import measured_env
 
+    for key in config.objectives:
+        _check_reward(key, registry.make_objective(key, config.objectives[key]))
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     inputs = {
         name: None for key in config.objectives for name in registry.make_objective(key, config.objectives[key]).inputs

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from hts.errors import PluginError
+from hts.evaluation.asked import asked
 from hts.evaluation.final import entry_of, judged_speeds
 from hts.evaluation.held import ask_to_hold
 from hts.evaluation.walked_again import samples_of
@@ -21,7 +23,12 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
     job.watch(report)
     exploring = job.save_exploring("pretrained", config.exploration)
     policies = [job.exported("pretrained")] * config.repeats + [exploring] * config.exploring
-    recordings = job.world.collect(policies, job.schedule)
+    recordings = asked(job.world, "collect", policies, job.schedule)
+    if len(recordings) != len(policies):
+        raise PluginError(
+            f"World '{job.world.name}': collect() gave {len(recordings)} recordings for {len(policies)} policies; "
+            "expected one for each, in order."
+        )
     ids = job.keep(recordings, 0)
     return {"recordings": ids, "samples": sum(recording.num_samples for recording in recordings)}
 

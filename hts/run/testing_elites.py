@@ -11,6 +11,7 @@ from hts.config import EvaluationConfig
 from hts.contracts import Comparison, FineTuning, HoldSpeed, RacedCandidate, Rounds, Selector, Task, TestedCandidate
 from hts.contracts.task import FollowVelocity
 from hts.evaluation.across_speeds import mean_comparison
+from hts.evaluation.asked import asked
 from hts.evaluation.final import CandidateResult, candidate_result, speeds_missed
 from hts.evaluation.halves import Half, halves
 from hts.evaluation.held import ask_to_hold
@@ -89,12 +90,12 @@ def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> 
     selection = job.config.selection
     policies, reference = [job.exported(elite) for elite in elites], job.exported("pretrained")
     if len(selection.tested_speeds) > 1 or selection.block_seconds is not None:
-        sessions = job.world.head_to_heads_in_session(policies, reference, speeds, selection.block_seconds)
+        sessions = asked(job.world, "head_to_heads_in_session", policies, reference, speeds, selection.block_seconds)
         if sessions is not None:
             return [list(session) for session in sessions]
         world = job.config.world.name
         job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: {one_for_each(job.robot.task())}")
-    return [list(session) for session in job.world.head_to_heads(policies, reference, speeds)]
+    return [list(session) for session in asked(job.world, "head_to_heads", policies, reference, speeds)]
 
 
 def _again(job: Job, of: dict[str, list[Recording]], spent: int) -> list[Recording]:
@@ -139,7 +140,7 @@ def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Round
     def ask(racing: Sequence[str], number: int) -> list[list[Recording]] | None:
         job.watch(lambda share: report((number + share) / rounds.most))
         policies = [job.exported(elite) for elite in racing]
-        return job.world.head_to_head_round(policies, reference, speed, number, rounds.block_seconds)
+        return asked(job.world, "head_to_head_round", policies, reference, speed, number, rounds.block_seconds)
 
     def judge(elite: str, recordings: Sequence[Recording]) -> CandidateResult:
         return _result(job, elite, recordings)

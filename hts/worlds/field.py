@@ -24,7 +24,7 @@ from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
-from hts.worlds.field_logs import check_ran, described
+from hts.worlds.field_logs import check_all_differ, check_ran, check_weighed, described
 from hts.worlds.field_manifest import Facts, run_configuration
 
 
@@ -201,6 +201,7 @@ class FieldWorld(World):
                 f"so on). What to record is in {bundle}/README.md; then type: {self._command()}"
             )
         recordings = [self._read(files[order.name], order, bundle) for order in orders]
+        check_all_differ([files[order.name][0] for order in orders], recordings)
         if held:
             field_holding.check_one_command(recordings)
         return recordings
@@ -212,6 +213,7 @@ class FieldWorld(World):
         registry = self._registry
         card = DeployedPolicy(order.policy).card
         mapping, where = described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
+        check_weighed(where, mapping)
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
         check_ran(where, facts, card, order.policy.name)
         facts |= {

@@ -6,13 +6,17 @@ robot's mass and an idle level measured by hand, comes from the run's own mappin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from hts.errors import RecordingError
 from hts.recordings.mapping import load_mapping
+from hts.recordings.recording import Recording
 
 FOLDER = "mappings"
 
@@ -49,3 +53,29 @@ def check_ran(where: Path, facts: Mapping[str, Any], card: SimpleNamespace, poli
             f"{where}: policy {str(found)[:12]}… ran, asked for was {policy} ({expected[:12]}…). Put the log of that "
             "policy here, or record the row again."
         )
+
+
+def check_weighed(where: Path, mapping: Mapping[str, Any]) -> None:
+    """Raise RecordingError if the mass, which the template leaves to be filled in, is still empty."""
+    facts = mapping.get("recording")
+    if isinstance(facts, Mapping) and "mass_kg" in facts and facts["mass_kg"] is None:
+        raise RecordingError(
+            f"{where}: recording.mass_kg is still empty. Weigh the robot as it walks and write the kilograms there, or "
+            "delete the line if nothing that is measured needs them."
+        )
+
+
+def check_all_differ(files: Sequence[Path], recordings: Sequence[Recording]) -> None:
+    """Raise RecordingError if two rows hold the same samples: one log that was saved under two names."""
+    seen: dict[str, Path] = {}
+    for file, recording in zip(files, recordings, strict=True):
+        digest = hashlib.sha256()
+        for name in sorted(recording.channels):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(recording.channels[name].values).tobytes())
+        first = seen.setdefault(digest.hexdigest(), file)
+        if first is not file:
+            raise RecordingError(
+                f"{file}: the same samples as {first.name}; no two walks are alike. Put there the log of its own "
+                "row, or record the row again."
+            )

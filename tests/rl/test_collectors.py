@@ -1,7 +1,10 @@
 """Collection and gradient steps as a GPU runs them, here uncaptured on the CPU against what the CPU runs."""
 
+from functools import partial
+
 import pytest
 import torch
+from torchrl.data import Unbounded
 from torchrl.envs.transforms import RewardScaling, TransformedEnv
 
 from hts.channels import Channel
@@ -13,6 +16,7 @@ from hts.policies.files import load_policy
 from hts.rl.batched_updates import BatchedSteps
 from hts.rl.capture import StaticBuffers
 from hts.rl.captured_collector import CapturedCollector
+from hts.rl.deferred import DeferrableTransform
 from hts.rl.population import Population
 from hts.rl.population_collector import PopulationCollector, can_split, torchrl_collector
 from hts.rl.random import PopulationRandom, PrefetchedNoise
@@ -168,6 +172,41 @@ def test_a_transform_that_changes_the_step_goes_through_torchrls_collector(robot
     with pytest.raises(TypeError, match=r"found VelocityEnv \+ RewardScaling. Take torchrl.collectors.Collector"):
         PopulationCollector(scaled, None, frames_per_batch=2)
     env.close()
+
+
+class Effort(DeferrableTransform):
+    """Writes an entry whose key is a plain word."""
+
+    def __init__(self):
+        super().__init__(in_keys=[], out_keys=["effort"])
+
+    def record(self, channels):
+        return channels["joint_torque"].square().sum(-1, keepdim=True).flatten(0, 1)
+
+    def evaluate(self, recorded):
+        return {"effort": recorded}
+
+    def forget(self, ended): ...
+
+    def transform_observation_spec(self, observation_spec):
+        observation_spec["effort"] = Unbounded((*observation_spec.shape, 1))
+        return observation_spec
+
+
+@pytest.mark.parametrize("fast", [PopulationCollector, partial(CapturedCollector, capture=False)])
+def test_a_transform_may_name_its_entry_by_a_plain_word(robot, fast):
+    def collected(make):
+        trainer = make_trainer(robot)
+        env = measured_env(trainer.env.base_env, [Effort()])
+        collector = make(env, trainer.actor)
+        data = next(iter(collector))
+        collector.shutdown()
+        trainer.close()
+        return data
+
+    plain = collected(lambda env, actor: torchrl_collector(env, actor, FRAMES))
+    found = collected(partial(fast, frames_per_batch=FRAMES))
+    assert torch.equal(found["next", "effort"], plain["next", "effort"]) and (found["next", "effort"] > 0).all()
 
 
 def test_what_is_computed_beside_the_physics_is_what_learning_would_compute_itself(robot):

@@ -7,14 +7,22 @@ import math
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
+from tensordict.nn import CompositeDistribution, TensorDictModule
 from torch import nn
 from torch.distributions import Independent, Normal, StudentT
 from torchrl.modules import IndependentNormal, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from hts.rl import KLConstrainedPPOLoss, Population, PopulationActor, PopulationCritic, Sizes, gaussian_kl
+from hts.rl import (
+    KLConstrainedPPOLoss,
+    MeasuredReward,
+    Population,
+    PopulationActor,
+    PopulationCritic,
+    Sizes,
+    gaussian_kl,
+)
 from hts.rl.kl import distribution_kl
 from hts.rl.surrogate import population_loss
 
@@ -223,6 +231,15 @@ def test_what_a_batch_lacks_is_named():
         KLConstrainedPPOLoss(actor, critic, kl_bound=-1.0)
 
 
+def test_an_actor_of_which_no_single_distribution_can_be_asked_is_refused():
+    actor, critic = networks()
+    with pytest.raises(TypeError, match="actor_network is a Linear without get_dist; expected a ProbabilisticActor"):
+        KLConstrainedPPOLoss(torch.nn.Linear(2, 2), critic)
+    actor.__class__ = type("Several", (type(actor),), {"distribution_class": CompositeDistribution})
+    with pytest.raises(TypeError, match="several actions"):
+        KLConstrainedPPOLoss(actor, critic)
+
+
 def test_keys_can_be_renamed_and_stock_gae_fills_them():
     actor, critic = networks()
     loss = KLConstrainedPPOLoss(actor, critic)
@@ -258,3 +275,11 @@ def test_where_no_formula_is_known_one_sample_has_the_right_mean():
     expected = float((density.exp() * (density - StudentT(3.0).log_prob(x))).sum() * (x[1] - x[0]))
     assert expected > 0.2
     assert float(distribution_kl(policy, reference).mean()) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("keys", [{"in_key": "nope"}, {"in_key": "heat", "reward_key": "nope"}])
+def test_a_measured_reward_names_the_entry_that_is_not_there(keys):
+    step = {"reward": torch.zeros(4, 1), "heat": torch.ones(4, 1)}
+    data = TensorDict({"next": TensorDict(step, [4])}, [4])
+    with pytest.raises(KeyError, match=r"is 'nope', which no step has; it has 'heat', 'reward'|'reward', 'heat'"):
+        MeasuredReward(1.0, 0.02, **keys)(data)

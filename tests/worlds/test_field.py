@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -43,7 +44,7 @@ def field(run: Path, **settings):
 
 def write_log(path: Path, robot, seconds: float = SECONDS, command: float | np.ndarray | None = None) -> None:
     """A log whose columns are named as the template names them. command: forward, m/s; None: noise."""
-    rng, steps = np.random.default_rng(0), round(seconds * 50)
+    rng, steps = np.random.default_rng(list(path.name.encode())), round(seconds * 50)  # no two rows are alike
     columns: dict[str, np.ndarray] = {"time": np.arange(steps) / 50}
     for name, channel in robot.channels().items():
         for i in range(channel.shape[0]):
@@ -118,6 +119,32 @@ def test_a_head_to_head_asks_for_its_blocks_in_the_order_that_cancels_drift(run,
     assert [recording.role for recording in recordings] == ["reference", "policy", "policy", "reference"]
     assert [recording.block for recording in recordings] == [0, 1, 2, 3]
     assert len({recording.session for recording in recordings}) == 1
+
+
+def test_a_mass_that_nobody_filled_in_is_asked_for_before_anything_is_learned(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    fill_in(run)
+    path = run / "field" / "mapping.yaml"
+    mapping = yaml.safe_load(path.read_text())
+    path.write_text(yaml.safe_dump(mapping | {"recording": {"mass_kg": None}}))
+    write_log(bundle(run) / "logs" / "00.csv", robot)
+    with pytest.raises(RecordingError, match=r"mapping\.yaml: recording\.mass_kg is still empty\. Weigh the robot"):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    path.write_text(yaml.safe_dump({key: value for key, value in mapping.items() if key != "recording"}))
+    assert field(run).collect([policy], walking(0.5, SECONDS))[0].mass_kg is None
+
+
+def test_one_log_under_two_names_is_refused(run, policy, robot):
+    with pytest.raises(WaitingForRobot, match="4 of 4 logs"):
+        field(run).head_to_head(policy, policy, [0.8])
+    fill_in(run)
+    logs = bundle(run) / "logs"
+    for number in range(4):
+        write_log(logs / f"{number:02d}.csv", robot)
+    shutil.copy(logs / "01.csv", logs / "02.csv")
+    with pytest.raises(RecordingError, match=r"02\.csv: the same samples as 01\.csv"):
+        field(run).head_to_head(policy, policy, [0.8])
 
 
 def test_idle_levels_are_waited_for_until_somebody_has_read_them_off(run):

@@ -1,0 +1,75 @@
+"""A world or an objective of a plugin that raises, or gives something else, ends a run in one line that names it."""
+
+from __future__ import annotations
+
+import pytest
+
+from hts.contracts import Comparison
+from hts.errors import EvaluationError, PluginError
+from hts.evaluation.head_to_head import _Measured
+from hts.run.ready import _check_reward
+from hts.testing.known_world import KnownWorld
+from hts.testing.packages import kit_installed
+from hts.testing.tiny_run import tiny_run
+
+
+def broken(*args, **kwargs):
+    raise OSError("link down")
+
+
+@pytest.mark.parametrize("call", ["collect", "head_to_heads_in_session"])
+def test_a_world_that_raises_is_named_with_the_call(tmp_path, monkeypatch, call):
+    monkeypatch.setattr(KnownWorld, call, broken)
+    with kit_installed(), pytest.raises(PluginError, match=rf"World 'known': {call}\(\) failed, OSError: link down"):
+        tiny_run(tmp_path / "run", settings={"selection.block_seconds": 10.0})
+
+
+def test_a_world_owes_a_recording_for_each_policy(tmp_path, monkeypatch):
+    plain = KnownWorld.collect
+    monkeypatch.setattr(KnownWorld, "collect", lambda self, *args: plain(self, *args)[:-1])
+    with (
+        kit_installed(),
+        pytest.raises(PluginError, match=r"collect\(\) gave \d+ recordings for \d+ policies; expected"),
+    ):
+        tiny_run(tmp_path / "run")
+
+
+class Broken:
+    name = "heat"
+
+    def __init__(self, compare):
+        self.compare = compare
+
+
+@pytest.mark.parametrize(
+    ("compare", "error", "said"),
+    [
+        (lambda one, other: one["absent"], PluginError, r"Objective 'heat': compare\(\) failed, KeyError"),
+        (lambda one, other: {"improvement": 0.1}, PluginError, "it gave dict, expected Comparison"),
+        (lambda one, other: 1 / 0, EvaluationError, "Check the idle level and the recordings"),
+    ],
+)
+def test_an_objective_that_cannot_compare_is_named(compare, error, said):
+    measured = _Measured(Broken(compare), 0.8, {}, {}, ["x"])
+    with pytest.raises(error, match=said):
+        measured.compared([1.0], [2.0])
+
+
+def test_an_objective_that_can_compare_is_left_alone():
+    found = Comparison(0.1, 0.1)
+    assert _Measured(Broken(lambda one, other: found), 0.8, {}, {}, ["x"]).compared([1.0], [2.0]) is found
+
+
+@pytest.mark.parametrize(
+    ("reward", "said"),
+    [
+        (lambda prediction: -prediction.mean(), r"reward\(\) gave shape \(\) for a prediction of shape \(1, 2, 1\)"),
+        (lambda prediction: absent, r"reward\(\) failed, NameError"),  # noqa: F821
+        (lambda prediction: 0.0, r"reward\(\) gave float"),
+    ],
+)
+def test_an_objective_whose_reward_is_none_for_each_prediction_is_named_before_anything_runs(reward, said):
+    objective = Broken(None)
+    objective.reward = reward
+    with pytest.raises(PluginError, match=rf"Objective 'heat': {said}"):
+        _check_reward("heat", objective)
