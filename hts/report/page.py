@@ -18,8 +18,8 @@ from hts.report.front import front_part
 from hts.report.glossary import GLOSSARY
 from hts.report.measurement_figure import proxy_r2
 from hts.report.outcome import changes, closing
+from hts.report.results import headline, result_rows
 from hts.report.task_words import TaskWords
-from hts.report.wording import HELD
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -131,7 +131,7 @@ def _objective(run: RunData, name: str) -> dict[str, Any]:
     shown = result_rows(name, result, run.task)
     return {
         **shown,
-        "headline": _headline(run, name, result),
+        "headline": headline(run, name, result),
         "figures": _figures(run, name),
         "models": [
             {
@@ -145,108 +145,6 @@ def _objective(run: RunData, name: str) -> dict[str, Any]:
             if (model := (iteration.get("measurement_models") or {}).get(name))
         ],
     }
-
-
-def result_rows(name: str, result: Json, task: TaskWords) -> dict[str, Any]:
-    """The result tables of one objective: one, or one at held speed and one at equal commands."""
-    tables = [
-        {
-            **_result_table(result["unit"], part["speeds"], task),
-            "words": words.removeprefix(", "),
-            "held": words == HELD,
-        }
-        for part, words in wording.ways(result)
-    ]
-    return {
-        "name": name,
-        "tables": tables,
-        "rows": tables[0]["rows"],
-        "set_point": task.heading,
-        "achieved": task.achieved,
-    }
-
-
-def _result_table(unit: str, speeds: Json, task: TaskWords) -> dict[str, Any]:
-    """Columns and rows of one table."""
-    metrics = list(dict.fromkeys(metric for speed in speeds.values() for metric in speed.get("metrics") or {}))
-    rows = []
-    for key in sorted(speeds, key=float):
-        speed = speeds[key]
-        bounds = speed.get("improvement_ci95")
-        reference = speed.get("reference") or {}
-        valid = speed.get("valid")
-        rows.append(
-            {
-                "speed": task.point(key),
-                "at": task.at([key]).strip() or "against the pretrained policy",
-                "improvement": wording.quantity(speed["improvement"], unit),
-                "interval": wording.interval(bounds, unit),
-                "above_zero": bool(bounds) and bounds[0] > 0,
-                "metrics": [wording.metric(metric, (speed.get("metrics") or {}).get(metric)) for metric in metrics],
-                "mean_speed": _pair(speed.get("mean_speed"), reference.get("mean_speed"), task),
-                "commanded": _pair(speed.get("commanded"), reference.get("commanded"), task),
-                "falls": wording.count(speed.get("falls")),
-                "fell": bool(speed.get("falls")),
-                "segments": wording.count(speed.get("segments"))
-                + (f" ({100 * valid:.0f} %)" if valid is not None else ""),
-            }
-        )
-    return {"metrics": [wording.label(metric) for metric in metrics], "rows": rows}
-
-
-def _pair(policy: float | None, reference: float | None, task: TaskWords) -> str:
-    """What the policy achieved, or what it was sent, and, in brackets, the same of the reference."""
-    return task.amount(policy) + (f" ({wording.number(reference)})" if reference is not None else "")
-
-
-def _headline(run: RunData, name: str, result: Json) -> str:
-    """The result in one sentence or two, without more certainty than the intervals have."""
-    speeds = result["speeds"]
-    if not speeds:
-        return " ".join((result.get("refused") or {}).values())
-    unit = result["unit"]
-    better = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[0] > 0]
-    worse = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[1] < 0]
-    chosen = (run.summary.get("final") or {}).get("policy")
-    policy = f"the final policy ({chosen})" if chosen else "the final policy"
-    refused = result.get("refused") or {}
-    if len(better) == len(speeds) and not refused:
-        values = sorted(speed["improvement"] for speed in speeds.values())
-        spread = (
-            wording.interval((values[0], values[-1]), unit) if len(values) > 1 else wording.quantity(values[0], unit)
-        )
-        text = f"Against the pretrained policy, {policy} improves {name} by {spread}{run.task.everywhere}."
-    else:
-        parts = [
-            (better, "better"),
-            (worse, "worse"),
-            ([k for k in speeds if k not in better + worse], "not clearly either"),
-        ]
-        found = ", ".join(f"{word}{run.task.at(keys)}" for keys, word in parts if keys)
-        text = f"Against the pretrained policy, {policy} is, for {name}, {found}."
-    for speed, why in refused.items():
-        where = run.task.at([speed])
-        text += f" It is not judged{where}: {why.removeprefix(f'Head-to-head{where}: ')}"
-    if "open_loop" in result:
-        text += " Both walked at held speed: their commands were trimmed by the measured speed, then frozen."
-    return f"{text} {_fell(result)}"
-
-
-def _fell(result: Json) -> str:
-    """How often it fell in all of its final: held and at equal commands, at refused speeds too."""
-    beside = result.get("open_loop") or {}
-    falls, elsewhere = _falls(result), _falls(beside)
-    if not falls and not elsewhere:
-        return "It did not fall."
-    count, where = falls + elsewhere, ""
-    if elsewhere:
-        where = f", {elsewhere} of them at equal commands" if falls else ", all at equal commands"
-    return f"It fell {count} time{'' if count == 1 else 's'}{where}."
-
-
-def _falls(way: Json) -> int:
-    judged = sum(speed.get("falls") or 0 for speed in (way.get("speeds") or {}).values())
-    return judged + sum((way.get("refused_falls") or {}).values())
 
 
 def _later(run: RunData) -> dict[str, Any] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,13 +35,16 @@ def frozen(module: nn.Module) -> nn.Module:
 
 def _check_actor(actor: TensorDictModuleBase) -> None:
     """Raise TypeError for an actor whose distribution of one action nobody can ask for."""
-    if not hasattr(actor, "get_dist"):
+    try:
+        actor.get_dist  # noqa: B018 -- of TorchRL's actors, and of whatever else gives distributions
+    except AttributeError as error:
         raise TypeError(
             f"actor_network is a {type(actor).__name__} without get_dist; expected a ProbabilisticActor, a "
             "ProbabilisticTensorDictSequential, or what else has it."
-        )
-    if getattr(actor, "distribution_class", None) is CompositeDistribution:
-        raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
+        ) from error
+    with suppress(AttributeError):  # only sequences have it
+        if actor.distribution_class is CompositeDistribution:
+            raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
 
 
 class KLConstrainedPPOLoss(LossModule):

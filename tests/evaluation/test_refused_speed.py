@@ -84,7 +84,7 @@ def test_with_no_speed_left_or_a_reference_that_cannot_walk_there_is_no_result(p
 
 def test_the_table_and_the_page_name_the_refused_speed():
     from hts.report.data import RunData
-    from hts.report.page import _headline
+    from hts.report.results import headline
 
     recordings = session(0.5, policy=0.4, reference=0.5) + session(0.8, policy=0.8, reference=0.8)
     results, refused = walked_speeds(CostObjective(), recordings, CONFIG)
@@ -94,6 +94,6 @@ def test_the_table_and_the_page_name_the_refused_speed():
     assert "Head-to-head at 0.5 m/s: 0 of 40 segments of the policy are valid" in out.file.getvalue()
     run = RunData.__new__(RunData)
     object.__setattr__(run, "summary", {"final": {"policy": "01-00"}})
-    said = _headline(run, "cost", entry)
+    said = headline(run, "cost", entry)
     assert "every speed" not in said
     assert "It is not judged at 0.5 m/s: 0 of 40 segments of the policy are valid (within" in said
