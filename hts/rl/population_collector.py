@@ -196,6 +196,8 @@ class PopulationCollector(SplitStepCollector):
     generator per candidate; frames_per_batch: P N T. Rewards and the transforms' entries are evaluated once a batch.
     Parameters are read at the beginning of each batch. An env that consists of groups has each of them stepped by a
     thread of its own.
+
+    Raises RuntimeError, with the first batch, for an env that changes in place what it said of an earlier step.
     """
 
     def __init__(self, env: EnvBase, policy: PopulationActor, *, frames_per_batch: int, total_frames: int = -1) -> None:
@@ -205,6 +207,7 @@ class PopulationCollector(SplitStepCollector):
         members = [slice(begin, end) for begin, end in itertools.pairwise((0, *ends))]
         self._groups = [(group, policy.of(own)) for group, own in zip(groups, members, strict=True)]
         self._turn = Lock()
+        self._checked = False
         self._pool = pool(max(len(groups), len(self.transforms)))
 
     def shutdown(self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True) -> None:
@@ -215,6 +218,7 @@ class PopulationCollector(SplitStepCollector):
     def _collect(self) -> TensorDict:
         run = map if len(self._groups) == 1 else self._pool.map
         collected = list(run(self._steps, *zip(*self._groups, strict=True)))
+        self._checked = True
         recorded = [_joined(parts, 1) for parts in zip(*(one.recorded for one in collected), strict=True)]
         rows = {key: _joined([one.rows[key] for one in collected], _candidates(key)) for key in collected[0].rows}
         rows = {key: value.movedim(0, 2) if _candidates(key) else value for key, value in rows.items()}
@@ -242,6 +246,7 @@ class PopulationCollector(SplitStepCollector):
         steps: dict[Key, list[torch.Tensor]] = {}
         recorded: list[list[torch.Tensor]] = [[] for _ in self.transforms]
         rewarded: list[Any] = []
+        said: _Said | None = None
         log_std = policy.log_std(ndim=3)
         std = log_std.exp()
         with self._turn:
@@ -261,11 +266,49 @@ class PopulationCollector(SplitStepCollector):
                 step |= {("next", name): value for name, value in (*env.observations().items(), *flags.items())}
                 for key, value in step.items():
                     steps.setdefault(key, []).append(value)
+                if not self._checked and said is None:
+                    said = _Said.of(env, step, ended)
                 if bool(flags["done"].any()):
                     env.start_episodes(flags["done"].squeeze(-1))
         rows = {key: torch.stack(values, 0 if _candidates(key) else 2) for key, values in steps.items()}
         rows["action_log_prob",] = log_prob(rows["action",], rows["loc",], log_std.unsqueeze(2))
-        return _Collected(rows, env.rewards(rewarded), [torch.stack(row) for row in recorded])
+        rewards = env.rewards(rewarded)
+        if said is not None:
+            said.check(env, {key: values[0] for key, values in steps.items()}, rewards[0])
+        return _Collected(rows, rewards, [torch.stack(row) for row in recorded])
+
+
+@dataclass
+class _Said:
+    """What an env said of its first step, kept apart from the env's own memory: tensors by key, and the reward."""
+
+    step: dict[Key, torch.Tensor]
+    reward: torch.Tensor
+
+    @classmethod
+    def of(cls, env: SplitStepEnv, step: Mapping[Key, torch.Tensor], ended: Any) -> _Said:
+        return cls({key: value.clone() for key, value in step.items()}, env.rewards([ended])[0].clone())
+
+    def check(self, env: SplitStepEnv, step: Mapping[Key, torch.Tensor], reward: torch.Tensor) -> None:
+        """Hold it against the same after later steps."""
+        changed = [".".join(key) for key, value in self.step.items() if not _same(value, step[key])]
+        if changed:
+            raise RuntimeError(
+                f"{type(env).__name__} changes {', '.join(changed)} of a step in place while later steps are taken, so "
+                "batches would hold another step's values. Give new tensors in observations() and end_step()."
+            )
+        if not _same(self.reward, reward):
+            raise RuntimeError(
+                f"{type(env).__name__} gives other rewards for a step once later steps were taken, so batches would "
+                "hold wrong ones: what end_step() gives must be new tensors (.clone() of a state that is changed in "
+                "place), and rewards() the same for any number of steps."
+            )
+
+
+def _same(one: torch.Tensor, other: torch.Tensor) -> bool:
+    if not one.is_floating_point():
+        return torch.equal(one, other)
+    return torch.allclose(one, other, rtol=1e-4, atol=1e-6, equal_nan=True)
 
 
 def decide(
