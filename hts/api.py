@@ -67,12 +67,17 @@ def run(
 
 
 def resume(folder: Path | str) -> Path:
-    """Go on with a run where it stopped; returns its folder. Like `hts resume`.
+    """Go on with a run where it stopped; returns its folder, or of a pretraining its policy. Like `hts resume`.
 
     For example `api.resume("runs/first")`.
     """
     from hts.config_loading import read_config
+    from hts.places import PRETRAINING
 
+    if (Path(folder) / PRETRAINING).is_file():
+        from hts.training.pretrain import resume_pretraining
+
+        return resume_pretraining(Path(folder))
     place = _run_folder(folder)
     if read_config(place / "config.yaml").reward_source == "oracle":
         from hts.oracle import resume_oracle

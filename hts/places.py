@@ -10,6 +10,9 @@ from pathlib import Path
 from hts.atomic import temporary_of
 from hts.errors import RunError
 
+PRETRAINING = "pretraining.json"
+"""In the folder of a pretraining that is not done: what was asked for."""
+
 PLACE_FAULTS: dict[int, str] = {
     errno.EROFS: "the file system is read-only. Choose a place that can be written{option}",
     errno.EACCES: "no permission. Change its owner or mode, or choose another place{option}",

@@ -62,27 +62,27 @@ def disk_fault(error: BaseException | None, place: Path | None = None) -> str | 
 
 
 @contextmanager
-def resumable(folder: Path) -> Iterator[None]:
-    """Whatever stops a run ends in one line that says how to go on with `folder`."""
+def resumable(folder: Path, begun: str = "config.yaml") -> Iterator[None]:
+    """Whatever stops a run ends in one line that says how to go on with `folder`; begun: its file from the start."""
     threading.excepthook = _in_a_thread
     try:
         yield
     except KeyboardInterrupt:
-        if (folder / "config.yaml").exists():
+        if (folder / begun).exists():
             print(f"\nstopped: `hts resume {folder}` goes on", file=sys.stderr)
         else:
             print("\nstopped before anything was written", file=sys.stderr)
         raise typer.Exit(130) from None
     except HtsError as error:
         advised = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in str(error)
-        if advised or not (folder / "config.yaml").exists():
+        if advised or not (folder / begun).exists():
             raise
         raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error
     except Exception as error:
         fault = disk_fault(error, folder) or device_fault(error)
         if fault is None:
             raise
-        resume = f" Then `hts resume {folder}` goes on." if (folder / "config.yaml").exists() else ""
+        resume = f" Then `hts resume {folder}` goes on." if (folder / begun).exists() else ""
         raise RunError(f"{fault}{resume}") from error
     finally:
         threading.excepthook = threading.__excepthook__

@@ -18,12 +18,14 @@ def command(
     engine: options.Engine = None,
     seed: options.Seed = None,
 ) -> None:
-    """Train the policy to start from on the task's own reward: minutes on a GPU, hours without."""
+    """Train the policy to start from on the task's own reward: minutes on a GPU, hours without. Stopped, it goes on
+    with `hts resume`."""
+    from hts.cli.one_line import resumable
     from hts.cli.run import refuse_existing
     from hts.config import PretrainConfig
     from hts.config_loading import load_section
     from hts.engines import check_engine
-    from hts.places import check_place
+    from hts.places import PRETRAINING, check_place
     from hts.plugins import load
 
     given = {key: value for key, value in (("engine", engine), ("seed", seed)) if value is not None}
@@ -38,7 +40,8 @@ def command(
     engine = select_engine(settings.engine, settings.env.device, tell=lambda line: typer.echo(line, err=True))
     settings = settings.model_copy(update={"engine": engine})
 
-    typer.echo(str(pretrain_policy(machine, settings, out, progress=tell)))
+    with resumable(out, PRETRAINING):
+        typer.echo(str(pretrain_policy(machine, settings, out, progress=tell)))
 
 
 def tell(row: dict[str, Any]) -> None:

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import typer
+
 from hts.cli import options
 
 
 def command(folder: options.RunFolder) -> None:
-    """Go on with a run where it stopped; finished stages are not done again."""
+    """Go on with a run, or a pretraining, where it stopped; finished stages are not done again."""
     from hts.cli.one_line import resumable
     from hts.cli.run_folder import existing_run
+    from hts.places import PRETRAINING
 
+    if (folder / PRETRAINING).is_file():
+        from hts.cli.pretrain import tell
+        from hts.training.pretrain import resume_pretraining
+
+        with resumable(folder, PRETRAINING):
+            typer.echo(str(resume_pretraining(folder, tell)))
+        return
     existing_run(folder)
     from hts.config_loading import read_config
 

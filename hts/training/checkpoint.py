@@ -1,4 +1,4 @@
-"""Checkpoints in the middle of a fine-tuning, by `torchrl.checkpoint`: one file, written in one move, no pickle."""
+"""Checkpoints in the middle of a training, by `torchrl.checkpoint`: one file, written in one move, no pickle."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hts.errors import PolicyError
 NOTES = "notes"
 BLOCK = 4096  # bytes, of the usual file systems
 MARGIN = 1 << 20  # bytes: manifest, notes and folders
-REMEDY = "Delete it and resume: the fine-tuning of this iteration starts again, nothing else is lost."
+REMEDY = "Delete it and resume: this training starts again, nothing else is lost."
 
 
 class _Holder:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from tensordict import TensorDict
@@ -118,12 +118,20 @@ def finetune(
     return results, steps
 
 
-Kept = Mapping[str, Halfway | Averaged]
-"""What a group keeps of its candidates on the way, by its name in a checkpoint."""
+class Kept(Protocol):
+    """Something that is kept on the way, beside the trainer's own state."""
+
+    def state(self) -> Mapping[str, Any]:
+        """Tensors."""
+        ...
+
+    def notes(self) -> Any:
+        """JSON values."""
+        ...
 
 
 class Saved:
-    """The checkpoint of one group. path: None for none; metadata: what it belongs to."""
+    """The checkpoint of one training. path: None for none; metadata: what it belongs to."""
 
     def __init__(self, path: Path | None, metadata: Mapping[str, Any]) -> None:
         self.path, self.metadata = path, metadata
@@ -135,7 +143,7 @@ class Saved:
             return None
         return TensorDict(dict(load_checkpoint(self.path, self.metadata))), load_notes(self.path)
 
-    def keep(self, trainer: PopulationTrainer, history: Sequence[Mapping[str, Any]], kept: Kept) -> None:
+    def keep(self, trainer: PopulationTrainer, history: Sequence[Mapping[str, Any]], kept: Mapping[str, Kept]) -> None:
         """Save, if it is time to, and if the env can be saved; if not, a stopped fine-tuning starts again."""
         if self.path is None or time.monotonic() - self._when <= CHECKPOINT_SECONDS or not trainer.resumable:
             return
@@ -202,7 +210,7 @@ class Group:
                     one.load(state.to_dict() if state is not None else {}, before[1][name])
 
     @property
-    def kept(self) -> Kept:
+    def kept(self) -> Mapping[str, Halfway | Averaged]:
         """What is kept on the way."""
         return {"halfway": self.halfway, "averaged": self.averaged}
 

@@ -238,7 +238,10 @@ class PopulationTrainer:
         self.stopped[index] = f"candidate {self.names[index]}: {reason}"
         self.steps.halt(index)
         if len(self.stopped) == self.population.count:
-            raise SimulationError("Training stopped, no candidate is left: " + "; ".join(self.stopped.values()))
+            raise SimulationError(
+                f"Training stopped, no candidate is left: {'; '.join(self.stopped.values())}. To resume it would end "
+                "there again: begin another with a smaller ppo.learning_rate or, where λ are large, smaller λ."
+            )
         if self.anchor is not None:
             with torch.no_grad():
                 self.population.vectors[index].copy_(self.anchor.vectors[index])
