@@ -241,6 +241,11 @@ class RunConfig(Config):
     start: str | None = Field(
         None, description="of `hts oracle`: policy file that candidates start from; null: the pretrained one"
     )
+    oracle_trains_in: Literal["reality", "simulation"] = Field(
+        "reality",
+        description="of `hts oracle`: candidates train on the reality, or as a run's in simulation, paid by its "
+        "instruments in the place of a fitted model: then only the reward sees inside",
+    )
     executor: str = Field("local", description="local (ray is planned)")
     seed: int = Field(0, ge=0, description="of the whole run")
     iterations: int = Field(ge=1, description="rounds of Algorithm 1")
@@ -272,7 +277,12 @@ class RunConfig(Config):
     def records_first(self) -> bool:
         """Whether real data are recorded before any candidate is tried: models are fitted to them, and a trust region
         needs them to say what a proxy promises."""
-        return self.reward_source == "model" or self.sweep.trust_region.enabled
+        return self.fits_models or self.sweep.trust_region.enabled
+
+    @property
+    def fits_models(self) -> bool:
+        """Whether measurement models are fitted. Of an oracle in simulation, too: it is a run but for what pays."""
+        return self.reward_source == "model" or self.oracle_trains_in == "simulation"
 
     @model_validator(mode="after")
     def _something_to_learn(self) -> RunConfig:
@@ -285,4 +295,8 @@ class RunConfig(Config):
             raise ValueError(
                 "start: only `hts oracle` starts from another policy; for a run: robot.policy, of its robot"
             )
+        if self.oracle_trains_in != "reality" and self.reward_source != "oracle":
+            raise ValueError("oracle_trains_in: belongs to `hts oracle`; every run trains in simulation")
+        if self.oracle_trains_in != "reality" and self.start is not None:
+            raise ValueError("start: of an oracle that trains on the reality; in simulation it starts as a run does")
         return self

@@ -24,7 +24,7 @@ from hts.guarded import guarded
 from hts.layers import in_full as written_out
 from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
-from hts.presets import ASKS_OBJECTIVES, BASELINES, DEFAULT, ORACLES, PRESETS, SEVERAL
+from hts.presets import ASKS_OBJECTIVES, BASELINES, DEFAULT, IN_SIMULATION, ORACLES, PRESETS, SEVERAL
 from hts.task_settings import check_simulated, check_task, task_layer
 from hts.yaml_text import load_mapping_file
 
@@ -84,7 +84,8 @@ def load_config(
     several = SEVERAL[chosen] if len(names) > 1 else {}
     without = {**BASELINES[chosen], "reward_source": "proxy"} if baseline else {}
     if oracle:
-        without = {**ORACLES[chosen], "reward_source": "oracle"}
+        simulated = laid(written, last).get("oracle_trains_in") == "simulation"
+        without = {**(IN_SIMULATION if simulated else ORACLES[chosen]), "reward_source": "oracle"}
     own = {"objectives": _of_objectives(names, chosen, registry)} if chosen in ASKS_OBJECTIVES else {}
     machine = laid(written, options, last).get("robot") if registry else None
     task = task_layer(registry, machine, PRESETS[chosen]) if registry and machine else {}
@@ -182,7 +183,7 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     strangers = sorted(set(config.sweep.weights) - set(config.objectives))
     if strangers:
         raise ConfigError("sweep.weights: " + unknown_name("objective of this run", strangers[0], config.objectives))
-    if config.reward_source == "model":
+    if config.fits_models:
         for name, settings in config.objectives.items():
             objective = registry.make_objective(name, settings)
             what = f"Objective '{name}' (from {registry.entry('objectives', name).package}): measurement_model()"

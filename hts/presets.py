@@ -249,3 +249,6 @@ ORACLES: dict[str, dict[str, Any]] = {
 }
 ORACLES["paper-exact"] = ORACLES["paper"]
 """Laid over the preset by `hts oracle`."""
+
+IN_SIMULATION: dict[str, Any] = {"engine": "mujoco"}  # instruments are computed by the CPU
+"""Laid over it instead where only the reward sees inside: all else is as in a run."""

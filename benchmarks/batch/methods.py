@@ -97,6 +97,11 @@ METHODS: dict[str, Method] = {
         about="the paper's own recipe",
     ),
     "oracle": Method(command=ORACLE, about="saw inside the reality; no method: what was possible"),
+    "oracle-reward": Method(
+        command=ORACLE,
+        settings=("oracle_trains_in=simulation",),
+        about="ours with the reality's own instruments for a model; no method: what a better model could add",
+    ),
     # Ablations: ours without one thing.
     "lstm": Method(own={"power": ("objectives.power.model=battery_current",)}, about="the paper's kind of model"),
     "no-products": Method(

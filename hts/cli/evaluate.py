@@ -29,10 +29,11 @@ def command(
     from hts.evaluation.evaluate import evaluate_run
     from hts.report.table import print_evaluation
 
-    if read_config(folder / "config.yaml").reward_source == "oracle":
-        from hts.worlds.oracle import NOTE
+    config = read_config(folder / "config.yaml")
+    if config.reward_source == "oracle":
+        from hts.oracle import note_of
 
-        typer.echo(NOTE)
+        typer.echo(note_of(config))
     found = evaluate_run(folder, speeds=speed or None, policy=policy, world=world, seed=seed, sessions=sessions)
     print_evaluation(found)
     typer.echo(str(folder / "evaluation.json"))

@@ -16,7 +16,15 @@ Start = Annotated[
         help="Start from this policy (.safetensors), such as a run's best; then it is a candidate too.",
     ),
 ]
-Steps = Annotated[int | None, typer.Option(help="Control steps per candidate, on the reality: finetune.steps.")]
+InSimulation = Annotated[
+    bool,
+    typer.Option(
+        "--in-simulation",
+        help="Train in simulation as `hts run` does; only the reward sees inside: what a measurement model that never "
+        "errs would be worth.",
+    ),
+]
+Steps = Annotated[int | None, typer.Option(help="Control steps per candidate: finetune.steps.")]
 
 
 def command(
@@ -27,6 +35,7 @@ def command(
     config: options.ConfigFile = None,
     set_: options.Overrides = None,
     start: Start = None,
+    in_simulation: InSimulation = False,
     steps: Steps = None,
     seed: options.Seed = None,
     out: options.Out = None,
@@ -40,6 +49,7 @@ def command(
 
     registry = load()
     overrides = list(set_ or ())
+    overrides += ["oracle_trains_in=simulation"] if in_simulation else []
     overrides += [f"finetune.steps={steps}"] if steps is not None else []
     resolved = load_config(
         preset=preset,

@@ -80,10 +80,17 @@ def contents(run: RunData) -> dict[str, Any]:
 def world_words(run: RunData) -> tuple[str, str]:
     """Title and text that say what the measurements are: computed, or of a machine, or that nobody said."""
     if run.summary.get("note"):
+        note, who = run.summary["note"].capitalize(), identity_words(run)
+        if run.config.get("oracle_trains_in") == "simulation":
+            return "No method.", (
+                f"{note}. Candidates were trained in simulation, paid by what the instruments of the twin{who} exactly "
+                "showed there. No robot was involved, and nobody beside a robot could do this: it is what a "
+                "measurement model that never errs would be worth on this twin."
+            )
         return "No method.", (
-            f"{run.summary['note'].capitalize()}. Candidates were trained on the twin itself"
-            f"{identity_words(run)}, paid by what its instruments hide. No robot was involved, and nobody beside a "
-            "robot could do this: it is a lower estimate of what is possible on this twin."
+            f"{note}. Candidates were trained on the twin itself{who}, paid by what its instruments hide. No robot was "
+            "involved, and nobody beside a robot could do this: it is a lower estimate of what is possible on this "
+            "twin."
         )
     if run.world_simulated:
         source = SOURCES.get(run.world, f"the world '{run.world}', which computes its physics") + identity_words(run)

@@ -78,7 +78,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
             job.stages.progress.skip(stages_per_iteration(config) * (config.iterations - i))
             break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder
-        if config.reward_source == "model":
+        if config.fits_models:
             job.do(f"{name}/fit", f"{about}: fit measurement models", partial(fit, job, i))
         else:
             job.stages.progress.skip(1)

@@ -76,9 +76,18 @@ class Job:
         own = own_weights(self.objectives, proxy=self.config.reward_source == "proxy")
         return combinations(own, self.config.sweep.weights)
 
-    def rewards(self) -> list[Transform] | None:
+    def rewards(self, iteration: int) -> list[Transform] | None:
         """What is paid for in training where it is neither models nor proxies; None: it is one of these."""
         return None
+
+    def reward_inputs(self) -> tuple[str, ...]:
+        """Sim channels that `rewards` reads beside those of the objectives' models."""
+        return ()
+
+    @property
+    def checkpoints(self) -> bool:
+        """Whether fine-tuning may be saved on its way: not where a reward has a state that cannot."""
+        return True
 
     def untrained(self, iteration: int) -> list[dict[str, Any]]:
         """Rows of finetune.json for candidates of an iteration that are there already."""

@@ -137,7 +137,7 @@ def _promised(
 def _in_unit(job: Job, iteration: int, key: str, objective: Objective, known: Sequence[Recording]) -> InUnit:
     """From what the env writes of a target to its unit: a model's z-scores, or a proxy, which a line through the known
     recordings turns into the target."""
-    if job.config.reward_source == "model":
+    if job.config.fits_models:
         model = files.load(model_path(job, iteration, key), registry=job.registry)
         return lambda found: model.denormalise(torch.from_numpy(found)).numpy()
     line = fit_proxy(objective, known)

@@ -71,7 +71,7 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
 def asks_weights(job: Job, iteration: int, name: str) -> bool:
     """Whether an objective's own λ are asked for behind its model: where nobody names any, and not in the midst of a
     run that an earlier version began without."""
-    if job.config.reward_source != "model" or job.config.sweep.weights.get(name):
+    if not job.config.fits_models or job.config.sweep.weights.get(name):
         return False
     return iteration == 0 or "weights" in job.read(f"iterations/{iteration - 1:02d}/fit")[name]
 
@@ -92,7 +92,7 @@ def own_weights_of(objective: Objective, model: MeasurementModel, recordings: Se
 def combinations_of(job: Job, iteration: int) -> list[dict[str, float]]:
     """λ of each candidate of an iteration: own ones as the objectives say behind the models of now, or where they were
     not asked those that need no model."""
-    if job.config.reward_source != "model":
+    if not job.config.fits_models:
         return job.combinations
     fits = job.read(f"iterations/{iteration:02d}/fit")
     own = {name: fits[name].get("weights", objective.weights) for name, objective in job.objectives.items()}
@@ -106,7 +106,7 @@ def model_path(job: Job, iteration: int, objective: str) -> Path:
 
 def transforms(job: Job, iteration: int) -> list[Transform]:
     """Fresh measurement models (or analytic proxies) to put into an env; of an oracle what it sees."""
-    seen = job.rewards()
+    seen = job.rewards(iteration)
     if seen is not None:
         return seen
     if job.config.reward_source == "proxy":
@@ -118,8 +118,9 @@ def transforms(job: Job, iteration: int) -> list[Transform]:
 
 
 def inputs(job: Job) -> tuple[str, ...]:
-    """Sim channels that the objectives' models read."""
-    return tuple(dict.fromkeys(name for objective in job.objectives.values() for name in objective.inputs))
+    """Sim channels that the objectives' models read, or whatever else pays."""
+    models = (name for objective in job.objectives.values() for name in objective.inputs)
+    return tuple(dict.fromkeys((*models, *job.reward_inputs())))
 
 
 def sweep(job: Job, iteration: int, best: str) -> list[Candidate]:
@@ -180,7 +181,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
         lambda: transforms(job, iteration),
         inputs(job),
         seed=job.seed("finetune", iteration),
-        checkpoint=checkpoint,
+        checkpoint=checkpoint if job.checkpoints else None,
         key=key,
         progress=report,
         log=log,

@@ -17,7 +17,7 @@ def summarise(job: Job) -> dict[str, Any]:
     """The whole run as one JSON object; everything but `wall_seconds` depends on configuration and seed alone."""
     config = job.config
     iterations, steps, samples = [], 0, 0
-    learned = config.reward_source == "model"
+    learned = config.fits_models
     if config.records_first:
         samples += job.read("collect")["samples"]
     done = job.done_iterations

@@ -266,7 +266,7 @@ def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -
 
 def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:
     """How well this iteration's models predicted the policies that were made with them: the hardest test."""
-    if job.config.reward_source != "model" or not ids:  # ids: of the tests, none where nobody could be tested
+    if not job.config.fits_models or not ids:  # ids: of the tests, none where nobody could be tested
         return {}
     tried = job.recordings(ids)
     known = job.recordings(job.known(iteration))

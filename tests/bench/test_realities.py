@@ -19,6 +19,7 @@ from batch.methods import METHODS, Method, jobs_of, read_methods, realities_of, 
 from batch.queue import STOPPED, Slot, run_batch, slots_of
 from fake_lines import line
 
+from hts.config_loading import load_config
 from hts.errors import ConfigError
 
 FAKE = (sys.executable, str(Path(__file__).parent / "fake_hts.py"))
@@ -125,6 +126,15 @@ def test_an_oracle_is_made_like_a_method_and_is_nobodys_rival():
         assert "1 of 1" in rows["ours"] and "0 of 1" in rows["baseline"]
         assert text.endswith("`oracle`: saw inside the reality; no method, and no rival here.")
     assert tables.methods(groups[:2]).endswith("|")
+
+
+def test_an_oracle_of_the_reward_is_ours_but_for_what_pays():
+    def settings(name: str, **kind: bool) -> dict[str, object]:
+        given = {"preset": "quick", "objectives": ["power"], "robot": "go1", "world": "twin", "engine": "mujoco"}
+        return load_config(**given, overrides=METHODS[name].settings, **kind).model_dump()
+
+    ours, seeing = settings("ours"), settings("oracle-reward", oracle=True)
+    assert {key for key in ours if ours[key] != seeing[key]} == {"reward_source", "oracle_trains_in"}
 
 
 def test_the_papers_recipe_is_never_ours_by_another_name():

@@ -6,3 +6,5 @@ else may look in here: learning code sees an env like any other and cannot impor
 
 NOTE = "oracle: saw inside the reality; no method"
 """Stands wherever a result of an oracle does."""
+IN_SIMULATION = "oracle of the reward: trained in simulation, paid by the reality's own instruments; no method"
+"""The same where only the reward saw inside."""

@@ -1,4 +1,4 @@
-"""`hts oracle`: Algorithm 1's sweep, tests and final with a reality as training env and the truth as reward.
+"""Algorithm 1's sweep, tests and final with a reality as training env and the truth as reward.
 
 It is a run like any other but for three things: candidates are trained and judged on the reality itself, which may be
 looked into; nothing is measured before, so nothing is fitted; and what it finds is a lower estimate of what is possible
@@ -7,7 +7,6 @@ there, and no method. The tests of the elites and the final are those of `hts ru
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -18,12 +17,8 @@ from typing import TYPE_CHECKING, Any
 from torchrl.envs.transforms import Transform
 
 from hts.config import RunConfig
-from hts.config_loading import check_names, read_config
-from hts.errors import ConfigError, PolicyError
-from hts.places import check_place
-from hts.plugins import Registry, load
-from hts.run import make_folder
-from hts.run.algorithm import run
+from hts.errors import PolicyError
+from hts.plugins import Registry
 from hts.run.job import Job
 from hts.run.ready import check_world, pretrained_policy
 from hts.training.sweep import own_weights
@@ -41,29 +36,6 @@ FACTORS = (0.1, 0.3, 1.0)
 MOST_ENVS = 32  # that say what the truth is like
 
 
-def start_oracle(config: RunConfig, folder: Path, *, dry_run: bool = False, registry: Registry | None = None) -> Path:
-    """An oracle into the new folder; returns it. Raises what `hts.run.start_run` raises, and ConfigError for a world
-    that is not simulated here: only a twin can be looked into."""
-    registry = registry or load()
-    check_place(Path(folder), "--out DIR")
-    config = prepared(config, registry)
-    check_oracle(config, registry)
-    if dry_run:
-        from hts.run.cost import estimate, print_estimate
-
-        print_estimate(estimate(config, registry, control_steps_per_second(config, registry)))
-        print(NOTE)
-        return folder
-    make_folder(config, folder)
-    return resume_oracle(folder, registry)
-
-
-def resume_oracle(folder: Path, registry: Registry | None = None) -> Path:
-    """Go on with an oracle where it stopped; the stage that it stopped in begins anew."""
-    print(NOTE, file=sys.stderr)
-    return run(read_config(Path(folder) / "config.yaml"), Path(folder), registry or load(), OracleJob)
-
-
 def prepared(config: RunConfig, registry: Registry) -> RunConfig:
     """The configuration as it is written: with the λ that it will take, the start's whole path and the real engine."""
     objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
@@ -74,19 +46,8 @@ def prepared(config: RunConfig, registry: Registry) -> RunConfig:
     return config.model_copy(update={"sweep": sweep, "start": start, "engine": "mujoco"})
 
 
-def check_oracle(config: RunConfig, registry: Registry) -> None:
-    """Everything that can be checked before anything is spent, each mistake one line."""
-    if config.reward_source != "oracle":
-        raise ConfigError(
-            f"reward_source: expected oracle in `hts oracle`, found {config.reward_source}. Leave it out, or take "
-            "`hts run` or `hts baseline`."
-        )
-    if config.world.name != "twin":
-        raise ConfigError(
-            f"World '{config.world.name}' cannot be looked into: an oracle needs a twin. Leave --world out, and name a "
-            "reality by --set world.reality=NAME."
-        )
-    check_names(config, registry)
+def check(config: RunConfig, registry: Registry) -> None:
+    """What can be checked before anything is spent, beside names: each mistake is one line."""
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     oracle = OracleRobot(robot, config.world.settings, config.objectives, registry)
     pretrained_policy(oracle)
@@ -172,7 +133,7 @@ class OracleJob(Job):
         result = self.do("truth", "walk on the reality, looking inside", walk)
         return {name: Level(**level) for name, level in result["levels"].items()}
 
-    def rewards(self) -> list[Transform]:
+    def rewards(self, iteration: int) -> list[Transform]:
         """The truth of each objective."""
         return [TrueReward(objective, self.levels[name]) for name, objective in self.objectives.items()]
 

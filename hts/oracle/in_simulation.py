@@ -1,0 +1,65 @@
+"""`hts oracle --in-simulation`: a run whose reward alone sees inside the reality.
+
+Data, fits, λ, bounds, promises, tests and final are those of `hts run`; in training and in judging the reality's own
+instruments stand in the place of the fitted model. So what it saves more than a run is what a better model could add.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torchrl.envs.transforms import Transform
+
+from hts.config import RunConfig
+from hts.measurement import files
+from hts.plugins import Registry
+from hts.run.job import Job
+from hts.run.learning import model_path
+from hts.run.ready import check_ready
+from hts.run.speed import control_steps_per_second
+from hts.worlds.oracle import IN_SIMULATION
+from hts.worlds.oracle.robot import OracleRobot
+from hts.worlds.oracle.simulated import CHANNELS, ExactMeasurement, check_exact
+
+__all__ = ["SimulatedOracleJob", "check", "control_steps_per_second", "prepared"]
+
+
+class SimulatedOracleJob(Job):
+    """A job whose candidates train in simulation, as a run's do, paid by the exact measurement of that simulation."""
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.note = IN_SIMULATION
+        oracle = OracleRobot(self.robot, self.config.world.settings, self.config.objectives, self.registry)
+        self._instruments = oracle.instruments
+
+    @property
+    def checkpoints(self) -> bool:
+        """What instruments hide (heat, charge) cannot be saved."""
+        return False
+
+    def reward_inputs(self) -> tuple[str, ...]:
+        """What instruments see of the simulation."""
+        return CHANNELS
+
+    def rewards(self, iteration: int) -> list[Transform]:
+        """The exact measurement for each objective, in the scale of the model that was fitted."""
+        spec, made = self.robot.spec, []
+        for name, objective in self.objectives.items():
+            model = files.load(model_path(self, iteration, name), registry=self.registry)
+            made.append(ExactMeasurement(objective, model, self._instruments, spec))
+        return list(made)
+
+
+def prepared(config: RunConfig, registry: Registry) -> RunConfig:
+    """The configuration as it is written: with the real engine."""
+    return config.model_copy(update={"engine": "mujoco"})
+
+
+def check(config: RunConfig, registry: Registry) -> None:
+    """What can be checked before anything is spent, beside names: each mistake is one line."""
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    oracle = OracleRobot(robot, config.world.settings, config.objectives, registry)
+    objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
+    check_exact(oracle.instruments, robot.spec, objectives)
+    check_ready(config, registry, config.engine)
