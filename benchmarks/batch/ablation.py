@@ -51,7 +51,7 @@ def ablation(groups: Sequence[Group], against: str = "ours") -> str:
                 *(_cell(group, *shared[name]) if name in shared else NONE for name in names),
             ]
         )
-    head = ["method", f"less {against}: mean over realities, 95 %", "worse on", "more speeds refused", *names]
+    head = ["method", f"minus {against}: mean over realities, 95 %", "worse on", "more speeds refused", *names]
     return table(head, rows)
 
 

@@ -5,6 +5,7 @@
     <!-- end -->
 
 In the midst of a sentence, `value` writes one number: results: value lines=… method=ours statistic=median speed=0.8.
+metric=gross_reduction takes one of the objective's metrics, in the unit of its improvement.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ NUMBER = {
     "docs/results-earlier.md": WITH_DECIMALS,
 }
 """What counts as a number of a result in the pages that are watched: in all but the first, any with decimals."""
-KEYS = {"lines", "preset", "methods", "objective", "against", "method", "statistic", "speed"}
+KEYS = {"lines", "preset", "methods", "objective", "against", "method", "statistic", "speed", "metric"}
 STATISTICS = {"median": quantile(0.5), "mean": mean, "5th-percentile": quantile(0.05), "lowest": quantile(0.0)}
 COUNTS = ("falls", "refused", "runs", "realities", "real-samples")
 
@@ -142,4 +143,5 @@ def _value(groups: Sequence[Group], given: Mapping[str, str]) -> str:
         }[statistic]
     if statistic not in STATISTICS:
         raise EvaluationError(unknown_name("statistic", statistic, [*STATISTICS, *COUNTS]))
-    return tables.shown(group.unit)(population(group.values(speed), STATISTICS[statistic]).estimate)
+    values = group.values(speed, metric=given.get("metric"))
+    return tables.shown(group.unit)(population(values, STATISTICS[statistic]).estimate)

@@ -16,7 +16,7 @@ from statistics import mean
 
 from batch.lines import Figures, GivenUp, Line, Outcome, Result
 from batch.methods import ORACLE
-from hts.errors import EvaluationError
+from hts.errors import EvaluationError, unknown_name
 from hts.evaluation.population import Values
 
 
@@ -44,11 +44,11 @@ class Group:
         """Whether these are runs of the oracle, which is no method."""
         return any(line.arguments[:1] == [ORACLE] for line in self.lines)
 
-    def values(self, speed: str | None = None, kind: str = "chosen") -> Values:
-        """reality -> saving of each seed, at one speed or over all."""
+    def values(self, speed: str | None = None, kind: str = "chosen", metric: str | None = None) -> Values:
+        """reality -> saving of each seed, at one speed or over all; metric: as of `saving`."""
         found: dict[str, list[float]] = {}
         for line, result in self.results:
-            found.setdefault(line.reality, []).append(saving(result, self.objective, speed, kind))
+            found.setdefault(line.reality, []).append(saving(result, self.objective, speed, kind, metric))
         return found
 
     def figures(self) -> list[Figures]:
@@ -123,11 +123,22 @@ def falls_told(why: str | None) -> int:
     return int(found[1]) if found else 0
 
 
-def saving(result: Result, objective: str, speed: str | None = None, kind: str = "chosen") -> float:
-    """What a run saved at a speed, or on average over those asked for; see the rules above."""
+def saving(
+    result: Result, objective: str, speed: str | None = None, kind: str = "chosen", metric: str | None = None
+) -> float:
+    """What a run saved at a speed, or on average over those asked for; see the rules above. metric: one of the
+    objective's metrics instead of its improvement. Raises EvaluationError for one that it does not have."""
     figures = chosen(result.objectives.get(objective), kind)
     speeds = [str(one) for one in result.asked_speeds] if speed is None else [speed]
-    return mean(figures[one].improvement if one in figures else 0.0 for one in speeds)
+    return mean(_quantity(figures[one], metric) if one in figures else 0.0 for one in speeds)
+
+
+def _quantity(figures: Figures, metric: str | None) -> float:
+    if metric is None:
+        return figures.improvement
+    if metric not in figures.metrics:
+        raise EvaluationError(unknown_name("metric in these lines", metric, figures.metrics))
+    return figures.metrics[metric]
 
 
 def groups_of(

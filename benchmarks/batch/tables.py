@@ -24,7 +24,7 @@ def methods(groups: Sequence[Group]) -> str:
     head = ["method", "realities × runs", "failed"]
     head += [f"median, {speed} m/s" for speed in speeds]
     head += ["median", "mean, 95 %", "5th percentile", "lowest", "falls: final, tried", "speeds refused"]
-    head += ["real samples, median", "within 1 point of the best other", "less the best other, mean, 95 %"]
+    head += ["real samples, median", "within 1 point of the best other", "minus the best other, mean, 95 %"]
     return noted(groups, table(head, [_method(group, rivals(groups, group), speeds) for group in groups]))
 
 
@@ -51,7 +51,7 @@ def short(groups: Sequence[Group]) -> str:
             ]
         )
     head = ["method", "machines", "median", "mean, 95 %", "lowest machine", "speeds refused", "falls: final, tried"]
-    return noted(groups, table([*head, f"less {first.name}, mean, 95 %"], rows))
+    return noted(groups, table([*head, f"minus {first.name}, mean, 95 %"], rows))
 
 
 def rivals(groups: Sequence[Group], group: Group) -> list[Group]:
@@ -144,7 +144,7 @@ def best_other(groups: Sequence[Group]) -> str:
                 f"{sum(gap[0] >= -point for gap in gaps.values())} of {len(gaps)}",
             ]
         )
-    head = ["method", "realities", "less the best other there: mean, 95 %", "median, 95 %", "ratio: median, 95 %"]
+    head = ["method", "realities", "minus the best other there: mean, 95 %", "median, 95 %", "ratio: median, 95 %"]
     return noted(groups, table([*head, "within 1 point of it"], rows))
 
 
@@ -172,7 +172,7 @@ def pairs(groups: Sequence[Group], against: str) -> str:
                 signed(group.count_refused(shared) - whole.count_refused(shared)),
             ]
         )
-    head = ["method", "realities", f"less {against}, mean, 95 %", "median", "better on", "more speeds refused"]
+    head = ["method", "realities", f"minus {against}, mean, 95 %", "median", "better on", "more speeds refused"]
     return noted(groups, table(head, rows))
 
 

@@ -280,6 +280,17 @@ def test_a_block_that_cannot_be_made_is_one_line(lines, block, said):
         blocks.written(block, lines)
 
 
+def test_a_sentence_may_tell_a_metric_instead_of_the_improvement(tmp_path):
+    saved = line(saved=(0.3, 0.3, 0.3))
+    for figures in saved.result.objectives["power"].held.values():
+        figures.metrics["gross_reduction"] = 0.2
+    (tmp_path / "a.jsonl").write_text(saved.model_dump_json() + "\n")
+    made = blocks.written("<!-- results: value lines=a.jsonl metric=gross_reduction --><!-- end -->", tmp_path)
+    assert "-->20.0 %<!--" in made
+    with pytest.raises(EvaluationError, match="No metric in these lines named 'gross'. Did you mean"):
+        blocks.written("<!-- results: value lines=a.jsonl metric=gross --><!-- end -->", tmp_path)
+
+
 def test_a_number_outside_of_blocks_is_seen_unless_it_stood_there_before():
     text = "Saves 15.6 % and 3 dB(A). <!-- results: value lines=a.jsonl -->20.0 %<!-- end --> | 7.25 |"
     assert blocks.strangers("README.md", text, {}) == ["15.6", "3"]
