@@ -58,6 +58,22 @@ HELD_CHANNELS = {channel.name: channel for channel in (SPEED_ERROR, SPEED_ERROR_
 """Made by the env of the velocity task, beside the channels of its robot."""
 
 
+SUBSTEP_TORQUE, SUBSTEP_VELOCITY, SUBSTEP_FORCE = "substep_torque", "substep_velocity", "substep_force"
+
+
+def substep_channels(substeps: int, num_joints: int, num_feet: int) -> dict[str, Channel]:
+    """What the K physics steps of a control step were like, which its end does not show: a joint's torque jumps where
+    its target does. Made by the env of the velocity task when asked for, beside the channels of its robot, on engines
+    that keep them (`Engine.physics_steps`)."""
+    joints = (substeps, num_joints)
+    channels = (
+        Channel(SUBSTEP_TORQUE, "N*m", joints, "joint torque in each physics step"),
+        Channel(SUBSTEP_VELOCITY, "rad/s", joints, "joint speed, mean of before and after each physics step"),
+        Channel(SUBSTEP_FORCE, "N", (substeps, num_feet), "normal force under each foot in each physics step"),
+    )
+    return {channel.name: channel for channel in channels}
+
+
 def standard_channels(num_joints: int, num_feet: int) -> dict[str, Channel]:
     """The sim channels of a legged robot: what simulation and robot both give.
 

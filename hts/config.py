@@ -296,7 +296,12 @@ class RunConfig(Config):
                 "start: only `hts oracle` starts from another policy; for a run: robot.policy, of its robot"
             )
         if self.oracle_trains_in != "reality" and self.reward_source != "oracle":
-            raise ValueError("oracle_trains_in: belongs to `hts oracle`; every run trains in simulation")
+            raise ValueError(
+                "oracle_trains_in: belongs to `hts oracle`, whose reward_source is oracle; every run trains in "
+                f"simulation. Found reward_source {self.reward_source}: leave one of the two out."
+            )
         if self.oracle_trains_in != "reality" and self.start is not None:
-            raise ValueError("start: of an oracle that trains on the reality; in simulation it starts as a run does")
+            raise ValueError(
+                "start: of an oracle that trains on the reality; in simulation it starts as a run does. Leave it out."
+            )
         return self

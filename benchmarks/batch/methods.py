@@ -255,7 +255,7 @@ def jobs_of(
         sets = [*method.settings, *own, *_of_objectives(name, method, objectives, bool(own)), *settings]
         config = _resolved(name, method, taken, sets, objectives, robot, engine)
         resolved = dump_config(config.model_copy(update={"seed": 0}))
-        physics = ("--engine", engine) if engine and method.command != ORACLE else ()  # an oracle's is the twin's
+        physics = ("--engine", engine) if engine and method.command != ORACLE else ()  # it has its own, on CPUs
         options = (*common, *physics, "--preset", taken, *(text for one in sets for text in ("--set", one)))
         made[name] = ((method.command, *options), digest([method.command, resolved]))
     return [

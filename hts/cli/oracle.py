@@ -41,7 +41,8 @@ def command(
     out: options.Out = None,
     dry_run: options.DryRun = False,
 ) -> None:
-    """What was possible on a twin: fine-tuning on the reality itself, paid by what its instruments hide. No method."""
+    """What was possible on a twin, for who sees inside: fine-tuning on the reality itself, or only paid by its
+    instruments. No method."""
     from hts.cli.one_line import resumable
     from hts.cli.run import default_folder, refuse_existing
     from hts.config_loading import load_config

@@ -63,8 +63,8 @@ def start(config: RunConfig, registry: Registry, out: Path | None, dry_run: bool
 
 
 def default_folder(config: RunConfig) -> Path:
-    """runs/OBJECTIVE-ROBOT-PRESET-SEED, with `proxy` for a baseline and `proxy-reward` for the method without a model:
-    one folder for one command line."""
+    """runs/OBJECTIVE-ROBOT-PRESET-SEED, with `proxy` for a baseline, `proxy-reward` for the method without a model,
+    `oracle` and `oracle-reward` for the two oracles: one folder for one command line."""
     parts = ["+".join(config.objectives), config.robot.name, config.preset, str(config.seed)]
     if config.reward_source != "model":
         parts.insert(2, f"{config.reward_source}-reward" if config.records_first else config.reward_source)

@@ -112,7 +112,8 @@ class Instrument(ABC):
 
     def exact(self) -> Mapping[str, np.ndarray]:
         """What `read` would show without noise, rounding, filter and delay: means since the last call of this,
-        channel name -> (W, *shape). For who holds measurements against the truth on a twin; never recorded.
+        channel name -> (W, *shape). For who holds measurements against the truth on a twin, and for `hts oracle
+        --in-simulation`; never recorded.
 
         The channel itself, its idle level included; what an objective makes of it is `truth`. By default empty: this
         instrument cannot tell.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hts.channels import HELD_CHANNELS
+from hts.channels import HELD_CHANNELS, substep_channels
 from hts.config import EnvConfig
 from hts.contracts import Robot
 from hts.cores import available
@@ -30,10 +30,12 @@ def make_velocity_env(
 
     On a CPU in two groups of candidates where there are two of both: one decides while the other is in its physics.
     """
+    spec = robot.spec
+    made_here = {**HELD_CHANNELS, **substep_channels(spec.substeps, spec.num_joints, len(spec.foot_sites))}
     known = robot.channels()
     pool = variants(robot, config.randomisation, config.seed)
     seeds = list(seeds) if seeds is not None else [config.seed + index for index in range(num_candidates)]
-    wanted = {name: HELD_CHANNELS.get(name) or known[name] for name in (channels or known)}
+    wanted = {name: made_here.get(name) or known[name] for name in (channels or known)}
     if engine == "auto":
         engine = select_engine(engine, config.device)
 

@@ -18,6 +18,7 @@ from hts.envs.constants import delays_and_offsets
 from hts.envs.disturbances import Disturbances
 from hts.envs.episodes import time_outs
 from hts.envs.observation import NOISE, critic_observation_size, observation_layout
+from hts.envs.physics_steps import SUBSTEPS, in_physics_steps
 from hts.envs.pose import trunk_frame, yaw_of
 from hts.envs.rewards import RewardInputs, resolve_weights, soft_range, stacked, total
 from hts.rl.random import PopulationRandom
@@ -338,6 +339,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
             return self.commands.value
         if name in HELD_CHANNELS:  # a method of the commands each
             return getattr(self.commands, name)(self._velocity[..., 0], self.steps * self.dt)
+        if name in SUBSTEPS:
+            return in_physics_steps(name, self.engine, self._torques, self._touch).unflatten(0, self.shape2)
         return getattr(self, CHANNEL_FIELDS[name])
 
     # ------------------------------------------------------------------------------------- saving the whole state

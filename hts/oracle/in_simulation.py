@@ -11,15 +11,20 @@ from typing import Any
 from torchrl.envs.transforms import Transform
 
 from hts.config import RunConfig
+from hts.config_loading import make_model
+from hts.contracts import FollowVelocity
+from hts.envs.velocity_robot import VelocityRobot
+from hts.errors import ConfigError, UnfitWorldError
+from hts.guarded import guarded
 from hts.measurement import files
 from hts.plugins import Registry
 from hts.run.job import Job
 from hts.run.learning import model_path
-from hts.run.ready import check_ready
+from hts.run.ready import FEW_ENVS, check_ready
 from hts.run.speed import control_steps_per_second
+from hts.training.finetune import measured_env
 from hts.worlds.oracle import IN_SIMULATION
-from hts.worlds.oracle.robot import OracleRobot
-from hts.worlds.oracle.simulated import CHANNELS, ExactMeasurement, check_exact
+from hts.worlds.oracle.simulated import CHANNELS, ExactMeasurement, Seeing, check_exact
 
 __all__ = ["SimulatedOracleJob", "check", "control_steps_per_second", "prepared"]
 
@@ -30,13 +35,8 @@ class SimulatedOracleJob(Job):
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
         self.note = IN_SIMULATION
-        oracle = OracleRobot(self.robot, self.config.world.settings, self.config.objectives, self.registry)
-        self._instruments = oracle.instruments
-
-    @property
-    def checkpoints(self) -> bool:
-        """What instruments hide (heat, charge) cannot be saved."""
-        return False
+        config = self.config
+        self._seeing = Seeing.of(self.robot, config.world.settings, config.objectives, self.registry)
 
     def reward_inputs(self) -> tuple[str, ...]:
         """What instruments see of the simulation."""
@@ -44,22 +44,45 @@ class SimulatedOracleJob(Job):
 
     def rewards(self, iteration: int) -> list[Transform]:
         """The exact measurement for each objective, in the scale of the model that was fitted."""
-        spec, made = self.robot.spec, []
+        made: list[Transform] = []
         for name, objective in self.objectives.items():
             model = files.load(model_path(self, iteration, name), registry=self.registry)
-            made.append(ExactMeasurement(objective, model, self._instruments, spec))
-        return list(made)
+            made.append(ExactMeasurement(objective, model, self._seeing))
+        return made
 
 
 def prepared(config: RunConfig, registry: Registry) -> RunConfig:
-    """The configuration as it is written: with the real engine."""
-    return config.model_copy(update={"engine": "mujoco"})
+    """The configuration as it is written. Raises ConfigError for an engine that keeps no physics steps."""
+    if config.engine != "mujoco":
+        raise ConfigError(
+            f"engine: {config.engine} does not keep every physics step, which the instruments look at. Leave it out: "
+            "an oracle in simulation takes mujoco."
+        )
+    return config
 
 
 def check(config: RunConfig, registry: Registry) -> None:
     """What can be checked before anything is spent, beside names: each mistake is one line."""
     robot = registry.make_robot(config.robot.name, config.robot.settings)
-    oracle = OracleRobot(robot, config.world.settings, config.objectives, registry)
+    if not isinstance(robot.task(), FollowVelocity) or type(robot).make_env is not VelocityRobot.make_env:
+        raise UnfitWorldError(
+            f"Robot '{robot.spec.name}' brings an env or a task of its own, whose physics steps nobody here can look "
+            "at. Take another robot, or `hts run`."
+        )
+    seeing = Seeing.of(robot, config.world.settings, config.objectives, registry)
     objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
-    check_exact(oracle.instruments, robot.spec, objectives)
+    check_exact(seeing, objectives)
     check_ready(config, registry, config.engine)
+
+    def step() -> None:
+        bare = robot.make_env(config.engine, 1, FEW_ENVS, config.finetune.env, channels=CHANNELS, seeds=[config.seed])
+        models = {name: make_model(registry, one, config.objectives[name], robot) for name, one in objectives.items()}
+        env = measured_env(bare, [ExactMeasurement(one, models[name], seeing) for name, one in objectives.items()])
+        try:
+            state = env.reset()
+            state["action"] = env.action_spec.zero()
+            env.step(state)
+        finally:
+            env.close()
+
+    guarded("Looking at the training simulation", step)

@@ -76,9 +76,9 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
     (
         "Score in simulation",
         (
-            "Mean reward of the objective alone, as the measurement model of that iteration predicts it: larger is "
-            "better. Scores of different iterations come from different models and are not comparable. A white cross "
-            "marks a candidate that fell in simulation."
+            "Mean reward of the objective alone, by whatever paid in training (the measurement model of that "
+            "iteration, if nothing else is said): larger is better. Scores of different iterations come from different "
+            "models and are not comparable. A white cross marks a candidate that fell in simulation."
         ),
     ),
     (

@@ -48,6 +48,11 @@ class DeferrableTransform(Transform):
     def prepare(self, instances: int, device: torch.device) -> None:
         """Make a memory for so many env instances, P·N, on a device, if there is none yet."""
 
+    @property
+    def savable(self) -> bool:
+        """Whether `state_dict` holds all that it remembers, so that a training can be saved in mid-episode."""
+        return True
+
     def replaced_state(self) -> list[ReplacedState]:
         """The memory that a step replaces instead of changing it in place, once it has been prepared."""
         return []

@@ -84,11 +84,6 @@ class Job:
         """Sim channels that `rewards` reads beside those of the objectives' models."""
         return ()
 
-    @property
-    def checkpoints(self) -> bool:
-        """Whether fine-tuning may be saved on its way: not where a reward has a state that cannot."""
-        return True
-
     def untrained(self, iteration: int) -> list[dict[str, Any]]:
         """Rows of finetune.json for candidates of an iteration that are there already."""
         return []

@@ -181,7 +181,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
         lambda: transforms(job, iteration),
         inputs(job),
         seed=job.seed("finetune", iteration),
-        checkpoint=checkpoint if job.checkpoints else None,
+        checkpoint=checkpoint,
         key=key,
         progress=report,
         log=log,

@@ -72,6 +72,11 @@ class Engine(ABC):
             self.step(ctrl)
         self.load_state_dict(here)
 
+    def physics_steps(self) -> tuple[torch.Tensor, torch.Tensor] | None:
+        """Of each of the K physics steps of the last control step: qvel (W, K, nv), the mean of before and after it,
+        and sensordata (W, K, ns). None: this engine keeps its last state alone."""
+        return None
+
     def check(self) -> None:  # noqa: B027
         """Raise SimulationError if a buffer overflowed since the start. May wait for the device: call it rarely."""
 

@@ -45,6 +45,7 @@ class MujocoEngine(Engine):
         self._nq, self._dt = model.nq, model.opt.timestep
         self._state = np.zeros((worlds, size))
         self._states = np.zeros((worlds, substeps, size))
+        self._before = np.zeros((worlds, size))  # the state that the last control step began with
         self._sensors = np.zeros((worlds, substeps, model.nsensordata))
         self._ctrl = np.zeros((worlds, substeps, model.nu))
         self._warmstart = np.zeros((worlds, model.nv))
@@ -64,7 +65,7 @@ class MujocoEngine(Engine):
 
     def step_raw(self) -> None:
         """Physics from the buffers as they are, and back into the tensors."""
-        before = self._state[:, 0].copy()
+        self._before[:] = self._state
         self._rollout(self._state, self._ctrl)
         self._state[:] = self._states[:, -1]
         nq = self._nq
@@ -73,7 +74,7 @@ class MujocoEngine(Engine):
         self.qvel.numpy()[:] = self._state[:, 1 + nq :]
         self.sensordata.numpy()[:] = self._sensors[:, -1]
         # A world that MuJoCo gave up on comes back finite with its clock frozen: only the clock tells.
-        self.diverged.numpy()[:] = self._state[:, 0] - before < (self.substeps - 0.5) * self._dt
+        self.diverged.numpy()[:] = self._state[:, 0] - self._before[:, 0] < (self.substeps - 0.5) * self._dt
 
     def _rollout(self, state: np.ndarray, ctrl: np.ndarray) -> None:
         """All worlds from state (W, size) with ctrl (W, substeps, nu), into `_states` and `_sensors`."""
@@ -90,6 +91,12 @@ class MujocoEngine(Engine):
             sensordata=self._sensors,
             chunk_size=self._chunk,
         )
+
+    def physics_steps(self) -> tuple[torch.Tensor, torch.Tensor]:
+        qvel = self._states[:, :, 1 + self._nq :]
+        first = self._before[:, None, 1 + self._nq :]
+        before = np.concatenate((first, qvel[:, :-1]), 1)
+        return torch.from_numpy((before + qvel) / 2).float(), torch.from_numpy(self._sensors).float()
 
     def snapshot(self, ctrl: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
         return self._state.copy(), ctrl.transpose(0, 1).double().numpy().copy()

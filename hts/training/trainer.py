@@ -15,7 +15,7 @@ from hts.rl.actor import PopulationActor
 from hts.rl.backend import backend_for
 from hts.rl.captured_collector import CapturedCollector
 from hts.rl.centring import RewardCentring
-from hts.rl.deferred import base_and_transforms
+from hts.rl.deferred import DeferrableTransform, base_and_transforms
 from hts.rl.measured_reward import MeasuredReward
 from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier, UpperMultiplier
 from hts.rl.population import Population
@@ -317,8 +317,10 @@ class PopulationTrainer:
 
     @property
     def resumable(self) -> bool:
-        """Whether `full_state` can be had: the env must know how to be saved in mid-episode."""
-        bare = base_and_transforms(self.env)[0]
+        """Whether `full_state` can be had: the env and its transforms must know how to be saved in mid-episode."""
+        bare, transforms = base_and_transforms(self.env)
+        if not all(one.savable for one in transforms if isinstance(one, DeferrableTransform)):
+            return False
         return isinstance(bare, TaskEnv) and bare.full_state() is not None
 
     def _env_state(self) -> TensorDictBase:

@@ -32,8 +32,7 @@ SETTLE_SECONDS = 2.0  # of a walk that says what the truth is like: the start fr
 class OracleRobot(Robot):
     """The robot itself, but for `make_env`: that of the reality which the world's settings name.
 
-    instruments: makes fresh ones of that reality. Raises ConfigError for settings that are wrong, UnfitWorldError for a
-    robot or an instrument without an oracle.
+    Raises ConfigError for settings that are wrong, UnfitWorldError for a robot or an instrument without an oracle.
     """
 
     def __init__(self, robot: Robot, world: Settings, objectives: Mapping[str, Settings], registry: Registry) -> None:
@@ -45,7 +44,7 @@ class OracleRobot(Robot):
                 "hts.envs.velocity_robot.VelocityRobot alone. Take another robot, or `hts run`."
             )
         self._settings = resolved_settings(TwinSettings.model_validate(dict(world)), robot.spec.name)
-        self.instruments = maker(registry, robot, objectives, self._settings)
+        self._instruments = maker(registry, robot, objectives, self._settings)
         told = self._told()
         for name, settings in objectives.items():
             target = registry.make_objective(name, settings).target.name
@@ -58,7 +57,7 @@ class OracleRobot(Robot):
 
     def _told(self) -> set[str]:
         found: set[str] = set()
-        for instrument in self.instruments().values():
+        for instrument in self._instruments().values():
             instrument.reset(1, np.random.default_rng(0))
             found |= set(instrument.truth())
         return found
@@ -89,7 +88,7 @@ class OracleRobot(Robot):
 
         known = {**self.channels(), **HELD_CHANNELS}
         own = list(seeds) if seeds is not None else [config.seed + index for index in range(num_candidates)]
-        made = RealityEngine(self._robot, self._settings, self.instruments, num_envs, own, config.threads)
+        made = RealityEngine(self._robot, self._settings, self._instruments, num_envs, own, config.threads)
         wanted = {name: known[name] for name in (channels or self.channels())}
         return OracleEnv(made, self.spec, num_candidates, num_envs, config, wanted, own)
 

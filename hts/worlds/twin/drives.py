@@ -10,6 +10,8 @@ position control pulls at q + p, and a joint gives way by b where its torque cha
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from hts.worlds.twin.model import Machine
@@ -19,29 +21,41 @@ CROSSING_SECONDS = 0.004  # T; E: a rotor at 100 rad/s crosses half a degree of 
 CROSSING_TORQUE = 0.3  # tau_0, N m; E: as the dry friction that holds the joint meanwhile
 
 
-class Drives:
-    """Structures of the joint drives of W robots. constant: k_i (J,); play: p, rad (W, J).
+@dataclass(frozen=True)
+class Motors:
+    """What the motors of a reality make of their currents. constant: k_i (J,); saturation: s / tau_max^2 (J,)."""
 
-    sticks: whether there is static friction; saturation: s / tau_max^2 (J,); half, rate: b / 2 and dt / T."""
+    constant: np.ndarray
+    saturation: np.ndarray
+
+    @classmethod
+    def of(cls, structure: BodyStructure, serial: int, limit: np.ndarray) -> Motors:
+        """limit: tau_max (J,), N·m."""
+        spread = np.random.default_rng([serial, 3]).uniform(-1, 1, len(limit))
+        return cls(1 + structure.torque_constant_spread * spread, structure.torque_saturation / np.square(limit))
+
+    def torque(self, current: np.ndarray) -> np.ndarray:
+        """tau_m, N·m, from tau_i, (..., J)."""
+        made: np.ndarray = self.constant * current * (1 - self.saturation * np.square(current))
+        return made
+
+
+class Drives:
+    """Structures of the joint drives of W robots. motors: k_i and s; play: p, rad (W, J).
+
+    sticks: whether there is static friction; half, rate: b / 2 and dt / T."""
 
     def __init__(
         self, machine: Machine, structure: BodyStructure, serial: int, limit: np.ndarray, dt: float, num_worlds: int
     ) -> None:
         joints = machine.spec.num_joints
-        spread = np.random.default_rng([serial, 3]).uniform(-1, 1, joints)
-        self.constant = 1 + structure.torque_constant_spread * spread
-        self.saturation = structure.torque_saturation / np.square(limit)
+        self.motors = Motors.of(structure, serial, limit)
         self._stiction = machine.friction * structure.stribeck_ratio
         self._speed = max(structure.stribeck_speed, 1e-6)
         self.sticks = structure.stribeck_ratio > 0
         self.half = structure.backlash / 2
         self.rate = min(dt / CROSSING_SECONDS, 1.0)
         self.play = np.zeros((num_worlds, joints))
-
-    def torque(self, current: np.ndarray) -> np.ndarray:
-        """tau_m, N·m, from tau_i."""
-        made: np.ndarray = self.constant * current * (1 - self.saturation * np.square(current))
-        return made
 
     def stiction(self, velocity: np.ndarray) -> np.ndarray | float:
         """Dry friction on top of the sliding one at joint speeds, N·m, at least 0."""

@@ -255,8 +255,9 @@ class Dynamics:
         m, model, drives, data = self.machine, self.machine.model, self._drives, self._data[0]
         joints, nothing = np.zeros(m.spec.num_joints), np.zeros((0, 0))
         self._stiction = np.zeros_like(self._motor)
-        of_drives = (drives.constant, drives.saturation, drives.half, drives.rate, drives.play) if drives else (
-            joints, joints, 0.0, 0.0, nothing)  # fmt: skip
+        of_drives: tuple[Any, ...] = (joints, joints, 0.0, 0.0, nothing)
+        if drives:
+            of_drives = (drives.motors.constant, drives.motors.saturation, drives.half, drives.rate, drives.play)
         state, inputs = self._state[:, 0], self._inputs[:, 0]
         places = [
             np.arange(width)[columns] + offset
@@ -300,7 +301,7 @@ class Dynamics:
         np.maximum(torque, scratch, out=torque)
 
         if drives:
-            self._motor[:] = drives.torque(torque)
+            self._motor[:] = drives.motors.torque(torque)
             torque = self._motor
             drives.cross(torque)
         np.abs(torque, out=scratch)
