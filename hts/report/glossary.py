@@ -15,7 +15,8 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         (
             "Where the improvement would lie in 19 of 20 repetitions of this head-to-head. Contiguous stretches of "
             "segments are resampled, because neighbouring seconds are alike. It speaks of this robot on this occasion, "
-            "not of other robots or other days."
+            "not of other robots, days or sessions: where sessions differ it is too narrow, and `hts evaluate DIR "
+            "--sessions 4` gives one that holds over them."
         ),
     ),
     (
