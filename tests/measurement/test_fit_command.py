@@ -160,7 +160,7 @@ def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_
 
         folder, objectives, registry = tmp_path, {"warm": KnownHeat()}, None
         named = SimpleNamespace(weights={"warm": (1.0,)})
-        config = SimpleNamespace(measurement=None, objectives={"warm": {}}, reward_source="model", sweep=named)
+        config = SimpleNamespace(measurement=None, objectives={"warm": {}}, fits_models=True, sweep=named)
         said: ClassVar[list[str]] = []
         stages = SimpleNamespace(progress=SimpleNamespace(say=said.append))
 
