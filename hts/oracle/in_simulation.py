@@ -12,18 +12,15 @@ from torchrl.envs.transforms import Transform
 
 from hts.config import RunConfig
 from hts.config_loading import make_model
-from hts.contracts import FollowVelocity
-from hts.envs.velocity_robot import VelocityRobot
-from hts.errors import ConfigError, UnfitWorldError
-from hts.guarded import guarded
+from hts.errors import ConfigError
 from hts.measurement import files
 from hts.plugins import Registry
 from hts.run.job import Job
 from hts.run.learning import model_path
-from hts.run.ready import FEW_ENVS, check_ready
+from hts.run.ready import check_ready, check_step
 from hts.run.speed import control_steps_per_second
-from hts.training.finetune import measured_env
 from hts.worlds.oracle import IN_SIMULATION
+from hts.worlds.oracle.robot import check_walks_by_velocity
 from hts.worlds.oracle.simulated import CHANNELS, ExactMeasurement, Seeing, check_exact
 
 __all__ = ["SimulatedOracleJob", "check", "control_steps_per_second", "prepared"]
@@ -64,25 +61,14 @@ def prepared(config: RunConfig, registry: Registry) -> RunConfig:
 def check(config: RunConfig, registry: Registry) -> None:
     """What can be checked before anything is spent, beside names: each mistake is one line."""
     robot = registry.make_robot(config.robot.name, config.robot.settings)
-    if not isinstance(robot.task(), FollowVelocity) or type(robot).make_env is not VelocityRobot.make_env:
-        raise UnfitWorldError(
-            f"Robot '{robot.spec.name}' brings an env or a task of its own, whose physics steps nobody here can look "
-            "at. Take another robot, or `hts run`."
-        )
+    check_walks_by_velocity(robot)
     seeing = Seeing.of(robot, config.world.settings, config.objectives, registry)
     objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
     check_exact(seeing, objectives)
     check_ready(config, registry, config.engine)
 
-    def step() -> None:
-        bare = robot.make_env(config.engine, 1, FEW_ENVS, config.finetune.env, channels=CHANNELS, seeds=[config.seed])
+    def looking() -> list[Transform]:
         models = {name: make_model(registry, one, config.objectives[name], robot) for name, one in objectives.items()}
-        env = measured_env(bare, [ExactMeasurement(one, models[name], seeing) for name, one in objectives.items()])
-        try:
-            state = env.reset()
-            state["action"] = env.action_spec.zero()
-            env.step(state)
-        finally:
-            env.close()
+        return [ExactMeasurement(one, models[name], seeing) for name, one in objectives.items()]
 
-    guarded("Looking at the training simulation", step)
+    check_step(config, robot, config.engine, CHANNELS, looking)

@@ -7,6 +7,7 @@ after data were collected: with a robot that was somebody's afternoon.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -125,7 +126,6 @@ def _check_reward(name: str, objective: Objective) -> None:
 
 def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
     """The training env of this robot is made, with the rewards in it, and takes a step."""
-    from hts.training.finetune import measured_env
 
     for key in config.objectives:
         _check_reward(key, registry.make_objective(key, config.objectives[key]))
@@ -133,10 +133,18 @@ def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
     inputs = {
         name: None for key in config.objectives for name in registry.make_objective(key, config.objectives[key]).inputs
     }
+    check_step(config, robot, engine, tuple(inputs), lambda: transforms(config, registry))
+
+
+def check_step(
+    config: RunConfig, robot: Robot, engine: str, channels: tuple[str, ...], around: Callable[[], list[Transform]]
+) -> None:
+    """The training env of a robot is made with these channels and transforms, and takes a step. Raises PluginError."""
+    from hts.training.finetune import measured_env
 
     def step() -> None:
-        bare = robot.make_env(engine, 1, FEW_ENVS, config.finetune.env, channels=tuple(inputs), seeds=[config.seed])
-        env = measured_env(bare, transforms(config, registry))
+        bare = robot.make_env(engine, 1, FEW_ENVS, config.finetune.env, channels=channels, seeds=[config.seed])
+        env = measured_env(bare, around())
         try:
             state = env.reset()
             state["action"] = env.action_spec.zero()

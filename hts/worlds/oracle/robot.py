@@ -29,6 +29,15 @@ if TYPE_CHECKING:
 SETTLE_SECONDS = 2.0  # of a walk that says what the truth is like: the start from standing
 
 
+def check_walks_by_velocity(robot: Robot) -> None:
+    """Raise UnfitWorldError for a robot whose env or task is another than that of `VelocityRobot`."""
+    if not isinstance(robot.task(), FollowVelocity) or type(robot).make_env is not VelocityRobot.make_env:
+        raise UnfitWorldError(
+            f"Robot '{robot.spec.name}' brings an env or a task of its own; the oracle knows the velocity task of "
+            "hts.envs.velocity_robot.VelocityRobot alone. Take another robot, or `hts run`."
+        )
+
+
 class OracleRobot(Robot):
     """The robot itself, but for `make_env`: that of the reality which the world's settings name.
 
@@ -38,11 +47,7 @@ class OracleRobot(Robot):
     def __init__(self, robot: Robot, world: Settings, objectives: Mapping[str, Settings], registry: Registry) -> None:
         self.spec, self.held_at_zero, self.held_below = robot.spec, robot.held_at_zero, robot.held_below
         self._robot = robot
-        if not isinstance(robot.task(), FollowVelocity) or type(robot).make_env is not VelocityRobot.make_env:
-            raise UnfitWorldError(
-                f"Robot '{robot.spec.name}' brings an env or a task of its own; the oracle knows the velocity task of "
-                "hts.envs.velocity_robot.VelocityRobot alone. Take another robot, or `hts run`."
-            )
+        check_walks_by_velocity(robot)
         self._settings = resolved_settings(TwinSettings.model_validate(dict(world)), robot.spec.name)
         self._instruments = maker(registry, robot, objectives, self._settings)
         told = self._told()
