@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from hts.config_base import Config, Named
+from hts.config_base import Config, Named, shares_of
 from hts.config_env import CommandConfig, EnvConfig, RandomisationConfig
 from hts.config_gate import GateConfig
 from hts.config_judging import EvaluationConfig, SelectionConfig, SimulationTestConfig
@@ -114,18 +114,7 @@ class FinetuneConfig(Config):
     @field_validator("also_at")
     @classmethod
     def _on_the_way(cls, shares: tuple[float, ...]) -> tuple[float, ...]:
-        for share in shares:
-            if not 0.0 < share < 1.0:
-                raise ValueError(f"{share:g} is no share of the training; give numbers between 0 and 1")
-        percents = [percent(share) for share in shares]
-        if not all(0 < one < 100 for one in percents) or len(set(percents)) < len(percents):
-            raise ValueError("each share names its candidates by its percent, so give different ones from 0.01 to 0.99")
-        return shares
-
-
-def percent(share: float) -> int:
-    """A share, 1, in whole percent."""
-    return round(100 * share)
+        return shares_of("training", shares)
 
 
 class PretrainConfig(Config):

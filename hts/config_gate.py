@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from hts.config_base import Config
+from hts.config_base import Config, shares_of
 
 Check = Literal["torque", "joint_range", "action_rate", "tilt"]
 
@@ -46,7 +46,17 @@ class GateConfig(Config):
     accept_untold: tuple[Check, ...] = Field(
         (), description="checks that this robot's env cannot tell and for which a person vouches on a machine"
     )
+    nearer: tuple[float, ...] = Field(
+        (),
+        description="with `strict`, where nobody of an iteration may be tried: shares of the way from anchor to "
+        "candidate, between 0 and 1, at which each is judged and tried here once more",
+    )
     first_run: FirstRunConfig = Field(default_factory=FirstRunConfig, description="of a policy on a machine")
+
+    @field_validator("nearer")
+    @classmethod
+    def _shares_of_the_way(cls, shares: tuple[float, ...]) -> tuple[float, ...]:
+        return shares_of("way", shares)
 
     @field_validator("friction", "payload", "gains", "latency", "lost_packets")
     @classmethod

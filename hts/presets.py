@@ -79,7 +79,7 @@ OURS: dict[str, Any] = {
         "confirm": 2,
     },
     "evaluation": {"speeds": [0.5, 0.8, 1.1], "hold_speed": True, "trim_seconds": 20.0, "finals": 3},
-    "gate": {"strict": True},
+    "gate": {"strict": True, "nearer": [0.5, 0.25]},
 }
 
 QUICK: dict[str, Any] = {

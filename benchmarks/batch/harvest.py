@@ -105,8 +105,11 @@ def _refused(entry: Json) -> dict[str, str]:
 
 def _gates(folder: Path, iterations: int) -> dict[str, bool]:
     """Candidate -> whether it passed the gate, of those that were asked."""
-    paths = [folder / f"iterations/{index:02d}/gate.json" for index in range(iterations)]
-    found = [_json(path)["policies"] for path in paths if path.exists()]
+    found = []
+    for index in range(iterations):
+        gate, nearer = (folder / f"iterations/{index:02d}/{stage}.json" for stage in ("gate", "nearer"))
+        found += [_json(gate)["policies"]] if gate.exists() else []
+        found += [_json(nearer)["gate"]["policies"]] if nearer.exists() else []
     return {name: row["passed"] for policies in found for name, row in policies.items()}
 
 

@@ -4,7 +4,7 @@ task), one whole trial per env instance."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -79,12 +79,14 @@ def simulate(
     tolerance: float,
     task: Task = VELOCITY,
     hold: HoldSpeed | None = None,
+    watch: Callable[[torch.Tensor], None] | None = None,
 ) -> list[list[SimulatedTrial]]:
     """Trials of every policy (outer) at every speed (inner); env instance n walks at speeds[n mod len(speeds)].
 
     env: of batch size [P, N], made with `test_config`, writing the channels that the task is judged by;
     tolerance: relative speed error of a valid segment, see `Task.done`; hold: trim each instance's command first, and
-    go on from there. Raises ConfigError where a speed is to be held of a task that follows none.
+    go on from there; watch: is given the observations [P, N, O] of each judged step. Raises ConfigError where a speed
+    is to be held of a task that follows none.
     """
     if seconds < SETTLE_SECONDS + 1.0:
         raise ConfigError(
@@ -109,6 +111,8 @@ def simulate(
     speed_sum = torch.zeros(shape, device=env.device)
     task_sum = torch.zeros(shape, device=env.device)
     for step in range(steps):
+        if watch is not None and step * env.dt >= SETTLE_SECONDS - 1e-6:
+            watch(state["observation"])
         data, state = env.step_and_maybe_reset(act(state))
         after = data["next"]
         fallen |= after["terminated"].squeeze(-1)

@@ -5,7 +5,7 @@ for i = 0, 1, 2, …
     roll out π ∈ Π_i in the real world, D_i ← all recordings so far    collect (i = 0), later the tests of i - 1
     f_i ← 𝒜(D_i)                                                       fit
     for π_anchor, w, c ∈ {π_best, π_pretrained} × W × C: fine-tune     finetune
-    Π_{i+1} ← top K in simulation                                      simulate, gate
+    Π_{i+1} ← top K in simulation                                      simulate, gate, nearer
     π_best ← best of Π_{i+1} in the real world                         test
 the best few of all iterations once more                               confirm (not in the paper)
 π_best against π_pretrained at every speed                             final, summary
@@ -26,10 +26,12 @@ from hts.report.table import print_table
 from hts.report.task_words import TaskWords
 from hts.run.confirming import confirm, finalists
 from hts.run.finals import final
-from hts.run.gate import gate, gate_refused
+from hts.run.gate import gate
+from hts.run.iteration import gate_refused
 from hts.run.job import Job
 from hts.run.judging import simulate
 from hts.run.learning import finetune, fit
+from hts.run.nearer import is_needed, may_go_nearer, nearer
 from hts.run.progress import Progress
 from hts.run.reality import best_so_far, collect
 from hts.run.stages import Stages
@@ -41,7 +43,7 @@ STAGES_AROUND = 5  # collect, confirm, final, summary, report
 
 def stages_per_iteration(config: RunConfig) -> int:
     """Fit, fine-tune, judge, test; and what is switched on."""
-    return 4 + config.evaluation.each_iteration + config.gate.enabled
+    return 4 + config.evaluation.each_iteration + config.gate.enabled + may_go_nearer(config)
 
 
 def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = Job) -> Path:
@@ -88,6 +90,12 @@ def algorithm_1(job: Job) -> dict[str, Any]:
             job.do(f"{name}/gate", f"{about}: try elites over varied dynamics", partial(gate, job, i))
         elif config.gate.enabled:
             job.stages.progress.skip(1)
+        if may_go_nearer(config):
+            if is_needed(job, i) and not (job.folder / f"{name}/test.json").exists():
+                title = f"{about}: judge candidates closer to their anchors"
+                job.do(f"{name}/nearer", title, partial(nearer, job, i, best))
+            else:
+                job.stages.progress.skip(1)
         trying = f"{about}: try elites in world '{config.world.name}'"
         tested = job.do(f"{name}/test", trying, partial(test, job, i, best))
         if tested["best"] is None:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from hts.run.iteration import simulated as judged
 from hts.run.job import Job
 from hts.selection.fronts import non_dominated
 
@@ -63,7 +64,7 @@ def front_entry(job: Job, without: Collection[str]) -> dict[str, Any]:
     """`front` of `summary.json`; without: as in `real_front`."""
     objectives = list(job.objectives)
     iterations = range(job.done_iterations)
-    simulated = {index: job.read(f"iterations/{index:02d}/simulate") for index in iterations}
+    simulated = {index: judged(job, index) for index in iterations}
     return {
         "units": {name: objective.unit for name, objective in job.objectives.items()},
         "simulation": [{"iteration": i, "ids": simulated_front(objectives, simulated[i])} for i in iterations],

@@ -23,29 +23,21 @@ Report = Callable[[float], None]
 FORMAT = 1  # of gate.json
 
 
-def elites_of(job: Job, iteration: int) -> list[str]:
-    """Who is tried for real: those that passed the gate; of a run without one, those that the selector chose."""
-    return list((gate_of(job, iteration) or job.read(f"iterations/{iteration:02d}/simulate"))["elites"])
-
-
-def gate_of(job: Job, iteration: int) -> dict[str, Any] | None:
-    """gate.json of an iteration; None of a run without a gate."""
-    name = f"iterations/{iteration:02d}/gate"
-    return dict(job.read(name)) if (job.folder / f"{name}.json").exists() else None
-
-
-def gate_refused(job: Job, iteration: int) -> int:
-    """How many candidates the gate refused."""
-    found = gate_of(job, iteration)
-    return 0 if found is None else sum(not row["passed"] for row in found["policies"].values())
-
-
 def gate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
-    """Try the elites, and where they fail those behind them, over varied dynamics. Says each refusal in one line."""
+    """The elites of simulate.json, or those behind them."""
     folder = f"iterations/{iteration:02d}"
-    simulated, tuned = job.read(f"{folder}/simulate"), job.read(f"{folder}/finetune")
+    return tried(job, iteration, job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate"), report)
+
+
+def tried(
+    job: Job, iteration: int, candidates: Sequence[Mapping[str, Any]], simulated: Mapping[str, Any], report: Report
+) -> dict[str, Any]:
+    """Try the elites, and where they fail those behind them, over varied dynamics. Says each refusal in one line.
+
+    candidates: rows of finetune.json; simulated: how they were judged, as in simulate.json.
+    """
     strict = job.gate_is_strict
-    able, kept_out = _able(simulated, tuned)
+    able, kept_out = _able(simulated, candidates)
     selector = job.registry.make_selector(job.config.selection.selector.name, job.config.selection.selector.settings)
     rows: dict[str, dict[str, Any]] = {}
     chosen: list[str] = list(simulated["elites"])
@@ -158,10 +150,12 @@ class Trials:
         }
 
 
-def _able(simulated: Mapping[str, Any], tuned: Mapping[str, Any]) -> tuple[list[SimulatedCandidate], dict[str, str]]:
+def _able(
+    simulated: Mapping[str, Any], candidates: Sequence[Mapping[str, Any]]
+) -> tuple[list[SimulatedCandidate], dict[str, str]]:
     """Candidates that may be asked about, as they were judged; and why the others may not."""
     able, kept_out = [], {}
-    for row in tuned["candidates"]:
+    for row in candidates:
         name, falls = row["id"], simulated["falls"][row["id"]]
         if row["stopped"] is not None:
             kept_out[name] = f"training stopped: {row['stopped']}"

@@ -24,7 +24,7 @@ from hts.recordings.store import Dataset, RecordingStore
 from hts.run.budget import Budget, plan, second_trials
 from hts.run.provenance import collect as collect_provenance
 from hts.run.stages import Stages, read_json, write_json
-from hts.training.sweep import combinations, own_weights
+from hts.training.sweep import combinations, is_nearer, own_weights
 
 
 class Job:
@@ -123,7 +123,7 @@ class Job:
             maker = {
                 "pretrained": self.exported("pretrained"),  # `prepare` writes all of it again
                 "best": self.folder / "final.json",
-            }.get(name, self.policy_path(name).parent.with_name("finetune.json"))
+            }.get(name, self.policy_path(name).parent.with_name("nearer.json" if is_nearer(name) else "finetune.json"))
             raise PolicyError(f"{error} Or delete {maker} and `hts resume {self.folder}` makes it anew.") from error
 
     def exported(self, name: str) -> Path:

@@ -17,7 +17,9 @@ from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
 from hts.measurement.baseline import fit_proxy
+from hts.policies.files import Policy
 from hts.recordings.recording import Recording
+from hts.rl.kl_bound import mean_kl
 from hts.rl.population import Population
 from hts.run.felt_pull import pulled
 from hts.run.front import PRETRAINED
@@ -32,16 +34,29 @@ NOT_WRITTEN = ("worlds", "pieces", "piece_speed")  # of a trial: what the stage'
 
 def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     """Judge candidates by their mean action in the training simulation; Π_{i+1} <- top K."""
-    config = job.config
-    test = config.simulation_test
     tuned = job.read(f"iterations/{iteration:02d}/finetune")
-    rows = tuned["candidates"]
+    return judge(job, iteration, tuned, tuned["candidates"])
+
+
+def judge(
+    job: Job,
+    iteration: int,
+    tuned: Mapping[str, Any],
+    rows: Sequence[Mapping[str, Any]],
+    anchors: Sequence[Policy] | None = None,
+) -> dict[str, Any]:
+    """Judge these candidates, and the pretrained policy beside them, in the same worlds whoever they are.
+
+    tuned: finetune.json; rows: as in it; anchors: of each candidate, where the mean KL(pi || anchor) over the states
+    of its own trials is asked for: candidate -> nats, in `kl`. Says where the task is being given up.
+    """
+    config, pull = job.config, tuned.get("pull")
+    test = config.simulation_test
     names = ["pretrained", *(row["id"] for row in rows)]
     policies = [job.policy(name) for name in names]
     worlds = test.num_envs * len(test.speeds)
     seed = job.seed("simulate")  # the same worlds in every iteration
     env_config = test_config(config.finetune.env, test.speeds, trial_seconds(test), seed)
-    pull = tuned.get("pull")
     if pull is not None and test.measured_pull:
         env_config = pulled(env_config, tuple(pull["pull"]))
     task = job.robot.task()
@@ -50,11 +65,10 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
     )
     env = measured_env(bare, transforms(job, iteration))
-    population = Population.from_candidates(
-        policies[0].card.sizes(), [policy.tensors for policy in policies], bare.device
-    )
+    population = _population(policies, bare.device)
+    distance = None if anchors is None else Distance(population, _population([policies[0], *anchors], bare.device))
     hold = HoldSpeed(config.finetune.env.commands.vx) if test.hold_speed else None
-    walks = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, task, hold)
+    walks = trials(env, population, test.speeds, test.seconds, test.speed_tolerance, task, hold, distance)
     results = dict(zip(names, walks, strict=True))
     env.close()
     promised = _promised(job, iteration, results)
@@ -76,11 +90,11 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         for one, row in zip(judged, rows, strict=True)
         if may_be_tested(one, row["stopped"], lenient) and one.id not in alike
     ]
-    elites = selector.elites(able, job.elites(iteration))
     details = {
         name: [{key: value for key, value in vars(trial).items() if key not in NOT_WRITTEN} for trial in row]
         for name, row in results.items()
     }
+    elites = selector.elites(able, job.elites(iteration))
     found = {
         "scores": {c.id: c.score for c in judged},
         "objective_scores": {name: _scores(row) for name, row in results.items()},  # of the pretrained policy too
@@ -92,11 +106,33 @@ def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         "trials": details,
         "predicted": promised,
         "steps": round(trial_seconds(test) * job.robot.spec.control_rate_hz) * worlds * len(names),
+        **({} if distance is None else {"kl": dict(zip(names[1:], distance.means()[1:], strict=True))}),
     }
     line = gave_up_line(elites, found, tuned.get("reward_scale") or {}, task.quantity, task.unit)
     if line is not None:
         job.stages.progress.say(f"iteration {iteration:02d}: {line}")
     return {**found, "gave_up": {"elites": gave_up(elites, found), "line": line}}
+
+
+class Distance:
+    """Mean KL(pi || reference) [P] over the states that policies are seen in."""
+
+    def __init__(self, population: Population, reference: Population) -> None:
+        self.population, self.reference = population, reference
+        self._sum, self._count = torch.zeros((), device=population.device), 0
+
+    def __call__(self, observation: torch.Tensor) -> None:
+        """observation [P, N, O]: of one step."""
+        self._sum, self._count = self._sum + mean_kl(self.population, self.reference, observation), self._count + 1
+
+    def means(self) -> list[float]:
+        """Of each policy over the steps so far, one at least; nats."""
+        found: list[float] = (self._sum / self._count).tolist()
+        return found
+
+
+def _population(policies: Sequence[Policy], device: torch.device | None) -> Population:
+    return Population.from_candidates(policies[0].card.sizes(), [policy.tensors for policy in policies], device)
 
 
 def _promised(

@@ -7,8 +7,8 @@ from typing import Any
 
 from hts.evaluation.final import task_entry
 from hts.measurement.scoring import spearman
+from hts.run import iteration
 from hts.run.front import PRETRAINED, front_entry
-from hts.run.gate import gate_of
 from hts.run.job import Job
 from hts.run.task_watch import scale_lines
 
@@ -24,8 +24,8 @@ def summarise(job: Job) -> dict[str, Any]:
     for index in range(done):
         name = f"iterations/{index:02d}"
         fit = job.read(f"{name}/fit") if learned else {}
-        tuned, simulated, tested = (job.read(f"{name}/{stage}") for stage in ("finetune", "simulate", "test"))
-        gated = gate_of(job, index)
+        tuned, simulated = iteration.tuned(job, index), iteration.simulated(job, index)
+        tested, gated = job.read(f"{name}/test"), iteration.gated(job, index)
         steps += tuned["steps"] + simulated["steps"] + (gated["steps"] if gated else 0)
         samples += tested["samples"]
         iterations.append(
@@ -181,6 +181,7 @@ def _candidate(
         "tracked": simulated["tracked"][name],
         "elite": name in tested["elites"],
         "falls": simulated["falls"][name],
+        **({"way": row["way"]} if "way" in row else {}),
         "real": result.get("real"),
     }
     if result.get("tested"):

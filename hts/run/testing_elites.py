@@ -19,7 +19,7 @@ from hts.evaluation.walked_again import samples_of, walked_again
 from hts.measurement import files
 from hts.measurement.checks import check
 from hts.recordings.recording import Recording
-from hts.run.gate import elites_of
+from hts.run.iteration import elites_of, simulated, tuned
 from hts.run.job import Job
 from hts.run.judging import fine_tuning
 from hts.run.learning import bound_scale, model_path
@@ -203,9 +203,9 @@ def _result(job: Job, elite: str, recordings: Sequence[Recording]) -> CandidateR
 
 def _made(job: Job, name: str) -> FineTuning:
     """How a candidate was made."""
-    folder = f"iterations/{iteration_of(name):02d}"
-    row = next(one for one in job.read(f"{folder}/finetune")["candidates"] if one["id"] == name)
-    return fine_tuning(row, job.read(f"{folder}/simulate").get("task_rewards") or {})
+    iteration = iteration_of(name)
+    row = next(one for one in tuned(job, iteration)["candidates"] if one["id"] == name)
+    return fine_tuning(row, simulated(job, iteration).get("task_rewards") or {})
 
 
 def _scores(tested: TestedCandidate | None) -> dict[str, float] | None:
@@ -253,12 +253,8 @@ def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -
     config = job.config.sweep.trust_region
     if not config.enabled:
         return {}
-    stage = f"iterations/{iteration:02d}"
-    predicted = job.read(f"{stage}/simulate")["predicted"]
-    rows = {
-        row["id"]: row | {"predicted": predicted.get(row["id"], {})}
-        for row in job.read(f"{stage}/finetune")["candidates"]
-    }
+    predicted = simulated(job, iteration)["predicted"]
+    rows = {row["id"]: row | {"predicted": predicted.get(row["id"], {})} for row in tuned(job, iteration)["candidates"]}
     tried = tried_elites(next(iter(job.objectives)), rows, results)
     scale, why = next_scale(bound_scale(job, iteration), tried, config, job.config.sweep.kl_bounds)
     return {"trust_region": {"scale": scale, "why": why, **agreement(tried).entry()}}

@@ -13,7 +13,8 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Compose, Transform, TransformedEnv
 
-from hts.config import FinetuneConfig, percent
+from hts.config import FinetuneConfig
+from hts.config_base import percent
 from hts.contracts import Robot
 from hts.policies.files import Policy
 from hts.rl.kl_bound import mean_kl, project_to_kl_bound

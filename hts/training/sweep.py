@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from hts.config_base import percent
 from hts.contracts import Objective
 from hts.errors import ConfigError
 
@@ -25,6 +27,16 @@ class Candidate:
     anchor: str
     weights: Weights
     kl_bound: float
+
+
+def nearer_id(candidate: str, share: float) -> str:
+    """The id of a candidate at a share of the way from its anchor: 01-03 at a half is 01-03-w50."""
+    return f"{candidate}-w{percent(share)}"
+
+
+def is_nearer(name: str) -> bool:
+    """Whether a policy's id is one of these."""
+    return re.search(r"-w\d+$", name) is not None
 
 
 def own_weights(objectives: Mapping[str, Objective], proxy: bool) -> dict[str, tuple[float, ...]]:

@@ -1,0 +1,74 @@
+"""What became of an iteration's candidates, from its stages' files.
+
+Behind those that were trained stand, where none of these might be tried, those closer to their anchors.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hts.run.job import Job
+
+CANDIDATES = ("scores", "objective_scores", "task_rewards", "falls", "tracked", "trials", "predicted")
+"""What simulate.json holds for each candidate."""
+
+
+def tuned(job: Job, iteration: int) -> dict[str, Any]:
+    """finetune.json, with the candidates of nearer.json behind its own."""
+    found, nearer = _stage(job, iteration, "finetune"), nearer_of(job, iteration)
+    return {**found, "candidates": [*found["candidates"], *nearer["candidates"]]} if nearer else found
+
+
+def simulated(job: Job, iteration: int) -> dict[str, Any]:
+    """simulate.json, with the candidates of nearer.json and the elites among them."""
+    found, nearer = _stage(job, iteration, "simulate"), nearer_of(job, iteration)
+    if nearer is None:
+        return found
+    added = nearer["simulate"]
+    both = {key: {**found.get(key, {}), **added[key]} for key in CANDIDATES}
+    steps = found["steps"] + added["steps"]
+    return {**found, **both, "elites": added["elites"], "gave_up": added["gave_up"], "steps": steps}
+
+
+def gated(job: Job, iteration: int) -> dict[str, Any] | None:
+    """gate.json, with the candidates of nearer.json and those of them that passed; None of a run without a gate."""
+    if not _is_done(job, iteration, "gate"):
+        return None
+    found, nearer = _stage(job, iteration, "gate"), nearer_of(job, iteration)
+    if nearer is None:
+        return found
+    added = nearer["gate"]
+    return {
+        **found,
+        "proposed": added["proposed"],
+        "kept_out": {**found["kept_out"], **added["kept_out"]},
+        "policies": {**found["policies"], **added["policies"]},
+        "pretrained": found["pretrained"] or added["pretrained"],
+        "elites": added["elites"],
+        "lines": [*found["lines"], nearer["line"], *added["lines"]],
+        "steps": found["steps"] + added["steps"],
+    }
+
+
+def nearer_of(job: Job, iteration: int) -> dict[str, Any] | None:
+    """nearer.json; None where it was not needed."""
+    return _stage(job, iteration, "nearer") if _is_done(job, iteration, "nearer") else None
+
+
+def elites_of(job: Job, iteration: int) -> list[str]:
+    """Who is tried for real: those that passed the gate; of a run without one, those that the selector chose."""
+    return list((gated(job, iteration) or simulated(job, iteration))["elites"])
+
+
+def gate_refused(job: Job, iteration: int) -> int:
+    """How many candidates the gate refused."""
+    found = gated(job, iteration)
+    return 0 if found is None else sum(not row["passed"] for row in found["policies"].values())
+
+
+def _is_done(job: Job, iteration: int, stage: str) -> bool:
+    return (job.folder / f"iterations/{iteration:02d}/{stage}.json").exists()
+
+
+def _stage(job: Job, iteration: int, stage: str) -> dict[str, Any]:
+    return dict(job.read(f"iterations/{iteration:02d}/{stage}"))

@@ -1,0 +1,142 @@
+"""Where nobody of an iteration may be tried, its candidates are judged once more, closer to their anchors."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from hts.config import GateConfig
+from hts.policies.files import load_policy
+from hts.run import gate, judging
+from hts.testing.packages import kit_installed
+from hts.testing.tiny_run import tiny_run
+from hts.training.sweep import is_nearer, nearer_id
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from batch.harvest import result_of
+
+
+def refused_if(monkeypatch, fails):
+    """The gate refuses those of whom `fails` says so, and nobody else."""
+    of = gate.Trials.of
+
+    def pretend(self, names):
+        rows = of(self, names)
+        for name in names:
+            failed = ["tilt"] if fails(name) else []
+            refused = f"{name} is refused by the gate: made up" if failed else None
+            rows[name] |= {"passed": not failed, "failed": failed, "refused": refused}
+        return rows
+
+    monkeypatch.setattr(gate.Trials, "of", pretend)
+
+
+def run(path, **settings):
+    asked = {"sweep.kl_bounds": [0.5, 2.0], "gate.strict": True, "gate.nearer": [0.25, 0.5], **settings}
+    with kit_installed():
+        return tiny_run(path, settings=asked)
+
+
+def stage(path, name):
+    return json.loads((path / f"iterations/00/{name}.json").read_text())
+
+
+def test_who_passes_nearer_to_the_anchor_is_tried(tmp_path, monkeypatch, capsys):
+    refused_if(monkeypatch, lambda name: not name.endswith("-w50"))
+    path = tmp_path / "run"
+    found = run(path)
+    added = stage(path, "nearer")
+    ids = [row["id"] for row in added["candidates"]]
+    assert ids == ["00-00-w50", "00-00-w25", "00-01-w50", "00-01-w25"]
+    (elite,) = added["gate"]["elites"]
+    assert elite.endswith("-w50") and stage(path, "gate")["elites"] == []
+    assert stage(path, "test")["elites"] == [elite] and elite in stage(path, "test")["results"]
+
+    iteration = found.summary["iterations"][0]
+    rows = {row["id"]: row for row in iteration["candidates"]}
+    assert list(rows) == ["00-00", "00-01", *ids]
+    assert [name for name, row in rows.items() if row["elite"]] == [elite]
+    assert rows[elite]["way"] == 0.5 and "way" not in rows["00-00"]
+    assert rows[elite]["gate"]["passed"] and rows[elite]["real"] and rows[elite]["predicted"]
+    assert iteration["gate"]["elites"] == [elite] and {"00-00", "00-01"} <= set(iteration["gate"]["refused"])
+    steps = [stage(path, name)["steps"] for name in ("finetune", "simulate", "gate")]
+    assert found.summary["sim_steps"] == sum(steps) + added["simulate"]["steps"] + added["gate"]["steps"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "nobody of this iteration may be tried, so candidates are judged at 50 % and 25 % of the way" in said
+
+    line = result_of(path)
+    assert {one.id: one.gate for one in line.tried} == {elite: True}
+
+
+def test_it_lies_on_the_way_and_its_distance_is_measured(tmp_path, monkeypatch):
+    refused_if(monkeypatch, lambda name: not is_nearer(name))
+    path = tmp_path / "run"
+    run(path)
+    start = load_policy(path / "policies/pretrained")
+    rows = {row["id"]: row for row in (*stage(path, "finetune")["candidates"], *stage(path, "nearer")["candidates"])}
+    for end in ("00-00", "00-01"):
+        whole = load_policy(path / f"iterations/00/candidates/{end}")
+        for share in (0.5, 0.25):
+            name = nearer_id(end, share)
+            part = load_policy(path / f"iterations/00/candidates/{name}")
+            for key, value in part.tensors.items():
+                expected = start.tensors[key] + share * (whole.tensors[key] - start.tensors[key])
+                torch.testing.assert_close(value, expected)
+            assert part.card.policy_hash == rows[name]["policy_hash"] and part.card.made["kl"] == rows[name]["kl"]
+            assert (path / f"iterations/00/candidates/{name}.onnx").is_file()
+        # A Gaussian's KL grows with the square of a small step, so it falls by nearly four with each half.
+        half, quarter = (rows[nearer_id(end, share)]["kl"] for share in (0.5, 0.25))
+        assert 0 < quarter < half and 2.5 < half / quarter < 6.0
+
+
+def test_who_fell_while_being_judged_is_asked_again_nearer(tmp_path, monkeypatch):
+    judge = judging._judge
+
+    def far_ones_fall(row, *rest):
+        return dataclasses.replace(judge(row, *rest), falls=int(not row["id"].endswith("-w25")))
+
+    monkeypatch.setattr(judging, "_judge", far_ones_fall)
+    refused_if(monkeypatch, lambda name: False)
+    path = tmp_path / "run"
+    found = run(path)
+    assert stage(path, "gate")["policies"] == {}
+    assert all(name.endswith("-w25") for name in stage(path, "nearer")["gate"]["elites"])
+    assert set(found.summary["iterations"][0]["gate"]["kept_out"]) == {"00-00", "00-01", "00-00-w50", "00-01-w50"}
+
+
+@pytest.mark.slow
+def test_where_they_fail_as_well_nobody_is_tried(tmp_path, monkeypatch, capsys):
+    refused_if(monkeypatch, lambda name: True)
+    found = run(tmp_path / "run")
+    assert found.summary["final"]["policy"] == "pretrained"
+    assert stage(tmp_path / "run", "test")["elites"] == []
+    assert "nobody was tested: the gate before reality refused 6" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "settings", [{"gate.strict": False}, {"gate.nearer": []}, {"gate.enabled": False}], ids=["lenient", "none", "off"]
+)
+def test_it_is_not_done_where_nobody_asks_for_it(tmp_path, monkeypatch, settings):
+    refused_if(monkeypatch, lambda name: True)
+    run(tmp_path / "run", **settings)
+    assert not (tmp_path / "run/iterations/00/nearer.json").exists()
+
+
+def test_nor_where_somebody_passes(tmp_path, monkeypatch):
+    refused_if(monkeypatch, lambda name: name == "00-00")
+    run(tmp_path / "run")
+    assert not (tmp_path / "run/iterations/00/nearer.json").exists()
+    assert stage(tmp_path / "run", "test")["elites"] == ["00-01"]
+
+
+@pytest.mark.parametrize("shares", [(0.0,), (1.0,), (-0.5,), (math.nan,), (0.5, 0.501)])
+def test_shares_that_make_no_sense_are_refused(shares):
+    with pytest.raises(ValueError, match="share"):
+        GateConfig(nearer=shares)
