@@ -48,18 +48,38 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
 
 
 def resume_run(folder: Path, registry: Registry | None = None) -> Path:
-    """Go on where a run stopped; a finished run only prints its table again."""
+    """Go on where a run stopped; a finished run only prints its table again.
+
+    The engine is asked for only where something is left to simulate: the last trials and the final can be made on the
+    computer beside the robot, whatever the run was trained on.
+    """
     from hts.config_loading import read_config
 
     config = read_config(Path(folder) / "config.yaml")
     refuse_oracle(config)
-    if not (Path(folder) / "summary.json").exists():  # whoever only wants to see the table needs no GPU
+    if simulates_yet(config, Path(folder)):
         config = with_engine(config)
 
     from hts.plugins import load
     from hts.run import algorithm
 
     return algorithm.run(config, Path(folder), registry or load())
+
+
+def simulates_yet(config: RunConfig, folder: Path) -> bool:
+    """Whether a run still trains, judges or asks the gate, as far as its folder tells: it does until whom the last
+    iteration tries is known."""
+    from hts.run.stages import read_json
+
+    last = folder / f"iterations/{config.iterations - 1:02d}"
+    if (last / "test.json").exists() or (folder / "summary.json").exists():
+        return False
+    chosen = last / ("gate.json" if config.gate.enabled else "simulate.json")
+    if not chosen.exists():
+        return True
+    if not (config.gate.enabled and config.gate.nearer) or (last / "nearer.json").exists():
+        return False
+    return not read_json(chosen)["elites"]
 
 
 def refuse_oracle(config: RunConfig) -> None:
