@@ -54,6 +54,7 @@ NO_STOPS = (
     "finetune.env.randomisation.added_mass=[-1.0, 2.0]",
     "finetune.env.randomisation.delay_share=null",
     "gate.strict=null",
+    "gate.nearer=[]",
 )
 
 METHODS: dict[str, Method] = {

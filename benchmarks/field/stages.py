@@ -18,8 +18,13 @@ def iterations(run: Path) -> int:
 
 
 def names(run: Path) -> list[str]:
-    """All stages that are killed and timed, in order."""
-    inside = [f"iterations/{index:02d}/{kind}" for index in range(iterations(run)) for kind in OF_AN_ITERATION]
+    """All stages that are killed and timed, in order; `nearer` where there was one."""
+    inside = []
+    for index in range(iterations(run)):
+        folder = f"iterations/{index:02d}"
+        inside += [f"{folder}/{kind}" for kind in OF_AN_ITERATION]
+        if (run / folder / "nearer.json").exists():
+            inside.insert(len(inside) - 1, f"{folder}/nearer")
     return ["collect", *inside, "final"]
 
 

@@ -70,7 +70,8 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         "KL, c",
         (
             "How far a candidate's actions are from its anchor's, on average over the states it visits, in nats; c is "
-            "the bound that fine-tuning keeps it under (∞: none)."
+            "the bound that fine-tuning keeps it under (∞: none). Of candidates brought back towards their anchor "
+            "(…-w50) it is over the states of their simulated trials."
         ),
     ),
     ("λ", "Weight of the measured objective against the task in the reward."),

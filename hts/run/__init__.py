@@ -72,14 +72,15 @@ def simulates_yet(config: RunConfig, folder: Path) -> bool:
     from hts.run.stages import read_json
 
     last = folder / f"iterations/{config.iterations - 1:02d}"
-    if (last / "test.json").exists() or (folder / "summary.json").exists():
-        return False
+    if any(path.exists() for path in (last / "test.json", folder / "confirm.json", folder / "summary.json")):
+        return False  # a cap on real samples may end the iterations before the last one
     chosen = last / ("gate.json" if config.gate.enabled else "simulate.json")
     if not chosen.exists():
         return True
     if not (config.gate.enabled and config.gate.nearer) or (last / "nearer.json").exists():
         return False
-    return not read_json(chosen)["elites"]
+    gate = read_json(chosen)
+    return bool(gate["strict"]) and not gate["elites"]
 
 
 def refuse_oracle(config: RunConfig) -> None:

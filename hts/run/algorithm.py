@@ -31,7 +31,7 @@ from hts.run.iteration import gate_refused
 from hts.run.job import Job
 from hts.run.judging import simulate
 from hts.run.learning import finetune, fit
-from hts.run.nearer import is_needed, may_go_nearer, nearer
+from hts.run.nearer import is_due, may_go_nearer, nearer
 from hts.run.progress import Progress
 from hts.run.reality import best_so_far, collect
 from hts.run.stages import Stages
@@ -91,7 +91,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         elif config.gate.enabled:
             job.stages.progress.skip(1)
         if may_go_nearer(config):
-            if is_needed(job, i) and not (job.folder / f"{name}/test.json").exists():
+            if is_due(job, i):
                 title = f"{about}: judge candidates closer to their anchors"
                 job.do(f"{name}/nearer", title, partial(nearer, job, i, best))
             else:

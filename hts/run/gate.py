@@ -26,15 +26,24 @@ FORMAT = 1  # of gate.json
 def gate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     """The elites of simulate.json, or those behind them."""
     folder = f"iterations/{iteration:02d}"
-    return tried(job, iteration, job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate"), report)
+    rows, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
+    return tried(job, iteration, rows, simulated, report, again=bool(job.config.gate.nearer))
 
 
 def tried(
-    job: Job, iteration: int, candidates: Sequence[Mapping[str, Any]], simulated: Mapping[str, Any], report: Report
+    job: Job,
+    iteration: int,
+    candidates: Sequence[Mapping[str, Any]],
+    simulated: Mapping[str, Any],
+    report: Report,
+    *,
+    again: bool = False,
+    yardstick: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Try the elites, and where they fail those behind them, over varied dynamics. Says each refusal in one line.
 
-    candidates: rows of finetune.json; simulated: how they were judged, as in simulate.json.
+    candidates: rows of finetune.json; simulated: how they were judged, as in simulate.json; again: whether others are
+    looked at where nobody passes; yardstick: the pretrained policy's row, where it was tried before.
     """
     strict = job.gate_is_strict
     able, kept_out = _able(simulated, candidates)
@@ -53,8 +62,11 @@ def tried(
         report(min(0.9, len(rows) / max(1, len(rows) + len(able))))
     elites = [name for name in chosen if rows[name]["passed"] or not strict]
     refused = [row["refused"] for row in rows.values() if not row["passed"]]
-    pretrained = trials.of([PRETRAINED])[PRETRAINED] if refused else None  # a yardstick, where one is needed
-    lines = [*refused, *_closing(rows, elites, pretrained)]
+    pretrained = yardstick
+    if refused and yardstick is None:
+        pretrained = trials.of([PRETRAINED])[PRETRAINED]
+    said_before = yardstick is not None
+    lines = [*refused, *_closing(rows, elites, None if said_before else pretrained, strict and again)]
     if not strict and (fell := [name for name in elites if name in kept_out or not rows[name]["passed"]]):
         lines.append(f"a machine would not get {', '.join(fell)}; this world is simulated, so they are tried")
     for line in lines:
@@ -178,12 +190,13 @@ def _able(
 
 
 def _closing(
-    rows: Mapping[str, Mapping[str, Any]], elites: Sequence[str], pretrained: Mapping[str, Any] | None
+    rows: Mapping[str, Mapping[str, Any]], elites: Sequence[str], pretrained: Mapping[str, Any] | None, again: bool
 ) -> list[str]:
     """What else is to be said about an iteration in which somebody was refused."""
     lines = []
     if rows and not elites:
-        lines.append(f"the gate refused all {len(rows)} candidates that could be tried, so nobody is")
+        end = "" if again else ", so nobody is"
+        lines.append(f"the gate refused all {len(rows)} candidates that could be tried{end}")
     if pretrained is not None and not pretrained["passed"]:
         lines.append(
             f"the pretrained policy itself would not pass the gate ({', '.join(pretrained['failed'])}): the gate tries "

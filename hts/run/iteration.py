@@ -5,6 +5,7 @@ Behind those that were trained stand, where none of these might be tried, those 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from hts.run.job import Job
@@ -22,9 +23,11 @@ def tuned(job: Job, iteration: int) -> dict[str, Any]:
 def simulated(job: Job, iteration: int) -> dict[str, Any]:
     """simulate.json, with the candidates of nearer.json and the elites among them."""
     found, nearer = _stage(job, iteration, "simulate"), nearer_of(job, iteration)
-    if nearer is None:
-        return found
-    added = nearer["simulate"]
+    return found if nearer is None else judged_after(found, nearer["simulate"])
+
+
+def judged_after(found: Mapping[str, Any], added: Mapping[str, Any]) -> dict[str, Any]:
+    """Two looks as one: of all candidates, with the elites of the second one. Both: as simulate.json."""
     both = {key: {**found.get(key, {}), **added[key]} for key in CANDIDATES}
     steps = found["steps"] + added["steps"]
     return {**found, **both, "elites": added["elites"], "gave_up": added["gave_up"], "steps": steps}
@@ -37,7 +40,12 @@ def gated(job: Job, iteration: int) -> dict[str, Any] | None:
     found, nearer = _stage(job, iteration, "gate"), nearer_of(job, iteration)
     if nearer is None:
         return found
-    added = nearer["gate"]
+    whole = tried_after(found, nearer["gate"])
+    return {**whole, "lines": [*found["lines"], nearer["line"], *nearer["gate"]["lines"]]}
+
+
+def tried_after(found: Mapping[str, Any], added: Mapping[str, Any]) -> dict[str, Any]:
+    """Two tries as one: of all candidates, with who passed in the second one. Both: as gate.json."""
     return {
         **found,
         "proposed": added["proposed"],
@@ -45,7 +53,7 @@ def gated(job: Job, iteration: int) -> dict[str, Any] | None:
         "policies": {**found["policies"], **added["policies"]},
         "pretrained": found["pretrained"] or added["pretrained"],
         "elites": added["elites"],
-        "lines": [*found["lines"], nearer["line"], *added["lines"]],
+        "lines": [*found["lines"], *added["lines"]],
         "steps": found["steps"] + added["steps"],
     }
 

@@ -17,10 +17,10 @@ from hts.config import RunConfig
 from hts.config_base import percent
 from hts.policies.files import Policy, make_card
 from hts.run.gate import tried
-from hts.run.iteration import gated
+from hts.run.iteration import gated, judged_after, tried_after
 from hts.run.job import Job
 from hts.run.judging import judge
-from hts.training.sweep import nearer_id
+from hts.training.sweep import is_nearer, nearer_id
 
 Report = Callable[[float], None]
 
@@ -30,43 +30,85 @@ def may_go_nearer(config: RunConfig) -> bool:
     return config.gate.enabled and bool(config.gate.nearer)
 
 
-def is_needed(job: Job, iteration: int) -> bool:
-    """Whether nobody of an iteration may be tried, though somebody was trained to the end."""
-    found = gated(job, iteration)
-    return found is not None and found["strict"] and not found["elites"] and bool(_trained(job, iteration))
+def is_due(job: Job, iteration: int) -> bool:
+    """Whether an iteration has this stage and lacks its result: nobody may be tried, though somebody was trained to
+    the end. Of an iteration that was tested already: whether somebody of this stage was."""
+    folder = job.folder / f"iterations/{iteration:02d}"
+    if (folder / "nearer.json").exists():
+        return False
+    if (
+        folder / "test.json"
+    ).exists():  # in a run of before there is no such stage; a damaged file may have been deleted
+        return any(is_nearer(name) for name in job.read(f"iterations/{iteration:02d}/test")["elites"])
+    found, rows = gated(job, iteration), _trained(job, iteration)
+    if found is None or not found["strict"] or not rows:
+        return False
+    barred = {*found["kept_out"], *(name for name, row in found["policies"].items() if not row["passed"])}
+    return all(row["id"] in barred for row in rows)
 
 
 def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
-    """Judge candidates at shares of the way from their anchors, and try them at the gate; policies beside the others.
+    """Judge candidates at shares of the way from their anchors, the largest first, and try them at the gate, until
+    somebody passes; policies beside the others.
 
     The result holds them as finetune.json, simulate.json and gate.json do.
     """
     shares = sorted(job.config.gate.nearer, reverse=True)
-    told = " and ".join(f"{percent(one)} %" for one in shares)
+    told = ", then ".join(f"{percent(one)} %" for one in shares)
     line = f"nobody of this iteration may be tried, so candidates are judged at {told} of the way from their anchors"
     job.stages.progress.say(f"iteration {iteration:02d}: {line}")
+    tuned = job.read(f"iterations/{iteration:02d}/finetune")
+    yardstick = job.read(f"iterations/{iteration:02d}/gate")["pretrained"]
+    rows: list[dict[str, Any]] = []
+    whole: dict[str, Any] = {}
+    for number, share in enumerate(shares):  # one at a time: no more policies at once than the stage `simulate` had
+        looked = _looked(job, iteration, tuned, best, share)
+        rows += looked["candidates"]
+        report((number + 0.5) / len(shares))
+        found = tried(
+            job,
+            iteration,
+            looked["candidates"],
+            looked["simulate"],
+            lambda part, number=number: report((number + 0.5 + part / 2) / len(shares)),  # type: ignore[misc]
+            again=number + 1 < len(shares),
+            yardstick=yardstick,
+        )
+        yardstick = yardstick or found["pretrained"]
+        whole = {
+            "simulate": judged_after(whole["simulate"], looked["simulate"]) if whole else looked["simulate"],
+            "gate": tried_after(whole["gate"], found) if whole else found,
+        }
+        if found["elites"]:
+            passed = f"{' and '.join(found['elites'])} passed the gate, at {percent(share)} % of the way"
+            job.stages.progress.say(f"iteration {iteration:02d}: {passed}")
+            whole["gate"]["lines"] = [*whole["gate"]["lines"], passed]
+            break
+    return {"line": line, "candidates": rows, **whole}
+
+
+def _trained(job: Job, iteration: int) -> list[dict[str, Any]]:
+    """Rows of finetune.json that a training ended with; not those that were there before it."""
+    before = {row["id"] for row in job.untrained(iteration)}
+    rows = job.read(f"iterations/{iteration:02d}/finetune")["candidates"]
+    return [row for row in rows if row["stopped"] is None and row["id"] not in before]
+
+
+def _looked(job: Job, iteration: int, tuned: Mapping[str, Any], best: str, share: float) -> dict[str, Any]:
+    """The candidates of one share: their rows, and how they were judged."""
     rows, anchors = [], []
     for row in _trained(job, iteration):
         anchor = job.policy(best if row["anchor"] == "best" else row["anchor"])
-        for share in shares:
-            rows.append(_saved(job, row, anchor, share))
-            anchors.append(anchor)
-    judged = judge(job, iteration, job.read(f"iterations/{iteration:02d}/finetune"), rows, anchors)
-    report(0.5)
+        rows.append(_saved(job, row, anchor, share))
+        anchors.append(anchor)
+    judged = judge(job, iteration, tuned, rows, anchors)
     distances = judged.pop("kl")
     for row in rows:
         row["kl"] = distances[row["id"]]
         policy = job.policy(row["id"])
         made = {**policy.card.made, "kl": row["kl"]}
         job.save(row["id"], dataclasses.replace(policy, card=dataclasses.replace(policy.card, made=made)))
-    found = tried(job, iteration, rows, judged, lambda share: report(0.5 + share / 2))
-    return {"line": line, "candidates": rows, "simulate": judged, "gate": found}
-
-
-def _trained(job: Job, iteration: int) -> list[dict[str, Any]]:
-    """Rows of finetune.json that a training ended with; not those that were there before it."""
-    rows = job.read(f"iterations/{iteration:02d}/finetune")["candidates"]
-    return [row for row in rows if row["stopped"] is None and row["id"].startswith(f"{iteration:02d}-")]
+    return {"candidates": rows, "simulate": judged}
 
 
 def _saved(job: Job, row: Mapping[str, Any], anchor: Policy, share: float) -> dict[str, Any]:

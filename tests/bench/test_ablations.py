@@ -45,6 +45,7 @@ SETTINGS = {
         "finetune.env.randomisation.added_mass",
         "finetune.env.randomisation.delay_share",
         "gate.strict",
+        "gate.nearer",
     },
     "one-speed": {"selection.speeds"},
     "racing": {  # another selector, which has no such settings
