@@ -36,9 +36,7 @@ def is_due(job: Job, iteration: int) -> bool:
     folder = job.folder / f"iterations/{iteration:02d}"
     if (folder / "nearer.json").exists():
         return False
-    if (
-        folder / "test.json"
-    ).exists():  # in a run of before there is no such stage; a damaged file may have been deleted
+    if (folder / "test.json").exists():  # its result was deleted since, or a run of before never had one
         return any(is_nearer(name) for name in job.read(f"iterations/{iteration:02d}/test")["elites"])
     found, rows = gated(job, iteration), _trained(job, iteration)
     if found is None or not found["strict"] or not rows:
