@@ -26,3 +26,17 @@ def robot(registry):
 @pytest.fixture(scope="module")
 def parameters(registry):
     return drawn_parameters(registry)
+
+
+@pytest.fixture
+def run(tmp_path) -> Path:
+    (tmp_path / "config.yaml").write_text("preset: smoke\n")
+    return tmp_path
+
+
+@pytest.fixture
+def policy(tmp_path, robot) -> Path:
+    from hts.policies.export import to_onnx
+    from hts.policies.files import load_policy
+
+    return to_onnx(load_policy(robot.pretrained_policy()), tmp_path / "walk.onnx")

@@ -1,0 +1,132 @@
+"""What the world `field` puts into a bundle, and what it reads of one that comes back."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from field_folder import SECONDS, bundle, field, fill_in, holding, write_log
+
+from hts.errors import RecordingError, WaitingForRobot, WorldError
+from hts.policies.deploy import DeployedPolicy
+from hts.policies.proof import ITEMS
+from hts.worlds.base import walking
+
+
+def exploring(policy: Path, robot) -> Path:
+    from hts.policies.export import to_onnx
+    from hts.policies.files import Policy, load_policy
+
+    one = load_policy(robot.pretrained_policy())
+    card = dataclasses.replace(one.card, exploration_std=(0.05,) * 12, policy_hash="e" * 64)
+    return to_onnx(Policy(one.tensors, card), policy.with_name("exploring.onnx"))
+
+
+def test_each_exploring_row_has_a_graph_of_its_own_with_a_noise_of_its_own(run, policy, robot):
+    noisy = exploring(policy, robot)
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy, policy, noisy, noisy], walking(0.5, SECONDS))
+    manifest = json.loads((bundle(run) / "manifest.json").read_text())
+    files = [row["policy"] for row in manifest["rows"]]
+    assert files[0] == files[1]
+    assert len(set(files)) == 3
+    plain, first, second = manifest["policies"]
+    assert plain["exploration"] is None
+    assert first["exploration"]["seed"] != second["exploration"]["seed"]
+    assert first["mean_file"] == second["mean_file"] == "policies/mean/exploring.onnx"
+    assert json.loads((bundle(run) / files[2]).with_suffix(".json").read_text())["exploration"] == "in the graph"
+
+
+def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, policy):
+    (run / "config.yaml").write_text(
+        "finetune: {env: {randomisation: {delay_steps: [1, 2]}, commands: {vx: [0.2, 1.5]}}}\n"
+        "gate: {first_run: {speed_scale: 0.4}}\n"
+    )
+    policy.with_suffix(".gate.json").write_text('{"passed": true}')
+    with pytest.raises(WaitingForRobot):
+        holding(run).head_to_head(policy, policy, [0.8])
+    manifest = json.loads((bundle(run) / "manifest.json").read_text())
+    assert manifest["policies"][0]["gate"] == {"passed": True}
+    assert manifest["policies"][0]["trained"]["source"] == "card of the policy"  # what it says of itself comes first
+    assert manifest["hold"] == {"commands": [0.4, 1.2], "seconds": 12.0, "tolerance": 0.01}
+    assert manifest["warmup_seconds"] == 600.0
+    assert manifest["channels"]["battery_current"] == {"unit": "A", "size": 0, "real": True}
+    text = (bundle(run) / "README.md").read_text()
+    assert "## When to stop" in text
+    assert "40% of the speed with the torque limited to\n70%" in text
+    assert manifest["first_runs"] == {"speed_scale": 0.4, "torque_scale": 0.7, "seconds": 20.0}
+
+
+def test_a_delay_in_shares_of_a_control_step_is_told_in_seconds(robot):
+    from types import SimpleNamespace
+
+    from hts.worlds.field_manifest import _trained
+
+    ranges = {"delay_steps": [0, 3], "delay_share": [0.5, 1.0]}
+    card = SimpleNamespace(made={"config": {"env": {"randomisation": ranges, "commands": {}}}})
+    told = _trained(card, SimpleNamespace(run=None, spec=robot.spec))
+    assert told["delay_s"] == pytest.approx((0.01, 0.02))  # a control step of 20 ms
+
+
+def test_a_policy_that_nobody_vouches_for_is_not_bundled(run, tmp_path, robot):
+    from hts.policies.export import to_onnx
+    from hts.policies.files import load_policy
+
+    pretrained = load_policy(robot.pretrained_policy())
+    proof = {item: {"state": "proven", "why": "a log", "by": ""} for item in ITEMS}
+
+    def walk(states):
+        card = dataclasses.replace(pretrained.card, made={"kind": "rsl_rl", "proof": states})
+        return to_onnx(dataclasses.replace(pretrained, card=card), tmp_path / "walk.onnx")
+
+    doubtful = {"gains": {"state": "differs", "why": "kp"}, "delay": {"state": "not proven", "why": "no log"}}
+    foreign = walk({**proof, **doubtful})
+    with pytest.raises(WorldError, match=r"shown or vouched for its gains, delay\. It is not bundled.*--accept ITEM"):
+        field(run).collect([foreign], walking(0.5, SECONDS))
+    assert not list(run.rglob("policies"))  # nor half of it
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([walk(proof)], walking(0.5, SECONDS))
+
+
+def test_a_bundle_of_before_is_left_as_it_is_and_read(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    fill_in(run)
+    for name in ("manifest.json", "SHA256SUMS"):  # it had neither
+        (bundle(run) / name).unlink()
+    write_log(bundle(run) / "logs" / "00.csv", robot)
+    (found,) = field(run).collect([policy], walking(0.5, SECONDS))
+    assert found.idle == {"battery_current": 1.3, "battery_voltage": 23.0}
+    assert not (bundle(run) / "manifest.json").exists()
+
+
+def test_a_log_that_describes_itself_needs_no_filled_in_mapping(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    described = yaml.safe_load((run / "field" / "mapping.yaml").read_text())
+    described["channels"]["battery_current"]["idle"] = 1.1
+    described["channels"]["battery_voltage"]["idle"] = 23.5
+    own = described["recording"] = {"clock": "monotonic", "policy_hash": "f" * 64, "mass_kg": 12.5}
+    logs = bundle(run) / "logs"
+    (logs / "mappings").mkdir()
+    (logs / "mappings" / "00.yaml").write_text(yaml.safe_dump(described))
+    write_log(logs / "00.csv", robot)
+    with pytest.raises(RecordingError, match=r"00.yaml: policy ffffffffffff… ran, asked for was walk.onnx"):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    own["policy_hash"] = DeployedPolicy(policy).card.policy_hash
+    own["kp"] = [20.0] * 12
+    (logs / "mappings" / "00.yaml").write_text(yaml.safe_dump(described))
+    with pytest.raises(RecordingError, match=r"00.yaml: kp \[20.0, .* walk.onnx was trained with \[30.0"):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    own["kp"] = [30.0] * 12
+    (logs / "mappings" / "00.yaml").write_text(yaml.safe_dump(described))
+    (found,) = field(run).collect([policy], walking(0.5, SECONDS))
+    assert (found.clock, found.mass_kg) == ("monotonic", 12.5)
+    assert found.idle == {"battery_current": 1.1, "battery_voltage": 23.5}
+    fill_in(run)  # what a person has measured wins
+    (found,) = field(run).collect([policy], walking(0.5, SECONDS))
+    assert found.idle == {"battery_current": 1.3, "battery_voltage": 23.0}
+    assert found.mass_kg == 13.2
