@@ -21,6 +21,14 @@ def command(
         str | None, typer.Option(metavar="NAME", help="Whose it must be; another robot's policy is refused.")
     ] = None,
     format_: Annotated[str, typer.Option("--format", help="onnx or torchscript.")] = "onnx",
+    held_speed: Annotated[
+        bool,
+        typer.Option(
+            "--held-speed",
+            help="With the commands in front that the run's final found: a commanded forward speed is then the speed "
+            "that was walked there.",
+        ),
+    ] = False,
     measurement_model: Annotated[
         str | None,
         typer.Option(
@@ -38,8 +46,9 @@ def command(
     from hts.cli.run_folder import existing_run, run_or_policy_file
 
     if measurement_model is not None:
-        if policy is not None:
-            raise ConfigError("--policy and --measurement-model: one export writes one of them. Leave one out.")
+        for given, option in ((policy is not None, "--policy"), (held_speed, "--held-speed")):
+            if given:
+                raise ConfigError(f"{option} and --measurement-model: one export writes one of them. Leave one out.")
         from hts.measurement.export_command import export_measurement_model
         from hts.plugins import load
 
@@ -54,4 +63,4 @@ def command(
     from hts.policies.export_command import export_policy
 
     spec = None if robot is None else load().make_robot(robot).spec
-    typer.echo(str(export_policy(folder, policy=chosen, format=format_, to=to, robot=spec)))
+    typer.echo(str(export_policy(folder, policy=chosen, format=format_, to=to, robot=spec, held_speed=held_speed)))

@@ -16,39 +16,58 @@ from onnx import TensorProto, helper, numpy_helper
 
 from hts.atomic import atomic_write
 from hts.policies.files import Policy
+from hts.policies.held_commands import HeldCommands
 from hts.policies.onnx_metadata import metadata_of_policy
 
 CARD_KEY = "hts"
 CLIP = 10.0  # of normalised observations, as in `Population.normalised`
 
 
-def to_onnx(policy: Policy, path: Path) -> Path:
+def to_onnx(policy: Policy, path: Path, held: HeldCommands | None = None) -> Path:
     """`observation` (batch, O) float32, raw -> `action` (batch, J), the mean action. Written in one move.
 
-    The graph is built node by node: it is small, exact, and needs no tracing.
+    held: commands to be sent for wanted speeds, put in front of the policy. The graph is built node by node: it is
+    small, exact, and needs no tracing.
     """
     tensors, layers = policy.tensors, len(policy.card.hidden) + 1
     weights = {"mean": tensors["observation_mean"], "std": tensors["observation_std"]}
     weights |= {f"{what}{i}": tensors[f"actor.{i}.{what}"] for i in range(layers) for what in ("weight", "bias")}
     initial = [numpy_helper.from_array(value.numpy().astype(np.float32), name) for name, value in weights.items()]
     initial += [numpy_helper.from_array(np.float32(value), name) for name, value in (("low", -CLIP), ("high", CLIP))]
+    said = {**metadata_of_policy(policy), CARD_KEY: json.dumps(asdict(policy.card))}
+    nodes = graph_nodes(layers)
+    if held is not None:
+        names = ("held_columns", "held_kinks", "held_changes")
+        initial += map(numpy_helper.from_array, held.matrices(policy.card), names)
+        nodes = [*held_nodes(), *graph_nodes(layers, "held")]
+        said |= held.as_text()
     graph = helper.make_graph(
-        graph_nodes(layers),
+        nodes,
         "policy",
         [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", policy.card.observation_size])],
         [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", len(policy.card.joint_names)])],
         initial,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    helper.set_model_props(model, {**metadata_of_policy(policy), CARD_KEY: json.dumps(asdict(policy.card))})
+    helper.set_model_props(model, said)
     onnx.checker.check_model(model)
     return atomic_write(Path(path), model.SerializeToString())
 
 
-def graph_nodes(layers: int) -> list[onnx.NodeProto]:
-    """What an exported policy computes from `observation` to `action`, node by node; constants by name."""
+def held_nodes() -> list[onnx.NodeProto]:
+    """`HeldCommands.matrices` as a graph, from `observation` to `held`."""
+    return [
+        helper.make_node("Gemm", ["observation", "held_columns", "held_kinks"], ["held_past"], transB=1),
+        helper.make_node("Relu", ["held_past"], ["held_by"]),
+        helper.make_node("MatMul", ["held_by", "held_changes"], ["held_shift"]),
+        helper.make_node("Add", ["observation", "held_shift"], ["held"]),
+    ]
+
+
+def graph_nodes(layers: int, seen: str = "observation") -> list[onnx.NodeProto]:
+    """What an exported policy computes from `seen` to `action`, node by node; constants by name."""
     nodes = [
-        helper.make_node("Sub", ["observation", "mean"], ["centred"]),
+        helper.make_node("Sub", [seen, "mean"], ["centred"]),
         helper.make_node("Div", ["centred", "std"], ["scaled"]),
         helper.make_node("Clip", ["scaled", "low", "high"], ["h0"]),
     ]
@@ -64,14 +83,21 @@ def graph_nodes(layers: int) -> list[onnx.NodeProto]:
 class _Actor(torch.nn.Module):
     """The mean action of one policy, for tracing."""
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: Policy, held: HeldCommands | None = None) -> None:
         super().__init__()
-        self.layers = len(policy.card.hidden) + 1
+        self.layers, self.held = len(policy.card.hidden) + 1, held is not None
+        for name, array in zip(
+            ("columns", "kinks", "changes"), held.matrices(policy.card) if held else (), strict=False
+        ):
+            self.register_buffer(f"held_{name}", torch.from_numpy(array))
         for name, value in policy.tensors.items():
             if name.startswith(("actor.", "observation_")):
                 self.register_buffer(name.replace(".", "_"), value)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        if self.held:
+            past = torch.nn.functional.linear(observation, self.held_columns, self.held_kinks)
+            observation = observation + past.relu() @ self.held_changes
         x = ((observation - self.observation_mean) / self.observation_std).clamp(-CLIP, CLIP)
         for index in range(self.layers):
             weight, bias = (self.get_buffer(f"actor_{index}_{what}") for what in ("weight", "bias"))
@@ -81,12 +107,14 @@ class _Actor(torch.nn.Module):
         return x
 
 
-def to_torchscript(policy: Policy, path: Path) -> Path:
-    """The same function as a TorchScript file with the card as extra file `hts.json`, while torch still offers it."""
+def to_torchscript(policy: Policy, path: Path, held: HeldCommands | None = None) -> Path:
+    """The same function as a TorchScript file with the card as extra file `hts.json` (and `held_speeds`,
+    `held_commands` as in ONNX metadata), while torch still offers it."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=FutureWarning)
-        traced = torch.jit.trace(_Actor(policy), torch.zeros(1, policy.card.observation_size))
+        traced = torch.jit.trace(_Actor(policy, held), torch.zeros(1, policy.card.observation_size))
         written = io.BytesIO()
-        torch.jit.save(traced, written, _extra_files={f"{CARD_KEY}.json": json.dumps(asdict(policy.card))})
+        extra = {f"{CARD_KEY}.json": json.dumps(asdict(policy.card)), **(held.as_text() if held else {})}
+        torch.jit.save(traced, written, _extra_files=extra)
     return atomic_write(Path(path), written.getvalue())

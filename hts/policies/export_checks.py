@@ -10,6 +10,7 @@ import torch
 
 from hts.errors import PolicyError
 from hts.policies.files import Policy
+from hts.policies.held_commands import HeldCommands, columns
 from hts.rl.population import Population
 
 TOLERANCE = 1e-5
@@ -54,12 +55,23 @@ def recorded_observations(policy: Policy, store: Path) -> np.ndarray:
     return whole[:RECORDED].astype(np.float32)
 
 
-def check_export(policy: Policy, path: Path, format: str, observations: Sequence[np.ndarray]) -> float:
-    """The largest difference between the actions of the file and of the policy. Raises PolicyError above 1e-5."""
+def check_export(
+    policy: Policy,
+    path: Path,
+    format: str,
+    observations: Sequence[np.ndarray],
+    held: HeldCommands | None = None,
+) -> float:
+    """The largest difference between the actions of the file and of the policy, which sees the `held` commands in the
+    place of the wanted speeds. Raises PolicyError above 1e-5."""
     given = np.concatenate([one for one in observations if len(one)])
+    seen = given.copy()
+    if held is not None:
+        for column in columns(policy.card):
+            seen[:, column] = held.of(given[:, column].astype(np.float64))
     with torch.no_grad():
         population = Population.from_candidates(policy.card.sizes(), [policy.tensors])
-        wanted = population.mean(torch.from_numpy(given)[None])[0].numpy().astype(np.float64)
+        wanted = population.mean(torch.from_numpy(seen)[None])[0].numpy().astype(np.float64)
     found = _actions(path, format, given).astype(np.float64)
     off = float((np.abs(found - wanted) / np.maximum(np.abs(wanted), 1.0)).max())
     if not off <= TOLERANCE:

@@ -8,24 +8,32 @@ from pathlib import Path
 
 from hts.atomic import atomic_write
 from hts.contracts import RobotSpec
-from hts.errors import PolicyError, RunError, unknown_name
+from hts.errors import ConfigError, PolicyError, RunError, unknown_name
 from hts.places import check_place
 
 
-def export_policy(folder: Path | None, policy: str, format: str, to: Path, robot: RobotSpec | None = None) -> Path:
+def export_policy(
+    folder: Path | None, policy: str, format: str, to: Path, robot: RobotSpec | None = None, held_speed: bool = False
+) -> Path:
     """Write a policy of the run in `folder` to the file `to`; that path.
 
     policy: "best", "pretrained", a candidate's id or a .safetensors file, without a folder always a file; format:
-    "onnx" or "torchscript"; robot: whose the policy must be, None for any.
+    "onnx" or "torchscript"; robot: whose the policy must be, None for any; held_speed: with the commands in front that
+    the run's final found (`HeldCommands`).
     Before it is there, its actions are compared with the policy's on random observations, and on those of the run's
     recordings.
     Raises PolicyError for a policy that is not there, is damaged or another robot's, RunError if `to` exists (nothing
-    is overwritten) or cannot be made.
+    is overwritten) or cannot be made, ConfigError for a held speed without a run.
     """
     from hts.policies import export
     from hts.policies.export_checks import check_export, random_observations, recorded_observations
     from hts.policies.files import load_policy
+    from hts.policies.held_commands import held_commands_of
 
+    if held_speed and folder is None:
+        raise ConfigError(
+            "--held-speed: a policy file has no final. Name the run's folder: hts export DIR --held-speed"
+        )
     check_place(to, "--to FILE", file=True)
     if to.exists():
         raise RunError(f"{to}: exists already. Choose another file with --to.")
@@ -34,14 +42,16 @@ def export_policy(folder: Path | None, policy: str, format: str, to: Path, robot
     else:
         path = find_policy(folder, policy)
     found = load_policy(path, robot)
+    held = held_commands_of(folder, policy) if held_speed and folder is not None else None
     observations = [random_observations(found)]
     if folder is not None and (folder / "data.zarr").is_dir():
         observations.append(recorded_observations(found, folder / "data.zarr"))
     to.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".export-", dir=to.parent) as beside:
         trial = Path(beside) / to.name
-        written = export.to_onnx(found, trial) if format == "onnx" else export.to_torchscript(found, trial)
-        check_export(found, written, format, observations)
+        write = export.to_onnx if format == "onnx" else export.to_torchscript
+        written = write(found, trial, held)
+        check_export(found, written, format, observations, held)
         return atomic_write(to, written.read_bytes())
 
 

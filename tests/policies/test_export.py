@@ -123,7 +123,7 @@ def test_an_export_that_acts_otherwise_is_not_written(policy, tmp_path, monkeypa
 
     right = export.to_onnx
 
-    def wrong(given, path):
+    def wrong(given, path, held):
         tensors = {**given.tensors, "actor.2.bias": given.tensors["actor.2.bias"] + 1e-4}
         return right(Policy(tensors, given.card), path)
 
