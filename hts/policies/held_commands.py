@@ -93,15 +93,15 @@ def held_commands_of(folder: Path, policy: str) -> HeldCommands:
         final = json.loads(path.read_text(encoding="utf-8"))["final"]
         objectives = list(final["objectives"].values()) if final else []
         rows = [(float(speed), row) for one in objectives for speed, row in one["speeds"].items() if row.get("held")]
-        tried = final["policy"] if final else None
+        tried = final["policy"] if final else ""
     except FileNotFoundError:
         raise PolicyError(
             f"{folder}: has no summary.json yet. Commands are found in the final: finish the run."
         ) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise PolicyError(f"{path}: not what a run writes ({type(error).__name__}: {error}).") from error
-    if tried is None:
-        raise PolicyError(f"{folder}: its run tried nobody in a final, so no commands were found. Export without them.")
+    if not objectives:
+        raise PolicyError(f"{folder}: nobody kept a speed in a final, so no commands are known. Export without them.")
     own = policy in ("best", tried)
     if not own and policy != "pretrained":
         raise PolicyError(
