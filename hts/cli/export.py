@@ -25,8 +25,8 @@ def command(
         bool,
         typer.Option(
             "--held-speed",
-            help="With the commands in front that the run's final found: a commanded forward speed is then the speed "
-            "that was walked there.",
+            help="With the commands in front that the run's final found: a commanded forward speed is then about the "
+            "speed that was walked there, on that machine.",
         ),
     ] = False,
     measurement_model: Annotated[
@@ -63,4 +63,8 @@ def command(
     from hts.policies.export_command import export_policy
 
     spec = None if robot is None else load().make_robot(robot).spec
+    if held_speed and folder is not None:
+        from hts.policies.held_commands import held_commands_of
+
+        typer.echo(held_commands_of(folder, chosen).said(), err=True)
     typer.echo(str(export_policy(folder, policy=chosen, format=format_, to=to, robot=spec, held_speed=held_speed)))

@@ -35,13 +35,15 @@ def evaluate_run(
     """Head-to-head of a policy against the run's pretrained one, written to `folder`/evaluation.json and returned.
 
     speeds: m/s (or set-points of another task), by default those of the run's configuration; policy: "best" (default),
-    "pretrained", a candidate's id or an ONNX file; world: a name, by default the run's own world with its settings;
+    "pretrained", a candidate's id or an ONNX file (at equal commands alone, if it was exported with the held ones in
+    front: trimming it again would find nothing); world: a name, by default the run's own world with its settings;
     seed, sessions: by default the run's; sessions: how often it is done anew, and the interval is over them.
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
     head-to-head is refused (EvaluationError).
     """
     from hts.config_loading import read_config
     from hts.plugins import load
+    from hts.policies.held_commands import has_held_commands
     from hts.recordings.store import RecordingStore
 
     folder = Path(folder)
@@ -66,7 +68,7 @@ def evaluate_run(
     )
     place.mkdir(exist_ok=True)
     where = registry.make_world(named.name, named.settings, context)
-    hold = hold_of(config)
+    hold = None if has_held_commands(Path(policy or "best")) else hold_of(config)
     if hold is not None:
         task.check_hold("evaluation.hold_speed")
     held: list[Recording] = []

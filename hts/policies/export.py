@@ -16,7 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from hts.atomic import atomic_write
 from hts.policies.files import Policy
-from hts.policies.held_commands import HeldCommands
+from hts.policies.held_commands import FAR, HeldCommands
 from hts.policies.onnx_metadata import metadata_of_policy
 
 CARD_KEY = "hts"
@@ -34,11 +34,12 @@ def to_onnx(policy: Policy, path: Path, held: HeldCommands | None = None) -> Pat
     weights |= {f"{what}{i}": tensors[f"actor.{i}.{what}"] for i in range(layers) for what in ("weight", "bias")}
     initial = [numpy_helper.from_array(value.numpy().astype(np.float32), name) for name, value in weights.items()]
     initial += [numpy_helper.from_array(np.float32(value), name) for name, value in (("low", -CLIP), ("high", CLIP))]
-    said = {**metadata_of_policy(policy), CARD_KEY: json.dumps(asdict(policy.card))}
+    card = policy.card if held is None else held.card_of(policy.card)
+    said = {**metadata_of_policy(policy), CARD_KEY: json.dumps(asdict(card))}
     nodes = graph_nodes(layers)
     if held is not None:
-        names = ("held_columns", "held_kinks", "held_changes")
-        initial += map(numpy_helper.from_array, held.matrices(policy.card), names)
+        constants = {**held.matrices(policy.card), "low": np.float32(-FAR), "high": np.float32(FAR)}
+        initial += [numpy_helper.from_array(value, f"held_{name}") for name, value in constants.items()]
         nodes = [*held_nodes(), *graph_nodes(layers, "held")]
         said |= held.as_text()
     graph = helper.make_graph(
@@ -57,8 +58,10 @@ def to_onnx(policy: Policy, path: Path, held: HeldCommands | None = None) -> Pat
 def held_nodes() -> list[onnx.NodeProto]:
     """`HeldCommands.matrices` as a graph, from `observation` to `held`."""
     return [
-        helper.make_node("Gemm", ["observation", "held_columns", "held_kinks"], ["held_past"], transB=1),
-        helper.make_node("Relu", ["held_past"], ["held_by"]),
+        helper.make_node("Clip", ["observation", "held_low", "held_high"], ["held_seen"]),
+        helper.make_node("Gemm", ["held_seen", "held_columns", "held_starts"], ["held_past"], transB=1),
+        helper.make_node("Relu", ["held_past"], ["held_above"]),
+        helper.make_node("Min", ["held_above", "held_widths"], ["held_by"]),
         helper.make_node("MatMul", ["held_by", "held_changes"], ["held_shift"]),
         helper.make_node("Add", ["observation", "held_shift"], ["held"]),
     ]
@@ -86,9 +89,7 @@ class _Actor(torch.nn.Module):
     def __init__(self, policy: Policy, held: HeldCommands | None = None) -> None:
         super().__init__()
         self.layers, self.held = len(policy.card.hidden) + 1, held is not None
-        for name, array in zip(
-            ("columns", "kinks", "changes"), held.matrices(policy.card) if held else (), strict=False
-        ):
+        for name, array in (held.matrices(policy.card) if held is not None else {}).items():
             self.register_buffer(f"held_{name}", torch.from_numpy(array))
         for name, value in policy.tensors.items():
             if name.startswith(("actor.", "observation_")):
@@ -96,8 +97,9 @@ class _Actor(torch.nn.Module):
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         if self.held:
-            past = torch.nn.functional.linear(observation, self.held_columns, self.held_kinks)
-            observation = observation + past.relu() @ self.held_changes
+            seen = observation.clamp(-FAR, FAR)
+            past = torch.nn.functional.linear(seen, self.held_columns, self.held_starts)
+            observation = observation + torch.minimum(past.relu(), self.held_widths) @ self.held_changes
         x = ((observation - self.observation_mean) / self.observation_std).clamp(-CLIP, CLIP)
         for index in range(self.layers):
             weight, bias = (self.get_buffer(f"actor_{index}_{what}") for what in ("weight", "bias"))
@@ -115,6 +117,7 @@ def to_torchscript(policy: Policy, path: Path, held: HeldCommands | None = None)
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=FutureWarning)
         traced = torch.jit.trace(_Actor(policy, held), torch.zeros(1, policy.card.observation_size))
         written = io.BytesIO()
-        extra = {f"{CARD_KEY}.json": json.dumps(asdict(policy.card)), **(held.as_text() if held else {})}
+        card = policy.card if held is None else held.card_of(policy.card)
+        extra = {f"{CARD_KEY}.json": json.dumps(asdict(card)), **(held.as_text() if held else {})}
         torch.jit.save(traced, written, _extra_files=extra)
     return atomic_write(Path(path), written.getvalue())

@@ -25,7 +25,7 @@ def from_our_onnx(path: Path, model: Any, text: str, robot: RobotSpec, std: floa
         raise PolicyError(f"{path}: not a whole ONNX file ({str(error)[:120]}). Copy or export it again.") from error
     card = parse_card(text, path)
     check_robot(path, card, robot)
-    if "held_kinks" in arrays:
+    if "held_starts" in arrays:
         raise PolicyError(
             f"{path}: was exported with --held-speed, so it sees other commands than it is given. Import the run's own "
             ".safetensors, or a file exported without."

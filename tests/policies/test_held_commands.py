@@ -15,11 +15,12 @@ from dog import UNEVEN as SPEC
 from hts.cli.main import main
 from hts.envs.observation import observation_layout
 from hts.errors import PolicyError
+from hts.policies.deploy import DeployedPolicy
 from hts.policies.export import to_onnx, to_torchscript
 from hts.policies.export_checks import check_export, random_observations
 from hts.policies.export_command import export_policy
 from hts.policies.files import Policy, make_card, save_policy
-from hts.policies.held_commands import HeldCommands, columns, held_commands_of
+from hts.policies.held_commands import HeldCommands, columns, has_held_commands, held_commands_of
 from hts.rl.population import Population, Sizes
 
 FOUND = HeldCommands((0.5, 0.8, 1.1), (0.43, 0.9, 1.25))
@@ -65,10 +66,44 @@ def test_a_wanted_speed_becomes_the_command_that_was_sent_for_it(wanted, sent):
     assert FOUND.of(np.array(wanted)) == pytest.approx(sent)
 
 
-def test_the_kinks_are_the_same_function():
+def test_the_pieces_are_the_same_function():
     speeds = np.random.default_rng(0).uniform(-1.0, 2.0, 1000)
-    bent = speeds + sum(change * np.maximum(speeds - kink, 0.0) for kink, change in zip(*FOUND.kinks(), strict=True))
+    pieces = zip(*FOUND.pieces(), strict=True)
+    bent = speeds + sum(change * np.clip(speeds - start, 0.0, width) for start, width, change in pieces)
     np.testing.assert_allclose(bent, FOUND.of(speeds), atol=1e-12)
+
+
+def test_steep_maps_are_exported_too(tmp_path):
+    """Far from any command, where random observations reach, large terms must not be left to cancel."""
+    steep = HeldCommands((0.3, 0.31, 0.9, 1.0), (0.2, 0.6, 0.65, 1.4))
+    policy = made()
+    for seed in range(20):
+        given = [random_observations(policy, seed)]
+        assert check_export(policy, to_onnx(policy, tmp_path / "p.onnx", steep), "onnx", given, steep) < 1e-5
+
+
+@pytest.mark.parametrize("place", [0, VX, VX + 1])
+def test_an_infinite_reading_is_clipped_as_ever(tmp_path, place):
+    policy, given = made(), np.zeros((1, 15), np.float32)
+    given[0, place] = np.inf
+    session = onnxruntime.InferenceSession(str(to_onnx(policy, tmp_path / "p.onnx", FOUND)))
+    assert np.isfinite(session.run(["action"], {"observation": given})[0]).all()
+    traced = torch.jit.load(str(to_torchscript(policy, tmp_path / "p.ts", FOUND)))
+    assert torch.isfinite(traced(torch.from_numpy(given))).all()
+
+
+def test_whether_a_file_has_them_is_read_from_it(tmp_path):
+    assert has_held_commands(to_onnx(made(), tmp_path / "p.onnx", FOUND))
+    assert not has_held_commands(to_onnx(made(), tmp_path / "q.onnx"))
+    assert not has_held_commands(tmp_path / "best")
+
+
+def test_it_is_another_policy_and_says_whose(tmp_path):
+    policy = made()
+    card = DeployedPolicy(to_onnx(policy, tmp_path / "p.onnx", FOUND)).card
+    assert card.policy_hash != policy.card.policy_hash == card.made["held"]["policy_hash"]
+    other = DeployedPolicy(to_onnx(policy, tmp_path / "q.onnx", HeldCommands((0.5,), (0.4,)))).card
+    assert other.policy_hash != card.policy_hash
 
 
 @pytest.mark.parametrize("format", ["onnx", "torchscript"])
@@ -137,11 +172,24 @@ def test_commands_are_those_of_the_final_of_best_of_its_id_and_of_its_reference(
     assert held_commands_of(folder, "pretrained").commands == pytest.approx((0.51, 0.81, 1.11))
 
 
-def test_a_speed_that_was_refused_is_no_point(tmp_path):
-    rows = {"0.8": {"held": True, "commanded": 0.7, "reference": {"commanded": 0.8}}}
-    both = {"cost": {"speeds": rows}, "other": {"speeds": {**rows, "1.1": {"held": False, "commanded": 1.1}}}}
+def test_a_command_of_another_shape_is_refused():
+    policy = made()
+    parts = [{**part, "size": 2} if part["name"] == "command" else part for part in policy.card.observation]
+    with pytest.raises(PolicyError, match="command has 2 numbers, expected 3"):
+        columns(dataclasses.replace(policy.card, observation=parts))
+
+
+def test_a_speed_that_was_refused_or_at_which_it_fell_is_no_point_and_is_told(tmp_path, capsys):
+    rows = {
+        "0.5": {"held": True, "commanded": 0.4, "falls": 1, "reference": {"commanded": 0.5}},
+        "0.8": {"held": True, "commanded": 0.7, "falls": 0, "reference": {"commanded": 0.8}},
+    }
+    both = {"cost": {"speeds": rows, "refused": {"1.1": "too slow"}}, "other": {"speeds": rows}}
     folder = run_folder(tmp_path / "run", made(), objectives=both)
-    assert held_commands_of(folder, "best") == HeldCommands((0.8,), (0.7,))
+    assert held_commands_of(folder, "best") == HeldCommands((0.8,), (0.7,), (0.5, 1.1))
+    assert main(["export", str(folder), "--held-speed", "--to", str(tmp_path / "p.onnx")]) == 0
+    told = capsys.readouterr().err
+    assert "Commands for 0.8 m/s: 0.7; above 0.8 m/s as there. In the final it was refused or fell at 0.5, 1.1" in told
 
 
 @pytest.mark.parametrize(
