@@ -66,11 +66,11 @@ def evaluate_run(
         folder=place,
         registry=registry,
     )
-    place.mkdir(exist_ok=True)
-    where = registry.make_world(named.name, named.settings, context)
     hold = None if has_held_commands(Path(policy or "best")) else hold_of(config)
     if hold is not None:
         task.check_hold("evaluation.hold_speed")
+    place.mkdir(exist_ok=True)
+    where = registry.make_world(named.name, named.settings, context)
     held: list[Recording] = []
     vain: list[Recording] = []
 
