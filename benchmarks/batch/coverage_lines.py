@@ -38,6 +38,15 @@ class Occasion(Part):
     improvement_ci95: Interval | None
 
 
+class Counted(Part):
+    """Of a truth: what the pieces say that a head-to-head would count, and their share of all."""
+
+    improvement: float
+    improvement_ci95: Interval
+    valid: float
+    reference_valid: float
+
+
 class Found(Part):
     """At one speed. An evaluation: over its sessions; `as_one`: the same pieces, as if all blocks were of one session.
     A truth: `improvement_ci95` is its own uncertainty."""
@@ -50,6 +59,7 @@ class Found(Part):
     reference_speed: float
     falls: int = 0
     at_limit: int = Field(0, description="of a truth: sessions whose command reached the end of its range")
+    counted: Counted | None = Field(None, description="of a truth, since there is one")
 
 
 class CoverageLine(Part):
@@ -93,9 +103,14 @@ KINDS: dict[str, Callable[[Found], list[tuple[float, Interval | None]]]] = {
 
 
 def coverage(
-    lines: Sequence[CoverageLine], kind: str, speed: str | None = None, policy: str | None = None
+    lines: Sequence[CoverageLine],
+    kind: str,
+    speed: str | None = None,
+    policy: str | None = None,
+    counted: bool = False,
 ) -> dict[str, list[tuple[float, Interval, float]]]:
-    """reality -> (estimate, interval, truth) of every evaluation there. Raises EvaluationError without a truth."""
+    """reality -> (estimate, interval, truth) of every evaluation there. counted: the truth of the pieces that an
+    evaluation counts, where a truth knows it; else of all. Raises EvaluationError without a truth."""
     truths = {line.pair: line for line in lines if line.kind == "truth"}
     found: dict[str, list[tuple[float, Interval, float]]] = {}
     for line in lines:
@@ -107,9 +122,10 @@ def coverage(
             )
         truth = truths[line.pair].speeds
         for key, one in line.speeds.items():
-            if key in truth and speed in (None, key):
-                rows = KINDS[kind](one)
-                kept = [(value, ci, truth[key].improvement) for value, ci in rows if ci is not None]
+            true = truth.get(key) if speed in (None, key) else None
+            against = true.counted if counted and true else true
+            if against is not None:
+                kept = [(value, ci, against.improvement) for value, ci in KINDS[kind](one) if ci is not None]
                 found.setdefault(line.reality, []).extend(kept)
     return {reality: rows for reality, rows in found.items() if rows}
 
@@ -136,7 +152,8 @@ def share_interval(rows: dict[str, list[tuple[float, Interval, float]]]) -> Inte
 
 def coverage_table(lines: Sequence[CoverageLine]) -> str:
     """Pooled, then by speed and by policy: share that holds the truth, with its interval over realities; mean half
-    width; root mean square and mean of estimate less truth."""
+    width; root mean square and mean of estimate less truth. Where truths know it, once more against the truth of the
+    pieces that an evaluation counts."""
     evaluations = [line for line in lines if line.kind == "evaluation"]
     if not evaluations:
         raise EvaluationError("No line is an evaluation. Make some: benchmarks/realities.py coverage run.")
@@ -148,13 +165,15 @@ def coverage_table(lines: Sequence[CoverageLine]) -> str:
     signed = differences(next(iter(units))[1])
     speeds = sorted({key for line in evaluations for key in line.speeds}, key=float)
     policies = sorted({line.policy for line in evaluations})
-    cuts: list[tuple[str, str, str | None, str | None]] = [(kind, "all", None, None) for kind in KINDS]
     first = next(iter(KINDS))
-    cuts += [(first, f"{speed} m/s", speed, None) for speed in speeds if len(speeds) > 1]
-    cuts += [(first, policy, None, policy) for policy in policies if len(policies) > 1]
+    cuts: list[tuple[str, str, str | None, str | None, bool]] = [(first, "all", None, None, False)]
+    cuts += [(first, "all, against the pieces that it counts", None, None, True)]
+    cuts += [(kind, "all", None, None, False) for kind in KINDS if kind != first]
+    cuts += [(first, f"{speed} m/s", speed, None, False) for speed in speeds if len(speeds) > 1]
+    cuts += [(first, policy, None, policy, False) for policy in policies if len(policies) > 1]
     rows = []
-    for kind, what, speed, policy in cuts:
-        found = coverage(lines, kind, speed, policy)
+    for kind, what, speed, policy, counted in cuts:
+        found = coverage(lines, kind, speed, policy, counted)
         if not found:
             continue
         every = [row for each in found.values() for row in each]
@@ -179,7 +198,8 @@ def coverage_table(lines: Sequence[CoverageLine]) -> str:
     head += ["error, RMS", "error, mean"]
     sessions = sorted({line.lengths.sessions for line in evaluations})
     note = f"{', '.join(map(str, sessions))} sessions an evaluation; {refused} speeds refused"
-    return f"{table(head, rows)}\n\n{note}; truths to within {_truth_error(lines, show)} (95 %, mean)."
+    left_out = _left_out(lines, signed, show)
+    return f"{table(head, rows)}\n\n{note}; truths to within {_truth_error(lines, show)} (95 %, mean).{left_out}"
 
 
 def pairs_table(lines: Sequence[CoverageLine]) -> str:
@@ -216,6 +236,20 @@ def _truth_error(lines: Sequence[CoverageLine], show: Callable[[float], str]) ->
         if one.improvement_ci95 is not None
     ]
     return "±" + show(float(np.mean(widths))) if widths else NONE
+
+
+def _left_out(lines: Sequence[CoverageLine], signed: Callable[[float], str], show: Callable[[float], str]) -> str:
+    """What counting only the pieces near the asked speed does to a truth: empty where no truth knows."""
+    truths = [one for line in lines if line.kind == "truth" for one in line.speeds.values()]
+    more = [one.counted.improvement - one.improvement for one in truths if one.counted is not None]
+    if not more:
+        return ""
+    largest = max(more, key=abs)
+    return (
+        f" Of {len(more)} truths the pieces near the asked speed say {signed(float(np.mean(more)))} in the mean "
+        f"against all pieces, {show(float(np.median(np.abs(more))))} without sign in the median, {signed(largest)} at "
+        "most."
+    )
 
 
 def _percent(value: float) -> str:

@@ -8,7 +8,17 @@ from pathlib import Path
 
 import pytest
 from batch.coverage import Work, policies_of, run_coverage, works_of
-from batch.coverage_lines import CoverageLine, Found, Lengths, Occasion, coverage, coverage_table, read_coverage, share
+from batch.coverage_lines import (
+    Counted,
+    CoverageLine,
+    Found,
+    Lengths,
+    Occasion,
+    coverage,
+    coverage_table,
+    read_coverage,
+    share,
+)
 from batch.queue import STOPPED
 
 from hts.errors import EvaluationError, PolicyError, RunError, WorldError
@@ -70,6 +80,21 @@ def test_pooled_coverage_is_the_share_that_holds_the_truth_with_realities_as_clu
     assert row[5] == "1.0 points"
     assert row[6] == "1.5 points" and row[7] == "+0.8 points"  # +0.1, +0.5, −0.5, +3
     assert row_of(coverage_table(batch()), "blocks as units, sessions pooled")[4].startswith("25.0 % (")
+
+
+def test_the_pieces_that_an_evaluation_counts_have_a_truth_of_their_own():
+    lines = batch()
+    assert "against the pieces" not in coverage_table(lines) and "near the asked speed" not in coverage_table(lines)
+    counted = Counted(improvement=0.225, improvement_ci95=(0.224, 0.226), valid=0.9, reference_valid=1.0)
+    for line in lines[:2]:
+        line.speeds["0.8"] = line.speeds["0.8"].model_copy(update={"counted": counted})
+    text = coverage_table(lines)
+    (row,) = [line for line in text.splitlines() if "against the pieces that it counts" in line]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[3] == "4" and cells[4].startswith("25.0 % (")  # 0.22 to 0.24 alone holds it
+    assert cells[7] == "−1.7 points"
+    assert "Of 2 truths the pieces near the asked speed say +2.5 points in the mean" in text
+    assert row_of(text, "sessions as units") == row_of(coverage_table(batch()), "sessions as units")
 
 
 def test_realities_that_agree_leave_the_doubt_of_so_many_intervals():

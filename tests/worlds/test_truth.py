@@ -16,7 +16,7 @@ from hts.evaluation.evaluate import in_sessions
 from hts.evaluation.held import ask_to_hold
 from hts.worlds.realities import truth as truth_module
 from hts.worlds.realities.batch import exported_policy
-from hts.worlds.realities.truth import Exact, Truth, truth
+from hts.worlds.realities.truth import Exact, Truth, Walked, truth
 from hts.worlds.twin.world import make_twin
 
 pytest.importorskip("hts_go1", reason="the robot of these sessions is not installed")
@@ -50,14 +50,32 @@ def test_who_is_simulated_together_does_not_hang_on_the_machine(asked, monkeypat
     def fake(given, group):
         groups.append(group)
         row = {"net_power": 50.0, "gross_power": 80.0, "cost_of_transport": 0.5, "speed": 0.8, "falls": 1.0}
+        row["pieces"] = 8.0
         means = {"policy": {**row, "saturated": 0.0}, "reference": {**row, "net_power": 100.0, "saturated": 1.0}}
-        return [(0.8, means) for _ in group]
+        counted = {"policy": np.array([[60.0, 90.0, 0.6]] * 6), "reference": np.array([[80.0, 110.0, 0.8]] * 8)}
+        return [(0.8, Walked(means, counted)) for _ in group]
 
     monkeypatch.setattr(truth_module, "one_group", fake)
     at = truth(replace(asked, sessions=13))["speeds"]["0.8"]
     assert groups == [range(6), range(6, 12), range(12, 13)]
     assert (at["sessions"], at["falls"], at["at_limit"]) == (13, 13, 13)
     assert at["improvement"] == 0.5 and at["improvement_ci95"] == pytest.approx([0.5, 0.5])
+    assert at["counted"] == {
+        "improvement": 0.25,
+        "improvement_ci95": pytest.approx([0.25, 0.25]),
+        "valid": 0.75,
+        "reference_valid": 1.0,
+    }
+
+
+def test_pieces_that_no_head_to_head_would_count_are_in_the_truth_and_not_in_what_is_counted(asked):
+    strict = truth(replace(asked, tolerance=0.03))["speeds"]["0.8"]
+    loose = truth(replace(asked, tolerance=1.0))["speeds"]["0.8"]
+    assert strict["improvement"] == loose["improvement"]
+    assert 0.0 < strict["counted"]["valid"] < loose["counted"]["valid"] == 1.0
+    assert strict["counted"]["improvement"] != strict["improvement"]
+    none = truth(replace(asked, tolerance=0.0))["speeds"]["0.8"]
+    assert none["counted"] is None and none["improvement"] == strict["improvement"]
 
 
 def test_fewer_than_two_sessions_are_no_truth(asked):

@@ -2,7 +2,9 @@
 
 The yardstick for intervals, on twins alone. The robot, its physics and the programme are those of a held head-to-head;
 what is measured is not: instruments tell their quantity as it is (`Instrument.exact`), the command is trimmed by the
-trunk's true speed, and every piece counts that is not near a fall. Sessions are others than those of any head-to-head.
+trunk's true speed, and every piece counts that is not near a fall. Beside it stands what those pieces alone say that a
+head-to-head would count, by their true speed: the difference is what that rule leaves out. Sessions are others than
+those of any head-to-head.
 No learning code comes here: `import-linter` keeps it out of hts.worlds, and a run never asks.
 """
 
@@ -18,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from hts import plugins
-from hts.contracts import HoldSpeed, Instrument, Objective, PhysicsSample
+from hts.contracts import VELOCITY, HoldSpeed, Instrument, Objective, PhysicsSample
 from hts.errors import ConfigError, EvaluationError, UnfitWorldError
 from hts.evaluation.final import speed_key
 from hts.evaluation.head_to_head import ROLES, by_speed
@@ -39,13 +41,16 @@ TOGETHER = 6  # sessions simulated together; part of the randomness, so no matte
 ANY_SPEED = 1.0  # relative: pieces are not chosen by their speed
 
 Means = Mapping[str, Mapping[str, float]]
-"""role -> quantity -> mean over a session's pieces; `speed` (m/s) and `falls` beside the objective's own."""
+"""role -> quantity -> mean over a session's pieces; BESIDE the objective's own: m/s, and counts."""
+
+BESIDE = ("speed", "falls", "saturated", "pieces")
 
 
 @dataclass(frozen=True)
 class Truth:
     """What is asked. policy, reference: exported files; reality: name, file or `default`; lengths in s as in a
-    head-to-head; commands: lowest and highest, m/s; objective: name and settings."""
+    head-to-head; commands: lowest and highest, m/s; objective: name and settings; tolerance: relative, of the pieces
+    that a head-to-head would count (`evaluation.speed_tolerance`)."""
 
     robot: str
     objective: str
@@ -60,6 +65,16 @@ class Truth:
     block: float = 20.0
     commands: tuple[float, float] = (0.2, 1.5)
     seed: int = 0
+    tolerance: float = 0.1
+
+
+@dataclass(frozen=True)
+class Walked:
+    """One session at one speed. means: over all pieces; counted: of each role the objective's quantities of the pieces
+    that a head-to-head would count, in the order of `means`, (S, Q)."""
+
+    means: Means
+    counted: Mapping[str, np.ndarray]
 
 
 class Exact(Instrument):
@@ -113,16 +128,18 @@ class TrueSpeed:
 
 def truth(asked: Truth, processes: int = 1, tell: Callable[[int, int], None] | None = None) -> dict[str, Any]:
     """Unit, and at each speed improvement, its interval over sessions, metrics, mean speeds, falls, and how many
-    commands reached the end of their range. The same for any number of processes. Raises EvaluationError for a
-    speed at which nothing is left, ConfigError for fewer than two sessions."""
+    commands reached the end of their range; `counted`: improvement, its interval and the share of each role's pieces,
+    of the pieces that a head-to-head would count, None unless two sessions have some of both roles. The same for any
+    number of processes. Raises EvaluationError for a speed at which nothing is left, ConfigError for fewer than two
+    sessions."""
     if asked.sessions < 2:
         raise ConfigError(f"{asked.sessions} sessions: the truth is a mean over sessions. Expected two at least.")
     objective = _objective(asked)
     groups = [range(at, min(at + TOGETHER, asked.sessions)) for at in range(0, asked.sessions, TOGETHER)]
-    found: dict[float, list[Means]] = {}
+    found: dict[float, list[Walked]] = {}
     for number, rows in enumerate(_grouped(asked, groups, processes)):
-        for speed, means in rows:
-            found.setdefault(speed, []).append(means)
+        for speed, walked in rows:
+            found.setdefault(speed, []).append(walked)
         if tell is not None:
             tell(number + 1, len(groups))
     return {
@@ -132,8 +149,8 @@ def truth(asked: Truth, processes: int = 1, tell: Callable[[int, int], None] | N
     }
 
 
-def one_group(asked: Truth, group: range) -> list[tuple[float, Means]]:
-    """Sessions that are simulated together: speed and means of each."""
+def one_group(asked: Truth, group: range) -> list[tuple[float, Walked]]:
+    """Sessions that are simulated together: each at each speed."""
     registry = plugins.load()
     robot, objective = registry.make_robot(asked.robot), _objective(asked)
     reference = {} if asked.reality == DEFAULT else {"reality": asked.reality}
@@ -160,7 +177,8 @@ def one_group(asked: Truth, group: range) -> list[tuple[float, Means]]:
         rows = batch.run(sessions, "twin")
     finally:
         batch.close()
-    return [(speed, _means(objective, blocks, speed)) for row in rows for speed, blocks in by_speed(row).items()]
+    found = [(speed, blocks) for row in rows for speed, blocks in by_speed(row).items()]
+    return [(speed, _walked(objective, blocks, speed, asked.tolerance)) for speed, blocks in found]
 
 
 def _grouped(asked: Truth, groups: Sequence[range], processes: int) -> Any:
@@ -173,8 +191,9 @@ def _grouped(asked: Truth, groups: Sequence[range], processes: int) -> Any:
         yield from pool.map(one_group, [asked] * len(groups), groups)
 
 
-def _means(objective: Objective, recordings: Sequence[Recording], speed: float) -> Means:
+def _walked(objective: Objective, recordings: Sequence[Recording], speed: float, tolerance: float) -> Walked:
     means: dict[str, dict[str, float]] = {}
+    counted: dict[str, np.ndarray] = {}
     for role in ROLES:
         blocks = sorted((one for one in recordings if one.role == role), key=lambda one: one.block)
         segments = cut(blocks, ANY_SPEED)
@@ -184,18 +203,23 @@ def _means(objective: Objective, recordings: Sequence[Recording], speed: float) 
                 "is no truth to hold anything against."
             )
         at_limit = [one.notes.get("held_saturated") == "true" for one in blocks]
+        scores = objective.score(segments)
+        done = VELOCITY.done(segments.speed, segments.commanded, tolerance)
+        counted[role] = np.stack(list(scores.values()), axis=1)[done]
         means[role] = {
-            **{name: float(np.mean(values)) for name, values in objective.score(segments).items()},
+            **{name: float(np.mean(values)) for name, values in scores.items()},
+            "pieces": float(len(segments)),
             "speed": float(segments.speed.mean()),
             "falls": float(segments.falls),
             "saturated": float(any(at_limit)),
         }
-    return means
+    return Walked(means, counted)
 
 
-def _entry(objective: Objective, sessions: Sequence[Means], speed: float) -> dict[str, Any]:
+def _entry(objective: Objective, walked: Sequence[Walked], speed: float) -> dict[str, Any]:
     """Every session counts alike."""
-    names = [name for name in sessions[0]["policy"] if name not in ("speed", "falls", "saturated")]
+    sessions = [one.means for one in walked]
+    names = [name for name in sessions[0]["policy"] if name not in BESIDE]
 
     def compared(policy: np.ndarray, reference: np.ndarray) -> Any:
         return objective.compare(*(dict(zip(names, map(float, one), strict=True)) for one in (policy, reference)))
@@ -218,6 +242,27 @@ def _entry(objective: Objective, sessions: Sequence[Means], speed: float) -> dic
         "reference_falls": int(over("reference", "falls").sum()),
         "at_limit": int((over("policy", "saturated") + over("reference", "saturated") > 0).sum()),
         "asked_speed": speed,
+        "counted": _counted(compared, walked),
+    }
+
+
+def _counted(compared: Callable[[np.ndarray, np.ndarray], Any], walked: Sequence[Walked]) -> dict[str, Any] | None:
+    """Of the pieces that a head-to-head would count, as it takes them: each counts alike."""
+    both = [one for one in walked if all(len(one.counted[role]) for role in ROLES)]
+    if len(both) < 2:
+        return None
+    first, second = ([one.counted[role] for one in both] for role in ROLES)
+    whole = compared(np.concatenate(first).mean(axis=0), np.concatenate(second).mean(axis=0))
+    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, first, second)
+    shares = [
+        sum(len(one.counted[role]) for one in walked) / sum(one.means[role]["pieces"] for one in walked)
+        for role in ROLES
+    ]
+    return {
+        "improvement": whole.improvement,
+        "improvement_ci95": list(interval),
+        "valid": shares[0],
+        "reference_valid": shares[1],
     }
 
 
