@@ -22,7 +22,7 @@ RESULT = "evaluation.json"
 Results = dict[float, HeadToHead]
 REAL_KEYS = (
     *("improvement", "improvement_ci95", "segments", "valid", "falls", "mean_speed", "held", "commanded"),
-    *("metrics", "metrics_ci95"),
+    *("metrics", "metrics_ci95", "every_second"),
 )
 
 

@@ -25,10 +25,34 @@ if TYPE_CHECKING:
 
 
 ROLES = ("policy", "reference")
+ANY_SPEED = 1.0  # relative: a second at any forward speed up to twice the commanded one counts
 
 
 class TooFewSegments(NotComparable):
     """Too few valid segments of the policy or of the reference."""
+
+
+@dataclass(frozen=True)
+class EverySecond:
+    """The same comparison over every second that is not near a fall, whatever its speed up to twice the asked one.
+
+    Who walks now faster, now slower loses seconds to the ±10 % that a valid segment may be off, and they are not its
+    cheapest. mean_speed, reference_speed: over these seconds, m/s; no rule asks them to be one speed.
+    """
+
+    improvement: float
+    improvement_ci95: tuple[float, float] | None
+    mean_speed: float
+    reference_speed: float
+
+    def entry(self) -> dict[str, Any]:
+        """This comparison's part of `summary.json`."""
+        return {
+            "improvement": self.improvement,
+            "improvement_ci95": list(self.improvement_ci95) if self.improvement_ci95 else None,
+            "mean_speed": self.mean_speed,
+            "reference_mean_speed": self.reference_speed,
+        }
 
 
 @dataclass(frozen=True)
@@ -39,7 +63,9 @@ class HeadToHead:
     sessions where there are several, None if a single segment leaves nothing to tell it from; metrics_ci95: the same
     for each metric;
     policy_segments, reference_segments: the valid ones; policy_scores, reference_scores: the objective's quantities
-    per segment, each (S,); commanded: what was sent to both, and whether the speed was held.
+    per segment, each (S,); commanded: what was sent to both, and whether the speed was held; every_second: the same
+    without the rule that a second must be near the asked speed, None of a task that is not to follow a velocity, or
+    where the objective has no number of such seconds.
     """
 
     speed: float
@@ -52,6 +78,7 @@ class HeadToHead:
     policy_scores: Mapping[str, np.ndarray]
     reference_scores: Mapping[str, np.ndarray]
     commanded: Commanded
+    every_second: EverySecond | None = None
 
     @property
     def improvement(self) -> float:
@@ -86,6 +113,7 @@ class HeadToHead:
             "commanded": self.commanded.policy,
             "metrics": {name: float(value) for name, value in self.comparison.metrics.items()},
             "metrics_ci95": {name: list(found) if found else None for name, found in self.metrics_ci95.items()},
+            "every_second": self.every_second.entry() if self.every_second else None,
             "reference": {
                 "segments": len(self.reference_segments),
                 "valid": self.reference_segments.valid,
@@ -112,24 +140,14 @@ def compare(
     """
     sent = commanded({role: [r for r in recordings if r.role == role] for role in ROLES}, _one_speed(recordings, task))
     measured = _measure(objective, recordings, config, task, sent, seed)
-    segments, scores, compared = measured.segments, measured.scores, measured.compared
+    segments, scores = measured.segments, measured.scores
     comparison = measured.comparison()
-    tables = {role: (segments[role], _table(scores[role])) for role in ROLES}
 
     def metric_of(name: str) -> Callable[[Comparison], float]:
         return lambda found: found.metrics[name]
 
-    def bounds(number: Callable[[Comparison], float]) -> tuple[float, float] | None:
-        return interval_of(
-            lambda policy, reference: number(compared(policy, reference)),
-            tables["policy"],
-            tables["reference"],
-            config.bootstrap,
-            seed,
-        )
-
-    ci95 = bounds(lambda found: found.improvement)
-    metrics_ci95 = {name: bounds(metric_of(name)) for name in comparison.metrics}
+    ci95 = measured.interval(_improvement, config, seed)
+    metrics_ci95 = {name: measured.interval(metric_of(name), config, seed) for name in comparison.metrics}
     return HeadToHead(
         speed=measured.speed,
         unit=objective.unit,
@@ -141,7 +159,35 @@ def compare(
         policy_scores=scores["policy"],
         reference_scores=scores["reference"],
         commanded=sent,
+        every_second=_every_second(objective, recordings, config, task, measured, ci95, seed),
     )
+
+
+def _every_second(
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    task: Task,
+    counted: _Measured,
+    ci95: tuple[float, float] | None,
+    seed: int,
+) -> EverySecond | None:
+    """counted, ci95: what the valid segments gave, which are often all there are."""
+    if not isinstance(task, FollowVelocity):
+        return None
+    try:
+        every = _measure(objective, recordings, config.model_copy(update={"speed_tolerance": ANY_SPEED}), task)
+        found = every.comparison()
+        if any(len(every.segments[role]) > len(counted.segments[role]) for role in ROLES):
+            ci95 = every.interval(_improvement, config, seed)
+    except (HtsError, ArithmeticError, ValueError):  # a second at no speed has no cost of transport, say
+        return None
+    speeds = (float(every.segments[role].speed.mean()) for role in ROLES)
+    return EverySecond(found.improvement, ci95, *speeds)
+
+
+def _improvement(comparison: Comparison) -> float:
+    return comparison.improvement
 
 
 def point(
@@ -188,6 +234,15 @@ class _Measured:
         found = self.compared(*(_table(self.scores[role]).mean(axis=0) for role in ("policy", "reference")))
         _check_finite(self.objective, found)
         return found
+
+    def interval(
+        self, number: Callable[[Comparison], float], config: EvaluationConfig, seed: int
+    ) -> tuple[float, float] | None:
+        """95 %, of a number of the comparison."""
+        policy, reference = ((self.segments[role], _table(self.scores[role])) for role in ROLES)
+        return interval_of(
+            lambda one, other: number(self.compared(one, other)), policy, reference, config.bootstrap, seed
+        )
 
 
 def _measure(

@@ -36,6 +36,14 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         ),
     ),
     (
+        "Every second",
+        (
+            "The improvement, and its interval, when the seconds count too that were more than the allowed deviation "
+            "from the asked speed. Where it is lower, the policy walks now faster, now slower, and pays for it in "
+            "seconds that the improvement leaves out. Shown where some were left out."
+        ),
+    ),
+    (
         "Mean speed",
         (
             "Over the valid segments; in brackets that of the pretrained policy. Walking slower is not saving. Of "

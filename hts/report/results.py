@@ -44,6 +44,7 @@ def _result_table(unit: str, speeds: Json, task: TaskWords) -> dict[str, Any]:
                 "at": task.at([key]).strip() or "against the pretrained policy",
                 "improvement": wording.quantity(speed["improvement"], unit),
                 "interval": wording.interval(bounds, unit),
+                "every_second": _every_second(speed.get("every_second"), unit),
                 "above_zero": bool(bounds) and bounds[0] > 0,
                 "metrics": [wording.metric(metric, (speed.get("metrics") or {}).get(metric)) for metric in metrics],
                 "mean_speed": _pair(speed.get("mean_speed"), reference.get("mean_speed"), task),
@@ -54,7 +55,25 @@ def _result_table(unit: str, speeds: Json, task: TaskWords) -> dict[str, Any]:
                 + (f" ({100 * valid:.0f} %)" if valid is not None else ""),
             }
         )
-    return {"metrics": [wording.label(metric) for metric in metrics], "rows": rows}
+    return {
+        "metrics": [wording.label(metric) for metric in metrics],
+        "rows": rows,
+        "every_second": any(_left_out(speed) for speed in speeds.values()),
+    }
+
+
+def _left_out(speed: Json) -> bool:
+    """Whether seconds of either policy did not count, for their speed or for a fall."""
+    reference = speed.get("reference") or {}
+    return bool(speed.get("every_second")) and min(speed.get("valid", 1.0), reference.get("valid", 1.0)) < 1.0
+
+
+def _every_second(found: Json | None, unit: str) -> str:
+    """The improvement whatever the speed of a second was, and its interval."""
+    if not found:
+        return "–"
+    bounds = found["improvement_ci95"]
+    return wording.quantity(found["improvement"], unit) + (f" ({wording.interval(bounds, unit)})" if bounds else "")
 
 
 def _pair(policy: float | None, reference: float | None, task: TaskWords) -> str:

@@ -191,6 +191,43 @@ def test_falls_of_the_policy_are_counted_apart_from_the_reference_s():
     assert entry["segments"] == 38 + 27
 
 
+def test_seconds_that_the_speed_rule_leaves_out_are_in_every_second():
+    """A quarter of the policy's seconds run at 1.0 m/s instead of 0.8 and cost 14 instead of 8."""
+    recordings = known_head_to_head(8.0, 10.0)
+    fast, speed = [8.0] * 40, [0.8] * 40
+    fast[30:], speed[30:] = [14.0] * 10, [1.0] * 10
+    recordings[0] = known_recording(fast, speed=speed, block=0)
+    recordings[3] = known_recording(fast, speed=speed, block=3, start=120.0)
+    entry = compare(OBJECTIVE, recordings, QUICK).entry()
+    assert entry["improvement"] == pytest.approx(0.2) and entry["segments"] == 56
+    every = entry["every_second"]
+    assert every["improvement"] == pytest.approx(1 - (56 * 8 + 20 * 14) / 76 / 10)
+    assert every["improvement_ci95"][0] < every["improvement"] < every["improvement_ci95"][1]
+    assert every["mean_speed"] == pytest.approx((56 * 0.8 + 20 * 1.0) / 76)
+    assert every["reference_mean_speed"] == pytest.approx(0.8)
+
+
+def test_where_all_seconds_count_every_second_says_the_same():
+    entry = compare(OBJECTIVE, known_head_to_head(8.0, 10.0, scatter=0.05), QUICK).entry()
+    assert entry["valid"] == entry["reference"]["valid"] == 1.0
+    assert {key: entry["every_second"][key] for key in ("improvement", "improvement_ci95")} == {
+        key: entry[key] for key in ("improvement", "improvement_ci95")
+    }
+
+
+def test_an_objective_that_has_no_number_of_seconds_at_other_speeds_keeps_its_result():
+    class Picky(CostObjective):
+        def score(self, segments):
+            if segments.speed.max() > 0.9:
+                raise EvaluationError("too fast for this objective")
+            return super().score(segments)
+
+    recordings = known_head_to_head(8.0, 10.0)
+    recordings[0] = known_recording([8.0] * 40, speed=[0.8] * 30 + [1.0] * 10, block=0)
+    entry = compare(Picky(), recordings, QUICK).entry()
+    assert entry["improvement"] == pytest.approx(0.2) and entry["every_second"] is None
+
+
 def test_the_final_entry_has_the_keys_of_the_summary():
     entry = entry_of(OBJECTIVE, {0.8: compare(OBJECTIVE, known_head_to_head(8.0, 10.0), QUICK)})
     assert entry["unit"] == "1"

@@ -67,6 +67,26 @@ def test_the_page_shows_improvement_interval_speed_falls_and_segments_of_every_s
     assert "0 56 (100 %)" in shown
 
 
+def test_seconds_that_were_left_out_are_told_of_where_there_are_any(run, tmp_path, words_only):
+    assert "<th>every second</th>" not in page(run)  # all of them count
+
+    def wanders(summary):
+        for speed in summary["final"]["objectives"]["cost"]["speeds"].values():
+            speed["valid"] = 0.75
+            every = {"improvement": 0.123, "improvement_ci95": [0.101, 0.145]}
+            speed["every_second"] = {**every, "mean_speed": 0.83, "reference_mean_speed": 0.8}
+
+    told = changed(tmp_path / "wanders", wanders)
+    assert "<th>every second</th>" in page(told) and "<td>12.3 % (10.1 to 14.5 %)</td>" in page(told)
+
+    def of_before(summary):
+        wanders(summary)
+        for speed in summary["final"]["objectives"]["cost"]["speeds"].values():
+            del speed["every_second"]
+
+    assert "<th>every second</th>" not in page(changed(tmp_path / "before", of_before))
+
+
 def test_the_page_needs_nothing_from_outside(run):
     sources = re.findall(r'(?:src|href)="([^"]*)"', page(run))
     assert sources and all(source.startswith("data:image/svg+xml;base64,") for source in sources)

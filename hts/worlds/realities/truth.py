@@ -23,7 +23,7 @@ from hts import plugins
 from hts.contracts import VELOCITY, HoldSpeed, Instrument, Objective, PhysicsSample
 from hts.errors import ConfigError, EvaluationError, UnfitWorldError
 from hts.evaluation.final import speed_key
-from hts.evaluation.head_to_head import ROLES, by_speed
+from hts.evaluation.head_to_head import ANY_SPEED, ROLES, by_speed
 from hts.evaluation.segments import cut
 from hts.evaluation.sessions import over_sessions
 from hts.recordings.recording import Recording
@@ -38,7 +38,6 @@ from hts.worlds.twin.session import Batch
 
 DEFAULT = "default"
 TOGETHER = 6  # sessions simulated together; part of the randomness, so no matter of the machine
-ANY_SPEED = 1.0  # relative: pieces are not chosen by their speed
 
 Means = Mapping[str, Mapping[str, float]]
 """role -> quantity -> mean over a session's pieces; BESIDE the objective's own: m/s, and counts."""
