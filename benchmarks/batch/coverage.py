@@ -23,6 +23,7 @@ from hts.contracts import Objective, WorldContext
 from hts.errors import HtsError, PolicyError
 from hts.evaluation.evaluate import in_sessions
 from hts.evaluation.final import judged_speeds, speed_key
+from hts.evaluation.head_to_head import HeadToHead
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.policies.deploy import DeployedPolicy
 from hts.recordings.recording import Recording
@@ -254,6 +255,7 @@ def _evaluated(work: Work, objective: Objective, registry: plugins.Registry) -> 
             improvement=one.improvement,
             improvement_ci95=one.improvement_ci95,
             as_one=pooled[speed].improvement_ci95 if speed in pooled else None,
+            every_second=_every_second(one),
             occasions=alone.get(speed_key(speed), []),
             mean_speed=one.mean_speed,
             reference_speed=float(one.reference_segments.speed.mean()),
@@ -262,6 +264,11 @@ def _evaluated(work: Work, objective: Objective, registry: plugins.Registry) -> 
         for speed, one in results.items()
     }
     return speeds, {key: str(error) for key, error in refusals.items()}
+
+
+def _every_second(result: HeadToHead) -> Occasion | None:
+    every = result.every_second
+    return None if every is None else Occasion(improvement=every.improvement, improvement_ci95=every.improvement_ci95)
 
 
 def _as_one(recordings: Sequence[Recording]) -> list[Recording]:

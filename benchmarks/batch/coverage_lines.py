@@ -32,7 +32,7 @@ class Lengths(Part):
 
 
 class Occasion(Part):
-    """One session of an evaluation taken alone: what `hts evaluate` says of a single head-to-head."""
+    """Some of an evaluation taken alone: one session (what `hts evaluate` says of a single head-to-head), say."""
 
     improvement: float
     improvement_ci95: Interval | None
@@ -48,12 +48,14 @@ class Counted(Part):
 
 
 class Found(Part):
-    """At one speed. An evaluation: over its sessions; `as_one`: the same pieces, as if all blocks were of one session.
+    """At one speed. An evaluation: over its sessions; `as_one`: the same pieces, as if all blocks were of one session;
+    `every_second`: whatever the speed of a piece was, not in lines of before it was there.
     A truth: `improvement_ci95` is its own uncertainty."""
 
     improvement: float
     improvement_ci95: Interval | None
     as_one: Interval | None = None
+    every_second: Occasion | None = None
     occasions: list[Occasion] = Field(default_factory=list)
     mean_speed: float
     reference_speed: float
@@ -96,6 +98,9 @@ def read_coverage(paths: Iterable[Path]) -> list[CoverageLine]:
 
 KINDS: dict[str, Callable[[Found], list[tuple[float, Interval | None]]]] = {
     "sessions as units": lambda found: [(found.improvement, found.improvement_ci95)],
+    "sessions as units, every second": lambda found: [
+        (one.improvement, one.improvement_ci95) for one in [found.every_second] if one is not None
+    ],
     "blocks as units, sessions pooled": lambda found: [(found.improvement, found.as_one)],
     "one session alone": lambda found: [(one.improvement, one.improvement_ci95) for one in found.occasions],
 }

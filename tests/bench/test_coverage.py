@@ -97,6 +97,16 @@ def test_the_pieces_that_an_evaluation_counts_have_a_truth_of_their_own():
     assert row_of(text, "sessions as units") == row_of(coverage_table(batch()), "sessions as units")
 
 
+def test_every_second_is_held_against_the_truth_of_all_pieces():
+    lines = batch()
+    assert "every second" not in coverage_table(lines)
+    for line in lines[2:]:
+        every = Occasion(improvement=0.2, improvement_ci95=(0.19, 0.21))
+        line.speeds["0.8"] = line.speeds["0.8"].model_copy(update={"every_second": every})
+    row = row_of(coverage_table(lines), "sessions as units, every second")
+    assert row[3] == "4" and row[4].startswith("100.0 % (") and row[7] == "+0.0 points"
+
+
 def test_realities_that_agree_leave_the_doubt_of_so_many_intervals():
     lines = [made_up(name, None, saved=0.2) for name in ("dev-00", "dev-01")]
     lines += [made_up(name, number, saved=0.2) for name in ("dev-00", "dev-01") for number in range(4)]
