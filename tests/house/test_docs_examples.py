@@ -5,9 +5,9 @@ installed here and that may install more without leaving anything behind:
 
     ```python                   is run as a program
     ```python title="FILE"      is written to FILE, as are toml and yaml blocks with a title, and imported if it is a
-    module ```console                  lines that begin with "$ " are typed; the others are what must be seen: a line
-    "..." stands for
-                                any lines, an "…" in a line for any text
+                                module
+    ```console                  lines that begin with "$ " are typed; the others are what must be seen: a line "..."
+                                stands for any lines, an "…" in a line for any text
     <!-- exit 1 -->             before a console block: its last command must end with that status
     <!-- not run: REASON -->    before a block that cannot be run here; the page must say "Not run" to its reader
     <!-- run by TEST -->        before a block that TEST runs
