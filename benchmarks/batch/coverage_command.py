@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from batch.coverage import policies_of, run_coverage, works_of
+from batch.coverage import Work, policies_of, run_coverage, works_of
 from batch.coverage_lines import Lengths, coverage_table, pairs_table, read_coverage
 from batch.lines import files_of
 from batch.methods import realities_of
@@ -44,6 +44,7 @@ def run(given: argparse.Namespace, commit_of: Callable[[str | None], str]) -> in
             true=true,
             commit=commit_of(given.commit),
         )
+        works = [work for work in works if given.only in (None, kind_of(work))]
         if given.dry_run:
             for work in works:
                 print(work.key, work.name, work.reality, "truth" if work.repetition is None else work.repetition)
@@ -56,6 +57,11 @@ def run(given: argparse.Namespace, commit_of: Callable[[str | None], str]) -> in
             stop_after=given.stop_after,
             say=lambda text: print(text, file=sys.stderr, flush=True),
         )
+
+
+def kind_of(work: Work) -> str:
+    """As --only names it."""
+    return "truths" if work.repetition is None else "evaluations"
 
 
 def table(given: argparse.Namespace) -> int:
@@ -82,6 +88,7 @@ def add_to(commands: Any, commit_of: Callable[[str | None], str]) -> None:
     one.add_argument("--sessions", type=int, default=4, help="S of each evaluation (default: 4)")
     one.add_argument("--truth-sessions", type=int, default=50, help="K of each truth (default: 50)")
     one.add_argument("--speeds", help="m/s with commas (default: the preset's)")
+    one.add_argument("--only", choices=("truths", "evaluations"), help="these alone, to share the work (default: both)")
     one.add_argument("--block", type=float, default=80.0, help="of an evaluation, s (default: 80)")
     one.add_argument("--trim", type=float, default=20.0, help="of an evaluation, s (default: 20)")
     one.add_argument("--warmup", type=float, default=20.0, help="of every session, s (default: 20)")

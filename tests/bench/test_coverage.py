@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 from pathlib import Path
 
 import pytest
 from batch.coverage import Work, policies_of, run_coverage, works_of
+from batch.coverage_command import add_to
 from batch.coverage_lines import (
     Counted,
     CoverageLine,
@@ -206,6 +208,20 @@ def test_truths_come_first_and_repetitions_in_turn(policies):
     same = [one.key == other.key for one, other in zip(made, longer, strict=True)]
     assert same == [True, True, False, False, False, False]  # a truth does not hang on how long evaluations are
     assert works(policies, commit="d")[0].key != made[0].key
+
+
+def test_truths_and_evaluations_can_be_asked_for_apart(policies, tmp_path, capsys):
+    policy, listed = str(policies["first"]), {}
+    for only in ([], ["--only", "truths"], ["--only", "evaluations"]):
+        parser = argparse.ArgumentParser()
+        add_to(parser.add_subparsers(), lambda commit: "c")
+        call = ["coverage", "run", "--policies", policy, "--reference", policy, "--realities", "dev-00,default"]
+        call += ["--repetitions", "2", "--lines", str(tmp_path / "lines.jsonl"), "--dry-run"]
+        given = parser.parse_args([*call, *only])
+        assert given.do(given) == 0
+        listed[only[-1] if only else "both"] = capsys.readouterr().out.splitlines()
+    assert len(listed["truths"]) == 2 and len(listed["evaluations"]) == 4
+    assert listed["truths"] + listed["evaluations"] == listed["both"]
 
 
 def test_one_policy_in_two_files_is_one(policies):
