@@ -107,6 +107,9 @@ KINDS: dict[str, Callable[[Found], list[tuple[float, Interval | None]]]] = {
 """Intervals of one evaluation at one speed. The first is the one that is reported; the others say why."""
 
 
+SAME_PAIRS = "all, of the pairs in the next row"
+
+
 def coverage(
     lines: Sequence[CoverageLine],
     kind: str,
@@ -158,7 +161,7 @@ def share_interval(rows: dict[str, list[tuple[float, Interval, float]]]) -> Inte
 def coverage_table(lines: Sequence[CoverageLine]) -> str:
     """Pooled, then by speed and by policy: share that holds the truth, with its interval over realities; mean half
     width; root mean square and mean of estimate less truth. Where truths know it, once more against the truth of the
-    pieces that an evaluation counts."""
+    pieces that an evaluation counts, and beside it the same pairs against all pieces where not all truths know it."""
     evaluations = [line for line in lines if line.kind == "evaluation"]
     if not evaluations:
         raise EvaluationError("No line is an evaluation. Make some: benchmarks/realities.py coverage run.")
@@ -171,14 +174,16 @@ def coverage_table(lines: Sequence[CoverageLine]) -> str:
     speeds = sorted({key for line in evaluations for key in line.speeds}, key=float)
     policies = sorted({line.policy for line in evaluations})
     first = next(iter(KINDS))
+    both = _with_both_truths(lines)
     cuts: list[tuple[str, str, str | None, str | None, bool]] = [(first, "all", None, None, False)]
+    cuts += [(first, SAME_PAIRS, None, None, False)] if len(both) < len(lines) else []
     cuts += [(first, "all, against the pieces that it counts", None, None, True)]
     cuts += [(kind, "all", None, None, False) for kind in KINDS if kind != first]
     cuts += [(first, f"{speed} m/s", speed, None, False) for speed in speeds if len(speeds) > 1]
     cuts += [(first, policy, None, policy, False) for policy in policies if len(policies) > 1]
     rows = []
     for kind, what, speed, policy, counted in cuts:
-        found = coverage(lines, kind, speed, policy, counted)
+        found = coverage(both if what == SAME_PAIRS else lines, kind, speed, policy, counted)
         if not found:
             continue
         every = [row for each in found.values() for row in each]
@@ -241,6 +246,12 @@ def _truth_error(lines: Sequence[CoverageLine], show: Callable[[float], str]) ->
         if one.improvement_ci95 is not None
     ]
     return "±" + show(float(np.mean(widths))) if widths else NONE
+
+
+def _with_both_truths(lines: Sequence[CoverageLine]) -> list[CoverageLine]:
+    """Those of pairs whose truth tells of the counted pieces too: only on the same pairs are the two comparable."""
+    known = {line.pair for line in lines if line.kind == "truth" and any(one.counted for one in line.speeds.values())}
+    return [line for line in lines if line.pair in known]
 
 
 def _left_out(lines: Sequence[CoverageLine], signed: Callable[[float], str], show: Callable[[float], str]) -> str:

@@ -97,6 +97,17 @@ def test_the_pieces_that_an_evaluation_counts_have_a_truth_of_their_own():
     assert cells[7] == "−1.7 points"
     assert "Of 2 truths the pieces near the asked speed say +2.5 points in the mean" in text
     assert row_of(text, "sessions as units") == row_of(coverage_table(batch()), "sessions as units")
+    assert "of the pairs in the next row" not in text
+
+
+def test_two_truths_are_compared_on_the_same_pairs():
+    lines = batch()
+    counted = Counted(improvement=0.2, improvement_ci95=(0.19, 0.21), valid=0.9, reference_valid=1.0)
+    lines[0].speeds["0.8"] = lines[0].speeds["0.8"].model_copy(update={"counted": counted})  # dev-00 alone
+    rows = [line.split("|")[2:5] for line in coverage_table(lines).splitlines() if line.startswith("| sessions as")]
+    found = {of.strip(): evaluations.strip() for (of, realities, evaluations) in rows}
+    assert found["all"] == "4"
+    assert found["all, of the pairs in the next row"] == found["all, against the pieces that it counts"] == "2"
 
 
 def test_every_second_is_held_against_the_truth_of_all_pieces():
