@@ -63,18 +63,20 @@ class Work:
 
 
 def policies_of(places: Sequence[Path]) -> dict[str, Path]:
-    """Name -> ONNX file: files themselves, and of run folders (or folders of them) the best. Names are told apart by
-    their folders. Raises PolicyError where there is none."""
+    """Name -> ONNX file: files themselves, those of a folder, and of run folders (or folders of them) the best. Names
+    are told apart by their folders. Raises PolicyError where there is none."""
     found: dict[str, Path] = {}
     for place in places:
-        if place.is_file() and place.suffix == ".onnx":
-            found[place.stem if place.stem not in found else f"{place.parent.name}/{place.stem}"] = place
+        files = [place] if place.is_file() and place.suffix == ".onnx" else sorted(place.glob("*.onnx"))
+        for file in files:
+            found[file.stem if file.stem not in found else f"{file.parent.name}/{file.stem}"] = file
+        if files:
             continue
         runs = [place, *sorted(one for one in place.glob("*") if one.is_dir())] if place.is_dir() else []
         best = {run.name: run / "policies" / "best.onnx" for run in runs if (run / "policies" / "best.onnx").is_file()}
         if not best:
             raise PolicyError(
-                f"{place}: expected an .onnx file, a finished run's folder, or a folder of them. Export one with "
+                f"{place}: expected an .onnx file, a finished run's folder, or a folder of either. Export one with "
                 "`hts export`, or keep folders of a batch with --keep."
             )
         found |= best

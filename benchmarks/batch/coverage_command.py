@@ -81,7 +81,7 @@ def add_to(commands: Any, commit_of: Callable[[str | None], str]) -> None:
     one = kinds.add_parser("run", help="make the evaluations and truths that have no line yet")
     one.set_defaults(do=lambda given: run(given, commit_of))
     one.add_argument(
-        "--policies", type=Path, nargs="+", required=True, help=".onnx files, run folders, folders of these"
+        "--policies", type=Path, nargs="+", required=True, help=".onnx files, run folders, folders of either"
     )
     one.add_argument("--realities", required=True, help="as of `run`")
     one.add_argument("--repetitions", type=int, default=30, help="R evaluations of each pair (default: 30)")

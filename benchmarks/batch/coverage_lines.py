@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field
 from scipy.stats import binomtest
 
+from batch.coverage_sessions import student_of_sessions
 from batch.lines import Part, parsed
 from batch.tables import NONE, differences, table
 from hts.errors import EvaluationError
@@ -109,16 +110,20 @@ KINDS: dict[str, Callable[[Found], list[tuple[float, Interval | None]]]] = {
 
 SAME_PAIRS = "all, of the pairs in the next row"
 
+Against = Literal["all", "counted", "uncertain"]
+"""A truth as it is held against intervals: of all pieces; of those that an evaluation counts; of all pieces, known no
+better than its own sessions tell."""
+
 
 def coverage(
     lines: Sequence[CoverageLine],
     kind: str,
     speed: str | None = None,
     policy: str | None = None,
-    counted: bool = False,
+    against: Against = "all",
 ) -> dict[str, list[tuple[float, Interval, float]]]:
-    """reality -> (estimate, interval, truth) of every evaluation there. counted: the truth of the pieces that an
-    evaluation counts, where a truth knows it; else of all. Raises EvaluationError without a truth."""
+    """reality -> (estimate, interval, truth) of every evaluation there. Where truths are uncertain, the interval is
+    that of the difference of the two. Raises EvaluationError without a truth."""
     truths = {line.pair: line for line in lines if line.kind == "truth"}
     found: dict[str, list[tuple[float, Interval, float]]] = {}
     for line in lines:
@@ -130,10 +135,15 @@ def coverage(
             )
         truth = truths[line.pair].speeds
         for key, one in line.speeds.items():
-            true = truth.get(key) if speed in (None, key) else None
-            against = true.counted if counted and true else true
-            if against is not None:
-                kept = [(value, ci, against.improvement) for value, ci in KINDS[kind](one) if ci is not None]
+            whole = truth.get(key) if speed in (None, key) else None
+            true = whole.counted if whole and against == "counted" else whole
+            if true is not None:
+                own = _half(true.improvement_ci95) if against == "uncertain" else 0.0
+                kept = [
+                    (value, _widened(value, ci, own), true.improvement)
+                    for value, ci in KINDS[kind](one)
+                    if ci is not None
+                ]
                 found.setdefault(line.reality, []).extend(kept)
     return {reality: rows for reality, rows in found.items() if rows}
 
@@ -160,8 +170,9 @@ def share_interval(rows: dict[str, list[tuple[float, Interval, float]]]) -> Inte
 
 def coverage_table(lines: Sequence[CoverageLine]) -> str:
     """Pooled, then by speed and by policy: share that holds the truth, with its interval over realities; mean half
-    width; root mean square and mean of estimate less truth. Where truths know it, once more against the truth of the
-    pieces that an evaluation counts, and beside it the same pairs against all pieces where not all truths know it."""
+    width; root mean square and mean of estimate less truth. Once more with the truth's own uncertainty and, where
+    truths know it, against the truth of the pieces that an evaluation counts, and beside it the same pairs against all
+    pieces where not all truths know it. Below, what Student's interval would hold of those very sessions."""
     evaluations = [line for line in lines if line.kind == "evaluation"]
     if not evaluations:
         raise EvaluationError("No line is an evaluation. Make some: benchmarks/realities.py coverage run.")
@@ -175,15 +186,16 @@ def coverage_table(lines: Sequence[CoverageLine]) -> str:
     policies = sorted({line.policy for line in evaluations})
     first = next(iter(KINDS))
     both = _with_both_truths(lines)
-    cuts: list[tuple[str, str, str | None, str | None, bool]] = [(first, "all", None, None, False)]
-    cuts += [(first, SAME_PAIRS, None, None, False)] if len(both) < len(lines) else []
-    cuts += [(first, "all, against the pieces that it counts", None, None, True)]
-    cuts += [(kind, "all", None, None, False) for kind in KINDS if kind != first]
-    cuts += [(first, f"{speed} m/s", speed, None, False) for speed in speeds if len(speeds) > 1]
-    cuts += [(first, policy, None, policy, False) for policy in policies if len(policies) > 1]
+    cuts: list[tuple[str, str, str | None, str | None, Against]] = [(first, "all", None, None, "all")]
+    cuts += [(first, "all, of truths as uncertain as they are", None, None, "uncertain")]
+    cuts += [(first, SAME_PAIRS, None, None, "all")] if len(both) < len(lines) else []
+    cuts += [(first, "all, against the pieces that it counts", None, None, "counted")]
+    cuts += [(kind, "all", None, None, "all") for kind in KINDS if kind != first]
+    cuts += [(first, f"{speed} m/s", speed, None, "all") for speed in speeds if len(speeds) > 1]
+    cuts += [(first, policy, None, policy, "all") for policy in policies if len(policies) > 1]
     rows = []
-    for kind, what, speed, policy, counted in cuts:
-        found = coverage(both if what == SAME_PAIRS else lines, kind, speed, policy, counted)
+    for kind, what, speed, policy, against in cuts:
+        found = coverage(both if what == SAME_PAIRS else lines, kind, speed, policy, against)
         if not found:
             continue
         every = [row for each in found.values() for row in each]
@@ -208,8 +220,8 @@ def coverage_table(lines: Sequence[CoverageLine]) -> str:
     head += ["error, RMS", "error, mean"]
     sessions = sorted({line.lengths.sessions for line in evaluations})
     note = f"{', '.join(map(str, sessions))} sessions an evaluation; {refused} speeds refused"
-    left_out = _left_out(lines, signed, show)
-    return f"{table(head, rows)}\n\n{note}; truths to within {_truth_error(lines, show)} (95 %, mean).{left_out}"
+    more = _misses(coverage(lines, first)) + _left_out(lines, signed, show) + _resampled(evaluations)
+    return f"{table(head, rows)}\n\n{note}; truths to within {_truth_error(lines, show)} (95 %, mean).{more}"
 
 
 def pairs_table(lines: Sequence[CoverageLine]) -> str:
@@ -237,9 +249,38 @@ def pairs_table(lines: Sequence[CoverageLine]) -> str:
     return table(head, rows)
 
 
+def _half(interval: Interval | None) -> float:
+    return 0.0 if interval is None else (interval[1] - interval[0]) / 2
+
+
+def _widened(value: float, interval: Interval, other: float) -> Interval:
+    """Each end as far from the value as the root of the sum of the squares of its own distance and another half width:
+    of a difference of two independent estimates."""
+    low, high = interval
+    return value - float(np.hypot(value - low, other)), value + float(np.hypot(high - value, other))
+
+
+def _misses(found: dict[str, list[tuple[float, Interval, float]]]) -> str:
+    """On which side they lie."""
+    every = [row for each in found.values() for row in each]
+    above, below = sum(low > truth for _, (low, _), truth in every), sum(high < truth for _, (_, high), truth in every)
+    return f" Of the intervals over sessions {above} lie above the truth and {below} below it."
+
+
+def _resampled(evaluations: Sequence[CoverageLine]) -> str:
+    found = student_of_sessions(evaluations)
+    if found is None:
+        return ""
+    return (
+        f" Of the sessions themselves, as many as an evaluation has drawn again and again from all of a pair's, "
+        f"Student's interval holds their mean in {_percent(1 - found.above - found.below)} %, lies above it in "
+        f"{_percent(found.above)} and below it in {_percent(found.below)} % ({found.pairs} pairs, each alike)."
+    )
+
+
 def _truth_error(lines: Sequence[CoverageLine], show: Callable[[float], str]) -> str:
     widths = [
-        (one.improvement_ci95[1] - one.improvement_ci95[0]) / 2
+        _half(one.improvement_ci95)
         for line in lines
         if line.kind == "truth"
         for one in line.speeds.values()

@@ -11,6 +11,7 @@ import ctypes
 import datetime
 import fcntl
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -30,6 +31,7 @@ STOPPED = 75
 """Exit status where the time is up and runs are left: call again."""
 PR_SET_PDEATHSIG = 1
 GRACE_SECONDS = 20.0
+RAISED = re.compile(r"[A-Za-z_][\w.]*(Error|Exception|Interrupt|Exit)\b")
 
 
 @dataclass(frozen=True)
@@ -210,8 +212,12 @@ def _said(line: Line) -> str:
 
 
 def _last_line(path: Path) -> str:
-    lines = [text.strip() for text in path.read_text(encoding="utf-8", errors="replace").splitlines() if text.strip()]
-    return lines[-1][:500] if lines else "it said nothing"
+    """What it ended with: its last line or, after a traceback, the exception's, which some libraries write advice
+    below."""
+    lines = [text.rstrip() for text in path.read_text(encoding="utf-8", errors="replace").splitlines() if text.strip()]
+    begun = max((index for index, text in enumerate(lines) if text.startswith("Traceback (most")), default=len(lines))
+    raised = [text for text in lines[begun:] if RAISED.match(text)]
+    return (raised or lines or ["it said nothing"])[-1].strip()[:500]
 
 
 def _busy(folder: Path) -> bool:

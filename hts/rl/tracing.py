@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib.util
+import logging
 import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
@@ -14,14 +16,30 @@ from typing import TYPE_CHECKING, Any, TypeVar
 if TYPE_CHECKING:
     import torch
 
+logger = logging.getLogger(__name__)
 Function = TypeVar("Function", bound=Callable[..., Any])
 _tracing: ContextVar[bool] = ContextVar("tracing", default=False)
 
 
 def can_compile(device: torch.device) -> bool:
     """Whether torch.compile has what it needs: a GPU, Triton, and a C compiler for its launchers."""
-    compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    return device.type == "cuda" and compiler is not None and importlib.util.find_spec("triton") is not None
+    return device.type == "cuda" and importlib.util.find_spec("triton") is not None and _c_compiler() is not None
+
+
+@functools.cache
+def _c_compiler() -> str | None:
+    """The program that Triton would call: what CC names, whatever else there is; without CC one of the usual names."""
+    named = os.environ.get("CC")
+    if not named:
+        return next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
+    found = shutil.which(named)
+    if found is None:
+        logger.warning(
+            "CC=%s: expected the name of a C compiler, and there is no such program. Training goes on without "
+            "torch.compile, slower. Unset CC, or name a program (without options).",
+            named,
+        )
+    return found
 
 
 def compiled(function: Function, device: torch.device, wanted: bool | None = None, dynamic: bool = False) -> Function:

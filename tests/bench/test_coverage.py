@@ -7,6 +7,7 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from batch.coverage import Work, policies_of, run_coverage, works_of
 from batch.coverage_command import add_to
@@ -21,6 +22,7 @@ from batch.coverage_lines import (
     read_coverage,
     share,
 )
+from batch.coverage_sessions import student_of_sessions
 from batch.queue import STOPPED
 
 from hts.errors import EvaluationError, PolicyError, RunError, WorldError
@@ -120,6 +122,43 @@ def test_every_second_is_held_against_the_truth_of_all_pieces():
     assert row[3] == "4" and row[4].startswith("100.0 % (") and row[7] == "+0.0 points"
 
 
+def test_a_truth_is_held_against_intervals_as_uncertain_as_it_is():
+    lines = batch()
+    for line in lines[:2]:  # ±4 points: the evaluation that says 23 ± 1 % is 3 away, and √17 would be still inside
+        wide = line.speeds["0.8"].model_copy(update={"improvement_ci95": (0.16, 0.24)})
+        line.speeds["0.8"] = wide
+    (row,) = [line for line in coverage_table(lines).splitlines() if "as uncertain as they are" in line]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[4].startswith("100.0 % (") and cells[5] == "4.1 points" and cells[7] == "+0.8 points"
+    found = coverage(lines, "sessions as units", against="uncertain")["dev-01"][1]
+    assert found[1] == pytest.approx((0.23 - 17**0.5 / 100, 0.23 + 17**0.5 / 100))
+    assert "1 lie above the truth and 0 below it" in coverage_table(lines)
+
+
+def with_sessions(values: list[float]) -> list[CoverageLine]:
+    """A truth and one evaluation of four sessions each, out of these in turn."""
+    lines = [made_up(repetition=None, saved=float(np.mean(values)))]
+    for number in range(0, len(values), 4):
+        line = made_up(repetition=number, lengths=LENGTHS.model_copy(update={"sessions": 4}))
+        occasions = [Occasion(improvement=value, improvement_ci95=None) for value in values[number : number + 4]]
+        line.speeds["0.8"] = line.speeds["0.8"].model_copy(update={"occasions": occasions})
+        lines.append(line)
+    return lines
+
+
+def test_what_students_interval_loses_is_drawn_from_the_sessions_alone():
+    random = np.random.default_rng(1)
+    normal = student_of_sessions(with_sessions(list(random.normal(0.2, 0.01, 4000)))[1:])
+    assert normal.above + normal.below == pytest.approx(0.05, abs=0.01)
+    rare = np.where(random.random(4000) < 0.1, 0.0, random.normal(0.2, 0.01, 4000))  # one in ten saves nothing
+    found = student_of_sessions(with_sessions(list(rare))[1:])
+    assert 0.4 < found.above < 0.9**4 + 0.02  # none of the four is one of them: 20 % and a narrow interval, truly 18 %
+    assert found.above > 10 * found.below and found.pairs == 1
+    assert student_of_sessions(with_sessions([0.2] * 36)[1:]) is None
+    assert "Of the sessions themselves" in coverage_table(with_sessions(list(rare)))
+    assert "Of the sessions themselves" not in coverage_table(batch())
+
+
 def test_realities_that_agree_leave_the_doubt_of_so_many_intervals():
     lines = [made_up(name, None, saved=0.2) for name in ("dev-00", "dev-01")]
     lines += [made_up(name, number, saved=0.2) for name in ("dev-00", "dev-01") for number in range(4)]
@@ -205,6 +244,7 @@ def works(policies, names=("first",), repetitions=2, evaluated=LENGTHS, commit="
 def test_policies_are_files_runs_and_folders_of_runs(policies, tmp_path):
     assert policies_of([tmp_path / "runs"]) == {"first": policies["first"]}
     assert policies_of([tmp_path / "runs" / "first", policies["again"]]) == policies
+    assert policies_of([tmp_path]) == {"again": policies["again"]}  # a folder of files
     with pytest.raises(PolicyError, match=r"expected an .onnx file, a finished run's folder"):
         policies_of([tmp_path / "nowhere"])
 

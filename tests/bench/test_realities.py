@@ -12,7 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from batch import predictions, tables
+from batch import predictions, queue, tables
 from batch.groups import groups_of
 from batch.lines import read_lines
 from batch.methods import METHODS, Method, jobs_of, read_methods, realities_of, seeds_of
@@ -193,6 +193,25 @@ def test_a_run_that_fails_is_a_line_and_is_tried_again_only_when_asked(place):
     assert len((place / "typed.txt").read_text().splitlines()) == 2
     batch(place, made, retry_failed=True)
     assert (place / "typed.txt").read_text().splitlines()[-1].split()[-2] == "resume"
+
+
+TRACEBACK = "Traceback (most recent call last):\n  File x\n"
+
+
+@pytest.mark.parametrize(
+    ("log", "said"),
+    [
+        ("[1/10] begins\nerror: no such robot\n", "error: no such robot"),
+        (f"{TRACEBACK}ValueError: it broke\n\nSet THIS=1 for more\n", "ValueError: it broke"),
+        (f"{TRACEBACK}a.b.SomeError: one\n  ValueErrors are listed\n", "a.b.SomeError: one"),
+        (f"Error: of before\n{TRACEBACK}stopped\n", "stopped"),
+        ("\n", "it said nothing"),
+    ],
+)
+def test_a_line_names_the_exception_and_not_the_advice_below_it(log, said, tmp_path):
+    path = tmp_path / "run.log"
+    path.write_text(log)
+    assert queue._last_line(path) == said
 
 
 def test_the_line_holds_what_tables_need(place):

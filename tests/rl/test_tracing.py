@@ -12,6 +12,7 @@ from hts.errors import SimulationError
 from hts.measurement.lstm import LSTM, LSTMSettings
 from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
+from hts.rl import tracing
 from hts.rl.actor import PopulationActor
 from hts.rl.captured_collector import CapturedCollector, _traced
 from hts.rl.population import Population
@@ -64,6 +65,32 @@ def test_a_value_read_while_recording_is_an_error_and_not_a_constant_of_the_prog
 class Doubler:
     def double(self, x, *, times=2.0):
         return x * times
+
+
+@pytest.mark.parametrize(
+    ("named", "programs", "found"),
+    [
+        (None, ["gcc"], "/bin/gcc"),
+        ("", ["cc", "gcc"], "/bin/cc"),
+        (None, [], None),
+        ("icx", ["icx", "gcc"], "/bin/icx"),
+        ("ccache gcc", ["ccache", "gcc"], None),  # Triton calls it as one name
+        ("1559b7c", ["gcc"], None),
+    ],
+)
+def test_only_a_compiler_that_can_be_called_counts(named, programs, found, monkeypatch, caplog):
+    monkeypatch.setattr(tracing.shutil, "which", {name: f"/bin/{name}" for name in programs}.get)
+    monkeypatch.delenv("CC", raising=False)
+    if named is not None:
+        monkeypatch.setenv("CC", named)
+    tracing._c_compiler.cache_clear()
+    try:
+        assert tracing._c_compiler() == tracing._c_compiler() == found
+    finally:
+        tracing._c_compiler.cache_clear()
+    said = [record.getMessage() for record in caplog.records]
+    wrong = bool(named) and found is None
+    assert len(said) == wrong and all(f"CC={named}: expected the name of a C compiler" in text for text in said)
 
 
 def test_however_many_shapes_a_process_trains_each_is_compiled(monkeypatch):
