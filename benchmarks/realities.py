@@ -2,9 +2,9 @@
 
     python benchmarks/realities.py run --methods ours,baseline --realities dev --seeds 0-1 --preset quick \\
         --out runs/dev --lines docs/results/lines/dev-quick.jsonl --cores 2
-    python benchmarks/realities.py table --lines docs/results/lines
-    python benchmarks/realities.py figures --lines docs/results/lines --out docs/results/figures
-    python benchmarks/realities.py coverage run --policies runs/dev --realities dev --lines coverage.jsonl
+    python benchmarks/realities.py table --lines docs/results/lines/dev-quick.jsonl
+    python benchmarks/realities.py figures --lines docs/results/lines/dev-quick.jsonl --out docs/results/figures
+    python benchmarks/realities.py coverage run --policies FOLDER --realities dev --lines coverage.jsonl
     python benchmarks/realities.py write-docs
 
 `run` skips what has a line, resumes what was begun, and loses nothing however it is stopped: call it again. It needs

@@ -272,9 +272,10 @@ def _resampled(evaluations: Sequence[CoverageLine]) -> str:
     if found is None:
         return ""
     return (
-        f" Of the sessions themselves, as many as an evaluation has drawn again and again from all of a pair's, "
-        f"Student's interval holds their mean in {_percent(1 - found.above - found.below)} %, lies above it in "
-        f"{_percent(found.above)} and below it in {_percent(found.below)} % ({found.pairs} pairs, each alike)."
+        " Of as many sessions as an evaluation has, drawn again and again from all that were seen of a pair, Student's "
+        f"interval holds the mean of these all in {_percent(1 - found.above - found.below)} %, lies above it in "
+        f"{_percent(found.above)} and below it in {_percent(found.below)} % ({found.pairs} pairs, each alike): more "
+        "than that, this kind of interval cannot hold here."
     )
 
 

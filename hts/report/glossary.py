@@ -13,9 +13,9 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
     (
         "95 % interval",
         (
-            "Where the improvement would lie in 19 of 20 repetitions of this head-to-head. Contiguous stretches of "
-            "segments are resampled, because neighbouring seconds are alike. It speaks of this robot on this occasion, "
-            "not of other robots, days or sessions: where sessions differ it is too narrow, and `hts evaluate DIR "
+            "How far the improvement would scatter if the seconds of this session were drawn again (contiguous "
+            "stretches of them, because neighbouring seconds are alike). It speaks of this robot on this occasion, not "
+            "of other robots, days or sessions: where sessions differ it is too narrow, and `hts evaluate DIR "
             "--sessions 4` gives one that holds over them."
         ),
     ),

@@ -155,8 +155,8 @@ def test_what_students_interval_loses_is_drawn_from_the_sessions_alone():
     assert 0.4 < found.above < 0.9**4 + 0.02  # none of the four is one of them: 20 % and a narrow interval, truly 18 %
     assert found.above > 10 * found.below and found.pairs == 1
     assert student_of_sessions(with_sessions([0.2] * 36)[1:]) is None
-    assert "Of the sessions themselves" in coverage_table(with_sessions(list(rare)))
-    assert "Of the sessions themselves" not in coverage_table(batch())
+    assert "Of as many sessions as an evaluation has" in coverage_table(with_sessions(list(rare)))
+    assert "Of as many sessions as an evaluation has" not in coverage_table(batch())
 
 
 def test_realities_that_agree_leave_the_doubt_of_so_many_intervals():
