@@ -25,10 +25,11 @@ def walked_again(
     first: of the first time, held by `hold`; missed(recordings): the speeds, m/s, whose commands were not found;
     ask(hold, speeds): recordings of those alone. Up to `most` times, trimmed twice as long each time, up to LONGEST
     times; not once more where twice the real samples of the last time do not fit into the room. Whether commands were
-    found says nothing about what is saved with them, so each try is a fair one.
+    found says nothing about what is saved with them, so each try is a fair one. `hold.again` counts on: where these
+    speeds of these policies may have been asked for alone before, begin above the last time.
     """
     good, vain, longest = list(first), [], LONGEST * hold.seconds
-    for again in range(1, most + 1):
+    for again in range(hold.again + 1, hold.again + most + 1):
         speeds = missed(good)
         old = [recording for recording in good if _asked(recording) in speeds]
         if not speeds or 2 * samples_of(old) > room:  # it is trimmed longer now

@@ -28,7 +28,7 @@ def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
         left = [one for one in order(selector, before) if one != best]
         return {"tried": [], "results": {}, "recordings": [], "samples": 0, "best": best, "next": left}
     speeds = tuple(reversed(job.config.selection.tested_speeds))
-    tests = whole(job, names, speeds, job.spent(job.done_iterations), report)
+    tests = whole(job, names, speeds, job.spent(job.done_iterations), report, before=1)
     ids = job.keep(tests.recorded, job.config.iterations + 1)
     found = over_both(before, {name: tests.results[name].tested for name in names})
     first = winner(selector, found, names) or job.first

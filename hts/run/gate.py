@@ -17,7 +17,7 @@ from hts.run.front import PRETRAINED
 from hts.run.gate_checks import Worst, limits, sentence, told_by, untold_by
 from hts.run.gate_trials import LostPackets, channels_of, commands_of, dynamics, rollout, varied
 from hts.run.job import Job
-from hts.run.judging import fine_tuning, mean_gain
+from hts.run.judging import fine_tuning, mean_gain, same_policies
 
 Report = Callable[[float], None]
 FORMAT = 1  # of gate.json
@@ -166,13 +166,15 @@ def _able(
     simulated: Mapping[str, Any], candidates: Sequence[Mapping[str, Any]]
 ) -> tuple[list[SimulatedCandidate], dict[str, str]]:
     """Candidates that may be asked about, as they were judged; and why the others may not."""
-    able, kept_out = [], {}
+    able, kept_out, alike = [], {}, same_policies(candidates)
     for row in candidates:
         name, falls = row["id"], simulated["falls"][row["id"]]
         if row["stopped"] is not None:
             kept_out[name] = f"training stopped: {row['stopped']}"
         elif falls:
             kept_out[name] = f"fell while being judged, in {falls} env instance{'' if falls == 1 else 's'}"
+        elif name in alike:
+            kept_out[name] = "ended as the same policy as an earlier candidate"
         else:
             scores = {key: _number(value) for key, value in simulated["objective_scores"][name].items()}
             able.append(

@@ -75,12 +75,15 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
 test.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 
-def whole(job: Job, elites: Sequence[str], speeds: Sequence[float], spent: int, report: Report) -> Tests:
+def whole(
+    job: Job, elites: Sequence[str], speeds: Sequence[float], spent: int, report: Report, before: int = 0
+) -> Tests:
     """A whole head-to-head of each elite at every one of the speeds, on one machine where the world can; speeds whose
-    commands were not found once more, as `selection.trims_again` says. spent: real samples before."""
+    commands were not found once more, as `selection.trims_again` says. spent: real samples before; before: how many
+    trials these elites may have had, so that a speed walked again is another session than in any of those."""
     job.watch(report)
     of = dict(zip(elites, _head_to_heads(job, elites, speeds), strict=True))
-    vain = _again(job, of, spent)
+    vain = _again(job, of, spent, before)
     recorded = [recording for session in of.values() for recording in session] + vain
     return Tests(of, recorded, {elite: _result(job, elite, recordings) for elite, recordings in of.items()})
 
@@ -98,11 +101,12 @@ def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> 
     return [list(session) for session in asked(job.world, "head_to_heads", policies, reference, speeds)]
 
 
-def _again(job: Job, of: dict[str, list[Recording]], spent: int) -> list[Recording]:
+def _again(job: Job, of: dict[str, list[Recording]], spent: int, before: int = 0) -> list[Recording]:
     """Walk the speeds of each elite again whose commands were not found: changes `of`, gives what was in vain."""
     selection, most = job.config.selection, job.config.max_real_samples
     if job.hold is None or selection.trims_again == 0:
         return []
+    hold = replace(job.hold, again=before * selection.trims_again)
     config, task, objective = _evaluation(job), job.robot.task(), next(iter(job.objectives.values()))
     asked = config.model_copy(update={"min_valid": max(config.min_valid, selection.min_valid or 0.0)})
     spent += sum(map(samples_of, of.values()))
@@ -117,7 +121,7 @@ def _again(job: Job, of: dict[str, list[Recording]], spent: int) -> list[Recordi
             return _head_to_heads(job, [elite], speeds)[0]
 
         room = math.inf if most is None else most - spent
-        good, more = walked_again(session, job.hold, selection.trims_again, missed, ask, room)
+        good, more = walked_again(session, hold, selection.trims_again, missed, ask, room)
         spent += samples_of([*good, *more]) - samples_of(session)
         of[elite] = good
         vain += more

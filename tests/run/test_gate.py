@@ -273,6 +273,22 @@ def test_who_fails_is_replaced_by_the_next_best_and_never_tried(tmp_path, monkey
     assert row["gate"]["failed"] == ["tilt"] and row["real"] is None
 
 
+def test_who_ended_as_the_same_policy_does_not_move_up(tmp_path, monkeypatch):
+    """No bound held back the first two, so they are one policy; where another fails, who moves up is somebody else."""
+    alike = judging.same_policies
+
+    def first_two(rows):
+        return alike([row | {"policy_hash": "one"} if row["id"] in ("00-00", "00-01") else row for row in rows])
+
+    for module in (judging, gate):
+        monkeypatch.setattr(module, "same_policies", first_two)
+    asked = outcomes(monkeypatch, lambda name: name == asked[0][1])
+    run(tmp_path / "run", **{"sweep.kl_bounds": [0.5, 1.0, 2.0, 3.0], "selection.elites": 2})
+    result = json.loads((tmp_path / "run/iterations/00/gate.json").read_text())
+    assert result["kept_out"] == {"00-01": "ended as the same policy as an earlier candidate"}
+    assert len(result["elites"]) == 2 and "00-01" not in {*result["proposed"], *result["elites"]}
+
+
 @pytest.mark.slow
 def test_where_all_fail_nobody_is_tried_and_the_run_says_so(tmp_path, monkeypatch, capsys):
     asked = outcomes(monkeypatch, lambda name: True)

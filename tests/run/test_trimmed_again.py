@@ -206,6 +206,35 @@ def test_second_tries_of_trials_stay_within_the_real_samples(monkeypatch, most, 
     ]
 
 
+def test_a_speed_missed_in_both_trials_is_walked_in_two_sessions(tmp_path, monkeypatch):
+    """A world knows a request by its content: the same one again would be the recordings of the first trial."""
+    too_fast_at_first(monkeypatch)
+    asked, plain = [], KnownWorld.head_to_heads_in_session
+
+    def session(self, policies, reference, speeds, block_seconds):
+        asked.append((tuple(policy.stem for policy in policies), tuple(speeds), json.dumps(self._hold.named())))
+        return plain(self, policies, reference, speeds, block_seconds)
+
+    monkeypatch.setattr(KnownWorld, "head_to_heads_in_session", session)
+    settings = {
+        "iterations": 2,
+        "sweep.kl_bounds": [0.5, 1.0],
+        "selection.elites": 2,
+        "selection.speeds": [0.5, 0.8],
+        "selection.block_seconds": 10.0,
+        "selection.trims_again": 1,
+        "selection.confirm": 2,
+        "evaluation.hold_speed": True,
+        "evaluation.speeds": [0.5],
+    }
+    with kit_installed():
+        run = tiny_run(tmp_path / "run", settings=settings)
+    twice = json.loads((run.folder / "confirm.json").read_text())["tried"]
+    alone = [request for request in asked if request[1] == (0.8,)]
+    assert len(twice) == 2 and all(sum(names == (one,) for names, _, _ in alone) == 2 for one in twice)
+    assert len(set(asked)) == len(asked)
+
+
 def test_evaluating_afterwards_walks_a_speed_again_as_the_final_does(tmp_path, monkeypatch):
     too_fast_at_first(monkeypatch)
     settings = {"evaluation.hold_speed": True, "evaluation.speeds": [0.5, 0.8], "evaluation.trims_again": 1}
