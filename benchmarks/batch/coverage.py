@@ -53,11 +53,12 @@ class Work:
 
     @property
     def key(self) -> str:
-        """The same for the same policies, reality, objective, lengths, speeds, repetition and commit; a truth is the
-        same however long evaluations are."""
+        """The same for the same policies, reality, objective, lengths, speeds, range of commands, repetition and
+        commit; a truth is the same however long evaluations are."""
         evaluation = self.config.evaluation.model_dump(mode="json")
         if self.repetition is None:
-            evaluation = {"speeds": evaluation["speeds"], "commands": self.config.finetune.env.commands.vx}
+            evaluation = {"speeds": evaluation["speeds"]}
+        evaluation["commands"] = self.config.finetune.env.commands.vx
         what = [self.policy_hash, self.reference_hash, self.reality_hash, self.repetition, self.lengths.model_dump()]
         return digest([*what, self.config.objectives, evaluation, self.commit])[:16]
 

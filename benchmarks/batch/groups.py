@@ -45,9 +45,14 @@ class Group:
         return any(line.arguments[:1] == [ORACLE] for line in self.lines)
 
     def values(self, speed: str | None = None, kind: str = "chosen", metric: str | None = None) -> Values:
-        """reality -> saving of each seed, at one speed or over all; metric: as of `saving`."""
+        """reality -> saving of each seed, at one speed (of the runs that were asked for it) or over all; metric: as of
+        `saving`. Raises EvaluationError for a speed that no run was asked for."""
+        if speed is not None and str(float(speed)) not in self.speeds and self.results:
+            raise EvaluationError(unknown_name(f"speed of {self.name}, m/s,", speed, self.speeds))
         found: dict[str, list[float]] = {}
         for line, result in self.results:
+            if speed is not None and float(speed) not in result.asked_speeds:
+                continue
             found.setdefault(line.reality, []).append(saving(result, self.objective, speed, kind, metric))
         return found
 
@@ -127,9 +132,12 @@ def saving(
     result: Result, objective: str, speed: str | None = None, kind: str = "chosen", metric: str | None = None
 ) -> float:
     """What a run saved at a speed, or on average over those asked for; see the rules above. metric: one of the
-    objective's metrics instead of its improvement. Raises EvaluationError for one that it does not have."""
-    figures = chosen(result.objectives.get(objective), kind)
-    speeds = [str(one) for one in result.asked_speeds] if speed is None else [speed]
+    objective's metrics instead of its improvement. Raises EvaluationError for a metric that it does not have, or a
+    speed that was not asked for: only a speed that was, and was refused, counts as no saving."""
+    figures, every = chosen(result.objectives.get(objective), kind), [str(one) for one in result.asked_speeds]
+    speeds = every if speed is None else [str(float(speed))]
+    if not set(speeds) <= set(every):
+        raise EvaluationError(unknown_name("speed that this run was asked for, m/s,", str(speed), every))
     return mean(_quantity(figures[one], metric) if one in figures else 0.0 for one in speeds)
 
 
@@ -154,7 +162,7 @@ def groups_of(
         for line in lines
         if (preset is None or line.preset == preset)
         and (methods is None or line.method in methods)
-        and (objective is None or line.result is None or objective in objectives_of(line))
+        and (objective is None or objective in objectives_of(line))
     ]
     if not wanted:
         raise EvaluationError(

@@ -76,7 +76,10 @@ def _method(group: Group, others: Sequence[Group], speeds: Sequence[str]) -> lis
         group.name,
         f"{whole.realities} × {whole.runs / whole.realities:.3g}",
         str(failed),
-        *(show(population(group.values(speed), quantile(0.5)).estimate) for speed in speeds),
+        *(
+            show(population(group.values(speed), quantile(0.5)).estimate) if speed in group.speeds else NONE
+            for speed in speeds
+        ),
         show(population(values, quantile(0.5)).estimate),
         with_interval(whole, show),
         show(population(values, quantile(0.05)).estimate),
@@ -252,17 +255,25 @@ def _refused_of(passed: Sequence[bool | None]) -> str:
 
 def seeds(groups: Sequence[Group]) -> str:
     """Run by run: the saving at each speed, what was refused, and minutes of computing; the mean of each method's."""
-    show, speeds, rows = shown(groups[0].unit), groups[0].speeds, []
+    show, rows = shown(groups[0].unit), []
+    speeds = sorted({speed for group in groups for speed in group.speeds}, key=float)
+    written = lambda value: NONE if np.isnan(value) else show(float(value))
     for group in groups:
         runs = sorted(group.results, key=lambda one: (one[0].reality, one[0].seed))
-        figures = [[saving(result, group.objective, speed) for speed in speeds] for _, result in runs]
+        figures = [
+            [
+                saving(result, group.objective, speed) if float(speed) in result.asked_speeds else np.nan
+                for speed in speeds
+            ]
+            for _, result in runs
+        ]
         for (line, result), row in zip(runs, figures, strict=True):
             outcome = result.objectives.get(group.objective)
             refused = ", ".join(outcome.refused) if outcome is not None and outcome.refused else "none"
             minutes = f"{result.seconds['total'] / 60:.1f}"
-            rows.append([group.name, line.reality, str(line.seed), *map(show, row), refused, minutes])
+            rows.append([group.name, line.reality, str(line.seed), *map(written, row), refused, minutes])
         if len(runs) > 1:
-            means = [show(float(one)) for one in np.mean(figures, axis=0)]
+            means = [written(one) for one in np.mean(figures, axis=0)]
             rows.append([group.name, "**mean**", "", *(f"**{one}**" for one in means), "", ""])
     return table(["method", "reality", "seed", *(f"{one} m/s" for one in speeds), "refused", "minutes"], rows)
 

@@ -2,12 +2,47 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from hts.contracts import World
+from hts.errors import PluginError
 from hts.guarded import guarded
+from hts.recordings.recording import Recording
+
+HALVES = ("policy", "reference")
+"""Roles of a head-to-head."""
 
 
 def asked(world: World, call: str, *values: Any) -> Any:
     """What the world's method of that name gives. Its own HtsErrors pass; PluginError for anything unforeseen."""
     return guarded(f"World '{world.name}': {call}()", lambda: getattr(world, call)(*values))
+
+
+def whole(world: World, call: str, found: Iterable[Recording] | None, speeds: Sequence[float]) -> list[Recording]:
+    """What a world gave for one policy. Raises PluginError where a role has no recording at a speed that was asked for:
+    a speed that nobody walked would count as one that was kept."""
+    return _whole(f"World '{world.name}': {call}()", found, speeds)
+
+
+def whole_each(
+    world: World, call: str, found: Iterable[Iterable[Recording]] | None, policies: int, speeds: Sequence[float]
+) -> list[list[Recording]]:
+    """What it gave for several: so many lists, each as `whole` wants it, else PluginError."""
+    who, lists = f"World '{world.name}': {call}()", list(found or ())
+    if len(lists) != policies:
+        raise PluginError(f"{who} gave {len(lists)} lists of recordings for {policies} policies, expected one each.")
+    return [_whole(f"{who}, policy {number} of {policies}", one, speeds) for number, one in enumerate(lists, 1)]
+
+
+def _whole(who: str, found: Iterable[Recording] | None, speeds: Sequence[float]) -> list[Recording]:
+    recordings = list(found or ())
+    there = {(recording.role, command.commanded) for recording in recordings for command in recording.schedule.commands}
+    for speed in speeds:
+        for role in HALVES:
+            if (role, speed) not in there:
+                raise PluginError(
+                    f"{who} gave {len(recordings)} recordings and none of the {role} at {speed:g}. Expected blocks of "
+                    "both roles at every speed that was asked for (docs/plugins.md)."
+                )
+    return recordings

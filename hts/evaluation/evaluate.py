@@ -11,8 +11,16 @@ from hts.atomic import atomic_write
 from hts.config import Named
 from hts.contracts import HoldSpeed, World, WorldContext
 from hts.errors import EvaluationError, PolicyError, RunError
-from hts.evaluation.asked import asked
-from hts.evaluation.final import entry_both_ways, entry_of, segment_scores, speeds_missed, task_entry, walked_speeds
+from hts.evaluation.asked import asked, whole
+from hts.evaluation.final import (
+    entry_both_ways,
+    entry_of,
+    refused_and_fallen,
+    segment_scores,
+    speeds_missed,
+    task_entry,
+    walked_speeds,
+)
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.evaluation.walked_again import walked_again
 
@@ -99,7 +107,7 @@ def evaluate_run(
             found, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
             entries[name], segments[name] = entry_of(objective, found), segment_scores(found)
             if refused:
-                entries[name]["refused"] = refused
+                entries[name] |= refused_and_fallen(refused, recordings, task)
     result = {
         "world": named.name,
         "world_simulated": where.simulated,
@@ -118,13 +126,13 @@ def evaluate_run(
 def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int) -> list[Recording]:
     """A head-to-head, or as many as asked for. Raises EvaluationError for a world that makes one only."""
     if sessions == 1:
-        return asked(world, "head_to_head", policy, reference, speeds)
+        return whole(world, "head_to_head", asked(world, "head_to_head", policy, reference, speeds), speeds)
     found = asked(world, "head_to_head_sessions", policy, reference, speeds, sessions)
     if found is None:
         raise EvaluationError(
             f"World '{world.name}' makes a head-to-head once; {sessions} sessions were asked for. Ask for one."
         )
-    return found
+    return whole(world, "head_to_head_sessions", found, speeds)
 
 
 def policy_file(folder: Path, policy: str | Path) -> Path:

@@ -104,14 +104,17 @@ def entry_both_ways(
         raise min(refusals.values(), key=lambda error: error.role == "reference")
     entry = entry_of(objective, results)
     entry["open_loop"] = {"speeds": entry_of(objective, beside)["speeds"]}
-    for place, why in ((entry, refusals), (entry["open_loop"], refusals_beside)):
-        if why:
-            place["refused"] = {key: str(error) for key, error in why.items()}
     for place, why, recordings in ((entry, refusals, held), (entry["open_loop"], refusals_beside, open_loop)):
-        fallen = {key: count for key, count in falls_by_speed(recordings, task).items() if key in why}
-        if fallen:
-            place["refused_falls"] = fallen
+        if why:
+            said = {key: str(error) for key, error in why.items()}
+            place |= refused_and_fallen(said, recordings, task)
     return entry, segment_scores(results or beside), refusals
+
+
+def refused_and_fallen(refused: Mapping[str, str], recordings: Sequence[Recording], task: Task) -> dict[str, Any]:
+    """`refused` of an entry: speed key -> why; `refused_falls`: how often the policy fell there, where it did."""
+    fallen = {key: count for key, count in falls_by_speed(recordings, task).items() if key in refused}
+    return {"refused": dict(refused), **({"refused_falls": fallen} if fallen else {})}
 
 
 def entry_of(objective: Objective, results: Mapping[float, HeadToHead]) -> dict[str, Any]:

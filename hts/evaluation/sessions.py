@@ -36,12 +36,18 @@ def interval_of(
     """Interval of `statistic(policy mean, reference mean)`, each mean of shape (Q,).
 
     policy, reference: their segments and a table (S, Q) of quantities. Over sessions, where at least two hold segments
-    of both; else over the blocks of the one session. None where a single segment leaves nothing to tell it from.
+    of both; else over the blocks of the one session. A session that holds segments of one of them alone counts too: it
+    is in the means, and left out of the interval its middle would not be the number that is reported. None where a
+    single segment leaves nothing to tell it from.
     """
     named = [_by_session(*one) for one in (policy, reference)]
     common = [name for name in named[0] if name in named[1]]
     if len(common) > 1:
-        first, second = ([found[name] for name in common] for found in named)
+        every = dict.fromkeys((*named[0], *named[1]))
+        first, second = (
+            [found.get(name, table[:0]) for name in every]
+            for found, (_, table) in zip(named, (policy, reference), strict=True)
+        )
         return over_sessions(statistic, first, second, level)
     blocks = [
         [table[found.block == number] for number in np.unique(found.block)] for found, table in (policy, reference)
@@ -52,7 +58,8 @@ def interval_of(
 def over_sessions(
     statistic: Statistic, policy: Sequence[np.ndarray], reference: Sequence[np.ndarray], level: float = 0.95
 ) -> tuple[float, float]:
-    """Tukey's interval; policy, reference: one array (segments, Q) per session, two sessions at least."""
+    """Tukey's interval; policy, reference: one array (segments, Q) per session, two sessions at least of each with
+    segments."""
     count = len(policy)
     sums = [np.array([one.sum(axis=0) for one in role]) for role in (policy, reference)]  # (S, Q)
     sizes = [np.array([len(one) for one in role], dtype=float) for role in (policy, reference)]

@@ -69,11 +69,12 @@ def resume_run(folder: Path, registry: Registry | None = None) -> Path:
 def simulates_yet(config: RunConfig, folder: Path) -> bool:
     """Whether a run still trains, judges or asks the gate, as far as its folder tells: it does until whom the last
     iteration tries is known."""
-    from hts.run.stages import read_json
+    from hts.run.stages import ENDED_EARLY, read_json
 
     last = folder / f"iterations/{config.iterations - 1:02d}"
-    if any(path.exists() for path in (last / "test.json", folder / "confirm.json", folder / "summary.json")):
-        return False  # a cap on real samples may end the iterations before the last one
+    over = (last / "test.json", folder / ENDED_EARLY, folder / "confirm.json", folder / "summary.json")
+    if any(path.exists() for path in over):
+        return False
     chosen = last / ("gate.json" if config.gate.enabled else "simulate.json")
     if not chosen.exists():
         return True

@@ -34,7 +34,7 @@ from hts.run.learning import finetune, fit
 from hts.run.nearer import is_due, may_go_nearer, nearer
 from hts.run.progress import Progress
 from hts.run.reality import best_so_far, collect
-from hts.run.stages import Stages
+from hts.run.stages import ENDED_EARLY, Stages, write_json
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
 
@@ -77,6 +77,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         name = f"iterations/{i:02d}"
         if not job.elites(i):
             job.stages.progress.say(cap_reached(job, i))
+            write_json(job.folder / ENDED_EARLY, {"done": i, "of": config.iterations})
             job.stages.progress.skip(stages_per_iteration(config) * (config.iterations - i))
             break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder

@@ -13,7 +13,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hts.evaluation.final import entry_both_ways, entry_of, falls_by_speed, segment_scores, walked_speeds
+from hts.evaluation.final import (
+    entry_both_ways,
+    entry_of,
+    falls_by_speed,
+    refused_and_fallen,
+    segment_scores,
+    walked_speeds,
+)
 from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.recordings.recording import Recording
 from hts.run.front import PRETRAINED
@@ -154,7 +161,7 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
             results, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
             tried.entries[key], tried.scores[key] = entry_of(objective, results), segment_scores(results)
             if refused:  # for what the policy did: a reference that cannot be judged raises
-                tried.entries[key]["refused"] = refused
+                tried.entries[key] |= refused_and_fallen(refused, recordings, task)
                 tried.blamed |= refused.keys()
     except NotComparable as error:
         tried.error = error

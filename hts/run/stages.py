@@ -17,6 +17,10 @@ from hts.run.progress import Progress
 TIMES = "log/stages.json"
 
 
+ENDED_EARLY = "iterations.json"
+"""In a run's folder where real samples ended the iterations before the last one: {"done", "of"}."""
+
+
 def write_json(path: Path, value: Any) -> None:
     """`atomic_write` of a JSON value, infinity and NaN as null. Raises OSError naming the file if the disk refuses."""
     atomic_write(path, json.dumps(_finite(value), indent=1, allow_nan=False) + "\n")

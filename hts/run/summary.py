@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -98,20 +99,30 @@ def pooled_ranks(checks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     checks: one `measurement.checks.check` per iteration, of that iteration's own model; the analytic stand-ins in it
     were fitted to the same data. So predictions of different fits stand side by side, as in the paper's comparison of
-    proxies: a model whose level moves from fit to fit is worth less. None where there is only one policy.
+    proxies: a model whose level moves from fit to fit is worth less. None where there is only one policy. An iteration
+    whose costs are of another speed than most (there more policies kept it, or it was walked longer) is left out: that
+    walking faster costs more is no news.
     """
 
+    usual = _usual_speed(checks)
+
     def rank(found: Sequence[Mapping[str, Any]]) -> float | None:
-        rows = [row for check in found for row in check["policies"]]
+        rows = [row for check in found for row in check["policies"] if row["speed"] == usual]
         return spearman([row["measured"] for row in rows], [row["predicted"] for row in rows])
 
     proxies = [check.get("proxy") or {} for check in checks]
     names = dict.fromkeys(name for proxy in proxies for name in proxy)
     return {
-        "policies": sum(len(check["policies"]) for check in checks),
+        "policies": sum(row["speed"] == usual for check in checks for row in check["policies"]),
         "rank_correlation": rank(checks),
         "proxy_rank_correlation": {name: rank([proxy[name] for proxy in proxies if name in proxy]) for name in names},
     }
+
+
+def _usual_speed(checks: Sequence[Mapping[str, Any]]) -> float | None:
+    """The commanded speed (or set-point) that most rows of these checks are of; of equals the slowest."""
+    counts = Counter(row["speed"] for check in checks for row in check["policies"])
+    return min(counts, key=lambda speed: (-counts[speed], speed), default=None)
 
 
 def _model(report: dict[str, Any], checked: dict[str, Any] | None) -> dict[str, Any]:

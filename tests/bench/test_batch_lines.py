@@ -123,6 +123,27 @@ def test_a_failed_run_has_no_saving_and_is_counted():
     assert row_of(tables.methods(groups), "ours")[1:4] == ["1 × 1", "1", "10.0 %"]
 
 
+def test_a_failed_run_of_another_objective_is_not_in_the_table():
+    """It would be a version of its own, and the good runs' method would go by another name."""
+    failed = {"status": "failed", "error": "boom", "result": None, "arguments": ["run", "--objective", "noise"]}
+    lines = [line(), line(reality="dev-01", method_hash="n" * 64, **failed)]
+    assert [group.name for group in groups_of(lines, objective="power")] == ["ours"]
+    with pytest.raises(EvaluationError, match="noise"):
+        groups_of(lines)
+
+
+def test_a_speed_that_was_not_asked_for_is_no_saving_of_nothing():
+    (group,) = groups_of([line(saved=(None, 0.2, 0.3))])
+    assert group.values("0.5") == {"dev-00": [0.0]} and group.values("0.80") == {"dev-00": [0.2]}
+    with pytest.raises(EvaluationError, match=r"0\.9"):
+        group.values("0.9")
+    whole = line(method="baseline").result
+    slower = whole.model_copy(update={"asked_speeds": [0.5, 0.8]})
+    groups = groups_of([line(), line(method="baseline", result=slower)])
+    assert row_of(tables.methods(groups), "baseline")[3:7] == ["10.0 %", "20.0 %", "–", "15.0 %"]
+    assert row_of(tables.seeds(groups), "baseline")[3:6] == ["10.0 %", "20.0 %", "–"]
+
+
 def test_a_changed_method_is_another_row():
     groups = groups_of([line(), line(commit="d" * 40)])
     assert [group.name for group in groups] == ["ours@ccccccc", "ours@ddddddd"]

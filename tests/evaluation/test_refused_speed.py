@@ -10,7 +10,8 @@ from rich.console import Console
 
 from hts.channels import Channel
 from hts.config import Command, EvaluationConfig, ScheduleConfig
-from hts.evaluation.final import entry_of, walked_speeds
+from hts.contracts.task import VELOCITY
+from hts.evaluation.final import entry_of, refused_and_fallen, walked_speeds
 from hts.evaluation.head_to_head import TooFewSegments
 from hts.recordings.recording import Recording, Series
 from hts.report.table import print_table
@@ -68,6 +69,15 @@ def test_a_speed_that_is_not_kept_is_refused_alone():
     assert results[0.8].comparison.improvement == pytest.approx(0.2, abs=0.01)
     assert list(refused) == ["0.5"] and "0 of 40 segments of the policy are valid" in refused["0.5"]
     assert "it went 0.40 m/s on average" in refused["0.5"]
+
+
+def test_falls_at_a_refused_speed_are_told_with_it():
+    slow = [one.replace(fell=one.role == "policy") for one in session(0.5, policy=0.4, reference=0.5)]
+    recordings = slow + session(0.8, policy=0.8, reference=0.8)
+    _, refused = walked_speeds(CostObjective(), recordings, CONFIG)
+    told = refused_and_fallen(refused, recordings, VELOCITY)
+    assert told == {"refused": refused, "refused_falls": {"0.5": 2}}
+    assert refused_and_fallen({"0.8": "too slow"}, recordings, VELOCITY) == {"refused": {"0.8": "too slow"}}
 
 
 def test_nothing_is_refused_of_a_policy_that_keeps_all_speeds():

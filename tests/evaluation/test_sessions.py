@@ -72,6 +72,19 @@ def test_sessions_count_by_their_valid_segments():
     assert (low + high) / 2 == pytest.approx(2.0)  # the mean of all pieces, which is what is reported
 
 
+def test_a_session_of_one_role_alone_leaves_the_interval_about_the_number_that_is_reported():
+    """On the fourth day no second of the policy counts, and the reference is dear: it is in the reference's mean."""
+    recordings = []
+    for number, (mine, other) in enumerate([(8.0, 10.0), (8.1, 10.1), (7.9, 9.9), (8.0, 14.0)]):
+        own = known_head_to_head(mine, other, block_seconds=8, scatter=0.01, correlation=0.3, seed=number)
+        kept = [one for one in own if number < 3 or one.role == "reference"]
+        recordings += [one.replace(session=f"day {number}") for one in kept]
+    found = compare(OBJECTIVE, recordings, QUICK, 0)
+    low, high = found.improvement_ci95
+    assert found.comparison.improvement == pytest.approx(1 - 8 / 11, abs=0.01)
+    assert (low + high) / 2 == pytest.approx(found.comparison.improvement, abs=0.02) and high - low > 0.1
+
+
 def test_an_evaluation_over_sessions_holds_the_truth_nineteen_times_in_twenty():
     # 400 evaluations: the standard deviation of this share is 1.1 %
     assert 0.92 <= holds(4, scatter=0.01, worlds=400) <= 0.98

@@ -114,6 +114,7 @@ def test_a_run_ends_its_iterations_where_the_next_would_pass_the_cap(capped):
     summary = capped.summary
     assert [len([one for one in row["candidates"] if one["elite"]]) for row in summary["iterations"]] == [1, 1]
     assert summary["iterations_asked"] == 3 and summary["max_real_samples"] == CAPPED["max_real_samples"]
+    assert json.loads((capped.folder / "iterations.json").read_text()) == {"done": len(summary["iterations"]), "of": 3}
     final = json.loads((capped.folder / "final.json").read_text())["samples"]
     assert summary["real_samples_before_final"] == summary["real_samples"] - final <= CAPPED["max_real_samples"]
     assert not (capped.folder / "iterations/02").exists()

@@ -51,6 +51,16 @@ def test_whatever_simulates_does(resumed, undone):
         resumed("final", *(f"iterations/00/{name}" for name in stages[stages.index(undone) :]))
 
 
+def test_where_real_samples_ended_the_iterations_nothing_simulates(finished, tmp_path):
+    """The last iterations of a capped run never begin; its second trials and final are made beside the robot."""
+    config = finished.config.model_copy(update={"iterations": 3})
+    (tmp_path / "iterations/00").mkdir(parents=True)
+    (tmp_path / "iterations/00/test.json").write_text("{}")
+    assert simulates_yet(config, tmp_path)
+    (tmp_path / "iterations.json").write_text(json.dumps({"done": 1, "of": 3}))
+    assert not simulates_yet(config, tmp_path)
+
+
 def test_a_second_look_that_is_still_to_be_taken_simulates(finished, tmp_path):
     config = finished.config.model_copy(
         update={"gate": finished.config.gate.model_copy(update={"nearer": (0.5,), "strict": True})}

@@ -34,6 +34,45 @@ def test_a_world_owes_a_recording_for_each_policy(tmp_path, monkeypatch):
         tiny_run(tmp_path / "run")
 
 
+def without(plain, left_out):
+    """A world's call that gives all but some recordings of the first policy."""
+
+    def call(self, *args):
+        first, *others = plain(self, *args)
+        return [[one for one in first if not left_out(one)], *others]
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("left_out", "said"),
+    [
+        (lambda one: one.schedule.commands[0].vx == 0.8, r"none of the policy at 0\.8"),
+        (lambda one: one.role == "reference", r"none of the reference at 0\.5"),
+        (lambda one: True, "gave 0 recordings and none of the policy"),
+    ],
+)
+def test_a_world_owes_both_roles_at_every_speed_of_a_trial(tmp_path, monkeypatch, left_out, said):
+    call = "head_to_heads_in_session"
+    monkeypatch.setattr(KnownWorld, call, without(getattr(KnownWorld, call), left_out))
+    settings = {"selection.block_seconds": 10.0, "selection.speeds": [0.5, 0.8]}
+    with kit_installed(), pytest.raises(PluginError, match=rf"{call}\(\), policy 1 of \d+ gave.*{said}|{said}"):
+        tiny_run(tmp_path / "run", settings=settings)
+
+
+def test_a_world_owes_a_list_for_each_policy_and_a_final_every_speed(tmp_path, monkeypatch):
+    plain = KnownWorld.head_to_head
+    kept = lambda self, *args: [one for one in plain(self, *args) if one.schedule.commands[0].vx != 0.8]
+    with kit_installed():
+        with monkeypatch.context() as patch:
+            patch.setattr(KnownWorld, "head_to_heads_in_session", lambda self, *args: [])
+            with pytest.raises(PluginError, match=r"gave 0 lists of recordings for \d+ policies, expected one each"):
+                tiny_run(tmp_path / "lists", settings={"selection.block_seconds": 10.0})
+        monkeypatch.setattr(KnownWorld, "head_to_head", kept)
+        with pytest.raises(PluginError, match=r"head_to_head\(\) gave .* none of the policy at 0\.8"):
+            tiny_run(tmp_path / "final", settings={"evaluation.speeds": [0.5, 0.8], "selection.block_seconds": 10.0})
+
+
 class Broken:
     name = "heat"
 

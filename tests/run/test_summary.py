@@ -7,9 +7,9 @@ import pytest
 from hts.run.summary import pooled_ranks
 
 
-def check(measured, predicted, proxy):
+def check(measured, predicted, proxy, speed=0.8):
     def rows(values):
-        return [{"measured": m, "predicted": p} for m, p in zip(measured, values, strict=True)]
+        return [{"speed": speed, "measured": m, "predicted": p} for m, p in zip(measured, values, strict=True)]
 
     return {"policies": rows(predicted), "proxy": {"plain": {"policies": rows(proxy)}}}
 
@@ -21,6 +21,15 @@ def test_ranks_are_pooled_over_iterations_so_that_a_level_that_moves_between_fit
     assert ranks["rank_correlation"] == pytest.approx(1.0)
     # measured ranks 3 4 1 2, proxy ranks 1 2 3 4: d = 2 2 2 2, rho = 1 - 6 * 16 / (4 * 15) = -0.6
     assert ranks["proxy_rank_correlation"]["plain"] == pytest.approx(-0.6)
+
+
+def test_costs_at_another_speed_are_not_ranked_with_the_others():
+    """At 0.5 m/s everything costs less: ranked with those at 0.8 it would look as if costs had been foreseen."""
+    slower = check([1.0, 1.1], [1.1, 1.0], [1.0, 1.1], speed=0.5)
+    ranks = pooled_ranks([slower, check([3.0, 4.0, 5.0], [5.0, 4.0, 3.0], [3.0, 4.0, 5.0])])
+    assert ranks["policies"] == 3 and ranks["rank_correlation"] == pytest.approx(-1.0)
+    assert ranks["proxy_rank_correlation"]["plain"] == pytest.approx(1.0)
+    assert pooled_ranks([])["rank_correlation"] is None
 
 
 def test_one_policy_has_no_rank():

@@ -37,10 +37,12 @@ class World:
         return [
             SimpleNamespace(
                 schedule=ScheduleConfig(commands=(Command(seconds=20.0, vx=speed),)),
-                robot_samples=round(100 * self.hold.seconds),
+                role=role,
+                robot_samples=round(50 * self.hold.seconds),
                 apart=speed == 0.5 and self.hold.seconds < self.until,
             )
             for speed in speeds
+            for role in ("policy", "reference")
         ]
 
 
@@ -56,7 +58,7 @@ def held(monkeypatch, again, until=40.0):
     )
 
     def apart(objective, recordings, config, seed, task):
-        return [one.schedule.commands[0].vx for one in recordings if one.apart]
+        return sorted({one.schedule.commands[0].vx for one in recordings if one.apart})
 
     monkeypatch.setattr(head_to_head, "speeds_missed", apart)
     return world, *head_to_head.held_head_to_head(job, "best", HoldSpeed((0.2, 1.5), 12.0, 0.01))
@@ -65,8 +67,10 @@ def held(monkeypatch, again, until=40.0):
 def test_only_the_speed_that_ended_apart_is_done_again_and_longer_each_time(monkeypatch):
     world, good, vain = held(monkeypatch, again=2)
     assert world.asked == [(12.0, (0.5, 0.8)), (24.0, (0.5,)), (48.0, (0.5,))]
-    assert sorted(one.schedule.commands[0].vx for one in good) == [0.5, 0.8] and not any(one.apart for one in good)
-    assert len(vain) == 2 and all(one.apart for one in vain)  # they were walked, so they count as robot time
+    walked = sorted((one.schedule.commands[0].vx, one.role) for one in good)
+    assert walked == [(speed, role) for speed in (0.5, 0.8) for role in ("policy", "reference")]
+    assert not any(one.apart for one in good)
+    assert len(vain) == 4 and all(one.apart for one in vain)  # they were walked, so they count as robot time
 
 
 def test_what_is_still_apart_stays_to_be_refused(monkeypatch):
@@ -82,8 +86,8 @@ def test_each_try_is_asked_for_as_another_session(monkeypatch):
 
 def test_trimming_ends_at_four_times_the_first_one(monkeypatch):
     world, good, vain = held(monkeypatch, again=4, until=1000.0)
-    assert [seconds for seconds, _ in world.asked] == [12.0, 24.0, 48.0, 48.0, 48.0] and len(vain) == 4
-    assert [one.apart for one in good] == [False, True]  # the last try stands, to be refused
+    assert [seconds for seconds, _ in world.asked] == [12.0, 24.0, 48.0, 48.0, 48.0] and len(vain) == 8
+    assert [one.apart for one in good] == [False, False, True, True]  # the last try stands, to be refused
 
 
 @pytest.mark.parametrize(("room", "tries"), [(2399, 0), (2400, 1), (7199, 1), (7200, 2), (math.inf, 2)])
@@ -96,11 +100,11 @@ def test_nothing_is_walked_again_that_does_not_fit_into_the_real_samples(room, t
         return world.head_to_head("policy", "reference", speeds)
 
     def missed(recordings):
-        return [one.schedule.commands[0].vx for one in recordings if one.apart]
+        return sorted({one.schedule.commands[0].vx for one in recordings if one.apart})
 
     hold = HoldSpeed((0.2, 1.5), 12.0)
     good, vain = walked_again(ask(hold, (0.5, 0.8)), hold, 2, missed, ask, room)
-    assert (len(good), len(vain)) == (2, tries)
+    assert (len(good), len(vain)) == (4, 2 * tries)
 
 
 def too_fast_at_first(monkeypatch):
