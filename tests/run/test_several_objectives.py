@@ -47,7 +47,7 @@ def make(called):
         instrument = None
 
         def measurement_model(self):
-            return Named(name="lstm", hidden=8)
+            return Named(name="lstm", hidden=8 if called == "calm" else 6)  # or both are paid alike, to the bit
 
         def score(self, segments):
             measured = segments.values(self.target.name).mean(axis=1)
