@@ -37,15 +37,15 @@ def student_of_sessions(evaluations: Iterable[CoverageLine], draws: int = 20_000
     """95 % intervals of S sessions drawn with replacement from all of a pair's at one speed, S being what an
     evaluation of it has. Sessions that tell no figure of their own, their speeds having ended apart, are not among
     them. None where no pair has LEAST sessions."""
-    pools: dict[tuple[object, ...], list[float]] = {}
+    pools: dict[tuple[tuple[str, ...], str, int], list[float]] = {}
     for line in evaluations:
         for speed, found in line.speeds.items():
-            pool = pools.setdefault((*line.pair, speed, line.lengths.sessions), [])
+            pool = pools.setdefault((line.pair, speed, line.lengths.sessions), [])
             pool.extend(one.improvement for one in found.occasions)
     random = np.random.default_rng(seed)
     sides = []
-    for (*_, count), pool in sorted(pools.items(), key=lambda item: str(item[0])):
-        if len(pool) < LEAST or not isinstance(count, int) or count < 2:
+    for (_, _, count), pool in sorted(pools.items()):
+        if len(pool) < LEAST or count < 2:
             continue
         drawn = random.choice(np.array(pool), (draws, count))
         error = drawn.mean(axis=1) - np.mean(pool)

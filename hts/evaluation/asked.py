@@ -19,23 +19,23 @@ def asked(world: World, call: str, *values: Any) -> Any:
     return guarded(f"World '{world.name}': {call}()", lambda: getattr(world, call)(*values))
 
 
-def whole(world: World, call: str, found: Iterable[Recording] | None, speeds: Sequence[float]) -> list[Recording]:
+def complete(world: World, call: str, found: Iterable[Recording] | None, speeds: Sequence[float]) -> list[Recording]:
     """What a world gave for one policy. Raises PluginError where a role has no recording at a speed that was asked for:
     a speed that nobody walked would count as one that was kept."""
-    return _whole(f"World '{world.name}': {call}()", found, speeds)
+    return _complete(f"World '{world.name}': {call}()", found, speeds)
 
 
-def whole_each(
+def complete_each(
     world: World, call: str, found: Iterable[Iterable[Recording]] | None, policies: int, speeds: Sequence[float]
 ) -> list[list[Recording]]:
-    """What it gave for several: so many lists, each as `whole` wants it, else PluginError."""
+    """What it gave for several: so many lists, each as `complete` wants it, else PluginError."""
     who, lists = f"World '{world.name}': {call}()", list(found or ())
     if len(lists) != policies:
         raise PluginError(f"{who} gave {len(lists)} lists of recordings for {policies} policies, expected one each.")
-    return [_whole(f"{who}, policy {number} of {policies}", one, speeds) for number, one in enumerate(lists, 1)]
+    return [_complete(f"{who}, policy {number} of {policies}", one, speeds) for number, one in enumerate(lists, 1)]
 
 
-def _whole(who: str, found: Iterable[Recording] | None, speeds: Sequence[float]) -> list[Recording]:
+def _complete(who: str, found: Iterable[Recording] | None, speeds: Sequence[float]) -> list[Recording]:
     recordings = list(found or ())
     there = {(recording.role, command.commanded) for recording in recordings for command in recording.schedule.commands}
     for speed in speeds:
@@ -43,6 +43,6 @@ def _whole(who: str, found: Iterable[Recording] | None, speeds: Sequence[float])
             if (role, speed) not in there:
                 raise PluginError(
                     f"{who} gave {len(recordings)} recordings and none of the {role} at {speed:g}. Expected blocks of "
-                    "both roles at every speed that was asked for (docs/plugins.md)."
+                    "both roles at every speed that was asked for (docs/authors/world.md)."
                 )
     return recordings

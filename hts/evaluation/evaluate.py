@@ -11,7 +11,7 @@ from hts.atomic import atomic_write
 from hts.config import Named
 from hts.contracts import HoldSpeed, World, WorldContext
 from hts.errors import EvaluationError, PolicyError, RunError
-from hts.evaluation.asked import asked, whole
+from hts.evaluation.asked import asked, complete
 from hts.evaluation.final import (
     entry_both_ways,
     entry_of,
@@ -126,13 +126,13 @@ def evaluate_run(
 def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int) -> list[Recording]:
     """A head-to-head, or as many as asked for. Raises EvaluationError for a world that makes one only."""
     if sessions == 1:
-        return whole(world, "head_to_head", asked(world, "head_to_head", policy, reference, speeds), speeds)
+        return complete(world, "head_to_head", asked(world, "head_to_head", policy, reference, speeds), speeds)
     found = asked(world, "head_to_head_sessions", policy, reference, speeds, sessions)
     if found is None:
         raise EvaluationError(
             f"World '{world.name}' makes a head-to-head once; {sessions} sessions were asked for. Ask for one."
         )
-    return whole(world, "head_to_head_sessions", found, speeds)
+    return complete(world, "head_to_head_sessions", found, speeds)
 
 
 def policy_file(folder: Path, policy: str | Path) -> Path:

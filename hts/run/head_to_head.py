@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hts.contracts import HoldSpeed
-from hts.evaluation.asked import asked, whole
+from hts.evaluation.asked import asked, complete
 from hts.evaluation.final import speeds_missed
 from hts.evaluation.held import ask_to_hold
 from hts.evaluation.walked_again import walked_again
@@ -40,8 +40,8 @@ def head_to_head(job: Job, policy: str, speeds: Sequence[float] = ()) -> list[Re
     if config.sessions > 1:
         found = asked(job.world, "head_to_head_sessions", *pair, speeds, config.sessions)
         if found is not None:
-            return whole(job.world, "head_to_head_sessions", found, speeds)
+            return complete(job.world, "head_to_head_sessions", found, speeds)
         job.stages.progress.say(
             f"World '{job.config.world.name}' makes a head-to-head once: one session, not {config.sessions}."
         )
-    return whole(job.world, "head_to_head", asked(job.world, "head_to_head", *pair, speeds), speeds)
+    return complete(job.world, "head_to_head", asked(job.world, "head_to_head", *pair, speeds), speeds)

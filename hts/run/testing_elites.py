@@ -11,7 +11,7 @@ from hts.config import EvaluationConfig
 from hts.contracts import Comparison, FineTuning, HoldSpeed, RacedCandidate, Rounds, Selector, Task, TestedCandidate
 from hts.contracts.task import FollowVelocity
 from hts.evaluation.across_speeds import mean_comparison
-from hts.evaluation.asked import asked, whole_each
+from hts.evaluation.asked import asked, complete_each
 from hts.evaluation.final import CandidateResult, candidate_result, speeds_missed
 from hts.evaluation.halves import Half, halves
 from hts.evaluation.held import ask_to_hold
@@ -96,11 +96,11 @@ def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> 
         call = "head_to_heads_in_session"
         sessions = asked(job.world, call, policies, reference, speeds, selection.block_seconds)
         if sessions is not None:
-            return whole_each(job.world, call, sessions, len(policies), speeds)
+            return complete_each(job.world, call, sessions, len(policies), speeds)
         world = job.config.world.name
         job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: {one_for_each(job.robot.task())}")
     found = asked(job.world, "head_to_heads", policies, reference, speeds)
-    return whole_each(job.world, "head_to_heads", found, len(policies), speeds)
+    return complete_each(job.world, "head_to_heads", found, len(policies), speeds)
 
 
 def _again(job: Job, of: dict[str, list[Recording]], spent: int, before: int = 0) -> list[Recording]:
@@ -148,7 +148,7 @@ def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Round
         policies = [job.exported(elite) for elite in racing]
         call = "head_to_head_round"
         found = asked(job.world, call, policies, reference, speed, number, rounds.block_seconds)
-        return None if found is None else whole_each(job.world, call, found, len(policies), speeds)
+        return None if found is None else complete_each(job.world, call, found, len(policies), speeds)
 
     def judge(elite: str, recordings: Sequence[Recording]) -> CandidateResult:
         return _result(job, elite, recordings)

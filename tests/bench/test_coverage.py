@@ -225,7 +225,7 @@ def policies(tmp_path):
     return {"first": first, "again": tmp_path / "again.onnx"}
 
 
-def works(policies, names=("first",), repetitions=2, evaluated=LENGTHS, commit="c"):
+def works(policies, names=("first",), repetitions=2, evaluated=LENGTHS, commit="c", settings=()):
     return works_of(
         {name: policies[name] for name in names},
         policies["first"],
@@ -234,7 +234,7 @@ def works(policies, names=("first",), repetitions=2, evaluated=LENGTHS, commit="
         objective="power",
         robot="go1",
         preset="quick",
-        settings=["evaluation.speeds=[0.8]"],
+        settings=["evaluation.speeds=[0.8]", *settings],
         evaluated=evaluated,
         true=LENGTHS,
         commit=commit,
@@ -259,6 +259,8 @@ def test_truths_come_first_and_repetitions_in_turn(policies):
     same = [one.key == other.key for one, other in zip(made, longer, strict=True)]
     assert same == [True, True, False, False, False, False]  # a truth does not hang on how long evaluations are
     assert works(policies, commit="d")[0].key != made[0].key
+    narrower = works(policies, settings=["finetune.env.commands.vx=[0.3, 1.2]"])  # commands are trimmed within it
+    assert not {one.key for one in made} & {one.key for one in narrower}
 
 
 def test_truths_and_evaluations_can_be_asked_for_apart(policies, tmp_path, capsys):

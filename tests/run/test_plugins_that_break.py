@@ -49,14 +49,14 @@ def without(plain, left_out):
     [
         (lambda one: one.schedule.commands[0].vx == 0.8, r"none of the policy at 0\.8"),
         (lambda one: one.role == "reference", r"none of the reference at 0\.5"),
-        (lambda one: True, "gave 0 recordings and none of the policy"),
+        (lambda one: True, "0 recordings and none of the policy"),
     ],
 )
 def test_a_world_owes_both_roles_at_every_speed_of_a_trial(tmp_path, monkeypatch, left_out, said):
     call = "head_to_heads_in_session"
     monkeypatch.setattr(KnownWorld, call, without(getattr(KnownWorld, call), left_out))
     settings = {"selection.block_seconds": 10.0, "selection.speeds": [0.5, 0.8]}
-    with kit_installed(), pytest.raises(PluginError, match=rf"{call}\(\), policy 1 of \d+ gave.*{said}|{said}"):
+    with kit_installed(), pytest.raises(PluginError, match=rf"{call}\(\), policy 1 of \d+ gave .*{said}"):
         tiny_run(tmp_path / "run", settings=settings)
 
 
