@@ -175,7 +175,8 @@ class CandidateResult:
 
     entry: `real` of its candidate in `summary.json`, None if nothing could be reported;
     tested: for the selector, None likewise; refused: why, one line, or None; refusal: its numbers, as `TooFewSegments`,
-    None where the reference is why; refused_falls: of who is refused, speed key -> how often it fell, where it did.
+    None where the reference is why; refused_falls: of who is refused, speed key -> how often it fell, where it did;
+    reference: what was raised where the reference itself has too few valid segments.
     """
 
     entry: dict[str, Any] | None
@@ -183,6 +184,7 @@ class CandidateResult:
     refused: str | None
     refusal: Mapping[str, float | None] | None = None
     refused_falls: Mapping[str, int] = field(default_factory=dict)
+    reference: TooFewSegments | None = None
 
 
 def candidate_result(
@@ -196,9 +198,9 @@ def candidate_result(
 ) -> CandidateResult:
     """Compare a candidate on every objective. A candidate that cannot walk is a result, not a failure of the run.
 
-    The selector gets the mean over the speeds; who is refused at one speed is refused. A reference that has too few
-    valid segments itself does stop the run: then nothing can be compared. min_valid: share of valid segments that is
-    asked of the candidate, where more than `config` asks of both.
+    The selector gets the mean over the speeds; who is refused at one speed is refused, and so is who met a reference
+    that has too few valid segments itself (`reference`: what follows is the caller's to say). min_valid: share of valid
+    segments that is asked of the candidate, where more than `config` asks of both.
     """
     entry: dict[str, Any] = {}
     comparisons = {}
@@ -207,10 +209,11 @@ def candidate_result(
         try:
             results = head_to_heads(objective, recordings, config, seed, task)
         except NotComparable as error:
-            if error.role == "reference" and isinstance(error, TooFewSegments):
-                raise
-            own = error.numbers if error.role == "policy" else None
-            return CandidateResult(None, None, f"{candidate}: {error}", own, falls_by_speed(recordings, task))
+            why, fallen = f"{candidate}: {error}", falls_by_speed(recordings, task)
+            if error.role == "policy":
+                return CandidateResult(None, None, why, error.numbers, fallen)
+            few = error if isinstance(error, TooFewSegments) else None
+            return CandidateResult(None, None, why, None, fallen, few)
         for speed, result in results.items():
             if min_valid is not None and result.valid < min_valid:
                 why = unsteady(candidate, speed, result.policy_segments, min_valid, task)

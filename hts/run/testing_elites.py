@@ -46,7 +46,10 @@ class Tests:
 
 
 def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
-    """Elites against the pretrained policy; π_best <- the best of them, if it beats the best so far."""
+    """Elites against the pretrained policy; π_best <- the best of them, if it beats the best so far.
+
+    Raises TooFewSegments as `check_reference` does.
+    """
     elites = elites_of(job, iteration)
     settings = job.config.selection.selector
     selector = job.registry.make_selector(settings.name, settings.settings)
@@ -54,6 +57,8 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None and elites else None
     if tests is None:  # this selector, or this world, knows no rounds
         tests = whole(job, elites, job.config.selection.tested_speeds, job.spent(iteration), report)
+    else:
+        check_reference(tests, job.stages.progress.say)
     ids = job.keep(tests.recorded, iteration + 1)
     tested = [found.tested for found in tests.results.values() if found.tested is not None]
     incumbent = [] if best == job.first else [tested_before(job, best)]  # nobody before the first success
@@ -80,12 +85,32 @@ def whole(
 ) -> Tests:
     """A whole head-to-head of each elite at every one of the speeds, on one machine where the world can; speeds whose
     commands were not found once more, as `selection.trims_again` says. spent: real samples before; before: how many
-    trials these elites may have had, so that a speed walked again is another session than in any of those."""
+    trials these elites may have had, so that a speed walked again is another session than in any of those.
+
+    Raises TooFewSegments as `check_reference` does.
+    """
     job.watch(report)
     of = dict(zip(elites, _head_to_heads(job, elites, speeds), strict=True))
     vain = _again(job, of, spent, before)
     recorded = [recording for session in of.values() for recording in session] + vain
-    return Tests(of, recorded, {elite: _result(job, elite, recordings) for elite, recordings in of.items()})
+    tests = Tests(of, recorded, {elite: _result(job, elite, recordings) for elite, recordings in of.items()})
+    check_reference(tests, job.stages.progress.say)
+    return tests
+
+
+def check_reference(tests: Tests, say: Callable[[str], None]) -> None:
+    """Raise TooFewSegments if no trial gave a number and, in one of them, the reference itself kept too few seconds.
+
+    Then nothing can be compared, and whoever stands beside the robot should look at it. Where another trial gave a
+    number the reference can walk, and only who met it otherwise is refused, which is said in one line each.
+    """
+    results = tests.results.values()
+    comparable = any(found.tested is not None for found in results)
+    for found in results:
+        if found.reference is not None and not comparable:
+            raise found.reference
+        if found.reference is not None:
+            say(str(found.refused))
 
 
 def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> list[list[Recording]]:

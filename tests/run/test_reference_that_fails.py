@@ -1,0 +1,76 @@
+"""A reference that does not keep its speed costs the trial in which it did not, and the run where there is no other."""
+
+from __future__ import annotations
+
+import pytest
+
+from hts.contracts import TestedCandidate
+from hts.evaluation.final import CandidateResult
+from hts.evaluation.head_to_head import TooFewSegments
+from hts.recordings.recording import Series
+from hts.run.testing_elites import Tests, check_reference
+from hts.testing.known_world import KnownWorld
+from hts.testing.packages import kit_installed
+from hts.testing.tiny_run import tiny_run
+
+TWO_TRIED = {"sweep.kl_bounds": [1.0, 2.0], "selection.elites": 2, "finetune.steps": 96}
+
+
+def standing_reference(monkeypatch, in_trial):
+    """The reference stands in the trials whose number, counted from 0, `in_trial` is true of."""
+    plain, trials = KnownWorld._head_to_head, []
+
+    def head_to_head(self, policy, *rest):
+        found = plain(self, policy, *rest)
+        trials.append(policy)
+        return [stand(one) if one.role == "reference" and in_trial(len(trials) - 1) else one for one in found]
+
+    monkeypatch.setattr(KnownWorld, "_head_to_head", head_to_head)
+    return trials
+
+
+def stand(recording):
+    walked = recording.channels["base_velocity"]
+    still = Series(walked.channel, 0.0 * walked.values)
+    return recording.replace(channels={**recording.channels, "base_velocity": still})
+
+
+def test_who_met_it_is_refused_and_the_other_goes_on(tmp_path, monkeypatch, capsys):
+    trials = standing_reference(monkeypatch, lambda number: number == 0)
+    with kit_installed():
+        run = tiny_run(tmp_path / "run", settings=TWO_TRIED)
+    (iteration,) = run.summary["iterations"]
+    first, second = (next(row for row in iteration["candidates"] if row["id"] in trial.stem) for trial in trials[:2])
+    assert "segments of the reference policy are valid" in first["refused"] and not first["real"]
+    assert f"{first['id']}: Head-to-head at 0.8 m/s: 0 of 20" in capsys.readouterr().out
+    assert second["real"] and not second.get("refused")
+    assert run.summary["final"]["policy"] == second["id"]
+
+
+def test_a_run_ends_where_it_is_why_nobody_could_be_compared(tmp_path, monkeypatch):
+    standing_reference(monkeypatch, lambda number: True)
+    with kit_installed(), pytest.raises(TooFewSegments, match="0 of 20 segments of the reference policy are valid"):
+        tiny_run(tmp_path / "run", settings=TWO_TRIED)
+
+
+def test_nor_does_it_go_on_to_the_final_where_nobody_could_be_confirmed(tmp_path, monkeypatch):
+    standing_reference(monkeypatch, lambda number: number >= 2)
+    with kit_installed(), pytest.raises(TooFewSegments, match="0 of 20 segments of the reference policy are valid"):
+        tiny_run(tmp_path / "run", settings={**TWO_TRIED, "selection.confirm": 2})
+
+
+def result(compared=False, reference=None):
+    tested = TestedCandidate("00-00", {}, False) if compared else None
+    return CandidateResult(None, tested, None if compared else "why", reference=reference)
+
+
+def test_a_trial_that_gave_a_number_says_that_the_reference_can_walk():
+    few = TooFewSegments("few", "reference")
+    said = []
+    check_reference(Tests({}, [], {"00-00": result(compared=True), "00-01": result(reference=few)}), said.append)
+    assert said == ["why"]
+    check_reference(Tests({}, [], {"00-00": result()}), said.append)  # refused for what it did itself
+    check_reference(Tests({}, [], {}), said.append)
+    with pytest.raises(TooFewSegments):
+        check_reference(Tests({}, [], {"00-00": result(), "00-01": result(reference=few)}), said.append)
+    assert said == ["why"]
