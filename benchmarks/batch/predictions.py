@@ -26,6 +26,8 @@ KEPT = 0.5
 shrink its bounds there)."""
 
 
+ORDER = "rank correlation at one speed, all"
+
 LEVEL = "\\* Over recordings at all speeds, as a share of what was measured at the slowest."
 """Below tables of the level: a line keeps errors over all recordings of a policy, and levels at one speed."""
 
@@ -57,28 +59,31 @@ def prediction(groups: Sequence[Group]) -> str:
             if model.objective == group.objective and model.held_out_r2 is not None
         ]
         total = sum(one for one, _ in found)
-        rank = spearman(*zip(*found, strict=True)) if len(found) > 1 else None
         rows.append(
             [
                 group.name,
                 str(len(found)),
                 number(sum(one for _, one in found) / total if total else None),
-                number(rank),
+                number(_rank([one for _, result in group.results for one in result.tried], group.objective)),
                 number(median(known) if known else None),
                 number(min(known) if known else None),
                 number(median(fits) if fits else None),
                 number(min(fits) if fits else None),
             ]
         )
-    head = ["method", "promises (a candidate at a speed)", "measured / predicted", "rank correlation, all"]
+    head = ["method", "promises (a candidate at a speed)", "measured / predicted", ORDER]
     head += ["rank of costs in a run, median", "lowest", "R² held out, median", "lowest"]
     return table(head, rows)
 
 
 def predicted(one: Tried, objective: str) -> list[tuple[float, float]]:
     """(predicted, measured) improvement at each speed that has both."""
+    return list(_by_speed(one, objective).values())
+
+
+def _by_speed(one: Tried, objective: str) -> dict[str, tuple[float, float]]:
     told, found = (one.predicted or {}).get(objective, {}), one.measured.get(objective, {})
-    return [(told[speed], found[speed]) for speed in told if speed in found]
+    return {speed: (told[speed], found[speed]) for speed in told if speed in found}
 
 
 def improvements(group: Group) -> dict[str, list[tuple[float, float]]]:
@@ -113,7 +118,8 @@ def calibration(groups: Sequence[Group]) -> str:
         every = np.array([pair for each in found.values() for pair in each])
         errors = {name: [float(np.mean([got - said for said, got in each]))] for name, each in found.items()}
         show, signed = differences(group.unit, signed=False), differences(group.unit)
-        ranks = [rank for each in found.values() if (rank := _rank(each)) is not None]
+        tried = _tried(group)
+        ranks = [rank for each in tried.values() if (rank := _rank(each, group.objective)) is not None]
         rows.append(
             [
                 group.name,
@@ -124,19 +130,19 @@ def calibration(groups: Sequence[Group]) -> str:
                 with_interval(population(errors), signed),
                 show(float(np.sqrt(((every[:, 1] - every[:, 0]) ** 2).mean()))),
                 number(median(ranks) if ranks else None),
-                number(_rank([tuple(pair) for pair in every.tolist()])),
+                number(_rank([one for each in tried.values() for one in each], group.objective)),
             ]
         )
     head = ["method", "realities", "promises", "measured / promised: median over realities, 95 %"]
     head += [f"under {KEPT:g} of it on", "measured less promised: mean, 95 %", "RMS"]
-    return table([*head, "rank correlation in a reality, median", "over all"], rows)
+    return table([*head, "rank correlation at one speed, in a reality: median", "over all"], rows)
 
 
 def failures(groups: Sequence[Group]) -> str:
     """Reality by reality, the worst-kept promises first: what the model saw of it before and after."""
     rows = []
     for group in groups:
-        found, known = improvements(group), doubts(group)
+        found, known, tried = improvements(group), doubts(group), _tried(group)
         shares = {name: _kept(each) for name, each in found.items()}
         for name in sorted(found, key=lambda one: np.inf if shares[one] is None else float(shares[one] or 0.0)):
             show, own = shown(group.unit), known.get(name, [])
@@ -150,7 +156,7 @@ def failures(groups: Sequence[Group]) -> str:
                     show(mean(told for told, _ in found[name])),
                     show(mean(got for _, got in found[name])),
                     number(shares[name]),
-                    number(_rank(found[name])),
+                    number(_rank(tried[name], group.objective)),
                     number(_lowest(runs, group.objective, "held_out_r2")),
                     number(_lowest(runs, group.objective, "elites_r2")),
                     _percent(off),
@@ -158,7 +164,14 @@ def failures(groups: Sequence[Group]) -> str:
                     number(off / said if off is not None and said else None),
                 ]
             )
-    head = ["method", "reality", "promised, mean", "measured, mean", "measured / promised", "rank correlation"]
+    head = [
+        "method",
+        "reality",
+        "promised, mean",
+        "measured, mean",
+        "measured / promised",
+        "rank correlation at one speed",
+    ]
     head += ["R² held out, lowest", "R² of the elites, lowest", "error of the level, RMS*", "its doubt, RMS*"]
     return f"{table([*head, 'error / doubt'], rows)}\n\n{LEVEL}"
 
@@ -218,8 +231,24 @@ def _kept(pairs: Sequence[tuple[float, float]]) -> float | None:
     return sum(got for _, got in pairs) / promised if promised > 0 else None
 
 
-def _rank(pairs: Sequence[tuple[float, ...]]) -> float | None:
-    return spearman(*zip(*pairs, strict=True)) if len(pairs) > 1 else None
+def _tried(group: Group) -> dict[str, list[Tried]]:
+    """reality -> all that were tried there."""
+    found: dict[str, list[Tried]] = {}
+    for line, result in group.results:
+        found.setdefault(line.reality, []).extend(result.tried)
+    return found
+
+
+def _rank(tried: Sequence[Tried], objective: str) -> float | None:
+    """Whether who was promised more saved more: at each speed by itself, mean over the speeds. How the speeds compare
+    among themselves is no part of it, since nobody has to choose between them. None where no speed has two."""
+    at: dict[str, list[tuple[float, float]]] = {}
+    for one in tried:
+        for speed, pair in _by_speed(one, objective).items():
+            at.setdefault(speed, []).append(pair)
+    ranks = [spearman(*zip(*pairs, strict=True)) for pairs in at.values() if len(pairs) > 1]
+    known = [rank for rank in ranks if rank is not None]
+    return mean(known) if known else None
 
 
 def _lowest(runs: Sequence[Result], objective: str, name: str) -> float | None:

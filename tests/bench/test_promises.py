@@ -8,7 +8,7 @@ from batch.ablation import ablation, difference
 from batch.curve import curve, median_curve, saved_at, staircase, staircases
 from batch.groups import groups_of
 from batch.lines import Doubt, Line, Model, Pair, Point
-from batch.predictions import calibration, doubt, failures, improvements
+from batch.predictions import calibration, doubt, failures, improvements, prediction
 from fake_lines import figures, line
 
 from hts.errors import EvaluationError
@@ -62,6 +62,21 @@ def test_how_much_of_what_was_promised_came():
     assert row[5].startswith("−17.5 points (")  # −10 and −25 on average
     assert row[6] == "21.8 points"  # sqrt((1 + 1 + 16 + 1) / 4) * 10
     assert row[7] == "0.00"  # +1 on one, −1 on the other
+
+
+def test_the_order_of_candidates_is_that_at_one_speed():
+    """Promised most at the speed where least is saved, and yet everybody's turn is right at each speed."""
+    told = [{"0.5": 0.1, "1.1": 0.5}, {"0.5": 0.2, "1.1": 0.6}, {"0.5": 0.3, "1.1": 0.7}]
+    came = [{"0.5": 0.7, "1.1": 0.1}, {"0.5": 0.8, "1.1": 0.2}, {"0.5": 0.9, "1.1": 0.3}]
+    (one,) = line("ours").result.tried
+    tried = [
+        one.model_copy(update={"id": f"00-{n:02d}", "predicted": {"power": said}, "measured": {"power": got}})
+        for n, (said, got) in enumerate(zip(told, came, strict=True))
+    ]
+    groups = groups_of([changed(line("ours"), tried=tried)])
+    assert row_of(calibration(groups), "ours")[7:] == ["1.00", "1.00"]
+    assert row_of(failures(groups), "ours", "dev-00")[5] == "1.00"
+    assert row_of(prediction(groups), "ours")[3] == "1.00"
 
 
 def test_where_the_model_fails_comes_first():
