@@ -305,6 +305,8 @@ def _check_enough(segments: Segments, role: str, speed: float, config: Evaluatio
         walked = "" if math.isnan(segments.walked) else f"; it went {segments.walked:.2f} m/s on average"
         rule = f"within ±{config.speed_tolerance:.0%} of the commanded speed{fell}{walked}"
         remedy = "check that it walks and that base_velocity is right."
+        if role == "reference" and not config.hold_speed and segments.walked > speed / 2:
+            remedy += " If it simply goes another speed than it is told, have commands trimmed: evaluation.hold_speed."
     else:
         mean = "" if math.isnan(segments.walked) else f"; {task.quantity} {segments.walked:.3g} {task.unit} on average"
         rule = f"the task was done in them{fell}{mean}"

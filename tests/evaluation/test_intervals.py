@@ -293,6 +293,19 @@ def test_a_reference_that_does_not_walk_is_why_nothing_can_be_said():
     result = candidate_result("c1", {"cost": OBJECTIVE}, recordings, QUICK)
     assert result.tested is None and result.refusal is None  # it says nothing about the candidate
     assert isinstance(result.reference, TooFewSegments) and "of the reference policy are valid" in result.refused
+    assert "evaluation.hold_speed" not in result.refused  # no command makes somebody walk who stands
+
+
+@pytest.mark.parametrize(("held", "advised"), [(False, True), (True, False)])
+def test_a_reference_that_goes_another_speed_may_be_trimmed(held, advised):
+    recordings = [
+        r if r.role == "policy" else known_recording([8.0] * 40, speed=0.7, block=r.block, role="reference")
+        for r in known_head_to_head(8.0, 10.0)
+    ]
+    config = QUICK.model_copy(update={"hold_speed": held})
+    with pytest.raises(TooFewSegments, match="it went 0.70 m/s on average") as found:
+        head_to_heads(OBJECTIVE, recordings, config)
+    assert ("have commands trimmed: evaluation.hold_speed" in str(found.value)) is advised
 
 
 # ------------------------------------------------------------------------------------------ hts evaluate
