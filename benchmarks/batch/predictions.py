@@ -26,8 +26,6 @@ KEPT = 0.5
 shrink its bounds there)."""
 
 
-ORDER = "rank correlation at one speed, all"
-
 LEVEL = "\\* Over recordings at all speeds, as a share of what was measured at the slowest."
 """Below tables of the level: a line keeps errors over all recordings of a policy, and levels at one speed."""
 
@@ -71,7 +69,7 @@ def prediction(groups: Sequence[Group]) -> str:
                 number(min(fits) if fits else None),
             ]
         )
-    head = ["method", "promises (a candidate at a speed)", "measured / predicted", ORDER]
+    head = ["method", "promises (a candidate at a speed)", "measured / predicted", "rank correlation at one speed, all"]
     head += ["rank of costs in a run, median", "lowest", "R² held out, median", "lowest"]
     return table(head, rows)
 
