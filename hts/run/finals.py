@@ -24,7 +24,7 @@ from hts.evaluation.final import (
 from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.recordings.recording import Recording
 from hts.run.front import PRETRAINED
-from hts.run.head_to_head import head_to_head, held_head_to_head
+from hts.run.head_to_head import ends_the_run, head_to_head, held_head_to_head
 from hts.run.job import Job
 from hts.run.stages import read_json, write_json
 
@@ -88,7 +88,7 @@ def final(job: Job, finalists: Sequence[str], report: Report) -> dict[str, Any]:
     if chosen.error is not None:  # so has everybody's
         for one in tried:
             if one.error is not None and one.error.role == "reference":
-                raise one.error
+                raise ends_the_run(one.error, job.world) from one.error
         return _stays(job, tried)
     if chosen is not tried[-1]:
         _as_best(job, chosen.policy)

@@ -1,13 +1,16 @@
-"""A policy and the pretrained one walk in turns at every speed: the final, and the best so far after an iteration."""
+"""A policy and the pretrained one walk in turns at every speed: the final, and the best so far after an iteration.
+
+And what a run says that ends because the pretrained one cannot be judged.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hts.contracts import HoldSpeed
+from hts.contracts import HoldSpeed, World
 from hts.evaluation.asked import asked, complete
 from hts.evaluation.final import speeds_missed
-from hts.evaluation.held import ask_to_hold
+from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.evaluation.walked_again import walked_again
 from hts.recordings.recording import Recording
 from hts.run.job import Job
@@ -45,3 +48,16 @@ def head_to_head(job: Job, policy: str, speeds: Sequence[float] = ()) -> list[Re
             f"World '{job.config.world.name}' makes a head-to-head once: one session, not {config.sessions}."
         )
     return complete(job.world, "head_to_head", asked(job.world, "head_to_head", *pair, speeds), speeds)
+
+
+def ends_the_run(why: NotComparable, world: World) -> NotComparable:
+    """What to raise where the reference is why nothing can be compared. A simulated world gives the same session for
+    the same request, so there going on helps nobody, and the error says so."""
+    if not world.simulated:
+        return why
+    return type(why)(
+        f"{why} `hts resume` would simulate the same session and end the same: begin a new run, with another --seed, "
+        "setting or policy.",
+        why.role,
+        why.numbers,
+    )

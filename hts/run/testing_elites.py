@@ -8,7 +8,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hts.config import EvaluationConfig
-from hts.contracts import Comparison, FineTuning, HoldSpeed, RacedCandidate, Rounds, Selector, Task, TestedCandidate
+from hts.contracts import (
+    Comparison,
+    FineTuning,
+    HoldSpeed,
+    RacedCandidate,
+    Rounds,
+    Selector,
+    Task,
+    TestedCandidate,
+    World,
+)
 from hts.contracts.task import FollowVelocity
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.asked import asked, complete_each
@@ -19,6 +29,7 @@ from hts.evaluation.walked_again import samples_of, walked_again
 from hts.measurement import files
 from hts.measurement.checks import check
 from hts.recordings.recording import Recording
+from hts.run.head_to_head import ends_the_run
 from hts.run.iteration import elites_of, simulated, tuned
 from hts.run.job import Job
 from hts.run.judging import fine_tuning
@@ -58,7 +69,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     if tests is None:  # this selector, or this world, knows no rounds
         tests = whole(job, elites, job.config.selection.tested_speeds, job.spent(iteration), report)
     else:
-        check_reference(tests, job.stages.progress.say)
+        check_reference(tests, job.world, job.stages.progress.say)
     ids = job.keep(tests.recorded, iteration + 1)
     tested = [found.tested for found in tests.results.values() if found.tested is not None]
     incumbent = [] if best == job.first else [tested_before(job, best)]  # nobody before the first success
@@ -94,11 +105,11 @@ def whole(
     vain = _again(job, of, spent, before)
     recorded = [recording for session in of.values() for recording in session] + vain
     tests = Tests(of, recorded, {elite: _result(job, elite, recordings) for elite, recordings in of.items()})
-    check_reference(tests, job.stages.progress.say)
+    check_reference(tests, job.world, job.stages.progress.say)
     return tests
 
 
-def check_reference(tests: Tests, say: Callable[[str], None]) -> None:
+def check_reference(tests: Tests, world: World, say: Callable[[str], None]) -> None:
     """Raise TooFewSegments if no trial gave a number and, in one of them, the reference itself kept too few seconds.
 
     Then nothing can be compared, and whoever stands beside the robot should look at it. Where another trial gave a
@@ -108,7 +119,7 @@ def check_reference(tests: Tests, say: Callable[[str], None]) -> None:
     comparable = any(found.tested is not None for found in results)
     for found in results:
         if found.reference is not None and not comparable:
-            raise found.reference
+            raise ends_the_run(found.reference, world) from found.reference
         if found.reference is not None:
             say(str(found.refused))
 

@@ -59,18 +59,63 @@ def test_nor_does_it_go_on_to_the_final_where_nobody_could_be_confirmed(tmp_path
         tiny_run(tmp_path / "run", settings={**TWO_TRIED, "selection.confirm": 2})
 
 
+def racing(monkeypatch, stands_beside):
+    """The world knows rounds, a short head-to-head of each that still races; the reference stands beside those whose
+    name `stands_beside` is true of. Gives the names of the first round."""
+    names = []
+
+    def head_to_head_round(self, policies, reference, speed, number, block_seconds):
+        names.extend(policy.stem for policy in policies if number == 0)
+        speeds = [speed] if isinstance(speed, float) else speed
+        rows = []
+        for policy in policies:
+            row, stands = self._head_to_head(policy, reference, speeds, block_seconds), stands_beside(policy.stem)
+            rows.append([stand(one) if one.role == "reference" and stands else one for one in row])
+        return rows
+
+    monkeypatch.setattr(KnownWorld, "head_to_head_round", head_to_head_round)
+    return names
+
+
+def test_a_race_in_which_it_stands_beside_one_elite_goes_on_with_the_other(tmp_path, monkeypatch):
+    names = racing(monkeypatch, lambda name: name == names[0])
+    with kit_installed():
+        run = tiny_run(tmp_path / "run", settings=TWO_TRIED, selector="racing")
+    (iteration,) = run.summary["iterations"]
+    first, second = (next(row for row in iteration["candidates"] if row["id"] in name) for name in names)
+    assert "segments of the reference policy are valid" in first["refused"] and not first["real"]
+    assert second["real"] and run.summary["final"]["policy"] == second["id"]
+
+
+def test_a_race_in_which_it_always_stands_ends_the_run(tmp_path, monkeypatch):
+    names = racing(monkeypatch, lambda name: True)
+    with kit_installed(), pytest.raises(TooFewSegments, match="segments of the reference policy are valid"):
+        tiny_run(tmp_path / "run", settings=TWO_TRIED, selector="racing")
+    assert len(names) == 2
+
+
+@pytest.mark.parametrize(("simulated", "said"), [(True, True), (False, False), (None, False)])
+def test_only_a_simulated_world_says_that_going_on_ends_the_same(tmp_path, monkeypatch, simulated, said):
+    standing_reference(monkeypatch, lambda number: True)
+    monkeypatch.setattr(KnownWorld, "simulated", simulated)
+    with kit_installed(), pytest.raises(TooFewSegments) as ended:
+        tiny_run(tmp_path / "run", settings=TWO_TRIED)
+    assert ("would simulate the same session and end the same" in str(ended.value)) is said
+    assert ended.value.role == "reference"
+
+
 def result(compared=False, reference=None):
     tested = TestedCandidate("00-00", {}, False) if compared else None
     return CandidateResult(None, tested, None if compared else "why", reference=reference)
 
 
-def test_a_trial_that_gave_a_number_says_that_the_reference_can_walk():
+def test_a_trial_that_gave_a_number_says_that_the_reference_can_walk(hts_known_world):
     few = TooFewSegments("few", "reference")
-    said = []
-    check_reference(Tests({}, [], {"00-00": result(compared=True), "00-01": result(reference=few)}), said.append)
+    said, world = [], hts_known_world
+    check_reference(Tests({}, [], {"00-00": result(compared=True), "00-01": result(reference=few)}), world, said.append)
     assert said == ["why"]
-    check_reference(Tests({}, [], {"00-00": result()}), said.append)  # refused for what it did itself
-    check_reference(Tests({}, [], {}), said.append)
+    check_reference(Tests({}, [], {"00-00": result()}), world, said.append)  # refused for what it did itself
+    check_reference(Tests({}, [], {}), world, said.append)
     with pytest.raises(TooFewSegments):
-        check_reference(Tests({}, [], {"00-00": result(), "00-01": result(reference=few)}), said.append)
+        check_reference(Tests({}, [], {"00-00": result(), "00-01": result(reference=few)}), world, said.append)
     assert said == ["why"]
