@@ -252,8 +252,8 @@ def _notes(
         notes["empty_rows_dropped"] = str(empty)
     if any(dropped.values()):
         notes["rows_outside_limits_dropped"] = ", ".join(f"{name} {count}" for name, count in dropped.items() if count)
-    missing = {name: one.missing - dropped[name] for name, one in samples.items()}
-    filled = [f"{name} {count}" for name, count in missing.items() if count]
+    inside = {name: int(((one.left_out > grid[0]) & (one.left_out < grid[-1])).sum()) for name, one in samples.items()}
+    filled = [f"{name} {count - dropped[name]}" for name, count in inside.items() if count > dropped[name]]
     if filled:
         notes["incomplete_rows_filled"] = ", ".join(filled)
     lines = {name: interpolated(one, grid, log.rate_hz) for name, one in samples.items()}
@@ -261,6 +261,11 @@ def _notes(
         notes["samples_interpolated_in_gaps"] = ", ".join(f"{name} {count}" for name, count in lines.items() if count)
     if grid[0] > 0:
         notes["starts_after_first_stamp"] = f"{grid[0]:.6f} s"
+    last = {name: max([one.times[-1], *one.left_out]) for name, one in samples.items()}
+    lost = max(last.values()) - grid[-1]
+    if lost > 1.0 / log.rate_hz:
+        first = min(samples, key=lambda name: samples[name].times[-1])
+        notes["ends_before_last_stamp"] = f"{lost:.6f} s ('{first}' ends first)"
     return notes
 
 

@@ -25,7 +25,7 @@ class Samples:
     """What a log holds of one channel, rows that hold no whole sample left out.
 
     times: (rows,) s, increasing; values: (rows, k), as in the log; where: begins every message, such as the file;
-    columns: where in it the channel is, for messages; missing: how many rows were left out;
+    columns: where in it the channel is, for messages; left_out: times of the rows that were, s;
     holes: name of each component's column -> times of the rows in which it has no number, (h,) s, for messages.
     Made by `samples_of`, which checks them.
     """
@@ -35,7 +35,7 @@ class Samples:
     values: np.ndarray
     where: str
     columns: str = ""
-    missing: int = 0
+    left_out: np.ndarray = field(default_factory=lambda: np.empty(0))
     holes: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
@@ -92,7 +92,7 @@ def samples_of(
     if len(components) == values.shape[1]:
         missing = ((one, times[~np.isfinite(column)]) for one, column in zip(components, values.T, strict=True))
         holes = {one: when for one, when in missing if len(when)}
-    return Samples(name, times[there], values[there], where, columns, int((~there).sum()), holes)
+    return Samples(name, times[there], values[there], where, columns, times[~there], holes)
 
 
 def common_grid(samples: Mapping[str, Samples], rate_hz: float, max_gap_seconds: float = 0.1) -> np.ndarray:

@@ -24,7 +24,7 @@ from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
-from hts.worlds.field_logs import check_all_differ, check_ran, check_weighed, described
+from hts.worlds.field_logs import FOLDER, check_all_differ, check_ran, check_weighed, described
 from hts.worlds.field_manifest import Facts, run_configuration
 
 
@@ -213,7 +213,7 @@ class FieldWorld(World):
         registry = self._registry
         card = DeployedPolicy(order.policy).card
         mapping, where = described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
-        check_weighed(where, mapping)
+        check_weighed(self._mapping_path(), mapping)
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
         check_ran(where, facts, card, order.policy.name)
         facts |= {
@@ -228,10 +228,12 @@ class FieldWorld(World):
             recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)
         except ConfigError as error:
             raise ConfigError(f"{where}: {error}") from error
-        if abs(recording.seconds - order.schedule.seconds) > 0.1 * order.schedule.seconds:
+        longer = recording.seconds - order.schedule.seconds
+        if abs(longer) > 0.1 * order.schedule.seconds and not (longer < 0 and recording.fell):
             raise RecordingError(
                 f"{files[0]}: {recording.seconds:.1f} s long, but {order.schedule.seconds:g} s were to be recorded. "
-                "Cut the log to the block it belongs to, or record it again."
+                "Cut the log to the block it belongs to, or record it again; if the robot fell there, say "
+                f"recording.fell: true in the log's own mapping, logs/{FOLDER}/{order.name}.yaml."
             )
         if self._hold is not None and order.role != "collection":
             return field_holding.held(files, recording, self._hold, order.trim)

@@ -13,6 +13,8 @@ from hts.errors import ConfigError, RecordingError
 from hts.recordings.recording import Recording
 
 SPEED_CHANNEL = "base_velocity"
+FELL_WHILE_TRIMMED = "fell_while_trimmed"
+"""Note of a log that holds the trimming in which the robot fell: no command had been frozen yet."""
 STEADY = 0.005  # m/s: a command that moves by more than a joystick's and a log's resolution was not frozen
 SENSOR = (
     "a sensor of the trunk's speed that is good to 1 % on average: motion capture, a camera above the track, or a "
@@ -48,8 +50,8 @@ def check_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
 def held(files: Sequence[Path], recording: Recording, hold: HoldSpeed, trimmed: bool) -> Recording:
     """The recording of a block with its notes of the held speed, read from its channel `command`.
 
-    trimmed: whether this block's policy was trimmed just before. Raises RecordingError, one line, if the command was
-    not frozen, left its range, or was not logged.
+    trimmed: whether this block's policy was trimmed just before. A log that notes FELL_WHILE_TRIMMED holds that alone.
+    Raises RecordingError, one line, if the command was not frozen, left its range, or was not logged.
     """
     path, asked = files[0], recording.schedule.commands[0].vx
     for name in ("command", SPEED_CHANNEL):
@@ -57,6 +59,9 @@ def held(files: Sequence[Path], recording: Recording, hold: HoldSpeed, trimmed: 
             raise RecordingError(f"{path}: has no channel '{name}', without which no held speed can be checked.")
     sent = np.asarray(recording.channels["command"].values)[:, 0]
     command, moved = float(np.median(sent)), float(sent.max() - sent.min())
+    if FELL_WHILE_TRIMMED in recording.notes:
+        notes = {"held_command": repr(command), "held_saturated": "false", "unrecorded_seconds": "0"}
+        return recording.replace(notes={**recording.notes, **notes})
     if moved > 2 * STEADY:
         raise RecordingError(
             f"{path}: the command moves between {sent.min():.3f} and {sent.max():.3f} m/s, but it was to be frozen for "
@@ -81,7 +86,7 @@ def check_one_command(recordings: Sequence[Recording]) -> None:
     """Raise RecordingError if a policy's blocks at one speed of one session had different commands."""
     first: dict[tuple[str, str, float], float] = {}
     for recording in recordings:
-        if "held_command" not in recording.notes:
+        if "held_command" not in recording.notes or FELL_WHILE_TRIMMED in recording.notes:
             continue
         asked, command = recording.schedule.commands[0].vx, float(recording.notes["held_command"])
         known = first.setdefault((recording.session, recording.role + recording.policy_hash, asked), command)

@@ -1,7 +1,8 @@
 """Logs that describe themselves: a runtime writes `logs/mappings/NAME.yaml` beside `logs/NAME.csv`.
 
 It says which column is which channel, the clock, the gains and the policy that ran. What only a person knows, the
-robot's mass and an idle level measured by hand, comes from the run's own mapping and wins where it is there.
+robot's mass and an idle level measured by hand, comes from the run's own mapping and wins where it is there. What else
+the run's own says would be of no use there, so it is refused rather than passed over.
 """
 
 from __future__ import annotations
@@ -23,19 +24,36 @@ FOLDER = "mappings"
 
 def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> tuple[dict[str, Any], Path]:
     """The mapping of one log and where it lies: that beside it, completed by the run's own; the run's own if there is
-    none."""
+    none. Raises RecordingError where the run's own tells of a second file, or of a level of a channel that is not in
+    the log: see `_check_one_file`."""
     path = logs / FOLDER / f"{name}.yaml"
     if not path.is_file():
         return dict(own), own_path
     mapping = load_mapping(path)
     channels = dict(mapping.get("channels") or {})
+    _check_one_file(path, channels, own, own_path)
     for channel, one in dict(own.get("channels") or {}).items():
         level = one.get("idle") if isinstance(one, Mapping) else None
         if level is not None and isinstance(channels.get(channel), Mapping):
             channels[channel] = {**channels[channel], "idle": level}
-    facts = dict(mapping.get("recording") or {})
-    facts |= {key: value for key, value in dict(own.get("recording") or {}).items() if value is not None}
+    facts, stated = dict(mapping.get("recording") or {}), dict(own.get("recording") or {})
+    facts |= {key: value for key, value in stated.items() if value is not None or key not in facts}
     return {**mapping, "channels": channels, "recording": facts}, path
+
+
+def _check_one_file(path: Path, channels: Mapping[str, Any], own: Mapping[str, Any], own_path: Path) -> None:
+    """Raise RecordingError if the run's own mapping tells of a sensor that the mapping beside the log knows nothing
+    of: then one of the two has to describe all of it."""
+    what = [f"`{key}`" for key in ("files", "join") if own.get(key)]
+    for channel, one in dict(own.get("channels") or {}).items():
+        if channel not in channels and isinstance(one, Mapping) and one.get("idle") is not None:
+            what.append(f"an idle level of '{channel}'")
+    if what:
+        raise RecordingError(
+            f"{own_path}: says {' and '.join(what)}, but the log has a mapping of its own, {path}, which knows of no "
+            "such thing and is what counts. Put the other sensor's files beside the log and describe them there, or "
+            f"describe everything in {own_path.name} and delete {path.parent}."
+        )
 
 
 def check_ran(where: Path, facts: Mapping[str, Any], card: SimpleNamespace, policy: str) -> None:
@@ -56,7 +74,8 @@ def check_ran(where: Path, facts: Mapping[str, Any], card: SimpleNamespace, poli
 
 
 def check_weighed(where: Path, mapping: Mapping[str, Any]) -> None:
-    """Raise RecordingError if the mass, which the template leaves to be filled in, is still empty."""
+    """Raise RecordingError if the mass, which the template leaves to be filled in, is still empty. where: of the
+    mapping."""
     facts = mapping.get("recording")
     if isinstance(facts, Mapping) and "mass_kg" in facts and facts["mass_kg"] is None:
         raise RecordingError(

@@ -382,3 +382,18 @@ def test_another_delimiter_is_told(tmp_path: Path, between: str, said: str) -> N
     with pytest.raises(RecordingError, match="Expected 1 columns") as refused:
         read(file, a_mapping())
     assert f'say delimiter: "{said}". If numbers have a decimal comma, say decimal: "," too.' in str(refused.value)
+
+
+def test_a_channel_that_dies_ends_the_recording_and_the_notes_say_what_that_cost(tmp_path: Path) -> None:
+    rows = [f"{20 * i},{i / 10},{-i / 10},{-1000 * i}" for i in range(100)]
+    rows[20] = "400,2,-2,"
+    rows[40:] = [f"{20 * i},{i / 10},{-i / 10}," for i in range(40, 100)]  # the supply's logger has stopped
+    recording = read(a_log(tmp_path, rows), a_mapping())
+    assert recording.num_samples == 40
+    assert recording.notes["ends_before_last_stamp"] == "1.200000 s ('draw' ends first)"
+    assert recording.notes["incomplete_rows_filled"] == "draw 1"  # those after the end are not filled, they are gone
+
+
+def test_a_log_whose_channels_end_together_says_nothing_of_it(tmp_path: Path) -> None:
+    recording = read(a_log(tmp_path, [f"{20 * i},{i},{-i},{-1000 * i}" for i in range(10)]), a_mapping())
+    assert "ends_before_last_stamp" not in recording.notes

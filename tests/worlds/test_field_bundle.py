@@ -130,3 +130,54 @@ def test_a_log_that_describes_itself_needs_no_filled_in_mapping(run, policy, rob
     (found,) = field(run).collect([policy], walking(0.5, SECONDS))
     assert found.idle == {"battery_current": 1.3, "battery_voltage": 23.0}
     assert found.mass_kg == 13.2
+
+
+@pytest.fixture
+def self_described(run, policy, robot):
+    """described(change): a log beside which lies a mapping, changed by change(mapping); then the world is asked."""
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    mapping = yaml.safe_load((run / "field" / "mapping.yaml").read_text())
+    mapping["channels"]["battery_current"]["idle"] = 1.1
+    mapping["channels"]["battery_voltage"]["idle"] = 23.5
+    mapping["recording"] = {"mass_kg": 12.5}
+    place = bundle(run) / "logs" / "mappings" / "00.yaml"
+    place.parent.mkdir()
+
+    def described(change=lambda mapping: None, seconds=SECONDS):
+        change(mapping)
+        place.write_text(yaml.safe_dump(mapping))
+        write_log(bundle(run) / "logs" / "00.csv", robot, seconds)
+        return field(run).collect([policy], walking(0.5, SECONDS))[0]
+
+    return described
+
+
+def test_an_empty_mass_of_the_runs_own_mapping_is_asked_for_beside_a_log_that_does_not_know_it(run, self_described):
+    with pytest.raises(RecordingError, match=r"field/mapping.yaml: recording.mass_kg is still empty"):
+        self_described(lambda mapping: mapping["recording"].pop("mass_kg"))
+    fill_in(run)
+    assert self_described().mass_kg == 13.2
+
+
+@pytest.mark.parametrize("key", ["files", "level"])
+def test_another_sensor_in_the_runs_own_mapping_is_refused_rather_than_passed_over(run, self_described, key):
+    path = run / "field" / "mapping.yaml"
+    own = yaml.safe_load(path.read_text())
+    if key == "files":
+        own["files"] = {"state": "00.csv", "gauge": "*gauge*"}
+    else:
+        own["channels"]["sound_level"] = {"columns": "level", "unit": "dB", "idle": 38.0}
+    path.write_text(yaml.safe_dump(own))
+    said = "`files`" if key == "files" else "an idle level of 'sound_level'"
+    with pytest.raises(RecordingError, match=rf"field/mapping.yaml: says {said}, but the log has a mapping of its own"):
+        self_described()
+
+
+def test_a_log_that_ends_in_a_fall_may_be_shorter_than_its_row(self_described):
+    with pytest.raises(RecordingError, match=r"1.0 s long, but 3 s were to be recorded.*recording.fell: true in"):
+        self_described(seconds=1.0)
+    found = self_described(lambda mapping: mapping["recording"].update(fell=True), seconds=1.0)
+    assert found.fell and found.seconds == pytest.approx(1.0, abs=0.05)
+    with pytest.raises(RecordingError, match=r"5.0 s long, but 3 s were to be recorded"):
+        self_described(seconds=5.0)

@@ -12,6 +12,7 @@ import yaml
 from field_folder import HOLD, SECONDS, bundle, field, fill_in, holding, write_log
 
 from hts.errors import ConfigError, RecordingError, WaitingForRobot
+from hts.evaluation.final import falls_by_speed
 from hts.worlds.base import walking
 
 
@@ -99,3 +100,21 @@ def test_a_round_at_two_speeds_is_one_bundle(run, policy, robot):
     assert [r.schedule.commands[0].vx for r in row] == [0.5] * 4 + [0.8] * 4
     assert [r.role for r in row] == ["reference", "policy", "policy", "reference"] * 2
     assert len({r.session for r in row}) == 2
+
+
+def test_a_fall_while_a_command_was_trimmed_counts_and_is_no_frozen_command(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        holding(run).head_to_head(policy, policy, [0.8])
+    fill_in(run)
+    logs = bundle(run) / "logs"
+    for number, command in enumerate([0.82, np.linspace(0.8, 0.9, 50), 0.85, 0.82]):
+        seconds = SECONDS if number != 1 else 1.0
+        write_log(logs / f"{number:02d}.csv", robot, seconds, command=command)
+    beside = yaml.safe_load((run / "field" / "mapping.yaml").read_text())
+    beside["recording"] = {"mass_kg": 12.5, "fell": True, "notes": {"fell_while_trimmed": "true"}}
+    (logs / "mappings").mkdir()
+    (logs / "mappings" / "01.yaml").write_text(yaml.safe_dump(beside))
+    recordings = holding(run).head_to_head(policy, policy, [0.8])
+    assert [recording.fell for recording in recordings] == [False, True, False, False]
+    assert falls_by_speed(recordings, robot.task()) == {"0.8": 1}
+    assert recordings[1].robot_samples == 50  # it is the trimming

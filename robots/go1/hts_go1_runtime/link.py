@@ -115,7 +115,7 @@ class Link(ABC):
 
     @abstractmethod
     def send(self, command: Command) -> None:
-        """Send now. May be called from another thread than `wait`."""
+        """Send now. May be called from another thread than `wait`. An OSError stops the robot as a lost link."""
 
     def hello(self) -> None:  # noqa: B027 - most robots talk unasked
         """Ask a far side that says nothing to begin."""

@@ -133,11 +133,11 @@ class RowLog:
         self._queue.put([*row, *noted])
         self.rows += 1
 
-    def closing(self, whole: bool = True) -> threading.Event:
+    def closing(self, whole: bool = True, described: str = "") -> threading.Event:
         """No more rows come: set once all is on the disk, and the file has its name if it is whole. A disk that refuses
-        is tried until then; `fault` says so meanwhile."""
+        is tried until then; `fault` says so meanwhile. described: a mapping that takes the place of the first."""
         if not self._closed:
-            self._closed, self._whole = True, whole
+            self._closed, self._whole, self._at_last = True, whole, described
             self._queue.put(None)
         return self._done
 
@@ -201,6 +201,8 @@ class RowLog:
         """The mapping is there already, so whoever sees the log sees what it is."""
         if not self._whole or self._target.exists():
             return
+        if self._at_last:
+            write_whole(self._mapping, self._at_last)
         self._partial.replace(self._target)
         folder = os.open(self._target.parent, os.O_RDONLY)
         try:

@@ -79,6 +79,8 @@ class Loop:
         """
         self._due += self.period
         self._alarm = self._due + self.limits.late
+        if not self.link.simulated and self.link.now() >= self._due - CLOSE:  # late: no reason not to look
+            self.look(self.link.now())
         while self.link.now() < self._due - CLOSE:
             self.look(self._due)
         began, clock = time.perf_counter(), self.link.now()
@@ -121,19 +123,21 @@ class Loop:
         raise self._stopped
 
     def brake(self, reason: str, detail: str) -> None:
-        """`stop` for other threads and signals: raises nothing; the loop finds out at its next look."""
+        """`stop` for other threads and signals: raises nothing; the loop finds out at its next look. A line that
+        refuses the damping command undoes no stop: `damp` goes on trying."""
         with self._lock:
             if self._stopped is None:
-                self.link.send(DAMPING)
-                self.stopped_at = self.link.now()
                 self._stopped = Stopped(reason, detail)
+                with contextlib.suppress(OSError):
+                    self.link.send(DAMPING)
+                self.stopped_at = self.link.now()
 
     def damp(self, seconds: float) -> None:
         """Repeat the damping command, whatever the states say."""
         self._alarm = np.inf
         end = self.link.now() + seconds
         while self.link.now() < end:
-            with self._lock:
+            with self._lock, contextlib.suppress(OSError):
                 self.link.send(DAMPING)
             due = self.link.now() + self.period
             while self.link.now() < due:
@@ -163,7 +167,10 @@ class Loop:
         with self._lock:
             if self._stopped is not None:
                 raise self._stopped
-            self.link.send(command)
+            try:
+                self.link.send(command)
+            except OSError as error:
+                self.stop("lost link", f"a command could not be sent ({error.strerror or error})")
 
     def _watchdog(self) -> None:
         """Brakes if a step is not done long after it was due."""

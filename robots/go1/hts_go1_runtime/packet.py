@@ -5,7 +5,10 @@ STATE    q dq tau (12 f32 each), quaternion 4, gyro 3, acc 3, foot force 4, velo
          temperature 12; NaN: not measured
 COMMAND  q kp kd (12 f32 each)
 TICK     nothing: in lockstep the simulation's clock is now `stamp`; it waits for a DONE with that sequence
-DONE     nothing
+DONE     nothing; with the sequence 0xFFFFFFFF it is a greeting
+
+Commands are numbered from 1 by each runtime, and the far side drops one that is older than the newest it has. A
+greeting from another address than before is another runtime: from then on the far side counts anew.
 """
 
 from __future__ import annotations

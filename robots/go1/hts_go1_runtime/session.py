@@ -14,6 +14,7 @@ import numpy as np
 
 from hts_go1_runtime.bundle import Bundle, Row
 from hts_go1_runtime.errors import RuntimeFault, Stopped
+from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
 from hts_go1_runtime.link import DAMPING, NOTHING, Command, Link, State
 from hts_go1_runtime.log import REAL, Events, RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import Loop
@@ -26,6 +27,7 @@ STAND_KP, STAND_KD = np.full(12, 40.0), np.full(12, 1.0)
 FAR = 0.6  # rad: from further away the robot folds its legs before it stands up
 UP_SECONDS, DOWN_SECONDS, STAND_SECONDS, LETTING_GO = 2.0, 2.0, 1.0, 1.0
 DAMP_SECONDS = 1.0  # of repeated damping commands after a stop, in case some are lost
+IDLE_AGREES = 0.03  # of the level: a larger difference before and after a visit is something else that draws
 
 
 @dataclass(frozen=True)
@@ -63,13 +65,14 @@ class Session:
         confirm(self._summary(rows))
         self.loop.resume()
         try:
-            self._measure_idle()
+            self._idle = self._measure_idle("idle")
             self._stand_up()
             try:
                 self._walk_rows(rows)
             finally:
                 if not isinstance(sys.exception(), Stopped):
                     self._sit_down()
+            self._idle_again()
         except Stopped as stopped:
             self.events.say("stopped", reason=stopped.reason, detail=stopped.detail)
             raise
@@ -128,7 +131,7 @@ class Session:
             + "The robot will stand up and walk. Is everybody clear?"
         )
 
-    def _measure_idle(self) -> None:
+    def _measure_idle(self, what: str) -> dict[str, float]:
         """Idle levels: electronics on, motors idle."""
         seen: dict[str, list[float]] = {name: [] for name in REAL if name in self._channels}
         for _ in range(round(self.options.idle_seconds / self.loop.period)):
@@ -136,9 +139,23 @@ class Session:
             for name, value in (("battery_current", state.current), ("battery_voltage", state.voltage)):
                 if name in seen:
                     seen[name].append(value)
-        self._idle = {name: float(np.mean(values)) for name, values in seen.items() if values}
-        if self._idle:
-            self.events.say("idle", **{name: round(level, 3) for name, level in self._idle.items()})
+        levels = {name: float(np.mean(values)) for name, values in seen.items() if values}
+        if levels:
+            self.events.say(what, **{name: round(level, 3) for name, level in levels.items()})
+        return levels
+
+    def _idle_again(self) -> None:
+        """The levels once more after a visit that recorded something: the logs state those of before it. The voltage
+        sinks by itself as the pack is used, so the current tells."""
+        if self.options.first_run:
+            return
+        before, after = (one.get("battery_current") for one in (self._idle, self._measure_idle("idle after")))
+        if before is not None and after is not None and abs(after - before) > IDLE_AGREES * abs(before):
+            self.events.say(
+                "the idle current has changed: something else draws, find it and record again",
+                before=round(before, 3),
+                after=round(after, 3),
+            )
 
     def _stand_up(self) -> None:
         start = self.loop.state.q.copy()
@@ -216,8 +233,11 @@ class Session:
             for command in commands:
                 self._step(policy, command, log)
                 self._complain([log, *(one for one, _ in self._open)])
-        except (Stopped, RuntimeFault):
-            self._left.append(log)
+        except (Stopped, RuntimeFault) as ended:
+            if fell(ended, row, log.rows):
+                self._fallen(log, row)
+            else:
+                self._left.append(log)
             raise
         log.closing()
         self._open.append((log, row))
@@ -229,12 +249,26 @@ class Session:
         trimming = Trimming(row.commands[0][1], hold.commands, hold.seconds, self.loop.period)
         self._wanted_heading = None
         policy.start()
-        for _ in range(round(hold.seconds / self.loop.period)):
-            state = self._step(policy, np.array([trimming.command, 0.0, 0.0]), None)
-            trimming.see(float(state.velocity[0]))
+        walked = Walked(round(row.seconds / self.loop.period))
+        try:
+            for _ in range(round(hold.seconds / self.loop.period)):
+                state = self._step(policy, np.array([trimming.command, 0.0, 0.0]), walked)
+                trimming.see(float(state.velocity[0]))
+        except Stopped as stopped:
+            if fell(stopped, row, len(walked)):
+                log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
+                walked.into(log)
+                self._fallen(log, row, **{WHILE_TRIMMED: "true"})
+            raise
         command, saturated = trimming.found()
         self.events.say("trimmed", log=row.log, asked=row.commands[0][1], command=round(command, 4), at_limit=saturated)
         return command, saturated
+
+    def _fallen(self, log: RowLog, row: Row, **notes: str) -> None:
+        """Keep what was walked until a fall as the row's log."""
+        log.closing(described=self._described(row, fell=True, **notes))
+        self._open.append((log, row))
+        self.events.say("fell: kept as this row's log; to walk the row again, move the log away", log=row.log)
 
     def _stroll(self, policy: Policy, command: Sequence[float], seconds: float) -> None:
         """Walk without recording."""
@@ -243,7 +277,7 @@ class Session:
         for _ in range(round(seconds / self.loop.period)):
             self._step(policy, np.array(command, float), None)
 
-    def _step(self, policy: Policy, asked: np.ndarray, log: RowLog | None) -> State:
+    def _step(self, policy: Policy, asked: np.ndarray, log: RowLog | Walked | None) -> State:
         """One control step of a policy; recorded if there is a log."""
         given: dict[str, Any] = {}
 
@@ -289,7 +323,7 @@ class Session:
 
     # ------------------------------------------------------------------------------------------ the log
 
-    def _described(self, row: Row) -> str:
+    def _described(self, row: Row, fell: bool = False, **notes: str) -> str:
         """The mapping beside a log."""
         policy = self.bundle.policies[row.policy]
         keys = ("seconds", "vx", "vy", "yaw_rate")
@@ -305,7 +339,9 @@ class Session:
             "notes": {
                 "unsteady_seconds": f"{self.bundle.manifest['control']['unsteady_seconds']:g}",
                 "recorded_by": "hts_go1_runtime",
+                **notes,
             },
+            **({"fell": True} if fell else {}),
         }
         if self.options.mass_kg is not None:
             facts["mass_kg"] = self.options.mass_kg

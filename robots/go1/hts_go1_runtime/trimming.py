@@ -2,13 +2,20 @@
 
 u <- clip(u + k (v* - v) dt, limits)        once the change of policy and speed has settled
 u* = mean(u) + (v* - mean(v))               over the last part: where the loop was heading when it was cut
+
+A step without a measured speed changes nothing; a sensor that is silent for longer ends the visit.
 """
 
 from __future__ import annotations
 
+import math
+
+from hts_go1_runtime.errors import RuntimeFault
+
 GAIN = 1.0  # k, 1/s
 SETTLING = 2.0  # s, at most a quarter of the stretch
 FINDING = 2.5  # s after settling until the loop has found its level
+BLIND = 0.5  # s without a measured speed: a command that is turned on after that is turned blindly
 
 
 class Trimming:
@@ -20,9 +27,22 @@ class Trimming:
         self._settling = min(SETTLING, seconds / 4)
         self._begin = min(self._settling + FINDING, seconds / 2)
         self._elapsed, self._sent, self._walked, self._count = 0.0, 0.0, 0.0, 0
+        self._blind = 0.0
 
     def see(self, speed: float) -> None:
-        """The measured speed forward of a step, m/s: changes `command`."""
+        """The measured speed forward of a step, m/s, NaN where the sensor missed it: changes `command`.
+
+        Raises RuntimeFault if nothing was measured for longer than BLIND.
+        """
+        if not math.isfinite(speed):
+            self._elapsed, self._blind = self._elapsed + self._period, self._blind + self._period
+            if self._blind > BLIND:
+                raise RuntimeFault(
+                    f"The sensor of the trunk's speed has given nothing for {BLIND:g} s while a command was trimmed. "
+                    "See that it sees the robot all along the track, then run the same again."
+                )
+            return
+        self._blind = 0.0
         if self._elapsed >= self._begin:
             self._sent, self._walked, self._count = self._sent + self.command, self._walked + speed, self._count + 1
         if self._elapsed >= self._settling:

@@ -100,6 +100,8 @@ class UdpLink(Link):
                 return states
             except ConnectionRefusedError:  # nobody there yet, or no longer: silence says so soon enough
                 continue
+            except OSError:  # no way there any more: the same
+                return states
             packet = unpack(data)
             if packet is None:
                 self.counts.broken += 1
@@ -122,5 +124,5 @@ class UdpLink(Link):
     def _send(self, data: bytes) -> None:
         try:
             self._socket.send(data)
-        except (ConnectionRefusedError, BlockingIOError):
+        except OSError:  # nobody there, a full buffer, a cable that was pulled: silence stops the robot
             self.counts.extra["unsent"] = self.counts.extra.get("unsent", 0) + 1

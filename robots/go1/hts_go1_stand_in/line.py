@@ -85,8 +85,10 @@ class Line:
             packet = unpack(data)
             if packet is None:
                 continue
-            self._partner, self.heard = sender, time.monotonic()
             kind, sequence = packet[:2]
+            if kind == DONE and sequence == HELLO and sender != self._partner:  # another runtime, which counts from 1
+                self._newest, self._in = -1, []
+            self._partner, self.heard = sender, time.monotonic()
             if kind == DONE and sequence != HELLO:
                 self._finished = sequence
             elif kind == COMMAND:

@@ -148,6 +148,51 @@ def test_trimming_is_the_twins():
     assert ours.found() == (pytest.approx(expected.command), expected.saturated)
 
 
+def test_a_speed_that_was_missed_for_a_moment_changes_no_command():
+    trimming = Trimming(0.8, (0.2, 1.5), 12.0, 0.02)
+    for number in range(600):
+        trimming.see(float("nan") if number % 50 < 20 else 0.75)  # 0.4 s of each second
+        assert 0.8 <= trimming.command <= 1.5
+    command, at_limit = trimming.found()
+    assert command == pytest.approx(trimming.command + 0.05, abs=0.3) and not at_limit
+
+
+def test_a_sensor_that_is_silent_while_a_command_is_trimmed_ends_the_visit_sitting(bundle):
+    import dataclasses
+
+    def blind(state):
+        return dataclasses.replace(state, velocity=np.full(3, np.nan)) if state.stamp > 5.0 else state
+
+    link = scripted.ScriptedLink(blind)
+    link.speed = 0.55
+    found = session(bundle, link)
+    with pytest.raises(RuntimeFault, match=r"has given nothing for 0.5 s while a command was trimmed"):
+        found.run()
+    assert "sat down" in [one["what"] for one in events(bundle, found)]
+    assert all(np.isfinite(command.q).all() for _, command in link.sent)
+
+
+def test_an_idle_current_that_is_another_after_the_visit_is_said(bundle):
+    import dataclasses
+
+    link = scripted.ScriptedLink(
+        lambda state: dataclasses.replace(state, current=state.current + 0.5) if state.stamp > 12.0 else state
+    )
+    found = session(bundle, link)
+    found.run()
+    said = {one["what"]: one for one in events(bundle, found)}
+    changed = next(one for what, one in said.items() if what.startswith("the idle current has changed"))
+    assert changed["after"] - changed["before"] == pytest.approx(0.5, abs=0.2)
+
+
+def test_an_idle_current_that_stays_is_measured_again_and_not_worth_a_word(bundle):
+    found = session(bundle, scripted.ScriptedLink())
+    found.run()
+    said = [one["what"] for one in events(bundle, found)]
+    assert said.index("idle") < said.index("row") < said.index("sat down") < said.index("idle after")
+    assert not [what for what in said if what.startswith("the idle current has changed")]
+
+
 def test_steps_are_rounded_in_total():
     assert len(steps_of([(0.29, 0.5, 0.0, 0.0)] * 100, 50.0)) == 1450
     assert steps_of([(0.04, 0.5, 0.1, 0.2)], 50.0).tolist() == [[0.5, 0.1, 0.2]] * 2

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from hts.recordings.mapping import load_mapping
 from hts.recordings.reading import read_log
 from hts_go1_runtime.link import NOTHING, Command
 from hts_go1_runtime.machine import STAND
+from hts_go1_runtime.udp import UdpLink
 from hts_go1_stand_in.body import FIRMWARE_PATIENCE, STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
 
@@ -67,6 +69,26 @@ def test_a_line_loses_and_delays_the_shares_it_is_told_to():
     assert len(late) / 5000 == pytest.approx(0.18, abs=0.02)  # of those that are not lost
     assert 0 < min(late) < max(late) <= 0.01
     line._socket.close()
+
+
+def test_a_second_runtime_is_heard_from_its_first_command_on():
+    line, numbers = Line(0, 0.0, 0.0, 0.0, 0), []
+    for stated in (30.0, 40.0):  # each a process of its own, which counts from 1
+        link = UdpLink(f"udp://127.0.0.1:{line.port}")
+        for _ in range(5):
+            link.send(Command(STAND, np.full(12, stated), np.ones(12)))
+        end = time.monotonic() + 5.0
+        heard = []
+        while len(heard) < 5 and time.monotonic() < end:
+            heard += line.commands(0.0, 0.1)
+        numbers.append([one[12] for one in heard])
+        link.hello()  # the same runtime again: what it sent before stays sent
+        link._sequence = 0
+        link.send(Command(STAND, np.full(12, 99.0), np.ones(12)))
+        assert line.commands(0.0, 0.2) == []
+        link.close()
+    line._socket.close()
+    assert numbers == [[30.0] * 5, [40.0] * 5]
 
 
 def visit(bundle: Path, *options: str) -> None:

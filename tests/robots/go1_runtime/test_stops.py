@@ -193,6 +193,97 @@ def test_a_step_that_hangs_is_answered_while_it_hangs():
     assert len(link.sent) == 1
 
 
+def test_a_line_that_refuses_to_send_undoes_no_stop_and_is_a_lost_link():
+    class Gone(ScriptedLink):
+        gone = False
+
+        def send(self, command):
+            if self.gone:
+                raise OSError(101, "Network is unreachable")
+            super().send(command)
+
+    link = Gone()
+    loop = Loop(link, 0.02, Limits())
+    loop.start()
+    loop.tick(lambda state: WALK)
+    link.gone = True
+    with pytest.raises(Stopped, match=r"lost link: a command could not be sent \(Network is unreachable\)"):
+        loop.tick(lambda state: WALK)
+    loop.damp(0.1)  # goes on trying, and raises nothing
+    link.gone = False
+    loop.damp(0.1)
+    assert is_damping(link.sent[-1][1])
+    with pytest.raises(Stopped, match="lost link"):
+        loop.tick(lambda state: WALK)
+    other = Gone()
+    braked = Loop(other, 0.02, Limits())
+    braked.start()
+    other.gone = True
+    braked.brake("operator", "a key")  # raises nothing
+    with pytest.raises(Stopped, match="operator"):
+        braked.tick(lambda state: WALK)
+
+
+def test_an_address_without_a_way_to_it_is_silence(monkeypatch):
+    import socket
+
+    from hts_go1_runtime.udp import UdpLink
+
+    far = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    far.bind(("127.0.0.1", 0))
+    link = UdpLink(f"udp://127.0.0.1:{far.getsockname()[1]}")
+
+    class Unreachable:
+        def send(self, data):
+            raise OSError(101, "Network is unreachable")
+
+        def recv(self, size):
+            raise OSError(101, "Network is unreachable")
+
+    real, link._socket = link._socket, Unreachable()
+    link.send(WALK)
+    assert link.counts.extra["unsent"] == 1 and link._drain() == []
+    real.close()
+    far.close()
+
+
+def test_steps_that_are_always_late_still_look_at_every_state():
+    class RealTime(ScriptedLink):
+        """In real time; each step takes a little longer than it may."""
+
+        simulated, tips = False, float("inf")
+
+        def now(self):
+            return self._clock
+
+        def wait(self, until):
+            if until <= self._clock:  # no time is left: what is there already
+                self._clock -= scripted.STATE_SECONDS
+            (state,) = super().wait(until)
+            return [failing(state, "tilt") if state.stamp >= self.tips else state]
+
+    link, steps = RealTime(), []
+    loop = Loop(link, 0.02, Limits())
+    loop.start()
+    loop._alarm = float("inf")
+
+    def make(state):
+        steps.append(link._clock)
+        if len(steps) == 3:
+            link.tips = link._clock
+        link._clock += 0.0205
+        return WALK
+
+    def walk() -> None:
+        for _ in range(40):
+            loop.tick(make)
+
+    with pytest.raises(Stopped, match="tilt"):
+        walk()
+    loop.close()
+    assert len(steps) == 3  # nothing was sent on a state that nobody had looked at
+
+
 def test_a_state_is_judged_by_the_robots_own_numbers():
     guard = Guard(Limits())
     assert guard.state(standing(0, 0.0)) is None
