@@ -9,6 +9,16 @@ from pydantic import Field, field_validator
 from hts.config_base import Config, Named
 
 
+def each_once(speeds: tuple[float, ...]) -> tuple[float, ...]:
+    """The same speeds, m/s, or set-points. Raises ValueError for one that is no number or there twice."""
+    for speed in speeds:
+        if not math.isfinite(speed):
+            raise ValueError(f"{speed} is not a finite number")
+    if len(set(speeds)) < len(speeds):
+        raise ValueError("a speed is there twice")
+    return speeds
+
+
 class SimulationTestConfig(Config):
     """How candidates are judged in simulation: mean action, no exploration noise, no pushes but measured ones."""
 
@@ -35,6 +45,8 @@ class SimulationTestConfig(Config):
         description="share of seconds in which a candidate must do its task at every speed to be tried before those "
         "that do it less; where none does, that of the best one",
     )
+
+    _each_once = field_validator("speeds")(each_once)
 
 
 class SelectionConfig(Config):
@@ -87,15 +99,7 @@ class SelectionConfig(Config):
         """Speeds at which elites are tried, m/s, or set-points of another task."""
         return self.speeds or (self.speed,)
 
-    @field_validator("speeds")
-    @classmethod
-    def _each_once(cls, speeds: tuple[float, ...]) -> tuple[float, ...]:
-        for speed in speeds:
-            if not math.isfinite(speed):
-                raise ValueError(f"{speed} is not a finite number")
-        if len(set(speeds)) < len(speeds):
-            raise ValueError("a speed is there twice")
-        return speeds
+    _each_once = field_validator("speeds")(each_once)
 
 
 class EvaluationConfig(Config):
@@ -141,3 +145,5 @@ class EvaluationConfig(Config):
         description="how often the final repeats a speed whose means ended apart, or far from what was asked, trimmed "
         "twice and then four times as long",
     )
+
+    _each_once = field_validator("speeds")(each_once)

@@ -96,7 +96,22 @@ def load_config(
     values = laid(*layers, last)  # all at once: only then is it known whose settings a layer without a name holds
     values["preset"] = chosen
     values["objectives"] = {name: (values.get("objectives") or {}).get(name, {}) for name in names}
+    _check_speed(laid(written, last), values, _origin(file, written, sets))
     return _whole(values, _origin(file, written, sets))
+
+
+def _check_speed(user: Mapping[str, Any], values: Mapping[str, Any], origin: Callable[[Location], str]) -> None:
+    """Raise ConfigError if a user names the one speed of trials where the preset has several, which take its place.
+
+    user: what files and options say; values: all of it.
+    """
+    own, speeds = user.get("selection"), (values.get("selection") or {}).get("speeds")
+    if isinstance(own, Mapping) and "speed" in own and "speeds" not in own and speeds:
+        where = origin(("selection", "speed"))
+        raise ConfigError(
+            f"{where}: says {own['speed']}, but elites are tried at selection.speeds, {list(speeds)}, so it would do "
+            f"nothing. Say --set selection.speeds=[{own['speed']}]"
+        )
 
 
 def _of_objectives(names: Sequence[str], preset: str, registry: Registry | None) -> dict[str, Mapping[str, Any]]:
@@ -166,7 +181,9 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     check_simulated(robot)
     check_task(config, robot)
-    registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
+    registry.make_selector(config.selection.selector.name, config.selection.selector.settings).check(
+        list(config.objectives)
+    )
     with tempfile.TemporaryDirectory() as nowhere:
         context = WorldContext(
             robot=config.robot.name,

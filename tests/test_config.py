@@ -211,7 +211,6 @@ def registry() -> Registry:
         robots={"hopper": Entry("hopper", lambda settings: Tiny(), "lab")},
         objectives={"fake": Entry("fake", lambda settings: Fake(), "lab")},
         worlds=entry("twin"),
-        selectors=entry("hierarchical"),
     )
 
 
@@ -225,6 +224,19 @@ def registry() -> Registry:
         ({"executor": "locl"}, "No executor named 'locl'. Did you mean 'local'?"),
         ({"overrides": ["selection.selector.name=hierarchic"]}, "Did you mean 'hierarchical'?"),
         ({"overrides": ["sweep.weights={faek: [1]}"]}, "Did you mean 'fake'?"),
+        ({"overrides": ["selection.selector.objective=faek"]}, "Selector 'hierarchical': No objective named 'faek'."),
+        (
+            {"overrides": ["selection.selector.name=racing", "selection.selector.objective=faek"]},
+            "Selector 'racing': No objective named 'faek'.",
+        ),
+        (
+            {"overrides": ["selection.selector.name=pareto", "selection.selector.weights={faek: 2}"]},
+            "Selector 'pareto': weights: No objective named 'faek'.",
+        ),
+        (
+            {"overrides": ["selection.selector.name=pareto", "selection.selector.weights={fake: 0}"]},
+            "Selector 'pareto': every weight is 0",
+        ),
     ],
 )
 def test_a_misspelt_name_is_answered_with_the_closest(given, message):
@@ -232,6 +244,24 @@ def test_a_misspelt_name_is_answered_with_the_closest(given, message):
     with pytest.raises(ConfigError) as caught:
         check_names(fake_config(**given), registry())
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["simulation_test.speeds", "selection.speeds", "evaluation.speeds"])
+def test_a_speed_that_is_there_twice_is_refused(key):
+    assert f"--set {key}: a speed is there twice" in refusal(preset="quick", overrides=[f"{key}=[0.5, 0.5]"])
+
+
+def test_one_speed_of_trials_is_refused_where_the_preset_has_several(tmp_path):
+    assert refusal(preset="quick", overrides=["selection.speed=0.6"]) == (
+        "--set selection.speed: says 0.6, but elites are tried at selection.speeds, [0.5, 0.8, 1.1], so it would do "
+        "nothing. Say --set selection.speeds=[0.6]"
+    )
+    mine = write(tmp_path, "selection: {speed: 0.6}\n")
+    assert f"{mine}: selection.speed: says 0.6" in refusal(preset="quick", file=mine)
+    both = fake_config(preset="quick", overrides=["selection.speed=0.6", "selection.speeds=[]"])
+    assert both.selection.tested_speeds == (0.6,)
+    resolved = write(tmp_path, dump_config(fake_config(preset="quick")))  # names both
+    assert fake_config(preset="quick", file=resolved).selection.tested_speeds == (0.5, 0.8, 1.1)
 
 
 def test_a_log_only_robot_is_told_what_it_is_for_and_not_what_its_task_lacks():

@@ -117,14 +117,15 @@ class Robot(ABC):
     task is done, so that less of it is no saving. By default there is none.
 
     The value is an error that matters, above 0, in the channel's unit: a mean that far from zero is answered at once
-    (`hts.rl.EqualityMultiplier`). The velocity task holds `speed_error`, a share of the command, with 0.02: 2 % of the
+    (`hts.rl.EqualityMultiplier`). Samples of exactly 0 say nothing (the robot stands, or was only just told another
+    speed) and are in no mean. The velocity task holds `speed_error`, a share of the command, with 0.02: 2 % of the
     speed, and its trend over commands. `make_env` is asked for such a channel like for any other; recordings need not
     have it."""
 
     held_below: Mapping[str, float] = MappingProxyType({})
     """Sim channels, each of a single number, whose mean fine-tuning keeps at or below a number above 0, in the
-    channel's unit (`finetune.hold_below`, where `finetune.hold` is on): how often or how far the task is missed. The
-    velocity task keeps `speed_missed_slow` below 0.08 and `speed_missed_fast` below 0.04. By default there is none."""
+    channel's unit (`finetune.hold_below`, where `finetune.hold` is on): how far the task is missed, samples of exactly
+    0 in no mean here either. The velocity task keeps `speed_missed_slow` below 0.08 and `speed_missed_fast` below 0.04. By default there is none."""
 
     @abstractmethod
     def mjcf(self) -> Any | None:

@@ -94,6 +94,13 @@ class RacedCandidate:
 class Selector(ABC):
     """Which candidates are worth the robot's time, and which of the tested ones goes on."""
 
+    def check(self, objectives: Sequence[str]) -> None:  # noqa: B027 - most settings name no objective
+        """Asked before anything is spent: raise ConfigError if the settings name an objective that this run has not, or
+        could choose nobody. By default nothing is checked.
+
+        objectives: names of the run's, in order.
+        """
+
     @abstractmethod
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
         """Ids of the candidates to test, best first."""

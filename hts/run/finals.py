@@ -132,6 +132,8 @@ def _as_best(job: Job, name: str) -> None:
     gate = job.exported(name).with_suffix(".gate.json")
     if gate.exists():
         job.note_gate("best", read_json(gate))
+    else:  # nobody looked at this one: what was found of a finalist before is not its
+        job.exported("best").with_suffix(".gate.json").unlink(missing_ok=True)
 
 
 def _final_of(job: Job, name: str, report: Report) -> Tried:

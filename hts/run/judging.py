@@ -16,7 +16,7 @@ from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
-from hts.measurement.baseline import fit_proxy
+from hts.measurement.baseline import fit_proxy, proxy_along
 from hts.policies.files import Policy
 from hts.recordings.recording import Recording
 from hts.rl.kl_bound import mean_kl
@@ -172,13 +172,16 @@ def _promised(
 
 def _in_unit(job: Job, iteration: int, key: str, objective: Objective, known: Sequence[Recording]) -> InUnit:
     """From what the env writes of a target to its unit: a model's z-scores, or a proxy, which a line through the known
-    recordings turns into the target."""
+    recordings turns into the target. A line says nothing beyond what it was drawn through, and of levels, which are
+    summed as energies, one sample far beyond it would decide: the proxy counts as far as the recordings reach."""
     if job.config.fits_models:
         model = files.load(model_path(job, iteration, key), registry=job.registry)
         return lambda found: model.denormalise(torch.from_numpy(found)).numpy()
     line = fit_proxy(objective, known)
     assert line is not None  # without a proxy there is nothing to train with
-    return lambda found: line.scale * found + line.offset
+    ends = [(seen.min(), seen.max()) for one in known if (seen := proxy_along(objective, one)) is not None]
+    low, high = min(end[0] for end in ends), max(end[1] for end in ends)
+    return lambda found: line.scale * np.clip(found, low, high) + line.offset
 
 
 def mean_gain(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, float]:

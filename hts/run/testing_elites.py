@@ -34,7 +34,7 @@ from hts.run.iteration import elites_of, simulated, tuned
 from hts.run.job import Job
 from hts.run.judging import fine_tuning
 from hts.run.learning import bound_scale, model_path
-from hts.run.trust_region import agreement, next_scale, tried_elites
+from hts.run.trust_region import by_all
 
 Report = Callable[[float], None]
 
@@ -299,9 +299,10 @@ def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -
         return {}
     predicted = simulated(job, iteration)["predicted"]
     rows = {row["id"]: row | {"predicted": predicted.get(row["id"], {})} for row in tuned(job, iteration)["candidates"]}
-    tried = tried_elites(next(iter(job.objectives)), rows, results)
-    scale, why = next_scale(bound_scale(job, iteration), tried, config, job.config.sweep.kl_bounds)
-    return {"trust_region": {"scale": scale, "why": why, **agreement(tried).entry()}}
+    scale, why, found = by_all(
+        bound_scale(job, iteration), list(job.objectives), rows, results, config, job.config.sweep.kl_bounds
+    )
+    return {"trust_region": {"scale": scale, "why": why, **found.entry()}}
 
 
 def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:

@@ -118,8 +118,9 @@ def tried_elites(
 ) -> list[Tried]:
     """From a run's stages. candidates: id -> kl, kl_bound and predicted, objective -> speed -> entry; results: of the
     stage `test`. Means are over the speeds that were both promised and measured. One that was refused for what it
-    did itself (it fell, or did not keep to a speed) counts as a promise that was not kept at all; any other without
-    such a speed, for instance one whose reference did not keep to it, is left out."""
+    did itself (it fell, or did not keep to a speed) counts as a promise that was not kept at all, and one that fell
+    counts even where nothing was promised; any other without such a speed, for instance one whose reference did not
+    keep to it, is left out."""
     found = []
     for name, result in results.items():
         row, real = candidates[name], (result.get("real") or {}).get(objective) or {}
@@ -127,17 +128,18 @@ def tried_elites(
         speeds = [speed for speed in real if speed in promised]
         refusal = result.get("refusal") or {}
         fell = bool((result.get("tested") or {}).get("fell") or result.get("refused_falls") or refusal.get("falls"))
-        if not speeds and not (promised and (fell or refusal)):
+        if not speeds and not fell and not (promised and refusal):
             continue
         over = speeds or list(promised)
-        count = len(over)
-        measured = sum(real[speed]["improvement"] for speed in speeds) / count
+        count = max(1, len(over))
+        predicted = sum(promised[speed]["improvement"] for speed in over) / count
+        measured = sum(real[speed]["improvement"] for speed in speeds) / count if speeds else min(0.0, predicted)
         widths = [real[speed]["improvement_ci95"] for speed in speeds]
         half = math.sqrt(sum(((ci[1] - ci[0]) / 2) ** 2 for ci in widths if ci)) / count
         found.append(
             Tried(
                 name,
-                sum(promised[speed]["improvement"] for speed in over) / count,
+                predicted,
                 measured,
                 half,
                 math.nan if row["kl"] is None else row["kl"],
@@ -146,3 +148,30 @@ def tried_elites(
             )
         )
     return found
+
+
+def by_all(
+    scale: float,
+    objectives: Sequence[str],
+    candidates: Mapping[str, Mapping[str, Any]],
+    results: Mapping[str, Mapping[str, Any]],
+    config: TrustRegionConfig,
+    bounds: Sequence[float],
+) -> tuple[float, str, Agreement]:
+    """The factor on the KL bounds in the next iteration, why, and what that was seen by; arguments as of `next_scale`
+    and `tried_elites`.
+
+    Of several objectives each judges the elites that were trained for it (λ above 0), and the most cautious of those
+    that have any counts: a bound that one model's promises do not bear is too wide.
+    """
+    found: list[tuple[float, str, Agreement]] = []
+    for objective in objectives:
+        own = {
+            name: result
+            for name, result in results.items()
+            if len(objectives) == 1 or candidates[name]["weights"].get(objective, 0.0) > 0
+        }
+        tried = tried_elites(objective, candidates, own)
+        if tried or (objective == objectives[-1] and not found):
+            found.append((*next_scale(scale, tried, config, bounds), agreement(tried)))
+    return min(found, key=lambda one: one[0])

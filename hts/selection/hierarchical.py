@@ -42,6 +42,9 @@ class Hierarchical(Selector):
     def __init__(self, settings: HierarchicalSettings) -> None:
         self.settings = settings
 
+    def check(self, objectives: Sequence[str]) -> None:
+        self._deciding(dict.fromkeys(objectives))
+
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
         """Ids of the `count` best, best first. A score that is not a number ranks last of all.
 

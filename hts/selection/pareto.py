@@ -49,6 +49,9 @@ class Pareto(Selector):
     def __init__(self, settings: ParetoSettings) -> None:
         self.settings = settings
 
+    def check(self, objectives: Sequence[str]) -> None:
+        self._check_weights(dict.fromkeys(objectives))
+
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
         """Ids of `count` candidates, front by front; of the front that does not fit whole, those that cover it best.
 

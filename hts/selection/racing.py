@@ -9,7 +9,7 @@ Mansour 2006, JMLR 7:1079). `docs/evaluation.md` has the derivation.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -61,6 +61,9 @@ class Racing(Selector):
             HierarchicalSettings(objective=settings.objective, allow_falls=settings.allow_falls)
         )
 
+    def check(self, objectives: Sequence[str]) -> None:
+        self._deciding(dict.fromkeys(objectives))
+
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
         """As `hierarchical`."""
         return self._choice.elites(candidates, count)
@@ -95,11 +98,14 @@ class Racing(Selector):
         """Selection score of a half by the objective that decides; NaN for one that could not be compared."""
         if half is None:
             return math.nan
-        name = self.settings.objective or next(iter(half))
-        if name not in half:
-            raise ConfigError("Selector 'racing': " + unknown_name("objective", name, half))
-        comparison: Comparison = half[name]
+        comparison: Comparison = half[self._deciding(half)]
         return comparison.selection_score
+
+    def _deciding(self, objectives: Mapping[str, Any]) -> str:
+        name = self.settings.objective or next(iter(objectives))
+        if name not in objectives:
+            raise ConfigError("Selector 'racing': " + unknown_name("objective", name, objectives))
+        return name
 
 
 def still_racing(table: np.ndarray, racing: Sequence[int], level: float, indifference: float) -> list[int]:

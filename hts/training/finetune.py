@@ -264,7 +264,7 @@ class Group:
 
     def _on_the_way(self, moment: Moment, history: list[dict[str, float]], anchor_std: float) -> Finetuned:
         """A candidate as it was then; history: of its whole training."""
-        member, known = self.members[moment.index], history[: round(moment.share * self.batches)]
+        member, known = self.members[moment.index], history[: max(1, round(moment.share * self.batches))]
         named = replace(member, id=f"{member.id}-{percent(moment.share)}")
         prices = found_prices(known, self.held)
         return Finetuned(named, moment.tensors, moment.kl, moment.std, anchor_std, None, known, moment.share, prices)

@@ -62,6 +62,8 @@ def ended(tmp_path, **settings):
 def test_who_keeps_all_speeds_needs_no_other(tmp_path, losing):
     run, (best, *_), final = ended(tmp_path)
     assert final["policy"] == best and final["given_up"] == [] and len(losing[1]) == 1
+    own = run.folder / f"iterations/{best[:2]}/candidates/{best}.gate.json"
+    assert (run.folder / "policies/best.gate.json").read_text() == own.read_text()
     assert "given_up" not in run.summary["final"] and finals_before(run.summary) == []
 
 
@@ -107,6 +109,7 @@ def test_where_nobody_keeps_any_speed_the_policy_to_start_from_stays_and_what_wa
     assert final["samples"] > 0 and len(final["recordings"]) == 3 * 4 * len(SETTINGS["evaluation.speeds"])
     assert run.summary["real_samples"] == run.summary["real_samples_before_final"] + final["samples"]
     assert (run.folder / "policies/best.onnx").read_bytes() == (run.folder / "policies/pretrained.onnx").read_bytes()
+    assert not (run.folder / "policies/best.gate.json").exists()  # nobody looked at that one
     said = closing(run.summary)
     assert said[0].startswith("No final head-to-head counts: nobody who got one could be compared at any speed")
     assert f"In a final of its own {order[0]} could not be compared at all; pretrained is the result." in said

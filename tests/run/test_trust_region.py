@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hts.config import TrustRegionConfig
-from hts.run.trust_region import Tried, agreement, next_scale, scaled, tried_elites
+from hts.run.trust_region import Tried, agreement, by_all, next_scale, scaled, tried_elites
 
 CONFIG = TrustRegionConfig(enabled=True)
 C = (1.0,)
@@ -124,3 +124,46 @@ def test_elites_are_read_from_a_run():
     assert (second.id, second.measured, second.fell) == ("b", 0.0, True)
     assert (third.id, third.measured, third.fell) == ("c", 0.0, False) and third.predicted == pytest.approx(0.15)
     assert first.active
+
+
+def made(weights, **predicted):
+    """A candidate of one speed: λ of each objective, and what was promised of it."""
+    promises = {name: {"0.8": {"improvement": value}} for name, value in predicted.items()}
+    return {"kl": 0.9, "kl_bound": 1.0, "weights": weights, "predicted": promises}
+
+
+def found(**measured):
+    return {"real": {name: {"0.8": entry(value)} for name, value in measured.items()}, "tested": {"fell": False}}
+
+
+def test_a_fall_narrows_the_bounds_also_where_nothing_was_promised():
+    fell = {"real": {"power": {"0.8": entry(0.1)}}, "tested": {"fell": True}}
+    (tried,) = tried_elites("power", {"a": made({"power": 1.0})}, {"a": fell})
+    assert (tried.predicted, tried.measured, tried.fell) == (0.0, 0.0, True)
+    assert next_scale(1.0, [tried], CONFIG, C) == (0.5, "an elite fell")
+
+
+def test_who_promised_a_loss_and_was_refused_speaks_for_no_promise():
+    refused = {"real": None, "refused": "it walked too slowly", "refusal": {"falls": 0, "speed": 0.8}}
+    (tried,) = tried_elites("power", {"a": made({"power": 1.0}, power=-0.1)}, {"a": refused})
+    assert tried.predicted == tried.measured == pytest.approx(-0.1)
+
+
+def test_of_several_objectives_each_judges_its_own_candidates_and_the_most_cautious_counts():
+    candidates = {
+        "a": made({"power": 1.0, "noise": 0.0}, power=0.2, noise=-1.0),
+        "b": made({"power": 1.0, "noise": 0.0}, power=0.2, noise=-1.0),
+        "c": made({"power": 0.0, "noise": 1.0}, power=-0.1, noise=5.0),
+        "d": made({"power": 0.0, "noise": 1.0}, power=-0.1, noise=5.0),
+    }
+    kept = {"a": found(power=0.2, noise=0.0), "b": found(power=0.2, noise=0.0)}
+    both = ["power", "noise"]
+    alone = by_all(1.0, ["power"], candidates, kept, CONFIG, C)
+    assert by_all(1.0, both, candidates, kept, CONFIG, C) == alone and alone[0] == 2.0  # noise has nobody to judge by
+    good = kept | {"c": found(power=-0.04, noise=5.0), "d": found(power=-0.04, noise=5.0)}
+    assert by_all(1.0, both, candidates, good, CONFIG, C)[0] == 2.0
+    bad = kept | {"c": found(power=-0.04, noise=0.1), "d": found(power=-0.04, noise=0.1)}
+    scale, why, agreed = by_all(1.0, both, candidates, bad, CONFIG, C)
+    assert (scale, why) == (0.5, "measured improvements are under 0.5 of the predicted ones")
+    assert agreed.rho == pytest.approx(0.02)
+    assert by_all(1.0, both, candidates, {}, CONFIG, C)[:2] == (1.0, "nothing to judge by")

@@ -71,6 +71,13 @@ def test_one_beyond_its_bound_is_not_judged(tmp_path):
     assert [one["id"] for one in run.summary["iterations"][0]["candidates"]] == ["00-00"]
 
 
+def test_a_share_of_less_than_one_batch_is_the_first_batch(tmp_path):
+    with kit_installed():
+        early = {"finetune.also_at": [0.1], "finetune.hold": True, "sweep.kl_bounds": [float("inf")]}
+        run = tiny_run(tmp_path / "run", settings=HALFWAY | early)
+    assert "00-00-10" in [one["id"] for one in run.summary["iterations"][0]["candidates"]]
+
+
 def test_a_run_judges_them_beside_the_candidates(tmp_path):
     with kit_installed():
         run = tiny_run(tmp_path / "run", settings={**HALFWAY, "sweep.kl_bounds": [float("inf")]})
