@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import yaml
 from pydantic import ValidationError
 
+from hts.checked_selector import checked_selector
 from hts.config import Config, Named, RunConfig
 from hts.contracts import MODEL, ModelContext, WorldContext, chosen_model, own_settings, robot_signals
 from hts.engines import check_engine
-from hts.errors import ConfigError, unknown_name
+from hts.errors import ConfigError, PluginError, unknown_name
 from hts.explain import Location, dotted, explain
 from hts.guarded import guarded
 from hts.layers import in_full as written_out
@@ -181,9 +182,7 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     check_simulated(robot)
     check_task(config, robot)
-    registry.make_selector(config.selection.selector.name, config.selection.selector.settings).check(
-        list(config.objectives)
-    )
+    checked_selector(registry, config.selection.selector).check(list(config.objectives))
     with tempfile.TemporaryDirectory() as nowhere:
         context = WorldContext(
             robot=config.robot.name,
@@ -210,8 +209,14 @@ def check_names(config: RunConfig, registry: Registry) -> None:
 
 def make_model(registry: Registry, objective: Objective, settings: Mapping[str, Any], robot: Robot) -> MeasurementModel:
     """The measurement model of an objective for the robot's channels, not fitted yet. Raises ConfigError."""
+    own = objective.measurement_model()
+    if not isinstance(own, Named):
+        raise PluginError(
+            f"Objective '{objective.name}': measurement_model() gives {own!r}, expected hts.config.Named, such as "
+            "Named(name='lstm')."
+        )
     choice, signals = chosen_model(objective, settings), robot_signals(objective, robot)
-    context = ModelContext(signals, objective.measurement_model())
+    context = ModelContext(signals, own)
     return registry.make_measurement_model(choice.name, choice.settings, context)
 
 

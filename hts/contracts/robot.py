@@ -125,7 +125,8 @@ class Robot(ABC):
     held_below: Mapping[str, float] = MappingProxyType({})
     """Sim channels, each of a single number, whose mean fine-tuning keeps at or below a number above 0, in the
     channel's unit (`finetune.hold_below`, where `finetune.hold` is on): how far the task is missed, samples of exactly
-    0 in no mean here either. The velocity task keeps `speed_missed_slow` below 0.08 and `speed_missed_fast` below 0.04. By default there is none."""
+    0 in no mean here either. The velocity task keeps `speed_missed_slow` below 0.08 and `speed_missed_fast` below 0.04.
+    By default there is none."""
 
     @abstractmethod
     def mjcf(self) -> Any | None:

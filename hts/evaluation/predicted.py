@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hts.contracts import VELOCITY, Task
-from hts.errors import EvaluationError, unknown_name
+from hts.contracts import VELOCITY, Comparison, Task
+from hts.errors import EvaluationError, PluginError, unknown_name
 
 if TYPE_CHECKING:
-    from hts.contracts import Comparison, Objective
+    from hts.contracts import Objective
     from hts.recordings.recording import Recording
 
 
@@ -97,4 +97,6 @@ def predicted_comparison(
         found = objective.compare(*means)
     except (EvaluationError, ArithmeticError, AttributeError):  # it looks at more than can be predicted
         return None
+    if not isinstance(found, Comparison):
+        raise PluginError(f"Objective '{objective.name}': compare() gives {type(found).__name__}, expected Comparison.")
     return found if math.isfinite(found.improvement) and math.isfinite(found.selection_score) else None

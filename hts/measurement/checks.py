@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from hts.contracts import MeasurementModel
+from hts.contracts import MeasurementModel, Prediction
+from hts.errors import PluginError
 from hts.measurement.baseline import check_proxy
 from hts.measurement.data import check_units, input_tensor
 from hts.measurement.linear import Linear, LinearSettings
@@ -34,8 +35,29 @@ def predict_with_spread(model: MeasurementModel, recording: Recording) -> tuple[
     inputs = input_tensor(model.signals, recording).to(model.device)
     check_units(model.signals, recording)
     found, _ = model.sequence(inputs[None])
+    _check_prediction(model, found, len(inputs))
     std = None if found.std is None else (found.std[0] * model.target_std).cpu().numpy()
     return model.denormalise(found.mean[0]).cpu().numpy(), std
+
+
+def _check_prediction(model: MeasurementModel, found: Any, length: int) -> None:
+    """Raise PluginError for what is no prediction of a recording of `length` samples: another shape, or no number."""
+    what = f"Measurement model {type(model).__name__}: sequence()"
+    if not isinstance(found, Prediction):
+        raise PluginError(f"{what} gives a {type(found).__name__} first, expected a Prediction and the state.")
+    for name, part in (("mean", found.mean), ("std", found.std)):
+        if part is None and name == "std":
+            continue
+        if not isinstance(part, torch.Tensor) or tuple(part.shape) != (1, length):
+            shape = tuple(part.shape) if isinstance(part, torch.Tensor) else type(part).__name__
+            raise PluginError(
+                f"{what}: {name} is {shape} for inputs of (1, {length}, channels), expected (1, {length})."
+            )
+        if not bool(torch.isfinite(part).all()):
+            raise PluginError(
+                f"{what}: {name} is not finite at sample {int((~torch.isfinite(part[0])).nonzero()[0])} of {length}. "
+                "Its parameters or its inputs' scale went wrong in fit()."
+            )
 
 
 def traces_of(model: MeasurementModel, target: str, recordings: Sequence[Recording]) -> list[Trace]:

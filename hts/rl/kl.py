@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
-from torch.distributions import Distribution, Independent, TransformedDistribution, kl_divergence
+from torch.distributions import Categorical, Distribution, Independent, TransformedDistribution, kl_divergence
 
 
 def gaussian_kl(
@@ -32,6 +34,8 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
         first, second = inner
     else:
         first, second = policy, reference
+    if isinstance(first, Categorical) and isinstance(second, Categorical):
+        return _categorical_kl(first, second)
     try:
         divergence = kl_divergence(first, second)
     except NotImplementedError:
@@ -39,6 +43,15 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
         return policy.log_prob(action) - reference.log_prob(action)
     extra = divergence.ndim - len(policy.batch_shape)
     return divergence.sum(tuple(range(-extra, 0))) if extra else divergence
+
+
+def _categorical_kl(policy: Categorical, reference: Categorical) -> torch.Tensor:
+    """sum_a p(a) (ln p(a) - ln q(a)) over what the policy may do. torch's own takes the difference of two -inf where
+    an action is masked out of both, and the gradient of what it then sets to 0 is NaN."""
+    possible = policy.probs > 0
+    ratio = torch.where(possible, policy.logits, 0.0) - torch.where(possible, reference.logits, 0.0)
+    forbidden = (possible & (reference.probs == 0)).any(-1)
+    return torch.where(forbidden, math.inf, (policy.probs * ratio).sum(-1))
 
 
 def _unsquashed(distribution: Distribution) -> Distribution | None:

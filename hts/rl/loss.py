@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import copy
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import CompositeDistribution, TensorDictModuleBase
+from tensordict.nn import CompositeDistribution, TensorDictModuleBase, TensorDictSequential
 from tensordict.utils import NestedKey
 from torch import nn
 from torch.distributions import Distribution
@@ -42,9 +41,9 @@ def _check_actor(actor: TensorDictModuleBase) -> None:
             f"actor_network is a {type(actor).__name__} without get_dist; expected a ProbabilisticActor, a "
             "ProbabilisticTensorDictSequential, or what else has it."
         ) from error
-    with suppress(AttributeError):  # only sequences have it
-        if actor.distribution_class is CompositeDistribution:
-            raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
+    last = actor[-1] if isinstance(actor, TensorDictSequential) else actor  # it is the last module that knows
+    if getattr(last, "distribution_class", None) is CompositeDistribution:
+        raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
 
 
 class KLConstrainedPPOLoss(LossModule):
@@ -157,7 +156,8 @@ class KLConstrainedPPOLoss(LossModule):
     # --------------------------------------------------------------------------------------------------- computing
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """tensordict [...], or [P, ...]: see `in_keys`. Raises KeyError naming what the batch lacks."""
+        """tensordict [...], or [P, ...]: see `in_keys`. Raises KeyError naming what the batch lacks, ValueError where
+        its log-probabilities carry gradients: against themselves nothing would be learned."""
         keys, batch = self.tensor_keys, tensordict.copy()
         for key in (keys.action, keys.sample_log_prob, keys.advantage, keys.value_target):
             if batch.get(key, None) is None:
@@ -165,6 +165,11 @@ class KLConstrainedPPOLoss(LossModule):
                     f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. GAE gives advantages."
                 )
         old_value = batch.get(keys.value, None)
+        if batch[keys.sample_log_prob].requires_grad:
+            raise ValueError(
+                f"The batch's {keys.sample_log_prob!r} carries gradients, so nothing would be learned from it. Collect "
+                "under torch.no_grad(), as collectors do, or detach it."
+            )
         policy = self.actor_network.get_dist(batch)
         log_ratio = policy.log_prob(batch[keys.action]) - batch[keys.sample_log_prob]
         advantage = batch[keys.advantage].view(log_ratio.shape)

@@ -61,9 +61,14 @@ class MeasuredReward(Transform):
                     f"{name} is {key!r}, which no step has; it has {found}. Name an entry that the env, or a transform "
                     "before this one, writes."
                 )
-        measured = outcome.get(measured_key)
+        measured, task = outcome.get(measured_key), outcome.get(reward_key)
+        if measured.shape != task.shape:  # what broadcasts would be added to the wrong steps, silently
+            raise ValueError(
+                f"in_key {measured_key!r} has the shape {tuple(measured.shape)}, the reward {tuple(task.shape)}: one "
+                "number for each step is expected, so write both alike, [..., 1]."
+            )
         self.centring.update(measured)
-        outcome.set(reward_key, outcome.get(reward_key) + self.added(measured))
+        outcome.set(reward_key, task + self.added(measured))
         return outcome
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:

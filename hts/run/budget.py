@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from hts.checked_selector import checked_selector
 from hts.config import RunConfig, ScheduleConfig
 from hts.contracts import World
 from hts.errors import ConfigError
@@ -88,7 +89,7 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     whole = Budget(schedule, tuple(wanted), first, each, most, min(again, sum(wanted)))
     if most is None:
         return whole
-    selector = registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
+    selector = checked_selector(registry, config.selection.selector)
     if selector.rounds() is not None:
         raise ConfigError(
             f"max_real_samples: selector '{config.selection.selector.name}' tests in rounds, and how many there will "

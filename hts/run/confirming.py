@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from hts.checked_selector import checked_selector
 from hts.contracts import Selector, TestedCandidate
 from hts.evaluation.across_speeds import mean_comparison
 from hts.run.job import Job
@@ -64,7 +65,7 @@ def finalists(job: Job, best: str) -> list[str]:
 def selector_of(job: Job) -> Selector:
     """Who chooses in this run."""
     settings = job.config.selection.selector
-    return job.registry.make_selector(settings.name, settings.settings)
+    return checked_selector(job.registry, settings)
 
 
 def order(selector: Selector, tested: Sequence[TestedCandidate]) -> list[str]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from hts.checked_selector import checked_selector
 from hts.contracts import SimulatedCandidate
 from hts.evaluation.simulation import test_config
 from hts.rl.population import Population
@@ -47,7 +48,7 @@ def tried(
     """
     strict = job.gate_is_strict
     able, kept_out = _able(simulated, candidates)
-    selector = job.registry.make_selector(job.config.selection.selector.name, job.config.selection.selector.settings)
+    selector = checked_selector(job.registry, job.config.selection.selector)
     rows: dict[str, dict[str, Any]] = {}
     chosen: list[str] = list(simulated["elites"])
     trials = Trials(job, simulated)

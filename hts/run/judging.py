@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from hts.checked_selector import checked_selector
 from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, SimulatedCandidate, Task
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
@@ -82,7 +83,7 @@ def judge(
         )
         for row in rows
     ]
-    selector = job.registry.make_selector(config.selection.selector.name, config.selection.selector.settings)
+    selector = checked_selector(job.registry, config.selection.selector)
     lenient = job.world.simulated is True and not (config.gate.enabled and job.gate_is_strict)
     alike = same_policies(rows)
     able = [

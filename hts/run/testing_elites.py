@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from hts.checked_selector import checked_selector
 from hts.config import EvaluationConfig
 from hts.contracts import (
     Comparison,
@@ -63,7 +64,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     """
     elites = elites_of(job, iteration)
     settings = job.config.selection.selector
-    selector = job.registry.make_selector(settings.name, settings.settings)
+    selector = checked_selector(job.registry, settings)
     rounds = selector.rounds()
     tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None and elites else None
     if tests is None:  # this selector, or this world, knows no rounds

@@ -132,7 +132,7 @@ def _tried(package: str, subject: str, check: Callable[..., None], *given: Any) 
 def _imports_nothing_heavy(module: str) -> None:
     """Loading it is quick: torch, mujoco and their like are imported where they are needed, inside functions."""
     done = subprocess.run(
-        [sys.executable, "-c", LOAD_ALONE, module, *HEAVY], capture_output=True, text=True, check=False
+        [sys.executable, "-P", "-c", LOAD_ALONE, module, *HEAVY], capture_output=True, text=True, check=False
     )
     if done.returncode != 0:
         raise PluginError(f"cannot be loaded alone: {(done.stderr.strip() or 'the process ended').splitlines()[-1]}")

@@ -5,6 +5,8 @@ A package is one of the kit's own examples under another name, so what is writte
 
 from __future__ import annotations
 
+import importlib.metadata
+import importlib.util
 import keyword
 import re
 from dataclasses import dataclass
@@ -79,8 +81,8 @@ def write_starter(kind: str, name: str, parent: Path, log_only: bool = False) ->
             f"'{name}' cannot name {article} {_word(kind)}: lower-case letters, digits and single - or _ between "
             "them, a letter first, no Python keyword."
         )
-    _refuse_taken(kind, name)
     module = f"hts_{_field(name)}"
+    _refuse_taken(kind, name, module)
     folder = parent / module.replace("_", "-")
     if folder.exists():
         raise RunError(f"{folder}: exists already. Choose another name, or another place with --to DIR.")
@@ -153,12 +155,21 @@ def _log_to_try(kind: str, name: str) -> dict[str, str]:
     return {"mapping.yaml": mapping, **{file: write(walk_columns()) for file, write in log.items()}}
 
 
-def _refuse_taken(kind: str, name: str) -> None:
-    """Two things of one kind and name would stop every command, so that name is refused now."""
+def _refuse_taken(kind: str, name: str, module: str) -> None:
+    """Two things of one kind and name would stop every command, so that name is refused now; so is a module, or a
+    distribution, of that name that is installed, in whose place the new one would be imported."""
     with kit_installed():  # whose names tests of the package need
         entry = load().offered(STARTERS[kind].offered).get(name)
     if entry is not None:
         raise ConfigError(f"'{name}' is taken: {entry.package} offers the {_word(kind)} of that name. Choose another.")
+    distribution = module.replace("_", "-")
+    installed = importlib.util.find_spec(module) is not None
+    if installed or any(True for _ in importlib.metadata.Distribution.discover(name=distribution)):
+        what = f"a module {module}" if installed else f"a package {distribution}"
+        raise ConfigError(
+            f"'{name}' is taken: {what} is installed, which the new one would replace. Choose another, such as "
+            f"{name}-{kind.split('-')[-1]}."
+        )
 
 
 def _field(kind: str) -> str:

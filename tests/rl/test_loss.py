@@ -7,10 +7,10 @@ import math
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import CompositeDistribution, TensorDictModule
+from tensordict.nn import CompositeDistribution, ProbabilisticTensorDictSequential, TensorDictModule
 from torch import nn
 from torch.distributions import Independent, Normal, StudentT
-from torchrl.modules import IndependentNormal, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.modules import IndependentNormal, MaskedCategorical, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
@@ -235,9 +235,59 @@ def test_an_actor_of_which_no_single_distribution_can_be_asked_is_refused():
     actor, critic = networks()
     with pytest.raises(TypeError, match="actor_network is a Linear without get_dist; expected a ProbabilisticActor"):
         KLConstrainedPPOLoss(torch.nn.Linear(2, 2), critic)
-    actor.__class__ = type("Several", (type(actor),), {"distribution_class": CompositeDistribution})
-    with pytest.raises(TypeError, match="several actions"):
-        KLConstrainedPPOLoss(actor, critic)
+    maps = {"distribution_map": {"turn": torch.distributions.Normal}, "log_prob_key": "action_log_prob"}
+    several = ProbabilisticActor(
+        actor[0],
+        in_keys=["loc", "scale"],
+        out_keys=["turn"],
+        distribution_class=CompositeDistribution,
+        distribution_kwargs=maps,
+    )
+    for one in (several, ProbabilisticTensorDictSequential(actor[0], several[-1])):
+        with pytest.raises(TypeError, match="several actions"):
+            KLConstrainedPPOLoss(one, critic)
+
+
+def test_a_batch_that_carries_gradients_is_refused_since_nothing_would_be_learned_from_it():
+    actor, critic = networks()
+    loss, data = KLConstrainedPPOLoss(actor, critic), batch_of(actor, critic)
+    with torch.enable_grad():
+        data["action_log_prob"] = actor(data.copy())["action_log_prob"]
+    with pytest.raises(ValueError, match=r"'action_log_prob' carries gradients.*torch.no_grad"):
+        loss(data)
+    loss(data.detach())
+
+
+@pytest.mark.parametrize("bound", [float("inf"), 0.1])
+def test_a_policy_whose_actions_are_masked_has_the_gradients_of_clip_ppo(bound):
+    torch.manual_seed(0)
+    head = TensorDictModule(nn.Linear(3, 4), in_keys=["observation"], out_keys=["logits"])
+    actor = ProbabilisticActor(
+        head, in_keys=["logits", "mask"], distribution_class=MaskedCategorical, return_log_prob=True
+    )
+    critic = networks()[1]
+    data = TensorDict({"observation": torch.randn(64, 3), "mask": torch.ones(64, 4, dtype=torch.bool)}, [64])
+    data["mask"][:, 2] = False
+    with torch.no_grad():
+        critic(actor(data))
+    data["advantage"], data["value_target"] = torch.randn(64, 1), torch.randn(64, 1)
+    constrained = KLConstrainedPPOLoss(actor, critic, kl_bound=bound, entropy_coeff=0.0)
+    found = constrained(data)
+    assert found["kl"] == pytest.approx(0.0, abs=1e-6)
+    own = torch.autograd.grad(found["loss_objective"], list(actor.parameters()))
+    stock = ClipPPOLoss(actor, critic, entropy_bonus=False, normalize_advantage=constrained.normalize_advantage)
+    theirs = torch.autograd.grad(stock(data)["loss_objective"], list(actor.parameters()))
+    for one, other in zip(own, theirs, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_the_kl_of_categoricals_is_torchs_and_infinite_where_the_reference_forbids_what_is_done():
+    torch.manual_seed(0)
+    first, second = (torch.distributions.Categorical(logits=torch.randn(5, 4)) for _ in range(2))
+    torch.testing.assert_close(distribution_kl(first, second), torch.distributions.kl_divergence(first, second))
+    forbidden = torch.distributions.Categorical(probs=torch.tensor([0.5, 0.5, 0.0]))
+    done = torch.distributions.Categorical(probs=torch.tensor([0.2, 0.2, 0.6]))
+    assert distribution_kl(done, forbidden) == float("inf") and torch.isfinite(distribution_kl(forbidden, done))
 
 
 def test_keys_can_be_renamed_and_stock_gae_fills_them():
@@ -283,3 +333,10 @@ def test_a_measured_reward_names_the_entry_that_is_not_there(keys):
     data = TensorDict({"next": TensorDict(step, [4])}, [4])
     with pytest.raises(KeyError, match=r"is 'nope', which no step has; it has 'heat', 'reward'|'reward', 'heat'"):
         MeasuredReward(1.0, 0.02, **keys)(data)
+
+
+def test_a_measured_reward_of_another_shape_than_the_reward_is_refused_though_it_would_broadcast():
+    steps = {"power": torch.ones(8, 8), "reward": torch.zeros(8, 8, 1)}
+    data = TensorDict({"next": TensorDict(steps, [8, 8])}, [8, 8])
+    with pytest.raises(ValueError, match=r"in_key 'power' has the shape \(8, 8\), the reward \(8, 8, 1\)"):
+        MeasuredReward(1.0, 0.02, in_key="power")(data)

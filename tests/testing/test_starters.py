@@ -238,3 +238,13 @@ def test_the_command_says_what_to_do_next(hts, tmp_path):
         "next: pip install -e hts-steady && hts check hts-steady && python -m pytest hts-steady",
         "then: hts run --objective OBJECTIVE --robot ROBOT --preset smoke --set selection.selector.name=steady",
     ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("measurement-model", "power"), ("instrument", "noise"), ("selector", "go1")]
+)
+def test_a_name_whose_module_is_installed_already_is_refused(tmp_path, kind, name):
+    pytest.importorskip(f"hts_{name}", reason="this package is not installed")
+    with pytest.raises(ConfigError, match=rf"'{name}' is taken: a module hts_{name} is installed.*such as {name}-"):
+        write_starter(kind, name, tmp_path)
+    assert not list(tmp_path.iterdir())

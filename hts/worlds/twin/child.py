@@ -40,7 +40,7 @@ class Child:
             "PYTHONPATH": os.pathsep.join(part for part in sys.path if part),
         }
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "hts.worlds.twin.process"],
+            [sys.executable, "-P", "-m", "hts.worlds.twin.process"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,

@@ -1,0 +1,81 @@
+"""A selector as a run asks it: what a plugin's code gives is looked at before anything is built on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from hts.config import Named
+from hts.contracts import RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
+from hts.errors import PluginError
+from hts.guarded import guarded
+from hts.plugins import Registry
+
+
+class CheckedSelector(Selector):
+    """Passes every question on to `inner`. Raises PluginError, one line that begins with `what`, for code that fails
+    and for answers that are none: before a robot walks for them, or what it walked is lost."""
+
+    def __init__(self, inner: Selector, what: str) -> None:
+        self._inner, self._what = inner, what
+
+    def check(self, objectives: Sequence[str]) -> None:
+        """As the selector's own."""
+        self._asked("check", lambda: self._inner.check(objectives))
+
+    def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
+        """At most `count` ids of the candidates, each once: a robot's time was counted for no more."""
+        found = self._ids("elites", self._asked("elites", lambda: self._inner.elites(candidates, count)), candidates)
+        if len(found) > count:
+            raise PluginError(f"{self._what}: elites() gives {len(found)} candidates, asked for were {count} at most.")
+        return found
+
+    def best(self, tested: Sequence[TestedCandidate]) -> str | None:
+        """The id of one of them, or None."""
+        found = self._asked("best", lambda: self._inner.best(tested))
+        known = [one.id for one in tested]
+        if found is not None and (not isinstance(found, str) or found not in known):
+            raise PluginError(f"{self._what}: best() gives {_shown(found)}, expected None or one of {known}.")
+        return found
+
+    def rounds(self) -> Rounds | None:
+        """As the selector's own."""
+        found = self._asked("rounds", self._inner.rounds)
+        if found is not None and not isinstance(found, Rounds):
+            raise PluginError(f"{self._what}: rounds() gives {_shown(found)}, expected None or Rounds.")
+        return found
+
+    def keep(self, raced: Sequence[RacedCandidate]) -> list[str]:
+        """Ids of them, each once."""
+        return self._ids("keep", self._asked("keep", lambda: self._inner.keep(raced)), raced)
+
+    def _asked(self, method: str, work: Callable[[], Any]) -> Any:
+        return guarded(f"{self._what}: {method}()", work)
+
+    def _ids(self, method: str, found: Any, candidates: Sequence[SimulatedCandidate | RacedCandidate]) -> list[str]:
+        known = [one.id for one in candidates]
+        if isinstance(found, str) or not isinstance(found, Sequence):
+            raise PluginError(f"{self._what}: {method}() gives {_shown(found)}, expected a list of ids.")
+        for name in found:
+            if name not in known:
+                raise PluginError(f"{self._what}: {method}() gives {_shown(name)}, which is none of {known}.")
+        if len(set(found)) < len(found):
+            raise PluginError(f"{self._what}: {method}() gives a candidate twice: {list(found)}.")
+        return list(found)
+
+
+def checked_selector(registry: Registry, named: Named) -> Selector:
+    """The selector that a configuration names. Raises ConfigError."""
+    inner = registry.make_selector(named.name, named.settings)
+    if not isinstance(inner, Selector):
+        package = registry.entry("selectors", named.name).package
+        raise PluginError(
+            f"Selector '{named.name}' (from {package}) is a {type(inner).__name__}, expected a hts.contracts.Selector."
+        )
+    return CheckedSelector(inner, f"Selector '{named.name}' (from {registry.entry('selectors', named.name).package})")
+
+
+def _shown(value: Any) -> str:
+    """A value as an error shows it."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"a {type(value).__name__}"
