@@ -48,6 +48,12 @@ def test_a_sound_model_passes(install):
     assert faults(install) == []
 
 
+def test_a_file_of_that_name_in_the_current_folder_takes_no_ones_place(install, tmp_path, monkeypatch):
+    (tmp_path / "odd_lab.py").write_text("raise RuntimeError('not this one')\n")
+    monkeypatch.chdir(tmp_path)
+    assert faults(install) == []
+
+
 STEP = """
         def step(self, inputs, state):
             {before}
