@@ -32,7 +32,10 @@ def mean(function):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (mean(lambda value: value[..., None]), r"mean is \(1, \d+, 1\) for inputs of \(1, \d+, channels\), expected \(1,"),
+        (
+            mean(lambda value: value[..., None]),
+            r"mean is \(1, \d+, 1\) for inputs of \(1, \d+, channels\), expected \(1,",
+        ),
         (
             mean(lambda value: torch.where(torch.arange(value.shape[1]) == 7, torch.nan, value)),
             "not finite at sample 7",
