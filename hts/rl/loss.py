@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,8 +43,9 @@ def _check_actor(actor: TensorDictModuleBase) -> None:
             "ProbabilisticTensorDictSequential, or what else has it."
         ) from error
     last = actor[-1] if isinstance(actor, TensorDictSequential) else actor  # it is the last module that knows
-    if getattr(last, "distribution_class", None) is CompositeDistribution:
-        raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
+    with suppress(AttributeError):  # only modules with a distribution have it
+        if last.distribution_class is CompositeDistribution:
+            raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
 
 
 class KLConstrainedPPOLoss(LossModule):
