@@ -16,18 +16,21 @@ class CheckedSelector(Selector):
     """Passes every question on to `inner`. Raises PluginError, one line that begins with `what`, for code that fails
     and for answers that are none: before a robot walks for them, or what it walked is lost."""
 
-    def __init__(self, inner: Selector, what: str) -> None:
-        self._inner, self._what = inner, what
+    def __init__(self, inner: Selector, what: str, capped: bool = False) -> None:
+        """capped: what the robot walks is capped, and was counted for no more elites than are asked for."""
+        self._inner, self._what, self._capped = inner, what, capped
 
     def check(self, objectives: Sequence[str]) -> None:
         """As the selector's own."""
         self._asked("check", lambda: self._inner.check(objectives))
 
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
-        """At most `count` ids of the candidates, each once: a robot's time was counted for no more."""
+        """Ids of the candidates, each once; where `capped`, at most `count`."""
         found = self._ids("elites", self._asked("elites", lambda: self._inner.elites(candidates, count)), candidates)
-        if len(found) > count:
-            raise PluginError(f"{self._what}: elites() gives {len(found)} candidates, asked for were {count} at most.")
+        if self._capped and len(found) > count:
+            raise PluginError(
+                f"{self._what}: elites() gives {len(found)} candidates, but max_real_samples is enough for {count}."
+            )
         return found
 
     def best(self, tested: Sequence[TestedCandidate]) -> str | None:
@@ -64,15 +67,16 @@ class CheckedSelector(Selector):
         return list(found)
 
 
-def checked_selector(registry: Registry, named: Named) -> Selector:
-    """The selector that a configuration names. Raises ConfigError."""
+def checked_selector(registry: Registry, named: Named, capped: bool = False) -> Selector:
+    """The selector that a configuration names; capped: as of `CheckedSelector`. Raises ConfigError, PluginError."""
     inner = registry.make_selector(named.name, named.settings)
     if not isinstance(inner, Selector):
         package = registry.entry("selectors", named.name).package
         raise PluginError(
             f"Selector '{named.name}' (from {package}) is a {type(inner).__name__}, expected a hts.contracts.Selector."
         )
-    return CheckedSelector(inner, f"Selector '{named.name}' (from {registry.entry('selectors', named.name).package})")
+    what = f"Selector '{named.name}' (from {registry.entry('selectors', named.name).package})"
+    return CheckedSelector(inner, what, capped)
 
 
 def _shown(value: Any) -> str:

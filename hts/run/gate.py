@@ -48,7 +48,7 @@ def tried(
     """
     strict = job.gate_is_strict
     able, kept_out = _able(simulated, candidates)
-    selector = checked_selector(job.registry, job.config.selection.selector)
+    selector = checked_selector(job.registry, job.config.selection.selector, job.config.max_real_samples is not None)
     rows: dict[str, dict[str, Any]] = {}
     chosen: list[str] = list(simulated["elites"])
     trials = Trials(job, simulated)

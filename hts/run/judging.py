@@ -83,7 +83,7 @@ def judge(
         )
         for row in rows
     ]
-    selector = checked_selector(job.registry, config.selection.selector)
+    selector = checked_selector(job.registry, config.selection.selector, config.max_real_samples is not None)
     lenient = job.world.simulated is True and not (config.gate.enabled and job.gate_is_strict)
     alike = same_policies(rows)
     able = [

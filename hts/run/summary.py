@@ -126,15 +126,15 @@ def _usual_speed(checks: Sequence[Mapping[str, Any]]) -> float | None:
 
 
 def _model(report: dict[str, Any], checked: dict[str, Any] | None) -> dict[str, Any]:
-    """held_out_r2: on recordings kept from the fit; elites_r2: on those of policies that it had not seen; rank
-    correlation: over all policies of the trials, with the reference, which it had."""
+    """held_out_r2: on recordings kept from the fit; elites_r2 and rank_correlation: over all recordings of the trials,
+    of elites, which the model had not seen, and of the reference beside them, which it had."""
     checked = checked or {}
     proxy, tried = report["held_out"].get("proxy"), checked.get("proxy")
     return {
         "dataset": report["dataset"],
         "held_out_r2": report["held_out_r2"],
         "rank_correlation": checked.get("rank_correlation", report["rank_correlation"]),
-        "elites_r2": checked.get("r2_policies", checked.get("r2")),  # the latter in runs from before it was written
+        "elites_r2": checked.get("r2"),
         "proxy_held_out_r2": proxy,
         "proxy_elites": tried,
     }
