@@ -70,12 +70,9 @@ class CheckedSelector(Selector):
 def checked_selector(registry: Registry, named: Named, capped: bool = False) -> Selector:
     """The selector that a configuration names; capped: as of `CheckedSelector`. Raises ConfigError, PluginError."""
     inner = registry.make_selector(named.name, named.settings)
-    if not isinstance(inner, Selector):
-        package = registry.entry("selectors", named.name).package
-        raise PluginError(
-            f"Selector '{named.name}' (from {package}) is a {type(inner).__name__}, expected a hts.contracts.Selector."
-        )
     what = f"Selector '{named.name}' (from {registry.entry('selectors', named.name).package})"
+    if not isinstance(inner, Selector):
+        raise PluginError(f"{what} is a {type(inner).__name__}, expected a hts.contracts.Selector.")
     return CheckedSelector(inner, what, capped)
 
 
