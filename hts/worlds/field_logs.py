@@ -31,7 +31,7 @@ def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> 
         return dict(own), own_path
     mapping = load_mapping(path)
     channels = dict(mapping.get("channels") or {})
-    _check_one_file(path, channels, own, own_path)
+    _check_one_file(path, mapping, own, own_path)
     for channel, one in dict(own.get("channels") or {}).items():
         level = one.get("idle") if isinstance(one, Mapping) else None
         if level is not None and isinstance(channels.get(channel), Mapping):
@@ -41,12 +41,12 @@ def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> 
     return {**mapping, "channels": channels, "recording": facts}, path
 
 
-def _check_one_file(path: Path, channels: Mapping[str, Any], own: Mapping[str, Any], own_path: Path) -> None:
+def _check_one_file(path: Path, mapping: Mapping[str, Any], own: Mapping[str, Any], own_path: Path) -> None:
     """Raise RecordingError if the run's own mapping tells of a sensor that the mapping beside the log knows nothing
     of: then one of the two has to describe all of it."""
-    what = [f"`{key}`" for key in ("files", "join") if own.get(key)]
+    what = [f"`{key}`" for key in ("files", "join") if own.get(key) and not mapping.get(key)]
     for channel, one in dict(own.get("channels") or {}).items():
-        if channel not in channels and isinstance(one, Mapping) and one.get("idle") is not None:
+        if channel not in (mapping.get("channels") or {}) and isinstance(one, Mapping) and one.get("idle") is not None:
             what.append(f"an idle level of '{channel}'")
     if what:
         raise RecordingError(
