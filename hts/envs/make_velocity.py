@@ -8,6 +8,7 @@ from hts.channels import HELD_CHANNELS, substep_channels
 from hts.config import EnvConfig
 from hts.contracts import Robot
 from hts.cores import available
+from hts.envs.physics_steps import SUBSTEPS
 from hts.envs.velocity import VelocityEnv
 from hts.rl.grouped_env import GroupedEnv
 from hts.rl.task_env import SplitStepEnv
@@ -50,6 +51,7 @@ def make_velocity_env(
             device=config.device,
             contacts_per_world=config.contacts_per_world,
             constraints_per_world=config.constraints_per_world,
+            keep_physics_steps=any(name in SUBSTEPS for name in wanted),
         )
         return VelocityEnv(made, robot.spec, len(own), num_envs, config, wanted, own)
 

@@ -20,8 +20,8 @@ def in_physics_steps(name: str, engine: Engine, torques: slice, touch: slice) ->
     kept = engine.physics_steps()
     if kept is None:
         raise SimulationError(
-            f"Channel '{name}' needs every physics step, and this engine keeps the last one alone. Take the engine "
-            "mujoco."
+            f"Channel '{name}' needs every physics step, and this engine keeps the last one alone. Ask for it when the "
+            "env is made, or take an engine that keeps them (Engine.physics_steps)."
         )
     qvel, sensors = kept
     if name == SUBSTEP_VELOCITY:

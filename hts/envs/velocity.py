@@ -222,8 +222,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         values = {name: self._channel_value(name) for name in self.channel_specs}
         if values and not self.engine.finite_when_diverged:
             broken = self.engine.diverged.view(self.shape2)
-            wide = broken.unsqueeze(-1)
-            values = {name: v.masked_fill(wide if v.ndim > 2 else broken, 0.0) for name, v in values.items()}
+            for name, value in values.items():
+                values[name] = value.masked_fill(broken.view(*self.shape2, *(1,) * (value.ndim - 2)), 0.0)
         return values
 
     def observations(self) -> dict[str, torch.Tensor]:

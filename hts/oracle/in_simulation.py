@@ -12,7 +12,6 @@ from torchrl.envs.transforms import Transform
 
 from hts.config import RunConfig
 from hts.config_loading import make_model
-from hts.errors import ConfigError
 from hts.measurement import files
 from hts.plugins import Registry
 from hts.run.job import Job
@@ -49,13 +48,12 @@ class SimulatedOracleJob(Job):
 
 
 def prepared(config: RunConfig, registry: Registry) -> RunConfig:
-    """The configuration as it is written. Raises ConfigError for an engine that keeps no physics steps."""
-    if config.engine != "mujoco":
-        raise ConfigError(
-            f"engine: {config.engine} does not keep every physics step, which the instruments look at. Leave it out: "
-            "an oracle in simulation takes mujoco."
-        )
-    return config
+    """The configuration as it is written, but that a GPU takes its steps one by one: instruments compute on the host,
+    which no captured step can wait for."""
+    if config.engine == "mujoco":
+        return config
+    uncaptured = config.finetune.ppo.model_copy(update={"capture": False})
+    return config.model_copy(update={"finetune": config.finetune.model_copy(update={"ppo": uncaptured})})
 
 
 def check(config: RunConfig, registry: Registry) -> None:

@@ -85,4 +85,5 @@ def make_engine(
         device=options.get("device", "auto"),
         contacts_per_world=options.get("contacts_per_world", 0),
         constraints_per_world=options.get("constraints_per_world", 0),
+        keep_physics_steps=options.get("keep_physics_steps", False),
     )

@@ -24,16 +24,20 @@ def make_warp_engine(
     device: str = "auto",
     contacts_per_world: int = 0,
     constraints_per_world: int = 0,
+    keep_physics_steps: bool = False,
 ) -> WarpEngine:
     """The GPU engine, or a slow twin of it for tests with device="cpu".
 
-    contacts_per_world, constraints_per_world: sizes of the buffers, 0 for the worst case of the robot.
+    keep_physics_steps: for who asks for `physics_steps`; sensors are then computed in each of them, and not in the last
+    alone. contacts_per_world, constraints_per_world: sizes of the buffers, 0 for the worst case of the robot.
     Raises ConfigError where Warp, CUDA or a recent driver is missing or the model is not supported, SimulationError
     where the memory does not suffice.
     """
     place = torch_device(device)
     try:
-        return WarpEngine(models, assignment, substeps, place, contacts_per_world, constraints_per_world)
+        return WarpEngine(
+            models, assignment, substeps, place, contacts_per_world, constraints_per_world, keep_physics_steps
+        )
     except HtsError:
         raise
     except (RuntimeError, ValueError) as error:
@@ -58,6 +62,7 @@ class WarpEngine(Engine, LaunchedSimulator):
         device: torch.device,
         contacts: int = 0,
         constraints: int = 0,
+        keep_physics_steps: bool = False,
     ) -> None:
         self._wp, self._mjw = wp, mjw = import_warp()
         self.num_worlds, self.substeps, self.device = len(assignment), substeps, device
@@ -66,7 +71,7 @@ class WarpEngine(Engine, LaunchedSimulator):
         with wp.ScopedDevice(self._place):
             self._model = put_models(wp, mjw, models, assignment)
             self._model.opt.warn_overflow = 0  # `check` reports, not a print from the device
-            # Only the last physics step of a control step is seen, so only there sensors are worth computing.
+            # Where only the last physics step of a control step is seen, only there sensors are worth computing.
             blind = dataclasses.replace(
                 self._model.opt, disableflags=self._model.opt.disableflags | mjw.DisableBit.SENSOR
             )
@@ -77,6 +82,10 @@ class WarpEngine(Engine, LaunchedSimulator):
                 models[0], nworld=self.num_worlds, nconmax=self._contacts, njmax=self._constraints
             )
             self._inputs = wp.zeros((substeps, self.num_worlds, models[0].nu), dtype=float)
+            self._kept = None
+            if keep_physics_steps:
+                speeds = wp.zeros((substeps + 1, self.num_worlds, models[0].nv), dtype=float)
+                self._kept = speeds, wp.zeros((substeps, self.num_worlds, models[0].nsensordata), dtype=float)
         self.qpos, self.qvel, self.sensordata, self._time, self._warmstart, self._overflow, self._ctrl = (
             wp.to_torch(array)
             for array in (
@@ -90,6 +99,7 @@ class WarpEngine(Engine, LaunchedSimulator):
             )
         )
         self._act = wp.to_torch(data.act) if models[0].na else None
+        self._steps = [wp.to_torch(array) for array in self._kept or ()]
         self.diverged = torch.zeros(self.num_worlds, dtype=torch.bool, device=device)
         self._bad_input = torch.zeros_like(self.diverged)
         self._streams: dict[int, object] = {}
@@ -118,9 +128,17 @@ class WarpEngine(Engine, LaunchedSimulator):
 
     def _launch_all(self) -> None:
         """Every kernel of one control step, in order."""
+        copy, data = self._wp.copy, self._data
+        if self._kept is not None:
+            copy(self._kept[0][0], data.qvel)
         for index in range(self.substeps):
-            self._wp.copy(self._data.ctrl, self._inputs[index])
-            self._mjw.step(self._model if index == self.substeps - 1 else self._blind, self._data)
+            copy(data.ctrl, self._inputs[index])
+            seen = self._kept is not None or index == self.substeps - 1
+            self._mjw.step(self._model if seen else self._blind, data)
+            if self._kept is not None:
+                speeds, sensors = self._kept
+                copy(speeds[index + 1], data.qvel)
+                copy(sensors[index], data.sensordata)
 
     def step(self, ctrl: torch.Tensor) -> None:
         self.load(ctrl)
@@ -131,14 +149,20 @@ class WarpEngine(Engine, LaunchedSimulator):
         """Take the actuator inputs of the next control step, (substeps, W, nu)."""
         self._ctrl.copy_(ctrl)
 
+    def physics_steps(self) -> tuple[torch.Tensor, torch.Tensor] | None:
+        if not self._steps:
+            return None
+        speeds, sensors = (kept.movedim(0, 1) for kept in self._steps)
+        return (speeds[:, :-1] + speeds[:, 1:]) / 2, sensors.clone()
+
     @property
     def inputs(self) -> torch.Tensor:
         """The actuator inputs of the running control step, (substeps, W, nu)."""
         return self._ctrl
 
     def memory(self) -> list[torch.Tensor]:
-        """Every tensor that `load`, `flag_diverged` and `reset` read or change, in place."""
-        return [*self._saved().values(), self._ctrl, self._bad_input]
+        """Every tensor that `load`, `flag_diverged`, `physics_steps` and `reset` read or change, in place."""
+        return [*self._saved().values(), self._ctrl, self._bad_input, *self._steps]
 
     def replay(self, steps: Sequence[tuple[Mapping[str, torch.Tensor], torch.Tensor]]) -> None:
         here = self.state_dict()

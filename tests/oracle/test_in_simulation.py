@@ -11,8 +11,11 @@ import torch
 
 from hts import plugins
 from hts.cli.main import main
+from hts.config import RunConfig
+from hts.config_loading import load_config
 from hts.contracts import Instrument
 from hts.errors import PluginError, UnfitWorldError
+from hts.oracle.in_simulation import prepared
 from hts.worlds.oracle import IN_SIMULATION
 from hts.worlds.oracle.simulated import ExactMeasurement, Seeing, SimulatedInstruments, check_exact
 
@@ -215,13 +218,21 @@ def test_an_instrument_that_tells_nothing_usable_is_one_line(registry, seeing, t
             "start: of an oracle that trains on the reality",
         ),
         (["oracle", "--in-simulation", "--world", "field"], "World 'field' cannot be looked into"),
-        (["oracle", "--in-simulation", "--set", "engine=warp"], "engine: warp does not keep every physics step"),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(tmp_path, capsys, command, said):
     assert main([command[0], *OF_POWER, "--out", str(tmp_path / "run"), *command[1:]]) != 0
     err = capsys.readouterr().err.strip()
     assert "\n" not in err and said in err and not (tmp_path / "run").exists()
+
+
+def test_on_a_gpu_no_step_is_captured_since_instruments_compute_on_the_host(registry):
+    def asked(engine: str) -> RunConfig:
+        given = ["reward_source=oracle", "oracle_trains_in=simulation", f"engine={engine}"]
+        return load_config(preset="smoke", objectives=["power"], robot="go1", overrides=given, registry=registry)
+
+    assert not prepared(asked("warp"), registry).finetune.ppo.capture
+    assert prepared(asked("mujoco"), registry) == asked("mujoco")
 
 
 # ---------------------------------------------------------------------------------------------------------- a run

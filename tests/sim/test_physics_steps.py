@@ -46,8 +46,12 @@ def test_they_are_those_that_mujoco_takes_one_by_one(robot):
     assert float((speeds[0, 0] - speeds[0, -1]).abs().max()) > 0.1  # a control step is not one physics step
 
 
-def test_the_last_of_them_is_what_the_control_step_shows(robot):
-    env = robot.make_env("mujoco", 2, 3, CONFIG, channels=CHANNELS, seeds=[0, 1])
+@pytest.mark.parametrize("engine", ["mujoco", "warp"])
+def test_the_last_of_them_is_what_the_control_step_shows(robot, engine):
+    if engine == "warp":
+        pytest.importorskip("mujoco_warp", reason="the extra `gpu` is not installed")
+    config = CONFIG.model_copy(update={"device": "cpu"})
+    env = robot.make_env(engine, 2, 3, config, channels=CHANNELS, seeds=[0, 1])
     state = env.reset()
     state["action"] = 0.3 * torch.ones(env.action_spec.shape)
     channels = env.step(state)["next", "channels"]
@@ -63,6 +67,8 @@ def test_the_last_of_them_is_what_the_control_step_shows(robot):
 def test_an_engine_that_keeps_its_last_state_alone_says_so(robot, monkeypatch):
     monkeypatch.setattr(MujocoEngine, "physics_steps", lambda self: None)
     env = robot.make_env("mujoco", 1, 2, CONFIG, channels=(SUBSTEP_TORQUE,), seeds=[0])
-    with pytest.raises(SimulationError, match="'substep_torque' needs every physics step.* Take the engine mujoco"):
+    with pytest.raises(
+        SimulationError, match="'substep_torque' needs every physics step.* Ask for it when the env is made"
+    ):
         env.reset()
     env.close()

@@ -83,6 +83,26 @@ def test_both_engines_agree_over_fifty_control_steps(robot, pool, assignment):
     double.close()
 
 
+def test_both_engines_keep_the_same_physics_steps_for_who_asks(robot, pool, warp):
+    single = make_engine("warp", pool, IN_TURN, robot.spec.substeps, device="cpu", keep_physics_steps=True)
+    double = make_engine("mujoco", pool, IN_TURN, robot.spec.substeps, threads=1)
+    for engine in (single, double, warp):
+        restart(engine, robot)
+    for ctrl in moves(robot, 5):
+        for engine in (single, double, warp):
+            engine.step(ctrl)
+        for found, expected, atol in zip(single.physics_steps(), double.physics_steps(), (5e-3, 0.1), strict=True):
+            assert found.shape == (WORLDS, robot.spec.substeps, found.shape[-1])
+            torch.testing.assert_close(found, expected, atol=atol, rtol=1e-2)
+    assert (
+        single.physics_steps()[1][:, 0] - single.sensordata
+    ).abs().max() > 1.0  # not the last of them again and again
+    torch.testing.assert_close(single.physics_steps()[1][:, -1], single.sensordata)
+    torch.testing.assert_close(single.qpos, warp.qpos)  # looking at them moves nothing
+    assert warp.physics_steps() is None
+    double.close()
+
+
 def test_a_nudge_moves_both_engines_alike_and_goes_on_in_the_physics(robot, pool):
     engines = [make_engine(name, pool, IN_TURN, robot.spec.substeps, device="cpu") for name in ("mujoco", "warp")]
     steps, nudge = moves(robot, 10), torch.zeros(WORLDS, 2)

@@ -74,7 +74,7 @@ class SimulatedInstruments:
     def see(self, recorded: Tensor) -> dict[str, np.ndarray]:
         """One control step, CHANNELS side by side (W, K (2 J + F)); returns the exact real channels, name -> (W, ...),
         means over the step."""
-        spec, rows = self._spec, recorded.double().numpy()
+        spec, rows = self._spec, recorded.cpu().double().numpy()
         joints = spec.substeps * spec.num_joints
         torque, velocity, force = (
             np.ascontiguousarray(part.reshape(len(rows), spec.substeps, -1).swapaxes(0, 1))
@@ -104,7 +104,8 @@ class ExactMeasurement(Measured):
     """r_real = objective.reward(z), per second, z the exact target in the fitted model's mean and standard deviation.
 
     In the place of that model's `MeasurementTransform`: what it writes means the same, so λ, promises and whatever else
-    was made for the model hold. On a CPU; heat and charge are in no state dict.
+    was made for the model hold. Instruments compute on the host, so it waits for a GPU; heat and charge are in no state
+    dict.
     """
 
     def __init__(self, objective: Objective, model: MeasurementModel, seeing: Seeing) -> None:
