@@ -334,6 +334,22 @@ def test_the_captured_graph_agrees_with_the_cpu_engine_and_never_waits(robot, po
 
 
 @needs_cuda
+def test_the_captured_graph_keeps_the_physics_steps_of_the_cpu_engine(robot, pool):
+    captured = make_engine("warp", pool, IN_TURN, robot.spec.substeps, keep_physics_steps=True)
+    double = make_engine("mujoco", pool, IN_TURN, robot.spec.substeps, threads=1)
+    pose, still = standing(robot), torch.zeros(WORLDS, 18)
+    double.reset(everywhere(), pose, still)
+    captured.reset(everywhere().cuda(), pose.cuda(), still.cuda())
+    for ctrl in moves(robot, 5):
+        captured.step(ctrl.cuda())
+        double.step(ctrl)
+        for found, expected, atol in zip(captured.physics_steps(), double.physics_steps(), (5e-3, 0.1), strict=True):
+            torch.testing.assert_close(found.cpu(), expected, atol=atol, rtol=1e-2)
+    captured.close()
+    double.close()
+
+
+@needs_cuda
 def test_worlds_that_do_not_fit_are_refused_with_what_to_do(robot, pool):
     free, _ = torch.cuda.mem_get_info()
     hog = torch.empty(free - 2**29, dtype=torch.uint8, device="cuda")

@@ -1,5 +1,7 @@
 """What only a GPU can show: captured steps do what the same steps do one operation at a time. Skipped without CUDA."""
 
+import math
+
 import pytest
 import torch
 
@@ -18,7 +20,8 @@ from hts.training.trainer import PopulationTrainer, update_settings
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 
-CHANNELS = ("joint_torque", "joint_velocity")
+CHANNELS = {"joint_torque": (12,), "joint_velocity": (12,)}
+SUBSTEPS = {"substep_torque": (4, 12), "substep_velocity": (4, 12)}
 CONFIG = PPOConfig(horizon=8, epochs=2, minibatches=2, fuse=False)
 SEEDS = (3, 4)
 LONG = EnvConfig(randomisation={"models": 2})
@@ -26,16 +29,23 @@ SHORT = EnvConfig(randomisation={"models": 2}, episode_seconds=0.3, stagger=True
 
 
 def make_trainer(
-    config: PPOConfig = CONFIG, reward=None, resume=None, seeds=SEEDS, worlds=64, env_config: EnvConfig = LONG
+    config: PPOConfig = CONFIG,
+    reward=None,
+    resume=None,
+    seeds=SEEDS,
+    worlds=64,
+    env_config: EnvConfig = LONG,
+    channels=CHANNELS,
 ) -> PopulationTrainer:
     from hts_go1.plugin import make_go1
 
     robot = make_go1({})
-    env = robot.make_env("warp", len(seeds), worlds, env_config, CHANNELS, list(seeds))
-    signals = Signals(tuple(Channel(name, "1", (12,)) for name in CHANNELS), Channel("t", "N*m"), 50.0)
+    env = robot.make_env("warp", len(seeds), worlds, env_config, tuple(channels), list(seeds))
+    signals = Signals(tuple(Channel(name, "1", shape) for name, shape in channels.items()), Channel("t", "N*m"), 50.0)
     model = LSTM(LSTMSettings(hidden=8), signals, seed=1)
-    some = torch.randn(50, 25, generator=torch.Generator().manual_seed(0))
-    model.set_statistics(some[:, :24] * 5, some[:, 24])
+    size = sum(math.prod(shape) for shape in channels.values())
+    some = torch.randn(200, size + 1, generator=torch.Generator().manual_seed(0))
+    model.set_statistics(some[:, :size] * 5, some[:, size])
     policy = load_policy(robot.pretrained_policy())
     population = Population.from_candidates(policy.card.sizes(), [policy.tensors] * len(seeds), env.device)
     population.refresh()
@@ -79,6 +89,21 @@ def test_a_captured_batch_is_the_batch_of_its_steps(fuse, env_config):
     assert torch.equal(first["next", "truncated"], second["next", "truncated"])
     close = (first["next", "real_reward", "cost"] - second["next", "real_reward", "cost"]).abs() < 5e-2
     assert float(close.float().mean()) > 0.95
+    captured.close()
+    plain.close()
+
+
+@pytest.mark.parametrize("fuse", [False, True])
+def test_a_model_of_the_physics_steps_is_paid_in_captured_steps(fuse):
+    captured = make_trainer(CONFIG.model_copy(update={"fuse": fuse}), channels=SUBSTEPS)
+    plain = make_trainer(CONFIG.model_copy(update={"capture": False}), channels=SUBSTEPS)
+    rewards = [trainer.collect()["next", "real_reward", "cost"] for trainer in (captured, plain)]
+    assert captured.collector.captured and not plain.collector.captured
+    for reward in rewards:
+        assert torch.isfinite(reward).all()
+        assert float(reward.std(dim=2).min()) > 0  # of every world: the steps it sees are the running ones
+    means = [float(reward.mean()) for reward in rewards]
+    assert means[0] == pytest.approx(means[1], abs=0.3 * float(rewards[1].std()))  # other noise, the same walk
     captured.close()
     plain.close()
 
