@@ -216,7 +216,7 @@ def make_model(registry: Registry, objective: Objective, settings: Mapping[str, 
             "Named(name='lstm')."
         )
     choice, signals = chosen_model(objective, settings), robot_signals(objective, robot)
-    context = ModelContext(signals, own)
+    context = ModelContext(signals, own, physics_steps=robot.spec.substeps if robot.keeps_physics_steps else 0)
     return registry.make_measurement_model(choice.name, choice.settings, context)
 
 

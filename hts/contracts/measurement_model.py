@@ -76,12 +76,14 @@ class ModelContext:
 
     signals: what the model will read and predict; default: the model that the objective uses where nobody chose
     another, None when a model is read from its file; registry: everything that is installed, for models made of other
-    models.
+    models; physics_steps: in how many of them the robot's training env takes a control step and tells what they were
+    like (`hts.channels.substep_channels`), 0 for one that does not.
     """
 
     signals: Signals
     default: Named | None = None
     registry: Installed | None = None
+    physics_steps: int = 0
 
 
 class MeasurementModel(ABC):
@@ -186,6 +188,21 @@ class MeasurementModel(ABC):
         action is paid for when it is taken. Under the same rules as `step`. Only asked where `settles` says so.
         """
         raise NotImplementedError(f"{type(self).__name__} does not tell its sensor's delay from what is measured.")
+
+    @property
+    def settles_in_physics_steps(self) -> bool:
+        """Whether the reward in the env looks at `settled_over`, where `settles` says that it looks at `settled`: for a
+        model that was fitted to what joints did between samples (`hts.measurement.physics_steps`). It reads torque and
+        speed of joints alone, and its robot's env keeps physics steps (`ModelContext.physics_steps`)."""
+        return False
+
+    def settled_over(self, inputs: torch.Tensor) -> Prediction:
+        """`settled` of a control step that was K physics steps: inputs (W, K, F) in channel units -> (W,). By default
+        the means over them. Only asked where `settles_in_physics_steps` says so."""
+        found = self.settled(inputs.flatten(0, 1))
+        mean, std = (None if part is None else part.unflatten(0, inputs.shape[:2]).mean(1) for part in found)
+        assert mean is not None
+        return Prediction(mean, std)
 
     def outside(self, inputs: torch.Tensor) -> torch.Tensor:
         """Share of the inputs (..., F) outside the range of the data it was fitted to, (...,); NaN is outside.

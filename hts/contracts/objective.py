@@ -93,6 +93,12 @@ class Objective(ABC):
         """
         return {self.target.name: target}
 
+    @property
+    def proxy_in_physics_steps(self) -> bool:
+        """Whether `proxy` is asked in each physics step of a control step, and its mean paid: it reads torque and speed
+        of joints, and the robot's env keeps physics steps (`Robot.keeps_physics_steps`). By default it is not."""
+        return False
+
     def proxy(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
         """The analytic stand-in of the target from sim channels (..., J) -> (...,); None if there is none."""
         return None

@@ -112,6 +112,10 @@ class Robot(ABC):
     """
 
     spec: RobotSpec
+    keeps_physics_steps: bool = False
+    """Whether `make_env`, asked for them, writes the channels of `hts.channels.substep_channels` too: what the physics
+    steps of each control step were like. By default it does not."""
+
     held_at_zero: Mapping[str, float] = MappingProxyType({})
     """Sim channels, each of a single number, that fine-tuning holds at zero on average (`finetune.hold`): how well the
     task is done, so that less of it is no saving. By default there is none.

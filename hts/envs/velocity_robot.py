@@ -23,6 +23,7 @@ class VelocityRobot(Robot):
     A robot that wants the task slightly different overrides `make_env` and hands a changed `config` to `super()`.
     """
 
+    keeps_physics_steps = True
     held_at_zero = MappingProxyType({SPEED_ERROR.name: 0.02, SPEED_ERROR_TREND.name: 0.02})
     held_below = MappingProxyType({SPEED_MISSED_SLOW.name: 0.08, SPEED_MISSED_FAST.name: 0.04})
     """About twice what a policy has that walks well: 0.034 and 0.016 under pushes and on varied machines

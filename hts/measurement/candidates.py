@@ -27,6 +27,17 @@ COMPARED = ("linear", "lstm")
 """Models that the best is chosen among, beside the objective's own, where nobody names any."""
 
 
+def context_of(objective: Objective, recording: Recording, registry: Registry) -> ModelContext:
+    """Of a model that is fitted to recordings like this one: channels as it has them, physics steps as its robot's
+    training env keeps them, if it is installed."""
+    steps = 0
+    if recording.robot in registry.robots:
+        robot = registry.make_robot(recording.robot)
+        steps = robot.spec.substeps if robot.keeps_physics_steps else 0
+    signals = recorded_signals(objective, recording)
+    return ModelContext(signals, objective.measurement_model(), physics_steps=steps)
+
+
 @dataclass(frozen=True)
 class Candidates:
     """Measurement models by choice, unfitted, for the channels of one recording."""
@@ -43,7 +54,7 @@ class Candidates:
         return FitSettings(self.config.seed, self.config.epochs, self.config.max_seconds)
 
     def made(self, choice: Named) -> MeasurementModel:
-        context = ModelContext(recorded_signals(self.objective, self.like), self.objective.measurement_model())
+        context = context_of(self.objective, self.like, self.registry)
         return self.registry.make_measurement_model(choice.name, choice.settings, context)
 
     def fitter(self, choice: Named) -> comparison.Fitter:

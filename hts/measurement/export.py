@@ -55,6 +55,12 @@ def export_model(
     to = Path(to)
     if to.exists():
         raise RunError(f"{to}: exists already. Choose another file with --to.")
+    if model.settles and model.settles_in_physics_steps:
+        raise ConfigError(
+            f"Model '{model.name or type(model).__name__}' was fitted to physics steps and looks at each of them; the "
+            "reward of a file reads one row a control step. Fit without them to export: give the model "
+            "physics_steps=false."
+        )
     model = model.to("cpu")
     channels = model.signals.inputs
     with torch.no_grad():

@@ -17,15 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
 from hts.config import MeasurementConfig
-from hts.contracts import MeasurementModel, ModelContext, chosen_model
+from hts.contracts import MeasurementModel, chosen_model
 from hts.errors import ConfigError, RecordingError, RunError, unknown_name
 from hts.guarded import guarded
 from hts.layers import in_full
 from hts.measurement import files
 from hts.measurement.alike import check_alike
-from hts.measurement.candidates import Candidates, compared, table_rows
+from hts.measurement.candidates import Candidates, compared, context_of, table_rows
 from hts.measurement.checks import check
-from hts.measurement.data import recorded_signals
 from hts.measurement.fit_settings import FitSettings
 from hts.measurement.fitting import called, fit_model
 from hts.measurement.outliers import masked_split
@@ -65,8 +64,7 @@ def new_model(
 
         registry = plugins.load()
     choice = chosen_model(objective, settings)
-    context = ModelContext(recorded_signals(objective, recording), objective.measurement_model())
-    return registry.make_measurement_model(choice.name, choice.settings, context)
+    return registry.make_measurement_model(choice.name, choice.settings, context_of(objective, recording, registry))
 
 
 def fit_and_check(

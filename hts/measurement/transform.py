@@ -25,6 +25,7 @@ from hts.contracts import MeasurementModel, Prediction
 from hts.errors import SimulationError, unknown_name
 from hts.measurement.data import gather
 from hts.measurement.pessimism import pessimistic_reward
+from hts.measurement.physics_steps import IN_STEPS
 from hts.rl.deferred import DeferrableTransform
 from hts.rl.task_env import ReplacedState
 
@@ -70,8 +71,10 @@ class MeasurementTransform(Measured):
     """
 
     def __init__(self, model: MeasurementModel, reward: Callable[[Tensor], Tensor], name: str) -> None:
-        target = model.signals.target.name
-        super().__init__(model.signals.names, (("measured", target), ("real_reward", name), ("outside", target)))
+        target, names = model.signals.target.name, model.signals.names
+        self._in_steps = model.settles and model.settles_in_physics_steps
+        inputs = tuple(IN_STEPS[name] for name in names) if self._in_steps else names
+        super().__init__(inputs, (("measured", target), ("real_reward", name), ("outside", target)))
         # In a tuple, so that the model is not a submodule: its weights would be saved with every checkpoint.
         self._model = (model,)
         self.reward = reward
@@ -106,6 +109,10 @@ class MeasurementTransform(Measured):
         return gather(channels, self.inputs, channels[self.inputs[0]].shape[:2].numel())
 
     def evaluate(self, recorded: Tensor) -> dict[NestedKey, Tensor]:
+        if self._in_steps:
+            steps = recorded.unflatten(-1, (len(self.inputs), -1, self._model[0].signals.sizes[0]))
+            inputs = steps.movedim(-2, -3).flatten(-2)  # (P·N, K, F)
+            return self._entries(self._model[0].settled_over(inputs), inputs[..., -1, :])
         if self._model[0].settles:
             return self._entries(self._model[0].settled(recorded), recorded)
         prediction, self.memory = self._model[0].step(recorded, self.memory)
@@ -149,11 +156,17 @@ class ProxyTransform(Measured):
     """
 
     def __init__(self, objective: Objective) -> None:
-        super().__init__(objective.inputs, (("measured", objective.target.name), ("real_reward", objective.name)))
+        names = objective.inputs
+        inputs = tuple(IN_STEPS[name] for name in names) if objective.proxy_in_physics_steps else names
+        super().__init__(inputs, (("measured", objective.target.name), ("real_reward", objective.name)))
         self.objective = objective
 
     def record(self, channels: Mapping[str, Tensor]) -> Tensor:
-        proxy = self.objective.proxy({name: channels[name] for name in self.inputs})
+        """The proxy, (P·N, 1); its mean over the physics steps where it is asked in each."""
+        given = dict(zip(self.objective.inputs, (channels[name] for name in self.inputs), strict=True))
+        proxy = self.objective.proxy(given)
+        if proxy is not None and self.objective.proxy_in_physics_steps:
+            proxy = proxy.mean(-1)
         if proxy is None:
             raise SimulationError(
                 f"Objective '{self.objective.name}' has no analytic stand-in, so there is no baseline to train."

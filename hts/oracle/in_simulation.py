@@ -13,6 +13,7 @@ from torchrl.envs.transforms import Transform
 from hts.config import RunConfig
 from hts.config_loading import make_model
 from hts.measurement import files
+from hts.measurement.transform import Measured
 from hts.plugins import Registry
 from hts.run.job import Job
 from hts.run.learning import model_path
@@ -34,13 +35,9 @@ class SimulatedOracleJob(Job):
         config = self.config
         self._seeing = Seeing.of(self.robot, config.world.settings, config.objectives, self.registry)
 
-    def reward_inputs(self) -> tuple[str, ...]:
-        """What instruments see of the simulation."""
-        return CHANNELS
-
-    def rewards(self, iteration: int) -> list[Transform]:
+    def rewards(self, iteration: int) -> list[Measured]:
         """The exact measurement for each objective, in the scale of the model that was fitted."""
-        made: list[Transform] = []
+        made: list[Measured] = []
         for name, objective in self.objectives.items():
             model = files.load(model_path(self, iteration, name), registry=self.registry)
             made.append(ExactMeasurement(objective, model, self._seeing))

@@ -14,10 +14,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torchrl.envs.transforms import Transform
-
 from hts.config import RunConfig
 from hts.errors import PolicyError
+from hts.measurement.transform import Measured
 from hts.plugins import Registry
 from hts.run.job import Job
 from hts.run.ready import check_world, pretrained_policy
@@ -133,7 +132,7 @@ class OracleJob(Job):
         result = self.do("truth", "walk on the reality, looking inside", walk)
         return {name: Level(**level) for name, level in result["levels"].items()}
 
-    def rewards(self, iteration: int) -> list[Transform]:
+    def rewards(self, iteration: int) -> list[Measured]:
         """The truth of each objective."""
         return [TrueReward(objective, self.levels[name]) for name, objective in self.objectives.items()]
 

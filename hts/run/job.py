@@ -9,12 +9,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from torchrl.envs.transforms import Transform
-
 from hts.config import RunConfig, ScheduleConfig
 from hts.contracts import HoldSpeed, Objective, Robot, World, WorldContext
 from hts.errors import ConfigError, PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
+from hts.measurement.transform import Measured
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
@@ -76,13 +75,9 @@ class Job:
         own = own_weights(self.objectives, proxy=self.config.reward_source == "proxy")
         return combinations(own, self.config.sweep.weights)
 
-    def rewards(self, iteration: int) -> list[Transform] | None:
+    def rewards(self, iteration: int) -> list[Measured] | None:
         """What is paid for in training where it is neither models nor proxies; None: it is one of these."""
         return None
-
-    def reward_inputs(self) -> tuple[str, ...]:
-        """Sim channels that `rewards` reads beside those of the objectives' models."""
-        return ()
 
     def untrained(self, iteration: int) -> list[dict[str, Any]]:
         """Rows of finetune.json for candidates of an iteration that are there already."""

@@ -61,7 +61,7 @@ def judge(
     if pull is not None and test.measured_pull:
         env_config = pulled(env_config, tuple(pull["pull"]))
     task = job.robot.task()
-    channels = tuple(dict.fromkeys((*inputs(job), *task.channels)))
+    channels = tuple(dict.fromkeys((*inputs(job, iteration), *task.channels)))
     bare = job.robot.make_env(
         config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
     )

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
-from torchrl.envs.transforms import Transform
 
 from hts.config import FinetuneConfig
 from hts.contracts import MeasurementModel, Objective
@@ -18,13 +17,14 @@ from hts.measurement import files
 from hts.measurement.fit_command import fit_and_check
 from hts.measurement.fit_report import doubts
 from hts.measurement.outliers import masked_split
-from hts.measurement.transform import MeasurementTransform, ProxyTransform
+from hts.measurement.transform import Measured, MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
 from hts.recordings import Recording
 from hts.run.felt_pull import felt_pull, pull_line
 from hts.run.front import real_front
 from hts.run.job import Job
+from hts.run.ready import inputs as inputs_of
 from hts.run.task_watch import reward_scale, scale_lines
 from hts.run.trust_region import scaled
 from hts.selection.fronts import towards
@@ -104,7 +104,7 @@ def model_path(job: Job, iteration: int, objective: str) -> Path:
     return job.folder / "iterations" / f"{iteration:02d}" / "models" / f"{objective}.safetensors"
 
 
-def transforms(job: Job, iteration: int) -> list[Transform]:
+def transforms(job: Job, iteration: int) -> list[Measured]:
     """Fresh measurement models (or analytic proxies) to put into an env; of an oracle what it sees."""
     seen = job.rewards(iteration)
     if seen is not None:
@@ -117,10 +117,9 @@ def transforms(job: Job, iteration: int) -> list[Transform]:
     ]
 
 
-def inputs(job: Job) -> tuple[str, ...]:
+def inputs(job: Job, iteration: int) -> tuple[str, ...]:
     """Sim channels that the objectives' models read, or whatever else pays."""
-    models = (name for objective in job.objectives.values() for name in objective.inputs)
-    return tuple(dict.fromkeys((*models, *job.reward_inputs())))
+    return inputs_of(transforms(job, iteration))
 
 
 def sweep(job: Job, iteration: int, best: str) -> list[Candidate]:
@@ -179,7 +178,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
         group,
         anchors,
         lambda: transforms(job, iteration),
-        inputs(job),
+        inputs(job, iteration),
         seed=job.seed("finetune", iteration),
         checkpoint=checkpoint,
         key=key,

@@ -7,7 +7,7 @@ after data were collected: with a robot that was somebody's afternoon.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +27,7 @@ from hts.training.sweep import combinations, own_weights
 if TYPE_CHECKING:
     from torchrl.envs.transforms import Transform
 
+    from hts.measurement.transform import Measured
     from hts.policies.files import Policy
 
 FEW_ENVS = 2  # per candidate: enough to see that an env can be made and stepped
@@ -59,12 +60,12 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
         _check_env(config, registry, engine)
 
 
-def transforms(config: RunConfig, registry: Registry) -> list[Transform]:
+def transforms(config: RunConfig, registry: Registry) -> list[Measured]:
     """The rewards of the run's objectives for an env, from measurement models that are not fitted, or from proxies."""
     from hts.measurement.transform import MeasurementTransform, ProxyTransform
 
     robot = registry.make_robot(config.robot.name, config.robot.settings)
-    made: list[Transform] = []
+    made: list[Measured] = []
     for name, settings in config.objectives.items():
         objective = registry.make_objective(name, settings)
         what = f"Measurement model of objective '{name}'"
@@ -74,6 +75,11 @@ def transforms(config: RunConfig, registry: Registry) -> list[Transform]:
             model = guarded(what, partial(make_model, registry, objective, settings, robot))
             made.append(MeasurementTransform.of(objective, model))
     return made
+
+
+def inputs(seen: Iterable[Measured]) -> tuple[str, ...]:
+    """Sim channels that these read, each once."""
+    return tuple(dict.fromkeys(name for one in seen for name in one.inputs))
 
 
 def pretrained_policy(robot: Robot) -> Policy:
@@ -130,10 +136,7 @@ def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
     for key in config.objectives:
         _check_reward(key, registry.make_objective(key, config.objectives[key]))
     robot = registry.make_robot(config.robot.name, config.robot.settings)
-    inputs = {
-        name: None for key in config.objectives for name in registry.make_objective(key, config.objectives[key]).inputs
-    }
-    check_step(config, robot, engine, tuple(inputs), lambda: transforms(config, registry))
+    check_step(config, robot, engine, inputs(transforms(config, registry)), lambda: transforms(config, registry))
 
 
 def check_step(

@@ -8,7 +8,7 @@ from itertools import islice
 from hts.config import RunConfig
 from hts.guarded import guarded
 from hts.plugins import Registry
-from hts.run.ready import pretrained_policy, transforms
+from hts.run.ready import inputs, pretrained_policy, transforms
 from hts.training.sweep import Candidate, combinations, own_weights
 
 BATCHES = 4  # the first one is not timed: it takes memory and fills caches
@@ -35,7 +35,6 @@ def control_steps_per_second(config: RunConfig, registry: Registry) -> float | N
     pairs = islice(((one, bound) for one in weights for bound in config.sweep.kl_bounds), most)
     group = [Candidate(f"dry-{i}", PRETRAINED, one, bound) for i, (one, bound) in enumerate(pairs)]
     short = tune.model_copy(update={"num_envs": envs, "steps": BATCHES * horizon * envs})
-    inputs = tuple(dict.fromkeys(name for one in objectives.values() for name in one.inputs))
     ends: list[float] = []
     guarded(
         "Fine-tuning",
@@ -46,7 +45,7 @@ def control_steps_per_second(config: RunConfig, registry: Registry) -> float | N
             group,
             {PRETRAINED: policy},
             lambda: transforms(config, registry),
-            inputs,
+            inputs(transforms(config, registry)),
             seed=config.seed,
             progress=lambda share: ends.append(time.perf_counter()),
         ),

@@ -21,6 +21,11 @@ Noise in the torque of a log flattens its square, and a policy then finds the co
 position-controlled joint is also known from its target, kp (target - q) - kd q', up to one factor (the firmware's scale
 of gains), which the log itself tells. The fit takes the torque, read or computed, that explains the target better.
 
+Torque jumps where its target does, once a control step, and is read once, when most of the jump is gone: tau^2 of
+samples is not its mean, and by how much depends on the gait. With `physics_steps` the terms are means over the physics
+steps of a control step, which the log tells too (`hts.measurement.physics_steps`): by how many of them targets come
+late is fitted, as what explains the log best.
+
 Inside the env the reward looks at s itself (`settled`): it has the same mean as z without the sensor's delay, so an
 action is paid for when it is taken and not half a second later.
 """
@@ -40,6 +45,8 @@ from hts.contracts import MeasurementModel, ModelContext, Prediction, Signals
 from hts.errors import ConfigError, RecordingError
 from hts.measurement.data import training_data
 from hts.measurement.lstm_fit import one_thread
+from hts.measurement.physics_steps import IN_STEPS as IN_PHYSICS_STEPS
+from hts.measurement.physics_steps import asked_torque, between_samples, torque_scale
 from hts.measurement.readings import new_readings
 from hts.measurement.torch_model import TorchModel
 from hts_power.drive_train_fit import BLOCK_SECONDS, DIRECTIONS, Drives, skipped
@@ -50,8 +57,9 @@ if TYPE_CHECKING:
     from hts.measurement.fit_settings import FitSettings
     from hts.recordings.recording import Recording
 
+IN_STEPS = "in physics steps"
+IN_FAVOUR = 0.95  # of the error: where both explain about as much, what lies between samples decides for other gaits
 MOST_FOLDS = 10
-LEAST_AGREEMENT = 0.7  # correlation of the torque that is read with the computed one
 ROUNDS = 3  # of sensor and drives in turn
 
 
@@ -72,11 +80,16 @@ class DriveTrainSettings(Config):
         True,
         description="reward each action when it is taken, without the sensor's delay; false: as the sensor shows it",
     )
+    physics_steps: bool | None = Field(
+        False,
+        description="look at torque and speed in each physics step of the simulation, and between the samples of a log "
+        "(`joint_target`, `joint_position` tell), instead of once a control step; null: where that explains the log",
+    )
 
 
 def make(settings: Mapping[str, Any], context: ModelContext) -> MeasurementModel:
     """Raises ConfigError unless it reads two channels of one size: torque and speed of the same joints."""
-    return DriveTrain(DriveTrainSettings.model_validate(dict(settings)), context.signals)
+    return DriveTrain(DriveTrainSettings.model_validate(dict(settings)), context.signals, context.physics_steps)
 
 
 class DriveTrain(TorchModel):
@@ -84,7 +97,7 @@ class DriveTrain(TorchModel):
     doubt: (TERMS · J + 1, DIRECTIONS), a square root of the posterior covariance of weight and bias. The memory of W
     worlds is (W, M): what the past adds to the next M predictions."""
 
-    def __init__(self, config: DriveTrainSettings, signals: Signals) -> None:
+    def __init__(self, config: DriveTrainSettings, signals: Signals, physics_steps: int = 0) -> None:
         if len(signals.sizes) != 2 or signals.sizes[0] != signals.sizes[1]:
             found = ", ".join(f"{channel.name} {channel.shape}" for channel in signals.inputs)
             raise ConfigError(
@@ -93,6 +106,7 @@ class DriveTrain(TorchModel):
             )
         super().__init__(signals)
         self.config = config
+        self._parts = physics_steps  # of a control step, in the robot's simulation; 0: it keeps none
         self.pessimism = config.beta
         self.longest = round(config.lag_seconds * signals.rate_hz)
         self.register_buffer("weight", torch.zeros(self.num_features))
@@ -122,6 +136,11 @@ class DriveTrain(TorchModel):
         """Whether the reward looks at `settled`."""
         return self.config.instant
 
+    @property
+    def settles_in_physics_steps(self) -> bool:
+        """Whether the reward looks at each physics step: where the fit did."""
+        return self.config.instant and bool(self.config.physics_steps)
+
     # --------------------------------------------------------------------------------------------- fitting
 
     @torch.no_grad()
@@ -147,9 +166,11 @@ class DriveTrain(TorchModel):
                     f"'{name}' stays the same from {self.config.lag_seconds:g} s on in all {len(kept)} recordings. A "
                     "model cannot be fitted to a constant: check that the sensor was read throughout, and record again."
                 )
+            if self.config.physics_steps is not False:
+                sources = self._with_physics_steps(sources, recordings)
             found: dict[str, tuple[Drives, list[np.ndarray], list[np.ndarray]]] = {}
             for source, inputs in sources.items():
-                terms = [self.scaled_features(each.double()).numpy() for each in inputs]
+                terms = [self._terms(each).numpy() for each in inputs]
                 drives = Drives(expected(kind, self.feature_std.double().numpy(), self.config.joule_coefficient), rest)
                 seen = [piece.sum(1) for piece in terms]
                 for _ in range(ROUNDS):
@@ -160,7 +181,7 @@ class DriveTrain(TorchModel):
                 found[source] = drives, seen, shown
                 if how.progress is not None:
                     how.progress(len(found), len(sources), drives.error)
-            torque = min(found, key=lambda source: found[source][0].error)
+            torque = min(found, key=lambda source: found[source][0].error * (IN_FAVOUR if IN_STEPS in source else 1))
             drives, seen, shown = found[torque]
             doubt = drives.doubt(shown, targets, new, self.longest)
             # What is shown between readings is the sensor's too: an old number is a late one.
@@ -174,6 +195,7 @@ class DriveTrain(TorchModel):
         ):
             buffer.copy_(torch.as_tensor(value))
         self._folded = None
+        self.config = self.config.model_copy(update={"physics_steps": torque.startswith(IN_STEPS)})
         return {
             "samples": sum(len(piece.target) for piece in pieces),
             "epochs": 1,
@@ -184,6 +206,42 @@ class DriveTrain(TorchModel):
             "sensor_delay_seconds": float(sensor @ np.arange(len(sensor)) / self.signals.rate_hz),
             "validation_r2": 1.0 - drives.error / float(read.var()),
         }
+
+    def _with_physics_steps(
+        self, sources: dict[str, list[Tensor]], recordings: Sequence[Recording]
+    ) -> dict[str, list[Tensor]]:
+        """Beside these sources, or alone where they are asked for: torque and speed in each physics step, (T, K, 2 J)
+        of each recording, by how late targets come into force. Raises ConfigError, RecordingError where they are asked
+        for and cannot be had."""
+        asked = self.config.physics_steps
+        if not self.config.instant or not self._parts or set(self.signals.names) != set(IN_PHYSICS_STEPS):
+            if asked:
+                raise ConfigError(
+                    "drive_train: physics_steps=true needs instant=true, a robot whose simulation keeps physics steps "
+                    "(Robot.keeps_physics_steps), and joint_torque and joint_velocity as inputs. Leave it out."
+                )
+            return sources
+        made: dict[str, list[Tensor]] = {}
+        for late in range(self._parts):
+            own: list[Tensor] = []
+            for recording in recordings:
+                parts = between_samples(recording, self._parts, late)
+                if parts is None and asked:
+                    raise RecordingError(
+                        f"Recording {recording.id or '(not stored)'}: what joints did between its samples cannot be "
+                        "told, which physics_steps=true asks for: joint_position or joint_target is missing, or its "
+                        "gains do not explain its joint_torque. Say physics_steps=null, or correct them in the mapping."
+                    )
+                if parts is None:
+                    return sources
+                own.append(torch.from_numpy(np.concatenate(parts, -1)))
+            made[f"{IN_STEPS}, targets {late} late"] = own
+        return made if asked else sources | made
+
+    def _terms(self, inputs: Tensor) -> Tensor:
+        """Scaled terms (T, TERMS · J) of inputs (T, 2 J), or their mean over physics steps of inputs (T, K, 2 J)."""
+        found = self.scaled_features(inputs.double())
+        return found if inputs.ndim == 2 else found.mean(1)
 
     def _before_statistics(self, mean: Tensor, std: Tensor, target_mean: Tensor, target_std: Tensor) -> None:
         """Each term has one scale for all joints, so that weights of joints built alike are alike; none is shifted, so
@@ -206,6 +264,12 @@ class DriveTrain(TorchModel):
         Row by row and not as one product: the order of a product's sums may hang on how many worlds there are."""
         weights, level = self._weights()
         found = (self.features(inputs).unsqueeze(-2) * weights).sum(-1) + level
+        return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt())
+
+    def settled_over(self, inputs: Tensor) -> Prediction:
+        """Likewise for a control step of K physics steps: inputs (..., K, F) -> (...), of the mean of their terms."""
+        weights, level = self._weights()
+        found = (self.features(inputs).mean(-2).unsqueeze(-2) * weights).sum(-1) + level
         return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt())
 
     def sequence(self, inputs: Tensor, state: Tensor | None = None) -> tuple[Prediction, Tensor]:
@@ -254,22 +318,14 @@ def _folds(recordings: Sequence[Recording]) -> np.ndarray:
 def computed_inputs(signals: Signals, recording: Recording) -> Tensor | None:
     """Torque and speed (T, 2 J) with the torque that the joints' position control asked for; None where the log does
     not hold what that takes, or where it does not agree with the torque that was read."""
-    names = {"joint_torque", "joint_velocity", "joint_position", "joint_target"}
-    if set(signals.names) != {"joint_torque", "joint_velocity"} or not names <= set(recording.channels):
+    scale = torque_scale(recording) if set(signals.names) == {"joint_torque", "joint_velocity"} else None
+    if scale is None:
         return None
-    read, speed, position, target = (
-        np.asarray(recording.values(name), dtype=float)
-        for name in ("joint_torque", "joint_velocity", "joint_position", "joint_target")
+    speed, position, target = (
+        np.asarray(recording.values(name), dtype=float) for name in ("joint_velocity", "joint_position", "joint_target")
     )
-    gains = [np.asarray(gain, dtype=float) for gain in (recording.kp, recording.kd)]
-    if any(gain.shape != read.shape[1:] for gain in gains):
-        return None
     in_force = np.concatenate((target[:1], target[:-1]))  # what is read now answers to the target before
-    asked = gains[0] * (in_force - position) - gains[1] * speed
-    scale = float((read * asked).sum() / max((asked * asked).sum(), 1e-12))
-    agreed = np.corrcoef(read.ravel(), asked.ravel())[0, 1]
-    if not (0.5 < scale < 2.0 and agreed > LEAST_AGREEMENT):
-        return None
+    asked = asked_torque(recording, in_force, position, speed)
     parts = {"joint_torque": scale * asked, "joint_velocity": speed}
     return torch.from_numpy(np.concatenate([parts[name] for name in signals.names], 1)).float()
 

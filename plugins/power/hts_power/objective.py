@@ -59,6 +59,10 @@ class PowerSettings(Config):
         gt=0,
         description="r/k², W/(N·m)², of the analytic proxy, and what the model `drive_train` expects",
     )
+    proxy_physics_steps: bool = Field(
+        False,
+        description="the analytic proxy as its mean over the physics steps of a control step, not once at the end",
+    )
     hidden: int = Field(64, ge=1, description="units of the measurement model `battery_current`, which it chooses")
     products: bool = Field(
         True,
@@ -143,6 +147,11 @@ class Power(Objective):
         """Voltage follows from current: the line through the known recordings' 1 s means, which is the pack's sag at
         the charge it had (V = V_0 - R I). Charge and heat are the same for a policy and its reference."""
         return {"battery_current": target, "battery_voltage": voltage_line(known)(target)}
+
+    @property
+    def proxy_in_physics_steps(self) -> bool:
+        """As the settings say."""
+        return self.settings.proxy_physics_steps
 
     def proxy(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Yang et al.'s analytic power, W; see `hts_power.proxy`."""
