@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from hts.checked_selector import checked_selector
 from hts.config import Config, Named, RunConfig
-from hts.contracts import MODEL, ModelContext, WorldContext, chosen_model, own_settings, robot_signals
+from hts.contracts import MODEL, ModelContext, WorldContext, chosen_model, own_settings, physics_steps_of, robot_signals
 from hts.engines import check_engine
 from hts.errors import ConfigError, PluginError, unknown_name
 from hts.explain import Location, dotted, explain
@@ -216,7 +216,7 @@ def make_model(registry: Registry, objective: Objective, settings: Mapping[str, 
             "Named(name='lstm')."
         )
     choice, signals = chosen_model(objective, settings), robot_signals(objective, robot)
-    context = ModelContext(signals, own, physics_steps=robot.spec.substeps if robot.keeps_physics_steps else 0)
+    context = ModelContext(signals, own, physics_steps=physics_steps_of(robot))
     return registry.make_measurement_model(choice.name, choice.settings, context)
 
 

@@ -17,7 +17,7 @@ from torchrl.envs import EnvBase
 from hts.bench.bare import engines_of
 from hts.bench.widening import widened
 from hts.config import Command, EnvConfig, PPOConfig, ScheduleConfig
-from hts.contracts import MODEL, MeasurementModel, ModelContext, chosen_model, robot_signals
+from hts.contracts import MODEL, MeasurementModel, ModelContext, chosen_model, physics_steps_of, robot_signals
 from hts.errors import ConfigError, HtsError
 from hts.measurement.data import gather
 from hts.measurement.transform import MeasurementTransform
@@ -77,7 +77,9 @@ class Sizes:
 def new_model(objective: Objective, robot: Robot, memory: int = 0) -> MeasurementModel:
     """The objective's model of its default configuration, unfitted: it costs what a fitted one costs."""
     choice = chosen_model(objective, {MODEL: {"name": RECURRENT, "hidden": memory}} if memory else None)
-    context = ModelContext(robot_signals(objective, robot), objective.measurement_model())
+    context = ModelContext(
+        robot_signals(objective, robot), objective.measurement_model(), physics_steps=physics_steps_of(robot)
+    )
     return load().make_measurement_model(choice.name, choice.settings, context)
 
 
@@ -116,11 +118,14 @@ def make_trainer(
     seeds = [seed + index for index in range(candidates)]
     config = EnvConfig(device=sizes.device)
     engine = select_engine(engine, sizes.device)
-    env = robot.make_env(engine, candidates, envs, config, channels=objective.inputs, seeds=seeds)
+    unfitted = model or new_model(objective, robot, sizes.memory)
+    read = MeasurementTransform.of(objective, unfitted).inputs
+    channels = tuple(dict.fromkeys((*objective.inputs, *read)))
+    env = robot.make_env(engine, candidates, envs, config, channels=channels, seeds=seeds)
     population = make_population(robot, candidates, sizes.hidden).to(env.device)
     population.refresh()
     if model is None:
-        model = new_model(objective, robot, sizes.memory)
+        model = unfitted
         _fit_barely(env, population, model, robot)
     env = measured_env(env, [MeasurementTransform.of(objective, model)])
     return PopulationTrainer(

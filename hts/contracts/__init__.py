@@ -15,6 +15,7 @@ from hts.contracts.measurement_model import (
     Signals,
     chosen_model,
     own_settings,
+    physics_steps_of,
     robot_signals,
 )
 from hts.contracts.objective import Comparison, Objective
@@ -60,6 +61,7 @@ __all__ = [
     "own_settings",
     "parameter",
     "parameters",
+    "physics_steps_of",
     "robot_signals",
     "structural",
 ]

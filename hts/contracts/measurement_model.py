@@ -77,13 +77,14 @@ class ModelContext:
     signals: what the model will read and predict; default: the model that the objective uses where nobody chose
     another, None when a model is read from its file; registry: everything that is installed, for models made of other
     models; physics_steps: in how many of them the robot's training env takes a control step and tells what they were
-    like (`hts.channels.substep_channels`), 0 for one that does not.
+    like (`hts.channels.substep_channels`), 0 for one that does not, None where no robot is known, as when a model is
+    read from its file.
     """
 
     signals: Signals
     default: Named | None = None
     registry: Installed | None = None
-    physics_steps: int = 0
+    physics_steps: int | None = None
 
 
 class MeasurementModel(ABC):
@@ -204,6 +205,11 @@ class MeasurementModel(ABC):
         assert mean is not None
         return Prediction(mean, std)
 
+    def inputs_along(self, recording: Recording) -> torch.Tensor | None:
+        """What `sequence` takes of a recording, (T, ...), where that is more than its input channels, (T, F), as they
+        are: for a model that was fitted to what joints did between samples. None: these channels."""
+        return None
+
     def outside(self, inputs: torch.Tensor) -> torch.Tensor:
         """Share of the inputs (..., F) outside the range of the data it was fitted to, (...,); NaN is outside.
 
@@ -262,6 +268,11 @@ def chosen_model(objective: Objective, settings: Mapping[str, Any] | None = None
     if values.get("name", default.name) != default.name:
         return Named(**values)
     return Named(**{"name": default.name, **default.settings, **values})
+
+
+def physics_steps_of(robot: Robot) -> int:
+    """In how many physics steps a robot's training env takes a control step and tells what they were like, or 0."""
+    return robot.spec.substeps if robot.keeps_physics_steps else 0
 
 
 def robot_signals(objective: Objective, robot: Robot) -> Signals:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from hts.config import MeasurementConfig, Named
-from hts.contracts import MeasurementModel, ModelContext, chosen_model
-from hts.errors import RecordingError
+from hts.contracts import MeasurementModel, ModelContext, chosen_model, physics_steps_of
+from hts.errors import HtsError, RecordingError
 from hts.measurement import comparison
 from hts.measurement.baseline import stand_ins
 from hts.measurement.data import recorded_signals
@@ -27,15 +28,17 @@ COMPARED = ("linear", "lstm")
 """Models that the best is chosen among, beside the objective's own, where nobody names any."""
 
 
-def context_of(objective: Objective, recording: Recording, registry: Registry) -> ModelContext:
-    """Of a model that is fitted to recordings like this one: channels as it has them, physics steps as its robot's
-    training env keeps them, if it is installed."""
-    steps = 0
-    if recording.robot in registry.robots:
-        robot = registry.make_robot(recording.robot)
-        steps = robot.spec.substeps if robot.keeps_physics_steps else 0
+def context_of(
+    objective: Objective, recording: Recording, registry: Registry, physics_steps: int | None = None
+) -> ModelContext:
+    """Of a model that is fitted to recordings like this one: channels as it has them; physics_steps: None, as the
+    training env of its robot keeps them, if that is installed and needs no settings."""
+    if physics_steps is None:
+        physics_steps = 0
+        with suppress(HtsError):  # of a robot that is another one with settings nothing is known
+            physics_steps = physics_steps_of(registry.make_robot(recording.robot))
     signals = recorded_signals(objective, recording)
-    return ModelContext(signals, objective.measurement_model(), physics_steps=steps)
+    return ModelContext(signals, objective.measurement_model(), physics_steps=physics_steps)
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,10 @@ def predict_with_spread(model: MeasurementModel, recording: Recording) -> tuple[
 
     Raises RecordingError for a recording of another robot, or in other units.
     """
-    inputs = input_tensor(model.signals, recording).to(model.device)
+    inputs = input_tensor(model.signals, recording)
     check_units(model.signals, recording)
+    own = model.inputs_along(recording)
+    inputs = (inputs if own is None else own).to(model.device)
     found, _ = model.sequence(inputs[None])
     _check_prediction(model, found, len(inputs))
     std = None if found.std is None else (found.std[0] * model.target_std).cpu().numpy()

@@ -11,6 +11,7 @@ import itertools
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,7 +60,8 @@ def make(settings: Mapping[str, Any], context: ModelContext) -> MeasurementModel
     registry = context.registry
     if registry is None:
         raise ConfigError("ensemble: its members come from the registry. Make it with registry.make_measurement_model.")
-    members = [registry.make_measurement_model(member.name, member.settings, context) for _ in range(config.members)]
+    of_member = replace(context, physics_steps=0)  # it is asked once a control step, and so are they
+    members = [registry.make_measurement_model(member.name, member.settings, of_member) for _ in range(config.members)]
     return Ensemble(config, members)
 
 

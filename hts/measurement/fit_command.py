@@ -28,6 +28,7 @@ from hts.measurement.checks import check
 from hts.measurement.fit_settings import FitSettings
 from hts.measurement.fitting import called, fit_model
 from hts.measurement.outliers import masked_split
+from hts.measurement.physics_steps import NEEDED
 from hts.measurement.plain import Plain
 from hts.measurement.shared import Shared, shared_samples, without_shared
 from hts.measurement.split import split
@@ -52,19 +53,24 @@ class FitResult:
 
 
 def new_model(
-    objective: Objective, recording: Recording, settings: Settings | None = None, registry: Registry | None = None
+    objective: Objective,
+    recording: Recording,
+    settings: Settings | None = None,
+    registry: Registry | None = None,
+    physics_steps: int | None = None,
 ) -> MeasurementModel:
     """The objective's model, unfitted, for the channels as the recording has them.
 
     settings: what stands under `objectives.NAME`, of which `model` chooses;
-    registry: None, everything that is installed.
+    registry: None, everything that is installed; physics_steps: see `candidates.context_of`.
     """
     if registry is None:
         from hts import plugins
 
         registry = plugins.load()
     choice = chosen_model(objective, settings)
-    return registry.make_measurement_model(choice.name, choice.settings, context_of(objective, recording, registry))
+    context = context_of(objective, recording, registry, physics_steps)
+    return registry.make_measurement_model(choice.name, choice.settings, context)
 
 
 def fit_and_check(
@@ -77,6 +83,7 @@ def fit_and_check(
     keep: Collection[str] = (),
     warm_start: MeasurementModel | None = None,
     progress: Progress | None = None,
+    physics_steps: int | None = None,
 ) -> FitResult:
     """Split, fit on the larger part, check on the rest, and fit again to everything. The report is plain JSON values:
 
@@ -85,7 +92,7 @@ def fit_and_check(
     with one recording); split: how it was split; masked: samples left out as no machine makes them, see `outliers`;
     refit: the same as fit, of the model that is returned, which has seen what was held out too (None where
     `config.refit` says no).
-    settings, registry: see `new_model`; keep: hashes of policies never held out whole.
+    settings, registry, physics_steps: see `new_model`; keep: hashes of policies never held out whole.
     """
     config = config or MeasurementConfig()
     parts = Split(*split(recordings, config.held_out, config.seed, keep), AUTOMATIC)
@@ -100,11 +107,11 @@ def fit_and_check(
         report = share if config.refit else progress
         return FitSettings(config.seed, config.epochs, config.max_seconds, report, warm_start)
 
-    model = new_model(objective, parts.training[0], settings, registry)
+    model = new_model(objective, parts.training[0], settings, registry, physics_steps)
     checked = fit_split(objective, model, parts, fitting(0), registry=registry)
     if not config.refit:
         return FitResult(model, {**checked.report, "refit": None})
-    model = new_model(objective, recordings[0], settings, registry)
+    model = new_model(objective, recordings[0], settings, registry, physics_steps)
     everything, _, _ = masked_split(recordings, (), (*objective.inputs, objective.target.name), None)
     return FitResult(model, {**checked.report, "refit": fit_model(model, everything, fitting(1), registry)})
 
@@ -269,7 +276,8 @@ def _plain(store: RecordingStore, wanted: Wanted) -> Plain:
 
 
 def _usable(store: RecordingStore, objective: Objective, robot: str | None) -> tuple[list[Recording], dict[str, str]]:
-    """Recordings that have all channels, and why the others were left out. Raises RecordingError."""
+    """Recordings that have all channels, and what tells of the time between samples where they have it; why the others
+    were left out. Raises RecordingError."""
     channels = (*objective.inputs, objective.target.name)
     usable, left_out = [], {}
     for recording_id in store.ids():
@@ -287,7 +295,8 @@ def _usable(store: RecordingStore, objective: Objective, robot: str | None) -> t
             f"{store.path}: none of its {len(left_out)} recordings has all of {', '.join(channels)}.{why} "
             f"`hts data show` lists their channels; import logs that hold these."
         )
-    return [store.read(i, channels) for i in usable], left_out
+    asked = {i: [name for name in NEEDED if name in store.attributes(i)["arrays"]] for i in usable}
+    return [store.read(i, tuple(dict.fromkeys((*channels, *asked[i])))) for i in usable], left_out
 
 
 def _split(

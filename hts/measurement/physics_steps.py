@@ -14,12 +14,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.channels import SUBSTEP_TORQUE, SUBSTEP_VELOCITY
+from hts.errors import ConfigError
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
 IN_STEPS = {"joint_torque": SUBSTEP_TORQUE, "joint_velocity": SUBSTEP_VELOCITY}
 """Channel of a log -> the channel of an env that tells the same in each physics step."""
+
+
+def in_physics_steps(names: Sequence[str], what: str) -> tuple[str, ...]:
+    """The channels of an env that tell these in each physics step. Raises ConfigError for one that none does; what: is
+    to be asked so."""
+    strange = [name for name in names if name not in IN_STEPS]
+    if strange:
+        raise ConfigError(
+            f"{what} is to be asked in each physics step, and reads '{strange[0]}', which no env tells so. Known: "
+            f"{', '.join(IN_STEPS)}."
+        )
+    return tuple(IN_STEPS[name] for name in names)
+
+
 NEEDED = ("joint_torque", "joint_velocity", "joint_position", "joint_target")
 LEAST_AGREEMENT = 0.7  # correlation of the torque that is read with the computed one
 SCALE = (0.5, 2.0)  # of the read torque and the computed one: gains in the firmware's units may be off so far

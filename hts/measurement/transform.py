@@ -25,7 +25,7 @@ from hts.contracts import MeasurementModel, Prediction
 from hts.errors import SimulationError, unknown_name
 from hts.measurement.data import gather
 from hts.measurement.pessimism import pessimistic_reward
-from hts.measurement.physics_steps import IN_STEPS
+from hts.measurement.physics_steps import in_physics_steps
 from hts.rl.deferred import DeferrableTransform
 from hts.rl.task_env import ReplacedState
 
@@ -73,7 +73,7 @@ class MeasurementTransform(Measured):
     def __init__(self, model: MeasurementModel, reward: Callable[[Tensor], Tensor], name: str) -> None:
         target, names = model.signals.target.name, model.signals.names
         self._in_steps = model.settles and model.settles_in_physics_steps
-        inputs = tuple(IN_STEPS[name] for name in names) if self._in_steps else names
+        inputs = in_physics_steps(names, f"The model of '{target}'") if self._in_steps else names
         super().__init__(inputs, (("measured", target), ("real_reward", name), ("outside", target)))
         # In a tuple, so that the model is not a submodule: its weights would be saved with every checkpoint.
         self._model = (model,)
@@ -157,7 +157,8 @@ class ProxyTransform(Measured):
 
     def __init__(self, objective: Objective) -> None:
         names = objective.inputs
-        inputs = tuple(IN_STEPS[name] for name in names) if objective.proxy_in_physics_steps else names
+        what = f"The stand-in of objective '{objective.name}'"
+        inputs = in_physics_steps(names, what) if objective.proxy_in_physics_steps else names
         super().__init__(inputs, (("measured", objective.target.name), ("real_reward", objective.name)))
         self.objective = objective
 

@@ -11,7 +11,7 @@ from typing import Any
 from torch.utils.tensorboard import SummaryWriter
 
 from hts.config import FinetuneConfig
-from hts.contracts import MeasurementModel, Objective
+from hts.contracts import MeasurementModel, Objective, physics_steps_of
 from hts.errors import PluginError
 from hts.measurement import files
 from hts.measurement.fit_command import fit_and_check
@@ -55,6 +55,7 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
             registry=job.registry,
             keep=keep,
             progress=share,
+            physics_steps=physics_steps_of(job.robot),
         )
         notes = {"dataset": dataset.sha256, "iteration": iteration}
         files.save(fitted.model, model_path(job, iteration, name), notes)

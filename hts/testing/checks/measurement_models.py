@@ -228,6 +228,11 @@ def settles_at_what_it_shows(entry: Entry, registry: Registry) -> None:
     broken = model.settled(data).mean
     ensure(not bool(torch.isfinite(broken[2])), "settled makes a number of an input that is nan")
     ensure(nearly_equal(broken[:2], found[:2]), "settled: an input of one world changes what another settles at")
+    if model.settles_in_physics_steps:
+        again = model.settled_over(data[:, None].expand(-1, 3, -1).contiguous()).mean
+        ensure(tuple(again.shape) == (WORLDS,), f"settled_over: mean has shape {tuple(again.shape)}, not {(WORLDS,)}")
+        ensure(nearly_equal(again[:2], found[:2]), "settled_over: steps that are alike are not what settled says")
+        ensure(not bool(torch.isfinite(again[2])), "settled_over makes a number of an input that is nan")
 
 
 @after(is_made_unfitted, predicts_for_each_world)

@@ -33,11 +33,11 @@ action is paid for when it is taken and not half a second later.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
 from hts.config import Config
@@ -85,11 +85,30 @@ class DriveTrainSettings(Config):
         description="look at torque and speed in each physics step of the simulation, and between the samples of a log "
         "(`joint_target`, `joint_position` tell), instead of once a control step; null: where that explains the log",
     )
+    in_steps: tuple[int, int] | None = Field(
+        None,
+        description="written by the fit: physics steps of a control step, and by how many of them targets come late; "
+        "null: it was fitted to samples",
+    )
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if self.physics_steps and not self.instant:
+            raise ValueError("physics_steps=true pays at once, so it needs instant=true: leave one of them out")
+        return self
 
 
 def make(settings: Mapping[str, Any], context: ModelContext) -> MeasurementModel:
-    """Raises ConfigError unless it reads two channels of one size: torque and speed of the same joints."""
-    return DriveTrain(DriveTrainSettings.model_validate(dict(settings)), context.signals, context.physics_steps)
+    """Raises ConfigError unless it reads two channels of one size, torque and speed of the same joints, and for physics
+    steps that are asked for and cannot be had."""
+    config = DriveTrainSettings.model_validate(dict(settings))
+    if config.physics_steps and (context.physics_steps == 0 or context.signals.names != tuple(IN_PHYSICS_STEPS)):
+        raise ConfigError(
+            "drive_train: physics_steps=true needs a robot whose simulation keeps physics steps "
+            f"(Robot.keeps_physics_steps) and the inputs {', '.join(IN_PHYSICS_STEPS)}, in this order; found "
+            f"{', '.join(context.signals.names)}. Leave it out."
+        )
+    return DriveTrain(config, context.signals, context.physics_steps or 0)
 
 
 class DriveTrain(TorchModel):
@@ -139,7 +158,7 @@ class DriveTrain(TorchModel):
     @property
     def settles_in_physics_steps(self) -> bool:
         """Whether the reward looks at each physics step: where the fit did."""
-        return self.config.instant and bool(self.config.physics_steps)
+        return self.config.in_steps is not None
 
     # --------------------------------------------------------------------------------------------- fitting
 
@@ -168,6 +187,7 @@ class DriveTrain(TorchModel):
                 )
             if self.config.physics_steps is not False:
                 sources = self._with_physics_steps(sources, recordings)
+            late = {_named(late): (self._parts, late) for late in range(self._parts)}
             found: dict[str, tuple[Drives, list[np.ndarray], list[np.ndarray]]] = {}
             for source, inputs in sources.items():
                 terms = [self._terms(each).numpy() for each in inputs]
@@ -195,7 +215,7 @@ class DriveTrain(TorchModel):
         ):
             buffer.copy_(torch.as_tensor(value))
         self._folded = None
-        self.config = self.config.model_copy(update={"physics_steps": torque.startswith(IN_STEPS)})
+        self.config = self.config.model_copy(update={"in_steps": late.get(torque)})
         return {
             "samples": sum(len(piece.target) for piece in pieces),
             "epochs": 1,
@@ -211,15 +231,10 @@ class DriveTrain(TorchModel):
         self, sources: dict[str, list[Tensor]], recordings: Sequence[Recording]
     ) -> dict[str, list[Tensor]]:
         """Beside these sources, or alone where they are asked for: torque and speed in each physics step, (T, K, 2 J)
-        of each recording, by how late targets come into force. Raises ConfigError, RecordingError where they are asked
-        for and cannot be had."""
+        of each recording, by how late targets come into force. Raises RecordingError where they are asked for and
+        cannot be had."""
         asked = self.config.physics_steps
-        if not self.config.instant or not self._parts or set(self.signals.names) != set(IN_PHYSICS_STEPS):
-            if asked:
-                raise ConfigError(
-                    "drive_train: physics_steps=true needs instant=true, a robot whose simulation keeps physics steps "
-                    "(Robot.keeps_physics_steps), and joint_torque and joint_velocity as inputs. Leave it out."
-                )
+        if not self.config.instant or not self._parts or self.signals.names != tuple(IN_PHYSICS_STEPS):
             return sources
         made: dict[str, list[Tensor]] = {}
         for late in range(self._parts):
@@ -229,13 +244,14 @@ class DriveTrain(TorchModel):
                 if parts is None and asked:
                     raise RecordingError(
                         f"Recording {recording.id or '(not stored)'}: what joints did between its samples cannot be "
-                        "told, which physics_steps=true asks for: joint_position or joint_target is missing, or its "
-                        "gains do not explain its joint_torque. Say physics_steps=null, or correct them in the mapping."
+                        "told, which physics_steps=true asks for: joint_position or joint_target is missing or not "
+                        "finite, or its gains do not explain its joint_torque. Say physics_steps=null, or correct them "
+                        "in the mapping."
                     )
                 if parts is None:
                     return sources
                 own.append(torch.from_numpy(np.concatenate(parts, -1)))
-            made[f"{IN_STEPS}, targets {late} late"] = own
+            made[_named(late)] = own
         return made if asked else sources | made
 
     def _terms(self, inputs: Tensor) -> Tensor:
@@ -266,6 +282,11 @@ class DriveTrain(TorchModel):
         found = (self.features(inputs).unsqueeze(-2) * weights).sum(-1) + level
         return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt())
 
+    def inputs_along(self, recording: Recording) -> Tensor | None:
+        """Physics steps (T, K, 2 J) of a recording that tells them, where the fit looked at them."""
+        parts = None if self.config.in_steps is None else between_samples(recording, *self.config.in_steps)
+        return None if parts is None else torch.from_numpy(np.concatenate(parts, -1)).float()
+
     def settled_over(self, inputs: Tensor) -> Prediction:
         """Likewise for a control step of K physics steps: inputs (..., K, F) -> (...), of the mean of their terms."""
         weights, level = self._weights()
@@ -273,7 +294,7 @@ class DriveTrain(TorchModel):
         return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt())
 
     def sequence(self, inputs: Tensor, state: Tensor | None = None) -> tuple[Prediction, Tensor]:
-        mean, std = self.settled(inputs)
+        mean, std = self.settled(inputs) if inputs.ndim == 3 else self.settled_over(inputs)
         batch, length = mean.shape
         total = mean.new_zeros(batch, length + self.longest)
         if state is not None:
@@ -295,6 +316,11 @@ class DriveTrain(TorchModel):
             columns = torch.cat((self.weight[:, None], self.doubt[:-1]), 1).double() / self.feature_std[:, None]
             self._folded = columns.t().float().contiguous(), torch.cat((self.bias[None], self.doubt[-1]))
         return self._folded
+
+
+def _named(late: int) -> str:
+    """Of a source of torque, as the report has it."""
+    return f"{IN_STEPS}, targets {late} late"
 
 
 def kinds(names: Sequence[str], count: int) -> np.ndarray:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
+from pydantic import ValidationError
 
 pytest.importorskip("hts_power", reason="the model of this test is not installed")
 
@@ -13,9 +16,14 @@ from hts.config import Command, ScheduleConfig
 from hts.contracts import ModelContext, Signals
 from hts.errors import ConfigError, RecordingError
 from hts.measurement import files
+from hts.measurement.checks import predict
+from hts.measurement.data import input_tensor
+from hts.measurement.fit_command import _usable
+from hts.measurement.physics_steps import between_samples
 from hts.measurement.transform import MeasurementTransform, ProxyTransform
 from hts.plugins import load
 from hts.recordings.recording import Recording, Series
+from hts.recordings.store import RecordingStore
 from hts_power.drive_train_model import make
 
 RATE, JOINTS, PARTS, FINE = 50.0, 4, 4, 5  # FINE: of the made-up machine in each physics step
@@ -165,11 +173,52 @@ def test_logs_that_do_not_tell_leave_it_at_the_samples_or_are_refused(logs):
         fitted(without, physics_steps=True)
 
 
-def test_a_robot_whose_simulation_keeps_none_is_refused_where_they_are_asked_for(logs):
-    plain = ModelContext(CONTEXT.signals)
+def test_a_robot_whose_simulation_keeps_none_is_refused_before_anything_is_spent(logs):
+    plain = dataclasses.replace(CONTEXT, physics_steps=0)
     assert not fitted(logs, plain, physics_steps=None)[0].settles_in_physics_steps
     with pytest.raises(ConfigError, match="keeps_physics_steps"):
-        fitted(logs, plain, physics_steps=True)
+        make({"physics_steps": True}, plain)
+    turned = dataclasses.replace(CONTEXT, signals=Signals(INPUTS[::-1], TARGET, RATE))
+    with pytest.raises(ConfigError, match="the inputs joint_torque, joint_velocity, in this order"):
+        make({"physics_steps": True}, turned)
+    with pytest.raises(ValidationError, match="needs instant=true"):
+        make({"physics_steps": True, "instant": False}, CONTEXT)
+
+
+def test_along_a_recording_it_is_judged_by_what_it_was_fitted_to(logs):
+    other = walk(5, jump=0.05)[0]
+    read = other.values("battery_current")[100:]
+    model, _ = fitted(logs, physics_steps=True)
+    found = predict(model, other)[100:]
+    assert abs(found.mean() - read.mean()) < 0.04 * read.mean()
+    assert np.square(found - read).mean() < 0.03 * read.var()
+    samples = model.sequence(input_tensor(model.signals, other)[None])[0].mean[0, 100:]
+    assert abs(float(model.denormalise(samples).mean()) - read.mean()) > 0.1 * read.mean()  # what it was not fitted to
+
+
+def test_members_of_an_ensemble_look_once_a_control_step(logs):
+    member = {"name": "drive_train", "physics_steps": None}
+    model = load().make_measurement_model(
+        "ensemble", {"member": member, "members": 2}, dataclasses.replace(CONTEXT, registry=load())
+    )
+    assert [one.config.physics_steps for one in model.members] == [None, None]
+    model.fit(logs)
+    assert [one.config.in_steps for one in model.members] == [None, None]
+
+
+def test_fits_from_a_store_read_what_tells_of_the_time_between_samples(tmp_path, logs):
+    store = RecordingStore(tmp_path / "data.zarr", create=True)
+    for log in logs:
+        store.write(dataclasses.replace(log, robot="go1"))
+    found, _ = _usable(store, load().make_objective("power"), None)
+    assert all(between_samples(one, PARTS, 2) is not None for one in found)
+
+
+def test_a_channel_that_no_env_tells_in_physics_steps_is_one_line():
+    objective = load().make_objective("power", {"proxy_physics_steps": True})
+    objective.inputs = ("joint_torque", "foot_force")
+    with pytest.raises(ConfigError, match="objective 'power' is .* reads 'foot_force', which no env tells so"):
+        ProxyTransform(objective)
 
 
 def test_the_stand_in_may_be_asked_in_each_physics_step():
