@@ -159,6 +159,7 @@ def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_
         """As much of a run as its fit stage asks for."""
 
         folder, objectives, registry = tmp_path, {"warm": KnownHeat()}, None
+        robot = SimpleNamespace(keeps_physics_steps=False)
         named = SimpleNamespace(weights={"warm": (1.0,)})
         config = SimpleNamespace(measurement=None, objectives={"warm": {}}, fits_models=True, sweep=named)
         said: ClassVar[list[str]] = []

@@ -23,6 +23,7 @@ class Cool:
     """As much of an objective as the transforms want: reward less of `heat`."""
 
     name, inputs, target = "cool", ("effort", "rate"), Channel("heat", "W")
+    proxy_in_physics_steps = False
 
     def reward(self, prediction):
         return -prediction

@@ -94,7 +94,8 @@ class OracleRobot(Robot):
         known = {**self.channels(), **HELD_CHANNELS}
         own = list(seeds) if seeds is not None else [config.seed + index for index in range(num_candidates)]
         made = RealityEngine(self._robot, self._settings, self._instruments, num_envs, own, config.threads)
-        wanted = {name: known[name] for name in (channels or self.channels())}
+        asked = [name for name in channels if not name.startswith(TRUE)]  # what is true is always written
+        wanted = {name: known[name] for name in (asked if channels else self.channels())}
         return OracleEnv(made, self.spec, num_candidates, num_envs, config, wanted, own)
 
 
