@@ -41,6 +41,8 @@ class TorqueObjective:
 
     name, target, inputs = "cost", Channel("t", "N*m"), CHANNELS
 
+    proxy_in_physics_steps = False
+
     def proxy(self, channels):
         return channels["joint_torque"].square().sum(-1)
 
