@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 IN_STEPS = {"joint_torque": SUBSTEP_TORQUE, "joint_velocity": SUBSTEP_VELOCITY}
 """Channel of a log -> the channel of an env that tells the same in each physics step."""
+NEEDED = ("joint_torque", "joint_velocity", "joint_position", "joint_target")
+LEAST_AGREEMENT = 0.7  # correlation of the torque that is read with the computed one
+SCALE = (0.5, 2.0)  # of the read torque and the computed one: gains in the firmware's units may be off so far
 
 
 def in_physics_steps(names: Sequence[str], what: str) -> tuple[str, ...]:
@@ -35,11 +38,6 @@ def in_physics_steps(names: Sequence[str], what: str) -> tuple[str, ...]:
     return tuple(IN_STEPS[name] for name in names)
 
 
-NEEDED = ("joint_torque", "joint_velocity", "joint_position", "joint_target")
-LEAST_AGREEMENT = 0.7  # correlation of the torque that is read with the computed one
-SCALE = (0.5, 2.0)  # of the read torque and the computed one: gains in the firmware's units may be off so far
-
-
 def torque_scale(recording: Recording) -> float | None:
     """By what the torque that position control asks for is multiplied to be the one that is read; None where the log
     does not hold what that takes, or where the two do not agree."""
@@ -48,13 +46,23 @@ def torque_scale(recording: Recording) -> float | None:
     read, speed, position, target = _joints(recording)
     if any(gain.shape != read.shape[1:] for gain in _gains(recording)):
         return None
-    asked = asked_torque(recording, _before(target), position, speed)
+    asked = _asked(recording, _before(target), position, speed)
     scale = float((read * asked).sum() / max(float((asked * asked).sum()), 1e-12))
     agreed = np.corrcoef(read.ravel(), asked.ravel())[0, 1]
     return scale if SCALE[0] < scale < SCALE[1] and agreed > LEAST_AGREEMENT else None
 
 
-def asked_torque(recording: Recording, target: np.ndarray, position: np.ndarray, speed: np.ndarray) -> np.ndarray:
+def torque_at_samples(recording: Recording) -> np.ndarray | None:
+    """The torque that position control asks for at each sample, N·m (T, J), in the scale of the one that is read; None
+    where `torque_scale` is."""
+    scale = torque_scale(recording)
+    if scale is None:
+        return None
+    _, speed, position, target = _joints(recording)
+    return scale * _asked(recording, _before(target), position, speed)
+
+
+def _asked(recording: Recording, target: np.ndarray, position: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """kp (target - position) - kd speed, N·m; all (T, J)."""
     kp, kd = _gains(recording)
     asked: np.ndarray = kp * (target - position) - kd * speed
@@ -84,7 +92,7 @@ def between_samples(recording: Recording, steps: int, late: int) -> tuple[np.nda
         )
         fast = (1 - u) * speed[:-1] + u * speed[1:]
         in_force = older[:-1] if part < late else target[:-1]
-        torques.append(scale * asked_torque(recording, in_force, at, fast))
+        torques.append(scale * _asked(recording, in_force, at, fast))
         speeds.append((1 - middle) * speed[:-1] + middle * speed[1:])
     return _with_first(torques), _with_first(speeds)
 

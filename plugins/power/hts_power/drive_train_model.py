@@ -46,7 +46,7 @@ from hts.errors import ConfigError, RecordingError
 from hts.measurement.data import training_data
 from hts.measurement.lstm_fit import one_thread
 from hts.measurement.physics_steps import IN_STEPS as IN_PHYSICS_STEPS
-from hts.measurement.physics_steps import asked_torque, between_samples, torque_scale
+from hts.measurement.physics_steps import between_samples, torque_at_samples
 from hts.measurement.readings import new_readings
 from hts.measurement.torch_model import TorchModel
 from hts_power.drive_train_fit import BLOCK_SECONDS, DIRECTIONS, Drives, skipped
@@ -344,15 +344,10 @@ def _folds(recordings: Sequence[Recording]) -> np.ndarray:
 def computed_inputs(signals: Signals, recording: Recording) -> Tensor | None:
     """Torque and speed (T, 2 J) with the torque that the joints' position control asked for; None where the log does
     not hold what that takes, or where it does not agree with the torque that was read."""
-    scale = torque_scale(recording) if set(signals.names) == {"joint_torque", "joint_velocity"} else None
-    if scale is None:
+    asked = torque_at_samples(recording) if set(signals.names) == set(IN_PHYSICS_STEPS) else None
+    if asked is None:
         return None
-    speed, position, target = (
-        np.asarray(recording.values(name), dtype=float) for name in ("joint_velocity", "joint_position", "joint_target")
-    )
-    in_force = np.concatenate((target[:1], target[:-1]))  # what is read now answers to the target before
-    asked = asked_torque(recording, in_force, position, speed)
-    parts = {"joint_torque": scale * asked, "joint_velocity": speed}
+    parts = {"joint_torque": asked, "joint_velocity": recording.values("joint_velocity")}
     return torch.from_numpy(np.concatenate([parts[name] for name in signals.names], 1)).float()
 
 
