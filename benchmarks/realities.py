@@ -5,6 +5,7 @@
     python benchmarks/realities.py table --lines docs/results/lines/dev-quick.jsonl
     python benchmarks/realities.py figures --lines docs/results/lines/dev-quick.jsonl --out docs/results/figures
     python benchmarks/realities.py coverage run --policies FOLDER --realities dev --lines coverage.jsonl
+    python benchmarks/realities.py exact run --methods ours --realities dev --iteration 0 --out runs/exact
     python benchmarks/realities.py write-docs
 
 `run` skips what has a line, resumes what was begun, and loses nothing however it is stopped: call it again. It needs
@@ -21,14 +22,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from batch import blocks, coverage_command
+from batch import blocks, coverage_command, exact_command
 from batch import methods as known
 from batch.ablation import ablation
 from batch.all_tables import ALL
 from batch.answered import answered
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
-from batch.queue import run_batch, slots_of
+from batch.queue import HTS, WHOLE_RUNS, Kind, run_batch, slots_of
 from batch.tables import pairs
 
 from hts.atomic import atomic_write
@@ -40,14 +41,14 @@ FIGURES = REPOSITORY / "docs/results/figures"
 OLDER = REPOSITORY / "docs/results/older-numbers.json"
 
 
-def run(given: argparse.Namespace) -> int:
-    """Make the runs that have no line yet."""
+def jobs_of(given: argparse.Namespace) -> list[known.Job]:
+    """The runs that the options of `run` ask for."""
     table = known.read_methods(given.methods_file)
     names = [name for name in given.methods.split(",") if name]
     for name in names:
         if name not in table:
             raise ConfigError(unknown_name("method", name, table))
-    jobs = known.jobs_of(
+    return known.jobs_of(
         {name: table[name] for name in names},
         known.realities_of(given.realities),
         known.seeds_of(given.seeds),
@@ -58,6 +59,15 @@ def run(given: argparse.Namespace) -> int:
         settings=given.set or [],
         engine=given.engine,
     )
+
+
+def run(given: argparse.Namespace) -> int:
+    """Make the runs that have no line yet."""
+    return made(given, jobs_of(given), WHOLE_RUNS, HTS)
+
+
+def made(given: argparse.Namespace, jobs: Sequence[known.Job], kind: Kind, program: Sequence[str]) -> int:
+    """Make those that have no line yet, or only say which they are."""
     lines = given.lines or given.out / "lines.jsonl"
     if given.dry_run:
         for job in jobs:
@@ -74,6 +84,8 @@ def run(given: argparse.Namespace) -> int:
         retry_failed=given.retry_failed,
         stop_after=given.stop_after,
         say=lambda text: print(text, file=sys.stderr, flush=True),
+        program=program,
+        kind=kind,
     )
 
 
@@ -179,8 +191,7 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = top.add_subparsers(dest="command", required=True)
 
-    one = commands.add_parser("run", help="make the runs that have no line yet")
-    one.set_defaults(do=run)
+    one = making = argparse.ArgumentParser(add_help=False)
     one.add_argument("--methods", required=True, help="names with commas; benchmarks/batch/methods.py lists them")
     one.add_argument("--methods-file", type=Path, help="YAML with more methods: name -> command, preset, set")
     one.add_argument("--realities", required=True, help="dev, default, names, files or folders of files, with commas")
@@ -203,6 +214,9 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--stop-after", type=float, metavar="SECONDS", help="stop then with status 75; call again")
     one.add_argument("--dry-run", action="store_true", help="only say which runs these are")
 
+    one = commands.add_parser("run", parents=[making], help="make the runs that have no line yet")
+    one.set_defaults(do=run)
+
     reading = argparse.ArgumentParser(add_help=False)
     reading.add_argument("--lines", type=Path, action="append", help="files or folders (default: docs/results/lines)")
     reading.add_argument("--preset", help="of the lines, where they have several")
@@ -221,6 +235,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--prefix", help="of the files (default: the preset)")
 
     coverage_command.add_to(commands, commit_of)
+    exact_command.add_to(commands, making, jobs_of, made)
 
     one = commands.add_parser("write-docs", help="fill the blocks of README and docs from docs/results/lines")
     one.set_defaults(do=write_docs)

@@ -158,8 +158,9 @@ class Result(Part):
     note: str | None = Field(None, description="what must be said beside these figures, as in summary.json")
 
 
-class Line(Part):
-    """One run. key: see `methods.Job.key`. seconds_here: of the last process that worked at it, s."""
+class RunLine(Part):
+    """One run, whatever is kept of it. key: see `methods.Job.key`. seconds_here: of the last process that worked at it,
+    s."""
 
     version: Literal[1] = VERSION
     key: str
@@ -178,16 +179,29 @@ class Line(Part):
     seconds_here: float
     versions: dict[str, str] = {}
     hardware: dict[str, Any] = {}
+
+
+class Line(RunLine):
+    """One run to its end."""
+
     result: Result | None = None
 
 
+OfRun = TypeVar("OfRun", bound=RunLine)
+
+
 def read_lines(paths: Iterable[Path]) -> list[Line]:
+    """Lines of runs in these files; see `latest`."""
+    return latest(paths, Line, f"version {VERSION}, as benchmarks/realities.py run writes it")
+
+
+def latest(paths: Iterable[Path], kind: type[OfRun], expected: str) -> list[OfRun]:
     """Lines of these files, a later one of a key in place of an earlier one. Raises RunError naming file and line.
 
     What a killed writer left of a last line, which no newline ends, is not a line.
     """
-    found: dict[str, Line] = {}
-    for line in parsed(paths, Line, f"version {VERSION}, as benchmarks/realities.py run writes it"):
+    found: dict[str, OfRun] = {}
+    for line in parsed(paths, kind, expected):
         if line.status == "done" or line.key not in found or found[line.key].status == "failed":
             found.pop(line.key, None)
             found[line.key] = line

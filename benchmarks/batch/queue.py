@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import IO
 
 from batch.harvest import finished, provenance_of, result_of
-from batch.lines import Line, append, read_lines
+from batch.lines import Line, Part, RunLine, append, read_lines
 from batch.methods import Job
 from hts.errors import HtsError
 
@@ -31,6 +31,7 @@ STOPPED = 75
 """Exit status where the time is up and runs are left: call again."""
 PR_SET_PDEATHSIG = 1
 GRACE_SECONDS = 20.0
+HTS = (sys.executable, "-m", "hts.cli.main")
 RAISED = re.compile(r"[A-Za-z_][\w.]*(Error|Exception|Interrupt|Exit)\b")
 
 
@@ -40,6 +41,22 @@ class Slot:
 
     cores: tuple[int, ...]
     gpu: str | None = None
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is made in each folder, and kept as its line.
+
+    finished: whether nothing is left to be done there; result: what a finished folder came to, raises HtsError for one
+    that is not readable; made: the lines of these files; line: makes one of a `RunLine`'s fields and the result; said:
+    of a line without an error, in short.
+    """
+
+    finished: Callable[[Path], bool]
+    result: Callable[[Path], Part]
+    made: Callable[[Sequence[Path]], Sequence[RunLine]]
+    line: Callable[..., RunLine]
+    said: Callable[[RunLine], str]
 
 
 @dataclass
@@ -79,15 +96,18 @@ def run_batch(
     retry_failed: bool = False,
     stop_after: float | None = None,
     say: Callable[[str], None] = print,
-    program: Sequence[str] = (sys.executable, "-m", "hts.cli.main"),
+    program: Sequence[str] = HTS,
+    kind: Kind | None = None,
 ) -> int:
     """Make the runs that have no line yet. 0, 1 if one failed, STOPPED if `stop_after` seconds were not enough.
 
     known: files whose lines count as made; lines: where new ones go. folders: one folder per run, deleted when its
-    line is on the disk unless `keep`.
+    line is on the disk unless `keep`. program: takes a job's arguments and `--out FOLDER`, or `resume FOLDER`; kind:
+    what it makes, whole runs where it is not said.
     """
+    kind = kind or WHOLE_RUNS
     folders.mkdir(parents=True, exist_ok=True)
-    made = {line.key: line for line in read_lines([path for path in known if path.exists()])}
+    made = {line.key: line for line in kind.made([path for path in known if path.exists()])}
     if retry_failed:
         made = {key: line for key, line in made.items() if line.status == "done"}
     waiting = [job for job in jobs if job.key not in made]
@@ -101,11 +121,11 @@ def run_batch(
 
     def end(one: Running) -> None:
         nonlocal failed, done
-        line = _line(one, batch)
+        line = _line(one, batch, kind)
         append(lines, line)
         done += 1
         failed += line.status == "failed"
-        say(f"[{done}/{len(waiting_at_first)}] {one.job.folder}: {line.error or _said(line)}")
+        say(f"[{done}/{len(waiting_at_first)}] {one.job.folder}: {line.error or kind.said(line)}")
         if line.status == "done" and not keep:
             _remove(one.folder)
         free.append(one.slot)
@@ -139,16 +159,6 @@ def _start(job: Job, folder: Path, slot: Slot, program: Sequence[str]) -> Runnin
     environment = dict(os.environ)
     if slot.gpu is not None:
         environment["CUDA_VISIBLE_DEVICES"] = slot.gpu
-    parent = os.getpid()
-    libc = ctypes.CDLL(None) if sys.platform == "linux" else None
-
-    def prepare() -> None:
-        if libc is not None:
-            os.sched_setaffinity(0, slot.cores)
-            libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-            if os.getppid() != parent:  # it died before that call
-                os._exit(1)
-
     log = folder.with_suffix(".log").open("ab")
     process = subprocess.Popen(
         command,
@@ -157,25 +167,42 @@ def _start(job: Job, folder: Path, slot: Slot, program: Sequence[str]) -> Runnin
         stderr=subprocess.STDOUT,
         env=environment,
         start_new_session=True,
-        preexec_fn=prepare,  # noqa: PLW1509 - this process has no other thread
+        preexec_fn=dying_with_this(slot.cores),  # noqa: PLW1509 - this process has no other thread
     )
     return Running(job, folder, slot, process, log)
 
 
-def _line(one: Running, batch: str) -> Line:
+def dying_with_this(cores: Sequence[int] | None = None) -> Callable[[], None]:
+    """For `Popen(preexec_fn=...)`: the process ends with the thread that starts it, however that ends, and keeps to
+    these cores. On Linux; elsewhere it does nothing."""
+    parent = os.getpid()
+    libc = ctypes.CDLL(None) if sys.platform == "linux" else None
+
+    def prepare() -> None:
+        if libc is not None:
+            if cores is not None:
+                os.sched_setaffinity(0, cores)
+            libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+            if os.getppid() != parent:  # it died before that call
+                os._exit(1)
+
+    return prepare
+
+
+def _line(one: Running, batch: str, kind: Kind) -> RunLine:
     """The line of a process that has ended. What cannot be read back is an error of the run too."""
     one.log.close()
     job, status, error, result = one.job, one.process.returncode, None, None
-    if status == 0 and finished(one.folder):
+    if status == 0 and kind.finished(one.folder):
         try:  # its files may have another shape than this version knows
-            result = result_of(one.folder)
+            result = kind.result(one.folder)
         except (HtsError, ValueError, KeyError, TypeError, AttributeError) as wrong:
             error = f"finished, but its files could not be read: {type(wrong).__name__}: {wrong}"
     else:
         said = _last_line(one.folder.with_suffix(".log")).replace(f"{one.folder.parent}/", "")
         error = f"exit status {status}: {said}"
     versions, hardware = provenance_of(one.folder)
-    return Line(
+    return kind.line(
         key=job.key,
         status="failed" if error else "done",
         error=error,
@@ -202,13 +229,16 @@ def _short(argument: str) -> str:
     return f"{key}={Path(value).name}" if equals and "/" in value else argument
 
 
-def _said(line: Line) -> str:
-    assert line.result is not None
+def _said(line: RunLine) -> str:
+    assert isinstance(line, Line) and line.result is not None
     speeds = {
         name: {speed: round(row.improvement, 4) for speed, row in (found.held or found.open_loop or {}).items()}
         for name, found in line.result.objectives.items()
     }
     return f"{line.seconds_here:.0f} s, best {line.result.final_policy}, {speeds}"
+
+
+WHOLE_RUNS = Kind(finished, result_of, read_lines, Line, _said)
 
 
 def _last_line(path: Path) -> str:

@@ -1,0 +1,164 @@
+"""Candidates of one iteration, judged in simulation by the reality's instruments: methods compared with less chance.
+
+A whole run ends at a figure that one trained policy, its trials and its trims decide; two seeds of one method differ by
+several points. Here a run is made as ever until an iteration's candidates are trained. Then the exact measurement takes
+the place of whatever paid, as in `hts oracle --in-simulation`, and says what each of them saves at held speed in the
+simulated worlds of the run's own judging. It sees inside, so nothing of it may choose what a run does; the same seed is
+the same random numbers for every method. What a candidate loses in reality, and what later iterations make of it, it
+does not say.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from batch.exact_lines import Exact, ExactLine, Judged, mean_of, read_exact
+from batch.lines import RunLine
+from batch.methods import Job as BatchJob
+from batch.methods import digest
+from batch.queue import GRACE_SECONDS, HTS, Kind, dying_with_this
+from hts import plugins
+from hts.atomic import atomic_write
+from hts.config_loading import read_config
+from hts.contracts import physics_steps_of
+from hts.errors import RunError
+from hts.measurement import files
+from hts.measurement.fit_command import fit_and_check
+from hts.oracle.in_simulation import SimulatedOracleJob
+from hts.run.judging import judge
+from hts.run.learning import model_path
+from hts.run.progress import Progress
+from hts.run.reality import collect
+from hts.run.stages import Stages, read_json
+
+RESULT = "exact.json"  # in a run's folder
+POLL_SECONDS = 0.2
+
+
+def program(iteration: int) -> tuple[str, ...]:
+    """What `run_batch` calls for each run."""
+    return (sys.executable, str(Path(__file__).parents[1] / "exact_candidates.py"), str(iteration))
+
+
+def jobs_until(jobs: Sequence[BatchJob], iteration: int) -> list[BatchJob]:
+    """The same runs as far as an iteration's candidates: other keys, so other lines and folders than whole runs."""
+    return [replace(job, method_hash=digest([job.method_hash, "candidates", iteration])) for job in jobs]
+
+
+def kind(iteration: int) -> Kind:
+    """What a batch keeps of them."""
+    return Kind(
+        lambda folder: (folder / RESULT).exists(), lambda folder: _read(folder, iteration), read_exact, ExactLine, _said
+    )
+
+
+def make(iteration: int, arguments: Sequence[str], hts: Sequence[str] = HTS) -> int:
+    """Make or go on with the run that `arguments` of `hts` say, the folder last, until that iteration's candidates are
+    trained; then judge them. Exit status: that of a run which ended before."""
+    folder = Path(arguments[-1])
+    stage = folder / f"iterations/{iteration:02d}/finetune.json"
+    if not stage.exists():
+        status = _until(stage, [*hts, *arguments])
+        if not stage.exists():
+            if status == 0:
+                print(f"error: {folder.name} ended before iteration {iteration}. Ask for an earlier one.")
+            return status or 1
+    found = judged(folder, iteration)
+    atomic_write(folder / RESULT, found.model_dump_json(indent=1) + "\n")
+    return 0
+
+
+def _until(stage: Path, command: Sequence[str]) -> int:
+    """Run it until the file of a stage is there, then stop it: a run may be stopped anywhere."""
+    process = subprocess.Popen(command, preexec_fn=dying_with_this())  # noqa: PLW1509 - no other thread here
+    while process.poll() is None and not stage.exists():
+        time.sleep(POLL_SECONDS)
+    process.terminate()
+    try:
+        return process.wait(GRACE_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
+def judged(folder: Path, iteration: int) -> Exact:
+    """What the reality's instruments say of an iteration's candidates. Raises RunError for a folder without them, and
+    UnfitWorldError where the world has no exact instruments."""
+    registry = plugins.load()
+    config = read_config(folder / "config.yaml").model_copy(update={"reward_source": "model"})
+    stages = Stages(folder, Progress(total=1))
+    job = SimulatedOracleJob(config, folder, registry, stages)
+    begun = time.perf_counter()
+    try:
+        tuned = job.read(f"iterations/{iteration:02d}/finetune")
+        job.do("collect", "collect real data of the pretrained policy", partial(collect, job))  # not each run does
+        _fit_what_is_missing(job, iteration)
+        found = judge(job, iteration, tuned, tuned["candidates"])
+    finally:
+        job.close()
+        stages.close()
+    return Exact(
+        iteration=iteration,
+        units={name: objective.unit for name, objective in job.objectives.items()},
+        speeds=list(config.simulation_test.speeds),
+        candidates=[_judged(row, found) for row in tuned["candidates"]],
+        pull=(tuned.get("pull") or {}).get("pull"),
+        seconds={**stages.seconds(), "exact": round(time.perf_counter() - begun, 3)},
+    )
+
+
+def _judged(row: Mapping[str, Any], found: Mapping[str, Any]) -> Judged:
+    name = row["id"]
+    return Judged(
+        id=name,
+        share=row.get("share", 1.0),
+        weights=row["weights"],
+        kl_bound=row["kl_bound"],
+        kl=row["kl"],
+        falls=found["falls"][name],
+        saved={
+            objective: {speed: one["improvement"] for speed, one in speeds.items()}
+            for objective, speeds in found["predicted"].get(name, {}).items()
+        },
+    )
+
+
+def _fit_what_is_missing(job: SimulatedOracleJob, iteration: int) -> None:
+    """A run that is paid by a formula has no models; the exact measurement takes the scale of one."""
+    recordings = job.recordings(job.known(iteration))
+    for name, objective in job.objectives.items():
+        path = model_path(job, iteration, name)
+        if not path.exists():
+            fitted = fit_and_check(
+                objective,
+                recordings,
+                job.config.measurement,
+                settings=job.config.objectives[name],
+                registry=job.registry,
+                physics_steps=physics_steps_of(job.robot),
+            )
+            path.parent.mkdir(parents=True, exist_ok=True)
+            files.save(fitted.model, path, {"iteration": iteration})
+
+
+def _read(folder: Path, iteration: int) -> Exact:
+    found = Exact.model_validate(read_json(folder / RESULT))
+    if found.iteration != iteration:
+        raise RunError(f"{folder}: its {RESULT} is of iteration {found.iteration}, expected {iteration}. Delete it.")
+    return found
+
+
+def _said(line: RunLine) -> str:
+    assert isinstance(line, ExactLine) and line.result is not None
+    last = line.result.last
+    return (
+        f"{line.seconds_here:.0f} s, {last.id} {json.dumps({n: round(mean_of(s), 4) for n, s in last.saved.items()})}"
+    )
