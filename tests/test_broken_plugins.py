@@ -199,6 +199,13 @@ BROKEN = {
         "config, channels=(), seeds=None):\n        seeds = [sum(seeds)] * num_candidates",
         "is another one alone than in a crowd",
     ),
+    "physics steps that are not kept": (
+        "robot",
+        "robot.py",
+        "config, channels=(), seeds=None):",
+        "config, channels=(), seeds=None):\n        channels = [c for c in channels if c[:3] != 'sub'] or ['command']",
+        "robot 'hopper': keeps_physics_steps is set, and of channels ",
+    ),
     "settings changed in place": (
         "objective",
         "plugin.py",

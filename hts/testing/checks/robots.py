@@ -14,6 +14,7 @@ from hts.config import EnvConfig, RandomisationConfig
 from hts.contracts import FollowVelocity, Robot, Task
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import unknown_name
+from hts.measurement.physics_steps import IN_STEPS
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import ensure, listed, same
 
@@ -162,6 +163,32 @@ def env_gives_what_was_asked(entry: Entry, registry: Registry) -> None:
     env.close()
 
 
+def env_keeps_the_physics_steps_it_promises(entry: Entry, registry: Registry) -> None:
+    """If it says `keeps_physics_steps`, its env writes torque and speed of each physics step where they are asked for:
+    [P, N, substeps, J], finite, and not one sample over and over."""
+    robot = entry.factory({})
+    if not robot.keeps_physics_steps or not _has_env(robot):
+        return
+    asked = tuple(IN_STEPS.values())
+    env = _env(robot, 3, _config(), asked)
+    steps = _steps(env)
+    env.close()
+    written = [name for name in asked if ("channels", name) in steps[-1].keys(include_nested=True)]
+    ensure(
+        written == list(asked),
+        f"keeps_physics_steps is set, and of channels {listed(asked)} its env writes {listed(written)}",
+    )
+    for name in asked:
+        value = steps[-1]["channels", name]
+        wanted = (3, WORLDS, robot.spec.substeps, robot.spec.num_joints)
+        ensure(tuple(value.shape) == wanted, f"'{name}' has shape {tuple(value.shape)}, not {wanted}")
+        ensure(bool(value.isfinite().all()), f"'{name}' is not finite")
+        ensure(
+            robot.spec.substeps == 1 or bool((value != value[:, :, :1]).any()),
+            f"'{name}' is the same in each physics step of a control step",
+        )
+
+
 def env_does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
     """A candidate's walk is the same alone, in a crowd, and again: its random numbers come from its own seed."""
     robot = entry.factory({})
@@ -227,5 +254,6 @@ CHECKS = (
     task_is_seen_in_channels,
     policy_fits,
     env_gives_what_was_asked,
+    env_keeps_the_physics_steps_it_promises,
     env_does_not_depend_on_neighbours,
 )
