@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,7 @@ from hts.rl.task_env import TaskEnv
 from hts.rl.threads import one_thread
 
 STRENGTH = "held/strength"  # of a batch's statistics: how strong the rewards are that pull at what is held, per second
+SETTLING_SECONDS = 2.0  # s: so long instances that began together find their feet, and rewards spread twice as far
 
 
 @dataclass
@@ -61,7 +63,8 @@ class PopulationTrainer:
     bounds [P]: c per candidate, nats; weights: objective -> lambda [P]; held: name of an error under ("next", "held")
     whose mean is held at zero -> an error that matters; held_below: likewise, of a mean that is kept at or below a
     number -> that number; prices: name of either -> [P], where its multiplier begins, per `strength` (see
-    `EqualityMultiplier`), else 0; seeds: one per candidate; names: what candidates are called in errors.
+    `EqualityMultiplier`) once instances have found their feet, else 0; seeds: one per candidate; names: what candidates
+    are called in errors.
 
     Collection and gradient steps are those of the device's `hts.rl.backend`. A candidate whose numbers stop being
     finite is stopped, named in `stopped`, and put back to its anchor; the others go on. If none is left,
@@ -116,6 +119,7 @@ class PopulationTrainer:
             **{name: UpperMultiplier(limit, count, **pace) for name, limit in (held_below or {}).items()},
         }
         self.prices = {name: price.to(device) for name, price in (prices or {}).items()}
+        self.settling = math.ceil(SETTLING_SECONDS / (config.horizon * self.dt))
         self.stopped: dict[int, str] = {}
         self.batches = 0
         self.kl = torch.zeros(count, device=device)
@@ -207,7 +211,7 @@ class PopulationTrainer:
         if self.held:
             stats[STRENGTH] = strength
         for name, multiplier in self.held.items():
-            if self.batches == 0 and name in self.prices:
+            if self.batches < self.settling and name in self.prices:
                 multiplier.begin(self.prices[name] * strength)
             error = data["next", "held", name].squeeze(-1)
             self._stop_if_bad({name: error})

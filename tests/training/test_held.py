@@ -18,7 +18,7 @@ from hts.rl.population import Population
 from hts.training import finetune as module
 from hts.training.held import Held, Holding
 from hts.training.sweep import Candidate
-from hts.training.trainer import PopulationTrainer
+from hts.training.trainer import SETTLING_SECONDS, STRENGTH, PopulationTrainer
 from tests.training.test_trainer import SIZES, Target
 
 CONFIG = PPOConfig(horizon=24, learning_rate=3e-3, epochs=4)
@@ -69,6 +69,37 @@ def test_doing_less_of_the_task_is_no_saving_where_it_is_held():
     free, held = learned(None), learned({"sum": 0.05})
     assert sum(free[-15:]) / 15 < -0.4  # it would rather keep still
     assert abs(sum(held[-15:]) / 15) < 0.1
+
+
+class Starting(Walk):
+    """What is held has no error, and rewards spread ten times as far in the first batch as afterwards."""
+
+    def _step(self, tensordict):
+        made = super()._step(tensordict)
+        self.taken = getattr(self, "taken", 0) + 1
+        made["real_reward", "calm"] *= 10.0 if self.taken <= CONFIG.horizon else 1.0
+        made["held", "sum"] *= 0.0
+        return made
+
+
+def test_a_price_begins_at_what_pulls_once_instances_have_found_their_feet():
+    population = Population(SIZES, 1, init_std=0.3, seed=11)
+    made = PopulationTrainer(
+        Starting((1,)),
+        population,
+        CONFIG,
+        seeds=(1,),
+        names=["c1"],
+        weights={"calm": torch.tensor([5.0])},
+        held={"sum": 0.05},
+        prices={"sum": torch.tensor([2.0])},
+    )
+    assert made.settling == math.ceil(SETTLING_SECONDS / (CONFIG.horizon * made.dt)) > 1
+    rows = [made.batch().values for _ in range(made.settling + 2)]
+    strength = [row[STRENGTH][0] for row in rows]
+    assert strength[0] > 3 * strength[made.settling - 1]
+    begun = pytest.approx(2.0 * strength[made.settling - 1])
+    assert [row["held/sum_multiplier"][0] for row in rows[made.settling - 1 :]] == [begun] * 3
 
 
 @pytest.fixture
