@@ -20,16 +20,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from batch.exact_lines import Exact, ExactLine, Judged, mean_of, read_exact
+from batch.exact_lines import Exact, ExactLine, Judged, read_exact
 from batch.lines import RunLine
+from batch.methods import ORACLE, digest
 from batch.methods import Job as BatchJob
-from batch.methods import digest
 from batch.queue import GRACE_SECONDS, HTS, Kind, dying_with_this
 from hts import plugins
 from hts.atomic import atomic_write
-from hts.config_loading import read_config
+from hts.config import RunConfig
+from hts.config_loading import load_config, read_config
 from hts.contracts import physics_steps_of
-from hts.errors import RunError
+from hts.errors import ConfigError, RunError
+from hts.evaluation.final import speed_key
 from hts.measurement import files
 from hts.measurement.fit_command import fit_and_check
 from hts.oracle.in_simulation import SimulatedOracleJob
@@ -38,6 +40,7 @@ from hts.run.learning import model_path
 from hts.run.progress import Progress
 from hts.run.reality import collect
 from hts.run.stages import Stages, read_json
+from hts.worlds.oracle.simulated import Seeing, check_exact
 
 RESULT = "exact.json"  # in a run's folder
 POLL_SECONDS = 0.2
@@ -51,6 +54,41 @@ def program(iteration: int) -> tuple[str, ...]:
 def jobs_until(jobs: Sequence[BatchJob], iteration: int) -> list[BatchJob]:
     """The same runs as far as an iteration's candidates: other keys, so other lines and folders than whole runs."""
     return [replace(job, method_hash=digest([job.method_hash, "candidates", iteration])) for job in jobs]
+
+
+def check(jobs: Sequence[BatchJob], iteration: int) -> None:
+    """Raise what would end one of these runs after it was trained: ConfigError for an iteration that it does not have,
+    UnfitWorldError for an objective that no instrument of its reality measures exactly."""
+    registry = plugins.load()
+    for job in {(one.method_hash, one.reality_hash): one for one in jobs}.values():
+        config = _config_of(job, registry)
+        if not 0 <= iteration < config.iterations:
+            raise ConfigError(
+                f"--iteration {iteration}: method '{job.method}' has {config.iterations} of them, 0 to "
+                f"{config.iterations - 1}. Ask for one of these."
+            )
+        robot = registry.make_robot(config.robot.name, config.robot.settings)
+        objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
+        check_exact(Seeing.of(robot, config.world.settings, config.objectives, registry), objectives)
+
+
+def _config_of(job: BatchJob, registry: plugins.Registry) -> RunConfig:
+    command, *options = job.arguments  # each has a value
+
+    def given(name: str) -> list[str]:
+        return [value for option, value in zip(options[::2], options[1::2], strict=True) if option == name]
+
+    return load_config(
+        preset=given("--preset")[0],
+        objectives=given("--objective"),
+        robot=given("--robot")[0],
+        world=given("--world")[0],
+        engine=next(iter(given("--engine")), None),
+        baseline=command == "baseline",
+        oracle=command == ORACLE,
+        overrides=given("--set"),
+        registry=registry,
+    )
 
 
 def kind(iteration: int) -> Kind:
@@ -98,6 +136,7 @@ def judged(folder: Path, iteration: int) -> Exact:
     job = SimulatedOracleJob(config, folder, registry, stages)
     begun = time.perf_counter()
     try:
+        check_exact(Seeing.of(job.robot, config.world.settings, config.objectives, registry), job.objectives)
         tuned = job.read(f"iterations/{iteration:02d}/finetune")
         job.do("collect", "collect real data of the pretrained policy", partial(collect, job))  # not each run does
         _fit_what_is_missing(job, iteration)
@@ -109,6 +148,7 @@ def judged(folder: Path, iteration: int) -> Exact:
         iteration=iteration,
         units={name: objective.unit for name, objective in job.objectives.items()},
         speeds=list(config.simulation_test.speeds),
+        needed=config.evaluation.min_valid,
         candidates=[_judged(row, found) for row in tuned["candidates"]],
         pull=(tuned.get("pull") or {}).get("pull"),
         seconds={**stages.seconds(), "exact": round(time.perf_counter() - begun, 3)},
@@ -120,6 +160,7 @@ def _judged(row: Mapping[str, Any], found: Mapping[str, Any]) -> Judged:
     return Judged(
         id=name,
         share=row.get("share", 1.0),
+        stopped=row["stopped"],
         weights=row["weights"],
         kl_bound=row["kl_bound"],
         kl=row["kl"],
@@ -128,6 +169,7 @@ def _judged(row: Mapping[str, Any], found: Mapping[str, Any]) -> Judged:
             objective: {speed: one["improvement"] for speed, one in speeds.items()}
             for objective, speeds in found["predicted"].get(name, {}).items()
         },
+        valid={speed_key(trial["speed"]): trial["valid"] for trial in found["trials"][name]},
     )
 
 
@@ -158,7 +200,5 @@ def _read(folder: Path, iteration: int) -> Exact:
 
 def _said(line: RunLine) -> str:
     assert isinstance(line, ExactLine) and line.result is not None
-    last = line.result.last
-    return (
-        f"{line.seconds_here:.0f} s, {last.id} {json.dumps({n: round(mean_of(s), 4) for n, s in last.saved.items()})}"
-    )
+    saved = {one.id: one.saved for one in line.result.ends}
+    return f"{line.seconds_here:.0f} s, {json.dumps(saved)}"

@@ -18,13 +18,15 @@ Batch = Callable[[argparse.Namespace, Sequence[Job], Kind, Sequence[str]], int]
 
 def run(given: argparse.Namespace, jobs: Callable[[argparse.Namespace], list[Job]], batch: Batch) -> int:
     """Make the candidates that have no line yet."""
-    until = exact.jobs_until(jobs(given), given.iteration)
+    asked = jobs(given)
+    exact.check(asked, given.iteration)
+    until = exact.jobs_until(asked, given.iteration)
     return batch(given, until, exact.kind(given.iteration), exact.program(given.iteration))
 
 
 def table(given: argparse.Namespace) -> int:
     """Print what the lines say, as markdown."""
-    print(exact_table(read_exact(files_of(given.lines)), given.against))
+    print(exact_table(read_exact(files_of(given.lines)), given.against, given.objective))
     return 0
 
 
@@ -45,3 +47,4 @@ def add_to(
     one.set_defaults(do=table)
     one.add_argument("--lines", type=Path, action="append", required=True, help="files or folders")
     one.add_argument("--against", help="differences to this method")
+    one.add_argument("--objective", help="default: the lines' first")

@@ -119,7 +119,7 @@ class PopulationTrainer:
             **{name: UpperMultiplier(limit, count, **pace) for name, limit in (held_below or {}).items()},
         }
         self.prices = {name: price.to(device) for name, price in (prices or {}).items()}
-        self.settling = math.ceil(SETTLING_SECONDS / (config.horizon * self.dt))
+        self.settling = math.floor(SETTLING_SECONDS / (config.horizon * self.dt) + 1e-6) + 1  # batches
         self.stopped: dict[int, str] = {}
         self.batches = 0
         self.kl = torch.zeros(count, device=device)
@@ -212,7 +212,10 @@ class PopulationTrainer:
             stats[STRENGTH] = strength
         for name, multiplier in self.held.items():
             if self.batches < self.settling and name in self.prices:
-                multiplier.begin(self.prices[name] * strength)
+                price = self.prices[
+                    name
+                ]  # 0: of an anchor that knows none, which finds its own from the first batch on
+                multiplier.begin(torch.where(price == 0, multiplier.integral, price * strength))
             error = data["next", "held", name].squeeze(-1)
             self._stop_if_bad({name: error})
             counted = (error != 0).flatten(1).sum(1).clamp(min=1)

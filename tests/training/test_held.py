@@ -94,12 +94,32 @@ def test_a_price_begins_at_what_pulls_once_instances_have_found_their_feet():
         held={"sum": 0.05},
         prices={"sum": torch.tensor([2.0])},
     )
-    assert made.settling == math.ceil(SETTLING_SECONDS / (CONFIG.horizon * made.dt)) > 1
+    length = CONFIG.horizon * made.dt
+    assert (made.settling - 1) * length <= SETTLING_SECONDS < made.settling * length  # that batch is the first after it
     rows = [made.batch().values for _ in range(made.settling + 2)]
     strength = [row[STRENGTH][0] for row in rows]
     assert strength[0] > 3 * strength[made.settling - 1]
     begun = pytest.approx(2.0 * strength[made.settling - 1])
     assert [row["held/sum_multiplier"][0] for row in rows[made.settling - 1 :]] == [begun] * 3
+
+
+def test_a_price_that_nobody_has_found_moves_from_the_first_batch_on():
+    def integral(prices) -> float:
+        made = PopulationTrainer(
+            Walk((1,)),
+            Population(SIZES, 1, init_std=0.3, seed=11),
+            CONFIG,
+            seeds=(1,),
+            names=["c1"],
+            weights={"calm": torch.tensor([5.0])},
+            held={"sum": 0.05},
+            prices=prices,
+        )
+        for _ in range(3):
+            made.batch()
+        return float(made.held["sum"].integral)
+
+    assert integral({"sum": torch.zeros(1)}) == integral(None) != 0.0
 
 
 @pytest.fixture
