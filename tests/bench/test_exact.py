@@ -174,7 +174,8 @@ def test_the_instruments_of_the_reality_judge_whatever_paid(tmp_path):
     assert trained.exists() and not (folder / "summary.json").exists()
     first, made = exact.kind(0).result(folder), trained.stat().st_mtime_ns
     assert isinstance(first, Exact) and first.needed == 0.0  # of smoke
-    (end,) = first.ends
+    end = first.ends[0]
+    assert len(first.ends) == 3  # one for each λ of the formula
     assert end.id == "00-00" and set(end.saved["power"]) == set(end.valid) == {"0.8"}
     assert end.kl == json.loads(trained.read_text())["candidates"][0]["kl"]
 
