@@ -29,14 +29,12 @@ from hts import plugins
 from hts.atomic import atomic_write
 from hts.config import RunConfig
 from hts.config_loading import load_config, read_config
-from hts.contracts import physics_steps_of
 from hts.errors import ConfigError, RunError
 from hts.evaluation.final import speed_key
 from hts.measurement import files
-from hts.measurement.fit_command import fit_and_check
 from hts.oracle.in_simulation import SimulatedOracleJob
 from hts.run.judging import judge
-from hts.run.learning import model_path
+from hts.run.learning import fit_one, model_path
 from hts.run.progress import Progress
 from hts.run.reality import collect
 from hts.run.stages import Stages, read_json
@@ -176,19 +174,11 @@ def _judged(row: Mapping[str, Any], found: Mapping[str, Any]) -> Judged:
 def _fit_what_is_missing(job: SimulatedOracleJob, iteration: int) -> None:
     """A run that is paid by a formula has no models; the exact measurement takes the scale of one."""
     recordings = job.recordings(job.known(iteration))
-    for name, objective in job.objectives.items():
+    for name in job.objectives:
         path = model_path(job, iteration, name)
         if not path.exists():
-            fitted = fit_and_check(
-                objective,
-                recordings,
-                job.config.measurement,
-                settings=job.config.objectives[name],
-                registry=job.registry,
-                physics_steps=physics_steps_of(job.robot),
-            )
             path.parent.mkdir(parents=True, exist_ok=True)
-            files.save(fitted.model, path, {"iteration": iteration})
+            files.save(fit_one(job, name, recordings).model, path, {"iteration": iteration})
 
 
 def _read(folder: Path, iteration: int) -> Exact:

@@ -14,7 +14,7 @@ from hts.config import FinetuneConfig
 from hts.contracts import MeasurementModel, Objective, physics_steps_of
 from hts.errors import PluginError
 from hts.measurement import files
-from hts.measurement.fit_command import fit_and_check
+from hts.measurement.fit_command import FitResult, fit_and_check
 from hts.measurement.fit_report import doubts
 from hts.measurement.outliers import masked_split
 from hts.measurement.transform import Measured, MeasurementTransform, ProxyTransform
@@ -47,16 +47,7 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         def share(epoch: int, epochs: int, error: float, number: int = number) -> None:
             report((number + epoch / epochs) / len(job.objectives))
 
-        fitted = fit_and_check(
-            objective,
-            recordings,
-            job.config.measurement,
-            settings=job.config.objectives[name],
-            registry=job.registry,
-            keep=keep,
-            progress=share,
-            physics_steps=physics_steps_of(job.robot),
-        )
+        fitted = fit_one(job, name, recordings, keep=keep, progress=share)
         notes = {"dataset": dataset.sha256, "iteration": iteration}
         files.save(fitted.model, model_path(job, iteration, name), notes)
         result[name] = {**fitted.report, "dataset": dataset.sha256, "recordings": list(dataset.ids)}
@@ -67,6 +58,19 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
             for line in doubts(result[name]):
                 job.stages.progress.say(line)
     return result
+
+
+def fit_one(job: Job, name: str, recordings: Sequence[Recording], **how: Any) -> FitResult:
+    """One objective's model, with the settings of the run; how: of `fit_and_check`."""
+    return fit_and_check(
+        job.objectives[name],
+        recordings,
+        job.config.measurement,
+        settings=job.config.objectives[name],
+        registry=job.registry,
+        physics_steps=physics_steps_of(job.robot),
+        **how,
+    )
 
 
 def asks_weights(job: Job, iteration: int, name: str) -> bool:
