@@ -87,7 +87,7 @@ QUICK: dict[str, Any] = {
     "world": {"name": "twin", "block_seconds": 80.0},
     "iterations": 3,
     # One candidate, and all steps for it: the end of its training and what it was on the way are what is tried. Steps
-    # go into many batches, not into large ones.
+    # go into many batches, not into large ones, and a batch moves a policy by little.
     "sweep": {**OURS["sweep"], "kl_bounds": [16.0]},
     "selection": {
         **OURS["selection"],
@@ -103,12 +103,12 @@ QUICK: dict[str, Any] = {
     "measurement": {"epochs": 12},
     "finetune": {
         "num_envs": 128,
-        "steps": 640_000,
+        "steps": 1_280_000,
         "hold": True,
         "measured_pull": True,
         "also_at": [0.5, 0.75],
         "average": 0.25,
-        "ppo": {"horizon": 24, "epochs": 5, "minibatches": 2, "learning_rate": 2e-4},
+        "ppo": {"horizon": 24, "epochs": 5, "minibatches": 2, "learning_rate": 1e-4},
         "env": {"commands": HELD, "randomisation": VARIED, "stagger": True, **STOPS},
     },
     "simulation_test": {**OURS["simulation_test"], "num_envs": 24, "seconds": 8.0},
@@ -200,7 +200,7 @@ BASELINES: dict[str, dict[str, Any]] = {
     "quick": {
         **_PLAIN,
         "sweep": {"kl_bounds": [1.0, 5.0, float("inf")], "anchors": ["pretrained"], "trust_region": {"enabled": False}},
-        "finetune": {"hold": False, "steps": 213_000},
+        "finetune": {"hold": False, "steps": 426_000},
     },
     "paper": {
         **_PLAIN,

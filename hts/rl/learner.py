@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import Executor
 
 import torch
 from torch import Tensor
@@ -60,20 +61,42 @@ class Learner:
         names = [[f"{part}.{index}" for index in range(layout.layers)] for part in NETWORKS.values()]
         self._actor, self._critic = (MLP([own[one] for one in part], [by_own[one] for one in part]) for part in names)
         self._widths = [len(own[name]) for name in names[0][:-1]]
-        self._spaces: dict[int, Workspace] = {}
+        self._spaces: dict[tuple[str, int], Workspace] = {}
 
     def differentiate(
-        self, batch: Mapping[str, Tensor], multiplier: float, policy_on: float, config: UpdateSettings
+        self,
+        batch: Mapping[str, Tensor],
+        multiplier: float,
+        policy_on: float,
+        config: UpdateSettings,
+        beside: Executor | None = None,
     ) -> dict[str, Tensor]:
         """The gradient of `population_loss` on a minibatch, as `columns` gives it. Returns parts of the loss, each [].
 
-        The actor is done before the critic begins, in the same places: they stay in the cache.
+        beside: does the critic's part meanwhile, to the same bits. Without it the actor is done before the critic
+        begins, in the same places: they stay in the cache.
         """
-        x, y = batch["observation"], batch["critic_observation"]
-        samples = x.shape[1]
-        if samples not in self._spaces:
-            self._spaces[samples] = Workspace(self._widths, samples, self.parameters)
-        space = self._spaces[samples]
+        samples = batch["observation"].shape[1]
+        if beside is None:
+            space = self._space("actor", samples)
+            actor = self._actor_gradient(batch, multiplier, policy_on, config, space)
+            return actor | self._critic_gradient(batch, config, space)
+        critic = beside.submit(self._critic_gradient, batch, config, self._space("critic", samples))
+        try:
+            actor = self._actor_gradient(batch, multiplier, policy_on, config, self._space("actor", samples))
+        finally:
+            found = critic.result()  # whatever went wrong, nobody writes into the gradient any more
+        return actor | found
+
+    def _space(self, part: str, samples: int) -> Workspace:
+        if (part, samples) not in self._spaces:
+            self._spaces[part, samples] = Workspace(self._widths, samples, self.parameters)
+        return self._spaces[part, samples]
+
+    def _actor_gradient(
+        self, batch: Mapping[str, Tensor], multiplier: float, policy_on: float, config: UpdateSettings, space: Workspace
+    ) -> dict[str, Tensor]:
+        x = batch["observation"]
         by_mean, by_log_std, policy, kl_old = policy_gradient(
             self._actor.forward(x, space),
             self._log_std,
@@ -85,6 +108,13 @@ class Learner:
         )
         self._by_log_std.copy_(by_log_std)
         self._actor.backward(x, by_mean, space)
+        return {"policy": policy, "kl_old": kl_old}
+
+    @torch.no_grad()
+    def _critic_gradient(
+        self, batch: Mapping[str, Tensor], config: UpdateSettings, space: Workspace
+    ) -> dict[str, Tensor]:
+        y = batch["critic_observation"]
         by_value, value = value_gradient(
             self._critic.forward(y, space)[0],
             batch["old_value"],
@@ -93,7 +123,7 @@ class Learner:
             value_coef=config.value_coef,
         )
         self._critic.backward(y, by_value.unsqueeze(0), space)
-        return {"policy": policy, "value": value, "kl_old": kl_old}
+        return {"value": value}
 
 
 class Columns:

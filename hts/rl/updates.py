@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import torch
 
+from hts.cores import available
 from hts.rl.learner import Columns, Layout, Learner
 from hts.rl.population import Population
 from hts.rl.settings import UpdateSettings
@@ -88,6 +89,8 @@ class SeparateSteps(GradientSteps):
         self._rates = [config.learning_rate] * population.count
         self._moments: list[dict[str, torch.Tensor]] = [{} for _ in range(population.count)]  # in the layout's order
         self._pool = pool(population.count)
+        # Where there are cores for it, a candidate's critic learns beside its actor: they meet in the gradient's norm.
+        self._critics = pool(population.count) if 2 * population.count <= available() else None
 
     def run(
         self,
@@ -115,7 +118,7 @@ class SeparateSteps(GradientSteps):
         sums, updates = torch.zeros(len(REPORTED)), 0
         for order in orders:
             for batch in columns.minibatches(order[index], self.config.minibatches):
-                losses = learner.differentiate(batch, multiplier, policy_on, self.config)
+                losses = learner.differentiate(batch, multiplier, policy_on, self.config, self._critics)
                 self.step(index, learner)
                 if self.config.adaptive_rate:
                     self.adapt(index, losses["kl_old"])
@@ -192,3 +195,5 @@ class SeparateSteps(GradientSteps):
 
     def close(self) -> None:
         self._pool.shutdown()
+        if self._critics is not None:
+            self._critics.shutdown()

@@ -50,8 +50,8 @@ def test_the_settings_that_the_pages_state_are_those_of_the_code():
     assert f"actuation delay of 0 to {longest} physics steps" in training
     assert f"| delay | 0 to {longest} steps of 5 ms |" in twin
     rates = [PRESETS[name]["finetune"]["ppo"]["learning_rate"] for name in ("quick", "paper")]
-    assert rates == [2e-4, 1e-4]
-    assert "rate 2·10⁻⁴ in preset `quick`, 10⁻⁴ in `paper` (3·10⁻⁴ where nothing is set)" in training
+    assert rates == [1e-4, 1e-4]
+    assert "rate 10⁻⁴ in presets `quick` and `paper` (3·10⁻⁴ where nothing is set)" in training
     assert PPOConfig().learning_rate == 3e-4
     worth = rewards.resolve_weights({})["track_velocity"]
     assert worth == 2.0 and "half of perfect speed tracking (weight 2)" in training

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor, ThreadPoolExecutor
+
 import pytest
 import torch
 
@@ -57,7 +59,7 @@ def batch(of: Population, with_reference: bool = True) -> dict[str, torch.Tensor
 
 
 def learnt(
-    of: Population, samples: dict[str, torch.Tensor], **settings
+    of: Population, samples: dict[str, torch.Tensor], beside: Executor | None = None, **settings
 ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
     """Gradient of the first candidate in the order of its vector, and the parts of its loss."""
     layout = Layout(of)
@@ -68,7 +70,7 @@ def learnt(
     given = {"multiplier": 0.7, "policy_on": 1.0, **settings}
     config = UpdateSettings(clip=0.2, value_coef=0.8, entropy_coef=0.03)
     with torch.no_grad():
-        parts = learner.differentiate(minibatch, given["multiplier"], given["policy_on"], config)
+        parts = learner.differentiate(minibatch, given["multiplier"], given["policy_on"], config, beside)
     return layout.unpacked(learner.gradient), parts
 
 
@@ -97,6 +99,25 @@ def test_the_gradient_written_out_is_that_of_the_loss(hidden, changes, with_refe
     torch.testing.assert_close(gradient, expected, rtol=1e-9, atol=1e-12)
     for name, value in parts.items():
         torch.testing.assert_close(value, getattr(loss, name)[0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_critic_that_learns_beside_its_actor_learns_the_same():
+    of = population((8, 6))
+    samples = batch(of)
+    torch.manual_seed(0)
+    alone, parts = learnt(of, samples)
+    torch.manual_seed(0)
+    with ThreadPoolExecutor(1) as beside:
+        together, same = learnt(of, samples, beside)
+    assert torch.equal(together, alone)
+    assert {name: value.item() for name, value in same.items()} == {name: one.item() for name, one in parts.items()}
+
+
+def test_what_goes_wrong_beside_is_told():
+    of = population((4,))
+    samples = {name: value for name, value in batch(of).items() if name != "target"}
+    with ThreadPoolExecutor(1) as beside, pytest.raises(KeyError, match="target"):
+        learnt(of, samples, beside)
 
 
 def test_the_samples_lie_on_both_sides_of_both_clips():

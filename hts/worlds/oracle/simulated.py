@@ -153,8 +153,8 @@ def check_exact(seeing: Seeing, objectives: Mapping[str, Objective]) -> None:
         if target not in softly[0]:
             raise UnfitWorldError(
                 f"Objective '{name}': no instrument of this reality tells '{target}' exactly (`Instrument.exact`), so "
-                "nothing can stand for a measurement model that never errs. Leave --in-simulation out, or take "
-                "`hts run`."
+                "nothing can stand for a measurement model that never errs. `hts run` needs none, nor does `hts "
+                "oracle` without --in-simulation."
             )
         for told in (one[target] for one in softly):
             if np.shape(told) != (TRIED,) or not np.isfinite(told).all():
@@ -165,5 +165,5 @@ def check_exact(seeing: Seeing, objectives: Mapping[str, Objective]) -> None:
         if any(not np.array_equal(one[target], other[target]) for one, other in zip(softly, hard, strict=True)):
             raise UnfitWorldError(
                 f"Objective '{name}': '{target}' depends on how fast and with what mass feet land, which no channel of "
-                "the training simulation tells. Train on the reality: leave --in-simulation out."
+                "the training simulation tells. `hts oracle` without --in-simulation trains on the reality."
             )
