@@ -212,9 +212,7 @@ class PopulationTrainer:
             stats[STRENGTH] = strength
         for name, multiplier in self.held.items():
             if self.batches < self.settling and name in self.prices:
-                price = self.prices[
-                    name
-                ]  # 0: of an anchor that knows none, which finds its own from the first batch on
+                price = self.prices[name]  # 0: its anchor knows none, so it finds its own from the first batch on
                 multiplier.begin(torch.where(price == 0, multiplier.integral, price * strength))
             error = data["next", "held", name].squeeze(-1)
             self._stop_if_bad({name: error})
