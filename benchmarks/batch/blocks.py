@@ -20,6 +20,8 @@ from batch import tables
 from batch.ablation import ablation
 from batch.all_tables import ALL
 from batch.coverage_lines import coverage_table, read_coverage
+from batch.exact_gap import gap_table
+from batch.exact_lines import read_exact
 from batch.expected_lines import expected_table, read_expected
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
@@ -104,6 +106,10 @@ def _made(what: str, folder: Path) -> str:
         if name == "expected":
             found = [read_expected(folder.parent / "expected" / file) for file in given["lines"].split(",")]
             return expected_table([row for rows in found for row in rows])
+        if name == "gap":
+            files = given["lines"].split(",")
+            judged = read_exact(files_of([folder.parent / "exact" / file for file in files]))
+            return gap_table(read_lines(files_of([folder / file for file in files])), judged, given.get("objective"))
         groups = groups_of(
             read_lines(files_of([folder / file for file in given["lines"].split(",")])),
             given.get("preset"),
@@ -118,7 +124,7 @@ def _made(what: str, folder: Path) -> str:
             return ablation(groups, given.get("against", "ours"))
         if name not in ALL:
             raise EvaluationError(
-                unknown_name("table", name, [*ALL, "pairs", "ablation", "coverage", "expected", "value"])
+                unknown_name("table", name, [*ALL, "pairs", "ablation", "coverage", "expected", "gap", "value"])
             )
         return ALL[name](groups)
     except EvaluationError as error:
