@@ -31,6 +31,7 @@ from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
 from batch.queue import HTS, WHOLE_RUNS, Kind, run_batch, slots_of
 from batch.tables import pairs
+from batch.together import together
 
 from hts.atomic import atomic_write
 from hts.errors import ConfigError, unknown_name
@@ -98,6 +99,9 @@ def chosen_groups(given: argparse.Namespace) -> list[Group]:
 def table(given: argparse.Namespace) -> int:
     """Print tables as markdown."""
     groups = chosen_groups(given)
+    if given.together:
+        print(f"### together\n\n{together(groups, given.against or 'ours')}\n")
+        return 0
     if given.ablation:
         print(f"### ablation\n\n{ablation(groups, given.against or 'ours')}\n")
     names = [given.name] if given.name else [] if given.ablation else list(ALL)
@@ -227,6 +231,7 @@ def parser() -> argparse.ArgumentParser:
     one.set_defaults(do=table)
     one.add_argument("--name", help=f"one of {', '.join(ALL)} (default: all)")
     one.add_argument("--ablation", action="store_true", help="each method less `ours` (--against), per reality")
+    one.add_argument("--together", action="store_true", help="each version less `ours` (--against), and all of them")
     one.add_argument("--against", help="differences to this method (default: the first)")
 
     one = commands.add_parser("figures", parents=[reading], help="figures as SVG and PNG")

@@ -25,6 +25,7 @@ from batch.exact_lines import read_exact
 from batch.expected_lines import expected_table, read_expected
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
+from batch.together import together
 from hts.errors import EvaluationError, unknown_name
 from hts.evaluation.population import mean, population, quantile
 
@@ -120,11 +121,15 @@ def _made(what: str, folder: Path) -> str:
             return _value(groups, given)
         if name == "pairs":
             return tables.pairs(groups, given.get("against", "ours"))
+        if name == "together":
+            return together(groups, given.get("against", "ours"))
         if name == "ablation":
             return ablation(groups, given.get("against", "ours"))
         if name not in ALL:
             raise EvaluationError(
-                unknown_name("table", name, [*ALL, "pairs", "ablation", "coverage", "expected", "gap", "value"])
+                unknown_name(
+                    "table", name, [*ALL, "pairs", "together", "ablation", "coverage", "expected", "gap", "value"]
+                )
             )
         return ALL[name](groups)
     except EvaluationError as error:
