@@ -99,17 +99,17 @@ def chosen_groups(given: argparse.Namespace) -> list[Group]:
 def table(given: argparse.Namespace) -> int:
     """Print tables as markdown."""
     groups = chosen_groups(given)
+    asked = given.ablation or given.together
     if given.together:
         print(f"### together\n\n{together(groups, given.against or 'ours')}\n")
-        return 0
     if given.ablation:
         print(f"### ablation\n\n{ablation(groups, given.against or 'ours')}\n")
-    names = [given.name] if given.name else [] if given.ablation else list(ALL)
+    names = [given.name] if given.name else [] if asked else list(ALL)
     for name in names:
         if name not in ALL:
             raise ConfigError(unknown_name("table", name, ALL))
         print(f"### {name}\n\n{ALL[name](groups)}\n")
-    if not given.ablation and (given.against or not given.name):
+    if not asked and (given.against or not given.name):
         against = given.against or groups[0].name
         print(f"### against {against}\n\n{pairs(groups, against)}\n")
     for line in (line for group in groups for line in group.lines if line.error):

@@ -107,16 +107,16 @@ def _made(what: str, folder: Path) -> str:
         if name == "expected":
             found = [read_expected(folder.parent / "expected" / file) for file in given["lines"].split(",")]
             return expected_table([row for rows in found for row in rows])
-        if name == "gap":
-            files = given["lines"].split(",")
-            judged = read_exact(files_of([folder.parent / "exact" / file for file in files]))
-            return gap_table(read_lines(files_of([folder / file for file in files])), judged, given.get("objective"))
         groups = groups_of(
             read_lines(files_of([folder / file for file in given["lines"].split(",")])),
             given.get("preset"),
             given["methods"].split(",") if "methods" in given else None,
             given.get("objective"),
         )
+        if name == "gap":
+            return gap_table(
+                groups, read_exact(files_of([folder.parent / "exact" / f for f in given["lines"].split(",")]))
+            )
         if name == "value":
             return _value(groups, given)
         if name == "pairs":

@@ -12,6 +12,7 @@ from batch import exact
 from batch.exact_gap import gap_table
 from batch.exact_kept import judge_kept, works_of
 from batch.exact_lines import exact_table, read_exact
+from batch.groups import groups_of
 from batch.lines import files_of, read_lines
 from batch.methods import Job
 from batch.queue import Kind
@@ -35,7 +36,8 @@ def kept(given: argparse.Namespace) -> int:
 
 def gap(given: argparse.Namespace) -> int:
     """Print where promises are lost, as markdown."""
-    print(gap_table(read_lines(files_of(given.of)), read_exact(files_of(given.lines)), given.objective))
+    groups = groups_of(read_lines(files_of(given.of)), given.preset, objective=given.objective)
+    print(gap_table(groups, read_exact(files_of(given.lines))))
     return 0
 
 
@@ -74,4 +76,5 @@ def add_to(
     one.set_defaults(do=gap)
     one.add_argument("--of", type=Path, action="append", required=True, help="lines of the runs: files or folders")
     one.add_argument("--lines", type=Path, action="append", required=True, help="lines of `exact kept`")
+    one.add_argument("--preset", help="of the runs, where their lines have several")
     one.add_argument("--objective", help="default: the lines' first")

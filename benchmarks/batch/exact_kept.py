@@ -21,6 +21,8 @@ from batch.harvest import provenance_of
 from batch.lines import Line, RunLine, append
 from batch.methods import digest
 from hts.errors import ConfigError, HtsError
+from hts.evaluation.final import speed_key
+from hts.run.stages import read_json
 
 Judge = Callable[[Path, int], Exact]
 
@@ -75,7 +77,8 @@ def _line(work: Work, judge: Judge) -> ExactLine:
         shutil.copytree(work.folder, copy, ignore=shutil.ignore_patterns(".lock"))
         try:
             found = judge(copy, work.iteration)
-        except HtsError as wrong:
+            found = found.model_copy(update={"same_walks": same_walks(work.folder, found)})
+        except (HtsError, OSError, ValueError, KeyError) as wrong:  # a folder may have been touched since
             error = f"{type(wrong).__name__}: {wrong}".replace(f"{scratch}/", "")
     _, hardware = provenance_of(work.folder)
     same = {name: getattr(work.line, name) for name in RunLine.model_fields}
@@ -88,3 +91,14 @@ def _line(work: Work, judge: Judge) -> ExactLine:
         "hardware": hardware,
     }
     return ExactLine(**{**same, **new, "result": found})
+
+
+def same_walks(folder: Path, found: Exact) -> bool:
+    """Whether the run itself, when it judged these candidates, found the same falls and shares of good segments: on
+    another computer, or with other sources, rounding makes other walks."""
+    before = read_json(folder / f"iterations/{found.iteration:02d}/simulate.json")
+    return all(
+        one.falls == before["falls"][one.id]
+        and one.valid == {speed_key(trial["speed"]): trial["valid"] for trial in before["trials"][one.id]}
+        for one in found.candidates
+    )

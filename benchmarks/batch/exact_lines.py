@@ -38,8 +38,9 @@ class Judged(Part):
 
 class Exact(Part):
     """One iteration's candidates. units: of each objective's improvement; needed: share of good segments below which a
-    speed counts nothing, that of the run's final; pull: m/s² at each of the speeds, where trials told it; seconds: of
-    each stage, and of the judging."""
+    speed counts nothing, that of the run's final; pull: m/s² at each of the speeds, where trials told it; same_walks:
+    whether falls and good segments are those that the run itself found when it judged them, none where it never did, or
+    in a line of before; seconds: of each stage, and of the judging."""
 
     iteration: int
     units: dict[str, str]
@@ -47,6 +48,7 @@ class Exact(Part):
     needed: float
     candidates: list[Judged]
     pull: list[float] | None = None
+    same_walks: bool | None = None
     seconds: dict[str, float] = Field(default_factory=dict)
 
     @property

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from batch.groups import Group
-from batch.tables import differences, table, with_interval
+from batch.tables import differences, noted, table, with_interval
 from hts.errors import EvaluationError, unknown_name
 from hts.evaluation.population import Population, paired, population, quantile
 
@@ -21,8 +21,8 @@ Differences = dict[str, list[float]]
 
 def together(groups: Sequence[Group], against: str) -> str:
     """A row for each method and version, and one for all its versions: its saving less that of `against`, over the
-    realities that both have in that version. Raises EvaluationError for a method that no line is of, and for a reality
-    that two versions share: what a machine does would count twice."""
+    realities that both have in that version. Raises EvaluationError for a method that no line is of, where nothing is
+    left to compare, and for a reality that two versions share: what a machine does would count twice."""
     versions: dict[str, dict[str, Group]] = {}
     for group in groups:
         first = group.lines[0]
@@ -39,14 +39,21 @@ def together(groups: Sequence[Group], against: str) -> str:
         for commit in shared:
             one, other = own[commit], versions[against][commit]
             found = _differences(one, other)
+            if not found:
+                continue
             again = sorted(set(found) & set(every))
             if again:
                 raise EvaluationError(f"Two versions of '{method}' have been on {', '.join(again)}. Give lines of one.")
             every |= found
             rows.append(_row(f"{method}, {commit[:7]}", found, paired(one.values(), other.values()), one.unit))
-        rows.append(_row(f"{method}, all", every, population(every), next(iter(own.values())).unit))
+        if every:
+            rows.append(_row(f"{method}, all", every, population(every), next(iter(own.values())).unit))
+    if not rows:
+        raise EvaluationError(
+            f"No method has been on a reality of '{against}' in the same version. Compare: --against."
+        )
     head = ["method, version", "realities", f"minus {against}, mean, 95 %", "median, 95 %", "better on"]
-    return table(head, rows)
+    return noted(groups, table(head, rows))
 
 
 def _differences(one: Group, other: Group) -> Differences:

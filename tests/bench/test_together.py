@@ -39,6 +39,17 @@ def test_a_version_that_one_of_both_lacks_is_left_out():
     assert [row[0] for row in rows(lines)] == ["other, 1111111", "other, all"]
 
 
+def test_versions_that_share_nothing_are_refused_and_one_of_them_does_not_end_the_others():
+    lines = [
+        *batch("1", range(2), 0.02),
+        line("ours", "dev-08", commit="2" * 40),
+        line("other", "dev-09", commit="2" * 40),
+    ]
+    assert [row[0] for row in rows(lines)] == ["other, 1111111", "other, all"]
+    with pytest.raises(EvaluationError, match="No method has been on a reality of 'ours' in the same version"):
+        rows(lines[4:])
+
+
 def test_what_would_count_twice_or_is_not_there_is_refused():
     with pytest.raises(EvaluationError, match="'other' have been on dev-01"):
         rows([*batch("1", range(2), 0.02), *batch("2", range(1, 3), 0.02)])
