@@ -50,7 +50,7 @@ def together(groups: Sequence[Group], against: str) -> str:
             rows.append(_row(f"{method}, all", every, population(every), next(iter(own.values())).unit))
     if not rows:
         raise EvaluationError(
-            f"No method has been on a reality of '{against}' in the same version. Compare: --against."
+            f"No method has been on a reality of '{against}' in the same version. Leave out --together."
         )
     head = ["method, version", "realities", f"minus {against}, mean, 95 %", "median, 95 %", "better on"]
     return noted(groups, table(head, rows))
