@@ -17,7 +17,6 @@ from pathlib import Path
 
 from batch.exact import judged
 from batch.exact_lines import Exact, ExactLine, read_exact
-from batch.harvest import provenance_of
 from batch.lines import Line, RunLine, append
 from batch.methods import digest
 from hts.errors import ConfigError, HtsError
@@ -74,13 +73,12 @@ def _line(work: Work, judge: Judge) -> ExactLine:
     begun, found, error = time.monotonic(), None, None
     with tempfile.TemporaryDirectory() as scratch:
         copy = Path(scratch) / work.folder.name
-        shutil.copytree(work.folder, copy, ignore=shutil.ignore_patterns(".lock"))
         try:
-            found = judge(copy, work.iteration)
-            found = found.model_copy(update={"same_walks": same_walks(work.folder, found)})
+            shutil.copytree(work.folder, copy, ignore=shutil.ignore_patterns(".lock"))
+            told = judge(copy, work.iteration)
+            found = told.model_copy(update={"same_walks": same_walks(work.folder, told)})
         except (HtsError, OSError, ValueError, KeyError) as wrong:  # a folder may have been touched since
             error = f"{type(wrong).__name__}: {wrong}".replace(f"{scratch}/", "")
-    _, hardware = provenance_of(work.folder)
     same = {name: getattr(work.line, name) for name in RunLine.model_fields}
     new = {
         "key": work.key,
@@ -88,7 +86,6 @@ def _line(work: Work, judge: Judge) -> ExactLine:
         "error": error,
         "ended": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "seconds_here": round(time.monotonic() - begun, 1),
-        "hardware": hardware,
     }
     return ExactLine(**{**same, **new, "result": found})
 

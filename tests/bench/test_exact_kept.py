@@ -82,6 +82,16 @@ def test_one_that_cannot_be_judged_is_said_and_the_others_go_on(runs, tmp_path):
     assert all(one.status == "done" for one in read_exact([path]))
 
 
+def test_a_folder_that_was_touched_since_makes_a_failed_line_without_a_result(runs, tmp_path):
+    path = tmp_path / "exact.jsonl"
+    works = works_of(runs, tmp_path / "runs")
+    (works[0].folder / "iterations/00/simulate.json").write_text('{"falls": {}, "trials": {}}')
+    assert judge_kept(works, path, lambda text: None, lambda folder, iteration: exact(0.3)) == 1
+    first, second = read_exact([path])
+    assert first.status == "failed" and first.result is None and "00-01" in (first.error or "")
+    assert second.status == "done"
+
+
 def test_a_run_whose_folder_was_not_kept_is_named(runs, tmp_path):
     with pytest.raises(ConfigError, match=r"no folder of ours on dev-09, seed 0 .*run --keep"):
         works_of([line(reality="dev-09")], tmp_path / "runs")
