@@ -77,7 +77,8 @@ def prediction(groups: Sequence[Group]) -> Figure | None:
     right.set_ylabel("measured")
     for panel in (left, right):
         _diagonal(panel)
-    (right if right.get_legend_handles_labels()[0] else left).legend(loc="upper left")
+    told = max((left, right), key=lambda panel: len(panel.get_legend_handles_labels()[0]))  # not all have a model
+    drawing.legend(*told.get_legend_handles_labels(), loc="outside lower center", ncols=len(groups))
     return drawing
 
 

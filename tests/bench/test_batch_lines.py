@@ -263,6 +263,18 @@ def test_figures_are_drawn_and_the_same_lines_give_the_same_bytes(tmp_path):
     assert [path.read_bytes() for path in made] == [path.read_bytes() for path in again]
 
 
+def test_methods_that_fit_nothing_are_named_in_the_figure_of_predictions_too():
+    from batch.figures import prediction
+
+    one = line("ours-proxy")
+    assert one.result is not None
+    fitted = line()
+    no_models = line("ours-proxy", result=one.result.model_copy(update={"models": []}))
+    drawing = prediction(groups_of([fitted, no_models]))
+    assert drawing is not None
+    assert [text.get_text() for legend in drawing.legends for text in legend.get_texts()] == ["ours", "ours-proxy"]
+
+
 def test_runs_stand_one_by_one_with_their_mean():
     rows = [line(reality="default", seed=seed, saved=(0.1 * (seed + 1),) * 3) for seed in (1, 0)]
     shown = tables.TABLES["seeds"](groups_of(rows)).splitlines()
