@@ -52,7 +52,7 @@ class PowerSettings(Config):
         description="λ swept where `weights` is null, reward per second for all of the net current, behind any gauge",
     )
     baseline_weights: tuple[Weight, ...] = Field(
-        (6e-2, 0.15, 0.4), min_length=1, description="λ swept with the analytic proxy, reward per joule"
+        (2e-2, 6e-2, 0.15), min_length=1, description="λ swept with the analytic proxy, reward per joule"
     )
     joule_coefficient: float = Field(
         JOULE_COEFFICIENT,
