@@ -26,7 +26,8 @@ from batch.expected_logs import Visit
 from batch.groups import objectives_of
 from batch.lines import Line, files_of, read_lines
 from batch.methods import Job
-from batch.queue import STOPPED, run_batch, slots_of
+from batch.places import slots_of
+from batch.queue import STOPPED, Target, run_batch
 from realities import commit_of, gpus_of
 
 from hts.errors import ConfigError, HtsError, RunError, unknown_name
@@ -105,9 +106,8 @@ def run(given: argparse.Namespace) -> int:
         todo,
         slots_of(given.cores, gpus_of(given.gpus), given.jobs, sorted(os.sched_getaffinity(0))),
         folders=given.out / "runs",
-        lines=given.out / LINES,
+        target=lambda _: Target(given.out / LINES, given.out.name),
         known=[given.out / LINES],
-        batch=given.out.name,
         keep=given.keep,
         retry_failed=given.retry_failed,
         stop_after=None if rest is None else max(rest, 0.0),

@@ -2,6 +2,7 @@
 
     python benchmarks/realities.py run --methods ours,baseline --realities dev --seeds 0-1 --preset quick \\
         --out runs/dev --lines docs/results/lines/dev-quick.jsonl --cores 2
+    python benchmarks/realities.py several docs/results/several/dev-23.yaml --out runs/several --gpus all
     python benchmarks/realities.py table --lines docs/results/lines/dev-quick.jsonl
     python benchmarks/realities.py figures --lines docs/results/lines/dev-quick.jsonl --out docs/results/figures
     python benchmarks/realities.py coverage run --policies FOLDER --realities dev --lines coverage.jsonl
@@ -19,7 +20,7 @@ import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from batch import blocks, coverage_command, exact_command
@@ -29,7 +30,9 @@ from batch.all_tables import ALL
 from batch.answered import answered
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
-from batch.queue import HTS, WHOLE_RUNS, Kind, run_batch, slots_of
+from batch.places import Machine, Places, slots_of
+from batch.queue import HTS, WHOLE_RUNS, Kind, Target, run_batch
+from batch.several import Entry, planned
 from batch.tables import pairs
 from batch.together import together
 
@@ -42,8 +45,8 @@ FIGURES = REPOSITORY / "docs/results/figures"
 OLDER = REPOSITORY / "docs/results/older-numbers.json"
 
 
-def jobs_of(given: argparse.Namespace) -> list[known.Job]:
-    """The runs that the options of `run` ask for."""
+def jobs_of(given: argparse.Namespace | Entry) -> list[known.Job]:
+    """The runs that the options of `run` ask for, or an entry of a file for `several`."""
     table = known.read_methods(given.methods_file)
     names = [name for name in given.methods.split(",") if name]
     for name in names:
@@ -69,18 +72,43 @@ def run(given: argparse.Namespace) -> int:
 
 def made(given: argparse.Namespace, jobs: Sequence[known.Job], kind: Kind, program: Sequence[str]) -> int:
     """Make those that have no line yet, or only say which they are."""
-    lines = given.lines or given.out / "lines.jsonl"
+    target = Target(given.lines or given.out / "lines.jsonl", given.batch or given.out.name)
+    places = slots_of(given.cores, gpus_of(given.gpus), given.jobs, sorted(os.sched_getaffinity(0)))
+    return _made(given, jobs, places, {job.key: target for job in jobs}, kind, program)
+
+
+def several(given: argparse.Namespace) -> int:
+    """Make the runs of several batches that have no line yet, on one machine."""
+
+    def jobs(entry: Entry) -> list[known.Job]:
+        return jobs_of(entry.model_copy(update={"commit": entry.commit or given.commit}))
+
+    cores, gpus = sorted(os.sched_getaffinity(0)), gpus_of(given.gpus) or []
+    works = planned(given.file, jobs, len(cores), gpus)
+    targets = {work.job.key: Target(given.lines / f"{work.batch}.jsonl", work.batch) for work in works}
+    machine = Machine(cores, gpus, {work.job.key: work.need for work in works})
+    return _made(given, [work.job for work in works], machine, targets, WHOLE_RUNS, HTS)
+
+
+def _made(
+    given: argparse.Namespace,
+    jobs: Sequence[known.Job],
+    places: Places,
+    targets: Mapping[str, Target],
+    kind: Kind,
+    program: Sequence[str],
+) -> int:
+    """targets: by the job's key."""
     if given.dry_run:
         for job in jobs:
             print(job.key, "hts", *job.arguments)
         return 0
     return run_batch(
         jobs,
-        slots_of(given.cores, gpus_of(given.gpus), given.jobs, sorted(os.sched_getaffinity(0))),
+        places,
         folders=given.out,
-        lines=lines,
-        known=[lines, *files_of(given.known or [])],
-        batch=given.batch or given.out.name,
+        target=lambda job: targets[job.key],
+        known=[*{target.lines: None for target in targets.values()}, *files_of(given.known or [])],
         keep=given.keep,
         retry_failed=given.retry_failed,
         stop_after=given.stop_after,
@@ -195,7 +223,17 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = top.add_subparsers(dest="command", required=True)
 
-    one = making = argparse.ArgumentParser(add_help=False)
+    one = queueing = argparse.ArgumentParser(add_help=False)
+    one.add_argument("--out", type=Path, required=True, help="where run folders go")
+    one.add_argument("--known", type=Path, action="append", help="more files or folders whose lines count as made")
+    one.add_argument("--commit", help="default: HTS_COMMIT, or what git says")
+    one.add_argument("--gpus", default="none", help="none, all, or names with commas; runs share them in turn")
+    one.add_argument("--keep", action="store_true", help="keep run folders")
+    one.add_argument("--retry-failed", action="store_true", help="resume those whose line is an error")
+    one.add_argument("--stop-after", type=float, metavar="SECONDS", help="stop then with status 75; call again")
+    one.add_argument("--dry-run", action="store_true", help="only say which runs these are")
+
+    one = making = argparse.ArgumentParser(add_help=False, parents=[queueing])
     one.add_argument("--methods", required=True, help="names with commas; benchmarks/batch/methods.py lists them")
     one.add_argument("--methods-file", type=Path, help="YAML with more methods: name -> command, preset, set")
     one.add_argument("--realities", required=True, help="dev, default, names, files or folders of files, with commas")
@@ -205,21 +243,18 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--robot", default="go1")
     one.add_argument("--engine")
     one.add_argument("--set", action="append", metavar="KEY=VALUE", help="of every method")
-    one.add_argument("--out", type=Path, required=True, help="where run folders go")
     one.add_argument("--lines", type=Path, help="file that lines are added to (default: OUT/lines.jsonl)")
-    one.add_argument("--known", type=Path, action="append", help="more files or folders whose lines count as made")
     one.add_argument("--batch", help="name of the batch in its lines (default: the name of OUT)")
-    one.add_argument("--commit", help="default: HTS_COMMIT, or what git says")
     one.add_argument("--cores", type=int, default=2, help="per run (default: 2)")
-    one.add_argument("--gpus", default="none", help="none, all, or names with commas; runs share them in turn")
     one.add_argument("--jobs", type=int, help="runs at a time at most (default: as many as there are cores for)")
-    one.add_argument("--keep", action="store_true", help="keep run folders")
-    one.add_argument("--retry-failed", action="store_true", help="resume those whose line is an error")
-    one.add_argument("--stop-after", type=float, metavar="SECONDS", help="stop then with status 75; call again")
-    one.add_argument("--dry-run", action="store_true", help="only say which runs these are")
 
     one = commands.add_parser("run", parents=[making], help="make the runs that have no line yet")
     one.set_defaults(do=run)
+
+    one = commands.add_parser("several", parents=[queueing], help="make those of several batches on one machine")
+    one.set_defaults(do=several)
+    one.add_argument("file", type=Path, help="YAML: name of a batch -> list of its runs, as options of `run`")
+    one.add_argument("--lines", type=Path, default=LINES, help="folder of their lines (default: docs/results/lines)")
 
     reading = argparse.ArgumentParser(add_help=False)
     reading.add_argument("--lines", type=Path, action="append", help="files or folders (default: docs/results/lines)")

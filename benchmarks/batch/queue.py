@@ -25,6 +25,7 @@ from typing import IO
 from batch.harvest import finished, provenance_of, result_of
 from batch.lines import Line, Part, RunLine, append, read_lines
 from batch.methods import Job
+from batch.places import Places, Slot
 from hts.errors import HtsError
 
 STOPPED = 75
@@ -36,11 +37,11 @@ RAISED = re.compile(r"[A-Za-z_][\w.]*(Error|Exception|Interrupt|Exit)\b")
 
 
 @dataclass(frozen=True)
-class Slot:
-    """What one run may use. gpu: for CUDA_VISIBLE_DEVICES, "" hides all, None leaves the variable alone."""
+class Target:
+    """Where a run's line goes, and the name of its batch there."""
 
-    cores: tuple[int, ...]
-    gpu: str | None = None
+    lines: Path
+    batch: str
 
 
 @dataclass(frozen=True)
@@ -71,27 +72,13 @@ class Running:
     started: float = field(default_factory=time.monotonic)
 
 
-def slots_of(cores: int, gpus: Sequence[str] | None, jobs: int | None, available: Sequence[int]) -> list[Slot]:
-    """As many as there are cores for, GPUs in turn; `jobs` at most. At least one, on whatever cores there are."""
-    count = max(1, len(available) // cores)
-    count = min(count, jobs) if jobs else count
-    return [
-        Slot(
-            tuple(available[index * cores : (index + 1) * cores]) or tuple(available),
-            None if gpus is None else (gpus[index % len(gpus)] if gpus else ""),
-        )
-        for index in range(count)
-    ]
-
-
 def run_batch(
     jobs: Sequence[Job],
-    slots: Sequence[Slot],
+    places: Places,
     *,
     folders: Path,
-    lines: Path,
+    target: Callable[[Job], Target],
     known: Sequence[Path],
-    batch: str,
     keep: bool = False,
     retry_failed: bool = False,
     stop_after: float | None = None,
@@ -99,9 +86,10 @@ def run_batch(
     program: Sequence[str] = HTS,
     kind: Kind | None = None,
 ) -> int:
-    """Make the runs that have no line yet. 0, 1 if one failed, STOPPED if `stop_after` seconds were not enough.
+    """Make the runs that have no line yet, in their order: none begins before one that comes before it. 0, 1 if one
+    failed, STOPPED if `stop_after` seconds were not enough.
 
-    known: files whose lines count as made; lines: where new ones go. folders: one folder per run, deleted when its
+    known: files whose lines count as made; target: where new ones go. folders: one folder per run, deleted when its
     line is on the disk unless `keep`. program: takes a job's arguments and `--out FOLDER`, or `resume FOLDER`; kind:
     what it makes, whole runs where it is not said.
     """
@@ -112,23 +100,24 @@ def run_batch(
         made = {key: line for key, line in made.items() if line.status == "done"}
     waiting = [job for job in jobs if job.key not in made]
     failed = sum(made[job.key].status == "failed" for job in jobs if job.key in made)
-    say(f"{len(jobs)} runs: {len(jobs) - len(waiting)} have a line already, {len(waiting)} to do, {len(slots)} at once")
+    say(f"{len(jobs)} runs: {len(jobs) - len(waiting)} have a line already, {len(waiting)} to do, {places}")
     if not keep:  # killed between a line and its folder
         for job in jobs:
             if job.key in made and made[job.key].status == "done":
                 _remove(folders / job.folder)
-    free, running, begun, done = list(slots), list[Running](), time.monotonic(), 0
+    running, begun, done = list[Running](), time.monotonic(), 0
 
     def end(one: Running) -> None:
         nonlocal failed, done
-        line = _line(one, batch, kind)
-        append(lines, line)
+        to = target(one.job)
+        line = _line(one, to.batch, kind)
+        append(to.lines, line)
         done += 1
         failed += line.status == "failed"
         say(f"[{done}/{len(waiting_at_first)}] {one.job.folder}: {line.error or kind.said(line)}")
         if line.status == "done" and not keep:
             _remove(one.folder)
-        free.append(one.slot)
+        places.give(one.slot)
 
     waiting_at_first = list(waiting)
     try:
@@ -136,11 +125,12 @@ def run_batch(
             if stop_after is not None and time.monotonic() - begun > stop_after:
                 say(f"time is up: {len(running)} stopped in their midst, {len(waiting)} not begun; call again to go on")
                 return STOPPED
-            ready = [job for job in waiting if not _busy(folders / job.folder)]
-            while ready and free:
-                job = ready.pop(0)
+            for job in [job for job in waiting if not _busy(folders / job.folder)]:
+                slot = places.take(job)
+                if slot is None:
+                    break
                 waiting.remove(job)
-                running.append(_start(job, folders / job.folder, free.pop(0), program))
+                running.append(_start(job, folders / job.folder, slot, program))
             for one in [one for one in running if one.process.poll() is not None]:
                 running.remove(one)
                 end(one)

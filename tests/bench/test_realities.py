@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import signal
@@ -16,7 +17,8 @@ from batch import predictions, queue, tables
 from batch.groups import groups_of
 from batch.lines import read_lines
 from batch.methods import METHODS, Method, jobs_of, read_methods, realities_of, seeds_of
-from batch.queue import STOPPED, Slot, run_batch, slots_of
+from batch.places import Slot, Slots, slots_of
+from batch.queue import STOPPED, Target, run_batch
 from fake_lines import line
 
 from hts.config_loading import load_config
@@ -48,9 +50,10 @@ def jobs(methods=("ours",), realities=("default",), seeds=(0,), **changes):
 def batch(place, made, **changes):
     """Run with the stand-in; what it said."""
     said = []
-    options = {"folders": place / "runs", "lines": place / "lines.jsonl", "known": [place / "lines.jsonl"], **changes}
-    slots = [Slot((core,), "") for core in sorted(os.sched_getaffinity(0))[:1]] * 2
-    return run_batch(made, slots, batch="b", say=said.append, program=FAKE, **options), said
+    options = {"folders": place / "runs", "known": [place / "lines.jsonl"], **changes}
+    target = Target(options.pop("lines", place / "lines.jsonl"), "b")
+    slots = Slots([Slot((core,), "") for core in sorted(os.sched_getaffinity(0))[:1]] * 2)
+    return run_batch(made, slots, target=lambda _: target, say=said.append, program=FAKE, **options), said
 
 
 # --------------------------------------------------------------------------------------------- what is to be run
@@ -158,10 +161,14 @@ def test_what_is_compared_is_made_together(reality):
 
 
 def test_slots_share_cores_and_gpus():
+    (job,) = jobs()
+    taken = functools.partial(map, lambda places: places.take(job))
     found = slots_of(2, ["0", "1"], None, range(7))
-    assert [(slot.cores, slot.gpu) for slot in found] == [((0, 1), "0"), ((2, 3), "1"), ((4, 5), "0")]
-    assert [slot.gpu for slot in slots_of(2, [], 1, range(7))] == [""]
-    assert slots_of(4, None, None, [0, 1]) == [Slot((0, 1), None)]
+    assert list(taken([found] * 4)) == [Slot((0, 1), "0"), Slot((2, 3), "1"), Slot((4, 5), "0"), None]
+    found.give(Slot((2, 3), "1"))
+    assert found.take(job) == Slot((2, 3), "1")
+    assert list(taken([slots_of(2, [], 1, range(7))] * 2)) == [Slot((0, 1), ""), None]
+    assert list(taken([slots_of(4, None, None, [0, 1])] * 2)) == [Slot((0, 1), None), None]
 
 
 # ------------------------------------------------------------------------------------------------------- the queue
@@ -344,8 +351,9 @@ def test_a_tiny_oracle_gets_a_line_that_says_what_it_is(tmp_path):
     small = ["finetune.steps=48", "finetune.num_envs=4", "finetune.ppo.horizon=12", "sweep.weights.power=[1.0]"]
     small += ["simulation_test.num_envs=2", "simulation_test.seconds=3", "world.block_seconds=3"]
     made = jobs(methods=["oracle"], realities=["dev-03"], settings=small)
-    slots, lines = [Slot(tuple(sorted(os.sched_getaffinity(0))), "")], tmp_path / "lines.jsonl"
-    assert run_batch(made, slots, folders=tmp_path / "runs", lines=lines, known=[], batch="b") == 0
+    slots, lines = Slots([Slot(tuple(sorted(os.sched_getaffinity(0))), "")]), tmp_path / "lines.jsonl"
+    to = Target(lines, "b")
+    assert run_batch(made, slots, folders=tmp_path / "runs", target=lambda _: to, known=[]) == 0
     (found,) = read_lines([lines])
     assert found.result.note == "oracle: saw inside the reality; no method"
     assert found.result.tried[0].kl_bound is None and found.result.candidates == 1
