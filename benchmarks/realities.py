@@ -73,6 +73,10 @@ def run(given: argparse.Namespace) -> int:
 def made(given: argparse.Namespace, jobs: Sequence[known.Job], kind: Kind, program: Sequence[str]) -> int:
     """Make those that have no line yet, or only say which they are."""
     target = Target(given.lines or given.out / "lines.jsonl", given.batch or given.out.name)
+    if given.dry_run:
+        for job in jobs:
+            print(job.key, "hts", *job.arguments)
+        return 0
     places = slots_of(given.cores, gpus_of(given.gpus), given.jobs, sorted(os.sched_getaffinity(0)))
     return _made(given, jobs, places, {job.key: target for job in jobs}, kind, program)
 
@@ -85,7 +89,14 @@ def several(given: argparse.Namespace) -> int:
 
     cores, gpus = sorted(os.sched_getaffinity(0)), gpus_of(given.gpus) or []
     works = planned(given.file, jobs, len(cores), gpus)
+    if given.lines.exists() and not given.lines.is_dir():
+        raise ConfigError(f"--lines {given.lines}: is a file; each batch gets one in it. Name a folder.")
     targets = {work.job.key: Target(given.lines / f"{work.batch}.jsonl", work.batch) for work in works}
+    if given.dry_run:
+        for work in works:
+            needs = f"{work.need.cores} cores{', GPU' if work.need.gpu else ''}"
+            print(f"{work.job.key} {work.where} ({needs}) hts", *work.job.arguments)
+        return 0
     machine = Machine(cores, gpus, {work.job.key: work.need for work in works})
     return _made(given, [work.job for work in works], machine, targets, WHOLE_RUNS, HTS)
 
@@ -99,10 +110,8 @@ def _made(
     program: Sequence[str],
 ) -> int:
     """targets: by the job's key."""
-    if given.dry_run:
-        for job in jobs:
-            print(job.key, "hts", *job.arguments)
-        return 0
+    if given.out.exists() and not given.out.is_dir():
+        raise ConfigError(f"--out {given.out}: is a file; runs get folders in it. Name a folder.")
     return run_batch(
         jobs,
         places,
@@ -210,12 +219,19 @@ def gpus_of(text: str) -> list[str] | None:
     if text == "none":
         return []
     if text != "all":
-        return [name for name in text.split(",") if name]
+        return [name for name in map(str.strip, text.split(",")) if name]
     if "CUDA_VISIBLE_DEVICES" in os.environ:
         return [name for name in os.environ["CUDA_VISIBLE_DEVICES"].split(",") if name]
     import torch
 
     return [str(index) for index in range(torch.cuda.device_count())]
+
+
+def positive(text: str) -> int:
+    """Of an option. Raises ArgumentTypeError."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, found {text!r}")
+    return int(text)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -227,7 +243,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--out", type=Path, required=True, help="where run folders go")
     one.add_argument("--known", type=Path, action="append", help="more files or folders whose lines count as made")
     one.add_argument("--commit", help="default: HTS_COMMIT, or what git says")
-    one.add_argument("--gpus", default="none", help="none, all, or names with commas; runs share them in turn")
+    one.add_argument("--gpus", default="none", help="none, all, or names with commas; runs share them")
     one.add_argument("--keep", action="store_true", help="keep run folders")
     one.add_argument("--retry-failed", action="store_true", help="resume those whose line is an error")
     one.add_argument("--stop-after", type=float, metavar="SECONDS", help="stop then with status 75; call again")
@@ -245,8 +261,8 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--set", action="append", metavar="KEY=VALUE", help="of every method")
     one.add_argument("--lines", type=Path, help="file that lines are added to (default: OUT/lines.jsonl)")
     one.add_argument("--batch", help="name of the batch in its lines (default: the name of OUT)")
-    one.add_argument("--cores", type=int, default=2, help="per run (default: 2)")
-    one.add_argument("--jobs", type=int, help="runs at a time at most (default: as many as there are cores for)")
+    one.add_argument("--cores", type=positive, default=2, help="per run (default: 2)")
+    one.add_argument("--jobs", type=positive, help="runs at a time at most (default: as many as there are cores for)")
 
     one = commands.add_parser("run", parents=[making], help="make the runs that have no line yet")
     one.set_defaults(do=run)

@@ -14,9 +14,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from hts import plugins
 from hts.cli.commands import COMMANDS
 from hts.config import RunConfig
 from hts.config_loading import dump_config, load_config
+from hts.engines import check_engine
 from hts.errors import ConfigError, unknown_name
 from hts.yaml_text import load_mapping_file
 
@@ -323,7 +325,7 @@ def _resolved(
         )
     oracle = method.command == ORACLE
     try:
-        return load_config(
+        config = load_config(
             preset=preset,
             objectives=objectives,
             robot=robot,
@@ -333,5 +335,10 @@ def _resolved(
             oracle=oracle,
             overrides=list(settings),
         )
+        check_engine(config.engine)
+        registry = plugins.load()
+        for kind, named in (("robots", config.robot.name), *(("objectives", one) for one in config.objectives)):
+            registry.entry(kind, named)
     except ConfigError as error:
         raise ConfigError(f"Method '{name}': {error}") from error
+    return config

@@ -86,8 +86,8 @@ def run_batch(
     program: Sequence[str] = HTS,
     kind: Kind | None = None,
 ) -> int:
-    """Make the runs that have no line yet, in their order: none begins before one that comes before it. 0, 1 if one
-    failed, STOPPED if `stop_after` seconds were not enough.
+    """Make the runs that have no line yet, in their order: none begins before one that comes before it, but where an
+    earlier call still works on that. 0, 1 if one failed, STOPPED if `stop_after` seconds were not enough.
 
     known: files whose lines count as made; target: where new ones go. folders: one folder per run, deleted when its
     line is on the disk unless `keep`. program: takes a job's arguments and `--out FOLDER`, or `resume FOLDER`; kind:

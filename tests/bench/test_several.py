@@ -57,25 +57,63 @@ def test_a_file_says_what_run_would_be_told(tmp_path):
 GOOD = "a:\n- {methods: ours, realities: default, preset: smoke, cores: 2}\n"
 
 
+def but(old: str, new: str) -> str:
+    assert old in GOOD
+    return GOOD.replace(old, new)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("a/b: []\n", r"several.yaml: 'a/b' is no name of a batch.*use letters"),
+        ("", r"several.yaml: asks for no batch. Expected the name of one"),
+        ("- {methods: ours}\n", r"several.yaml: expected keys and values"),
+        (but("a:", "a/b:"), r"several.yaml: 'a/b' is no name of a batch.*use letters"),
+        (but("a:", "'..':"), r"several.yaml: '..' is no name of a batch"),
+        ("a: 3\n", r"several.yaml: a: expected a list of entries \(- methods: …\), found 3"),
+        ("a: []\n", r"several.yaml: a: expected a list of entries .*, found \[\]"),
+        ("a: [ours]\n", r"several.yaml: a.0: expected keys and values .*, found 'ours'"),
         ("a:\n- {methods: ours}\n", r"several.yaml: a.0.realities"),
-        ("a:\n- {methods: ours, realities: default, core: 2}\n", r"a.0.core.*Did you mean.*cores"),
-        ("a:\n- {methods: ours, realities: default, cores: 0}\n", r"a.0.cores.*more than 0"),
-        ("a: 3\n", r"several.yaml: a: expected a list, found 3"),
-        ("a:\n- {methods: odds, realities: default}\n", "No method named 'odds'"),
-        (GOOD.replace("cores: 2", "cores: 5"), r"'a' asks for 5 cores a run; this machine has 4. Lower `cores`"),
-        (GOOD.replace("cores: 2", "gpu: true"), r"'a' asks for a GPU, and there is none for it. Name them"),
-        (GOOD + GOOD.replace("a:", "b:"), "ours on default, seed 0, is asked for twice, in batch 'a' and in 'b'"),
+        (but("cores", "core"), r"several.yaml: a.0.*'core'.*Did you mean.*cores"),
+        (but("cores: 2", "cores: 0"), r"a.0.cores.*more than 0"),
+        (but("cores: 2", "cores: true"), r"a.0.cores.*expected a whole number"),
+        (but("cores: 2", "gpu: 0"), r"a.0.gpu.*expected true or false"),
+        (but("methods: ours", "methods: ','"), r"several.yaml: a.0 asks for no run: methods is ','. Name one"),
+        (but("methods: ours", "methods: odds"), "several.yaml: a.0: No method named 'odds'"),
+        (but("realities: default", "realities: dev-99"), "several.yaml: a.0: No reality named 'dev-99'"),
+        (but("cores: 2", "engine: wrap"), "several.yaml: a.0: Method 'ours': No engine named 'wrap'"),
+        (but("cores: 2", "robot: go2"), "several.yaml: a.0: Method 'ours': No robot named 'go2'"),
+        (but("cores: 2", "objective: [powr]"), "several.yaml: a.0: Method 'ours': No objective named 'powr'"),
+        (but("cores: 2", "cores: 5"), r"a.0 asks for 5 cores a run; this machine has 4. Lower `cores`"),
+        (but("cores: 2", "gpu: true"), r"a.0 asks for a GPU, and --gpus gives none. Name some"),
+        (GOOD + but("a:", "b:"), "ours on default, seed 0, is asked for twice, by a.0 and by b.0. Leave one out"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_one_line_before_anything_is_spent(tmp_path, text, said):
     path = written(tmp_path, text)
     with pytest.raises(ConfigError, match=said) as wrong:
         planned(path, lambda entry: command.jobs_of(entry.model_copy(update={"commit": "c"})), 4, [])
     assert "\n" not in str(wrong.value)
+
+
+@pytest.mark.parametrize("option", ["--lines", "--out"])
+def test_a_file_where_a_folder_is_meant_is_refused_before_a_run(tmp_path, option, capsys):
+    path, file = written(tmp_path, GOOD.replace("cores: 2", "cores: 1")), tmp_path / "file"
+    file.touch()
+    given = {"--out": str(tmp_path / "runs"), "--lines": str(tmp_path / "lines"), option: str(file)}
+    assert (
+        command.main(["several", str(path), "--commit", "c", *(text for pair in given.items() for text in pair)]) == 2
+    )
+    said = capsys.readouterr().err
+    assert said.startswith(f"{option} {file}: is a file") and said.count("\n") == 1
+
+
+@pytest.mark.parametrize(("option", "value"), [("--cores", "0"), ("--cores", "-3"), ("--jobs", "-1"), ("--jobs", "x")])
+def test_fewer_than_one_is_refused(tmp_path, option, value, capsys):
+    asked = ["run", "--methods", "ours", "--realities", "default", "--out", str(tmp_path), option, value, "--dry-run"]
+    with pytest.raises(SystemExit) as left:
+        command.main(asked)
+    assert left.value.code == 2
+    assert f"{option}: expected a whole number of at least 1, found '{value}'" in capsys.readouterr().err
 
 
 def test_cores_have_one_run_each_and_gpus_go_round():
@@ -131,7 +169,8 @@ def test_the_command_puts_each_batch_into_its_own_file(tmp_path, monkeypatch, ca
                                      for name, seed in (("a", 0), ("b", 1))))  # fmt: skip
     asked = ["several", str(path), "--out", str(tmp_path / "runs"), "--lines", str(tmp_path / "lines"), "--commit", "c"]
     assert command.main([*asked, "--dry-run"]) == 0
-    assert [row.split()[-1] for row in capsys.readouterr().out.splitlines()] == ["0", "1"]
+    shown = capsys.readouterr().out.splitlines()
+    assert [row.split(maxsplit=1)[1].split(" hts ")[0] for row in shown] == ["a.0 (1 cores)", "b.0 (1 cores)"]
     assert command.main(asked) == 0
     for name, seed in (("a", 0), ("b", 1)):
         (row,) = read_lines([tmp_path / "lines" / f"{name}.jsonl"])
@@ -143,4 +182,5 @@ def test_the_command_puts_each_batch_into_its_own_file(tmp_path, monkeypatch, ca
 def test_the_committed_files_can_be_read():
     folder = Path(__file__).parents[2] / "docs" / "results" / "several"
     files = sorted(folder.glob("*.yaml"))
-    assert files and all(read_several(path) for path in files)
+    entries = [entry for path in files for rows in read_several(path).values() for entry in rows]
+    assert entries and all(len(entry.commit or "") == 40 for entry in entries)  # what was registered has one
