@@ -84,9 +84,7 @@ def _entry(row: object, where: str) -> Entry:
     return section_of(Entry, row, origin)
 
 
-def planned(
-    file: Path, jobs_of: Callable[[Entry], Sequence[Job]], cores: int, gpus: Sequence[str] | None
-) -> list[Planned]:
+def planned(file: Path, jobs_of: Callable[[Entry], Sequence[Job]], cores: int, gpus: Sequence[str]) -> list[Planned]:
     """Every run that the file asks for, in its order. cores, gpus: how many there are, and which.
 
     Raises ConfigError for what no machine like this one could do, and for a run that is asked for twice.
