@@ -5,7 +5,8 @@
     <!-- end -->
 
 In the midst of a sentence, `value` writes one number: results: value lines=… method=ours statistic=median speed=0.8.
-metric=gross_reduction takes one of the objective's metrics, in the unit of its improvement.
+metric=gross_reduction takes one of the objective's metrics, in the unit of its improvement; realities=default,dev-02
+leaves out the lines of others.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from batch.exact_gap import gap_table
 from batch.exact_lines import read_exact
 from batch.expected_lines import expected_table, read_expected
 from batch.groups import Group, groups_of
-from batch.lines import files_of, read_lines
+from batch.lines import Line, files_of, read_lines
 from batch.together import together
 from hts.errors import EvaluationError, unknown_name
 from hts.evaluation.population import mean, population, quantile
@@ -40,7 +41,7 @@ NUMBER = {
     "docs/results-earlier.md": WITH_DECIMALS,
 }
 """What counts as a number of a result in the pages that are watched: in all but the first, any with decimals."""
-KEYS = {"lines", "preset", "methods", "objective", "against", "method", "statistic", "speed", "metric"}
+KEYS = {"lines", "preset", "methods", "realities", "objective", "against", "method", "statistic", "speed", "metric"}
 STATISTICS = {"median": quantile(0.5), "mean": mean, "5th-percentile": quantile(0.05), "lowest": quantile(0.0)}
 COUNTS = ("falls", "refused", "runs", "realities", "real-samples")
 
@@ -108,7 +109,7 @@ def _made(what: str, folder: Path) -> str:
             found = [read_expected(folder.parent / "expected" / file) for file in given["lines"].split(",")]
             return expected_table([row for rows in found for row in rows])
         groups = groups_of(
-            read_lines(files_of([folder / file for file in given["lines"].split(",")])),
+            _of_realities(read_lines(files_of([folder / file for file in given["lines"].split(",")])), given),
             given.get("preset"),
             given["methods"].split(",") if "methods" in given else None,
             given.get("objective"),
@@ -134,6 +135,17 @@ def _made(what: str, folder: Path) -> str:
         return ALL[name](groups)
     except EvaluationError as error:
         raise EvaluationError(f"{where}: {error}") from error
+
+
+def _of_realities(lines: list[Line], given: Mapping[str, str]) -> list[Line]:
+    """Those that are asked for. Raises EvaluationError for one that no line has."""
+    if "realities" not in given:
+        return lines
+    asked, known = given["realities"].split(","), {line.reality for line in lines}
+    for name in asked:
+        if name not in known:
+            raise EvaluationError(unknown_name("reality in these lines", name, sorted(known)))
+    return [line for line in lines if line.reality in asked]
 
 
 def _value(groups: Sequence[Group], given: Mapping[str, str]) -> str:

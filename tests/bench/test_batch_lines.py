@@ -324,6 +324,15 @@ def test_a_sentence_may_tell_a_metric_instead_of_the_improvement(tmp_path):
         blocks.written("<!-- results: value lines=a.jsonl metric=gross --><!-- end -->", tmp_path)
 
 
+def test_a_block_may_keep_to_some_realities(tmp_path):
+    lines = [line(reality="a", key="1", saved=(0.1, 0.1, 0.1)), line(reality="b", key="2", saved=(0.3, 0.3, 0.3))]
+    (tmp_path / "a.jsonl").write_text("".join(one.model_dump_json() + "\n" for one in lines))
+    made = blocks.written("<!-- results: value lines=a.jsonl statistic=mean realities=b --><!-- end -->", tmp_path)
+    assert "-->30.0 %<!--" in made
+    with pytest.raises(EvaluationError, match="No reality in these lines named 'c'"):
+        blocks.written("<!-- results: methods lines=a.jsonl realities=a,c --><!-- end -->", tmp_path)
+
+
 def test_a_number_outside_of_blocks_is_seen_unless_it_stood_there_before():
     text = "Saves 15.6 % and 3 dB(A). <!-- results: value lines=a.jsonl -->20.0 %<!-- end --> | 7.25 |"
     assert blocks.strangers("README.md", text, {}) == ["15.6", "3"]
