@@ -358,3 +358,11 @@ def test_a_tiny_oracle_gets_a_line_that_says_what_it_is(tmp_path):
     assert found.result.note == "oracle: saw inside the reality; no method"
     assert found.result.tried[0].kl_bound is None and found.result.candidates == 1
     assert groups_of([found])[0].saw_inside
+
+
+def test_a_reader_that_has_gone_is_no_traceback(tmp_path):
+    (tmp_path / "lines.jsonl").write_text(line().model_dump_json() + "\n")
+    command = [sys.executable, str(BENCHMARKS / "realities.py"), "table", "--lines", str(tmp_path / "lines.jsonl")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == (b"", 1)
