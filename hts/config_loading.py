@@ -25,7 +25,16 @@ from hts.guarded import guarded
 from hts.layers import in_full as written_out
 from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
-from hts.presets import ASKS_OBJECTIVES, BASELINES, DEFAULT, IN_SIMULATION, ORACLES, PRESETS, SEVERAL
+from hts.presets import (
+    ASKS_OBJECTIVES,
+    BASELINES,
+    BASELINES_OF_SEVERAL,
+    DEFAULT,
+    IN_SIMULATION,
+    ORACLES,
+    PRESETS,
+    SEVERAL,
+)
 from hts.task_settings import check_simulated, check_task, task_layer
 from hts.yaml_text import load_mapping_file
 
@@ -83,7 +92,8 @@ def load_config(
     options = {key: value for key, value in given.items() if value is not None}
     names = _objectives(objectives, written, last, sets)
     several = SEVERAL[chosen] if len(names) > 1 else {}
-    without = {**BASELINES[chosen], "reward_source": "proxy"} if baseline else {}
+    baselines = BASELINES_OF_SEVERAL if several else BASELINES
+    without = {**baselines[chosen], "reward_source": "proxy"} if baseline else {}
     if oracle:
         simulated = laid(written, last).get("oracle_trains_in") == "simulation"
         without = {**(IN_SIMULATION if simulated else ORACLES[chosen]), "reward_source": "oracle"}

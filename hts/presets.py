@@ -115,10 +115,10 @@ QUICK: dict[str, Any] = {
     "gate": {**OURS["gate"], "num_envs": 8, "seconds": 4.0},
 }
 
-# Ours at the size of the paper. A GPU trains for long, so each iteration goes far from the best so far, three are as
-# good as five that train a third as much, and the robot is asked for less than the paper's 384,000 samples before the
-# final. The machine must be asked how far is too far: what pulls at it is measured in the trials, and candidates are
-# judged and trained under that. As in `quick`, few candidates: more of them were not ahead.
+# Ours at the size of the paper. A GPU trains for long, so each iteration goes far from the best so far. Three are as
+# good as five that train a third as much, and ask the robot for less than the paper's 384,000 samples before the final.
+# The machine must be asked how far is too far: what pulls at it is measured in the trials, and candidates are judged
+# and trained under that. As in `quick`, few candidates: more of them were not ahead.
 PAPER: dict[str, Any] = {
     **OURS,
     "world": {"name": "twin", "block_seconds": 80.0},
@@ -220,6 +220,16 @@ BASELINES["paper-exact"] = {
     "selection": {**_PLAIN["selection"], "elites": 24},
 }
 """Laid over the preset by `hts baseline`."""
+
+BASELINES_OF_SEVERAL: dict[str, dict[str, Any]] = {
+    **BASELINES,
+    "paper": {
+        **BASELINES["paper"],
+        "finetune": {"hold": False, "steps": 3_125_000},
+        "selection": {**_PLAIN["selection"], "elites": 15},
+    },
+}
+"""The same where several objectives run together, whose `paper` has five shorter iterations."""
 
 # The oracle trains on the reality itself, a thousand control steps per second and core, so it gets fewer worlds and
 # candidates; all of them are tried. It knows what it changes, so bounds are wide.

@@ -257,6 +257,16 @@ def test_several_objectives_choose_the_selector_made_for_them(preset):
     assert config("calm", "calm", preset=preset).selection.selector.name == "hierarchical"
 
 
+def test_several_objectives_keep_the_shorter_iterations_of_paper_and_what_its_baseline_had():
+    one, several = config("calm", preset="paper"), config("calm", "cheap", preset="paper")
+    assert (one.iterations, one.finetune.steps) == (3, 30_000_000)
+    assert (several.iterations, several.finetune.steps) == (5, 10_000_000)
+    baselines = config("calm", preset="paper", baseline=True), config("calm", "cheap", preset="paper", baseline=True)
+    assert [(one.finetune.steps, one.selection.elites) for one in baselines] == [(5_625_000, 9), (3_125_000, 15)]
+    exact = config("calm", "cheap", preset="paper-exact")
+    assert (exact.iterations, exact.finetune.steps) == (4, 4_000_000)
+
+
 def test_a_selector_that_is_asked_for_is_kept(tmp_path):
     named = config("calm", "cheap", overrides=["selection.selector.name=hierarchical"])
     assert (named.selection.selector.name, named.selection.elites) == ("hierarchical", 6)
