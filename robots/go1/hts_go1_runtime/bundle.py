@@ -14,6 +14,7 @@ import numpy as np
 
 from hts_go1_runtime import machine
 from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.gated import check_gate
 from hts_go1_runtime.policy import PARTS, Policy
 
 SCHEMA, VERSION = "hts deploy bundle", 1
@@ -78,6 +79,7 @@ def load_bundle(folder: Path) -> Bundle:
         policies = {}
         for entry in manifest["policies"]:
             _check_entry(entry, rate, f"{where}: policy {entry['file']}")
+            check_gate(entry["gate"], f"{where}: policy {entry['file']}")
             content = _read(folder, str(entry["file"]), sums)
             policies[str(entry["file"])] = policy = Policy(entry, content, str(folder / entry["file"]))
             _check_card(policy)

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import math
 import os
 import sys
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
-from hts_go1_runtime.bundle import Bundle, load_bundle
+from hts_go1_runtime.bundle import LONGEST_ROW, Bundle, load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.figures import figures
+from hts_go1_runtime.gated import LEAST_DIGITS, gate_in_words, vouched_for
+from hts_go1_runtime.lock import alone
 from hts_go1_runtime.log import Events
 from hts_go1_runtime.loop import Loop, without_collection
 from hts_go1_runtime.machine import Limits
-from hts_go1_runtime.operator_key import StopFile, listen, signals
+from hts_go1_runtime.operator_key import StopFile, ask, listen, signals
 from hts_go1_runtime.session import Options, Session
 from hts_go1_runtime.udp import UdpLink
 
 DONE, REFUSED, STOPPED = 0, 2, 3
+VOUCH = f"{LEAST_DIGITS} digits or more of the hash of a policy that failed the gate and that you want walked"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,6 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bundle = load_bundle(options.bundle)
         if options.command == "check":
             print(_described(bundle))
+            vouched_for(bundle.policies, bundle.policies, options.vouch)
             return DONE
         return _run(bundle, options)
     except RuntimeFault as fault:
@@ -45,39 +53,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(bundle: Bundle, options: argparse.Namespace) -> int:
-    rows = tuple(options.rows.split(",")) if options.rows else ()
-    asked = Options(rows, options.idle_seconds, options.warmup, options.first_run, options.mass)
+    rows, vouched = tuple(options.rows.split(",")) if options.rows else (), tuple(options.vouch)
+    asked = Options(rows, options.idle_seconds, options.warmup, options.first_run, options.mass, vouched)
     stop = bundle.folder / "STOP"
     if stop.exists():
         raise RuntimeFault(f"{stop}: is there and means stop. Remove it to begin.")
-    link = UdpLink(options.link, options.lockstep)
     limits = Limits(current=options.most_current, temperature=options.most_temperature)
-    loop = Loop(link, 1 / bundle.rate_hz, limits, StopFile(stop))
-    events = Events(bundle.logs / "events.jsonl")
-    session = Session(bundle, link, loop, asked, events)
-    if options.priority and not options.lockstep and (why := hurry(options.priority)):
-        events.say("no real-time priority", why=why)
-    try:
-        with signals(loop.brake), without_collection():
-            session.run(lambda text: _confirm(text, options.yes, loop))
-    finally:
-        loop.close()
-        if loop.step_seconds:
-            events.say("figures", **figures(loop, link), limited_targets=session.limited_targets)
-        link.close()
-        events.say("ended", rows=session.done)
-        events.close()
+    with alone(bundle.logs), contextlib.closing(UdpLink(options.link, options.lockstep)) as link:
+        loop = Loop(link, 1 / bundle.rate_hz, limits, StopFile(stop))
+        with contextlib.closing(Events(bundle.logs / "events.jsonl")) as events:
+            session = Session(bundle, link, loop, asked, events)
+            if options.priority and not options.lockstep and (why := hurry(options.priority)):
+                events.say("no real-time priority", why=why)
+            try:
+                with signals(loop.brake), without_collection():
+                    session.run(lambda text: _confirm(text, options.yes, loop))
+            except (RuntimeFault, Stopped):
+                raise
+            except Exception as error:  # of ours or of a library: by now the session has damped the robot
+                raise _unexpected(error, bool(loop.step_seconds), events) from error
+            finally:
+                loop.close()
+                if loop.step_seconds:
+                    events.say("figures", **figures(loop, link), limited_targets=session.limited_targets)
+                events.say("ended", rows=session.done)
     return DONE
+
+
+def _unexpected(error: Exception, moved: bool, events: Events) -> RuntimeFault:
+    """One line for an error that nothing here was written for. moved: whether the robot was told anything."""
+    at = traceback.extract_tb(error.__traceback__)[-1]
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    events.say("unexpected error", error=what, file=at.filename, line=at.lineno)
+    robot = "The robot is damped; look at it before you go on." if moved else "The robot was told nothing."
+    return RuntimeFault(
+        f"unexpected {what[:300]} ({Path(at.filename).name}, line {at.lineno}). {robot} Report this line."
+    )
 
 
 def _confirm(text: str, yes: bool, loop: Loop) -> None:
     """A person says that the robot may move; from then on the same key stops it."""
-    print(text, flush=True)
-    if not yes:
+    if yes:
+        print(text, flush=True)
+    else:
         loop.pause()
-        print("Enter begins; after that, Enter stops.", flush=True)
-        if not sys.stdin.readline():
-            raise RuntimeFault("Nobody said that the robot may move. Start it from a terminal, or with --yes.")
+        ask(f"{text}\nEnter begins; after that, Enter stops. Anything else that is typed now ends this.", loop.heed)
     listen(loop.brake)
 
 
@@ -96,13 +116,45 @@ def _described(bundle: Bundle) -> str:
     for file, policy in bundle.policies.items():
         entry = policy.entry
         explores = "explores" if entry["exploration"] else "mean action"
-        gate = "gate not tried" if entry["gate"] is None else "gate tried"
-        lines.append(f"  {file}  {str(entry['policy_hash'])[:12]}  {explores}, {gate}")
+        lines.append(f"  {file}  {str(entry['policy_hash'])[:12]}  {explores}, {gate_in_words(entry['gate'])}")
     return "\n".join(lines)
 
 
+class _Parser(argparse.ArgumentParser):
+    """Refuses in one line, as everything here does; `-h` shows the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(REFUSED, f"refused: {message}\n")
+
+
+def _number(low: float, high: float) -> Callable[[str], float]:
+    """Type of an option that is a number from low to high; nan is none."""
+
+    def number(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"'{text}', expected a number from {low:g} to {high:g}")
+        return value
+
+    return number
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    """Type of an option that is a whole number from low to high."""
+
+    def whole(text: str) -> int:
+        if not text.isdecimal() or not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"'{text}', expected a whole number from {low} to {high}")
+        return int(text)
+
+    return whole
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="hts_go1_runtime", description="Policies of a deploy bundle on a Go1 or Go2.")
+    parser = _Parser(prog="hts_go1_runtime", description="Policies of a deploy bundle on a Go1 or Go2.")
     commands = parser.add_subparsers(dest="command", required=True)
     check = commands.add_parser("check", help="check a bundle; nothing moves")
     check.add_argument("bundle", type=Path)
@@ -111,17 +163,23 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--link", required=True, help="udp://HOST:PORT of the robot's side")
     run.add_argument("--lockstep", action="store_true", help="the far side is a simulation that waits for us")
     run.add_argument("--rows", help="only these, such as 00,01 (default: all without a log)")
-    run.add_argument("--idle-seconds", type=float, default=10.0, help="to measure the idle levels; 0: do not")
-    run.add_argument("--warmup", type=float, help="s of walking before a head-to-head (default: the bundle's)")
+    most_idle, most_warmup, seconds = _number(0, 600), _number(0, LONGEST_ROW), _number(0, 36000)
+    run.add_argument("--idle-seconds", type=most_idle, default=10.0, help="to measure the idle levels; 0: do not")
+    run.add_argument("--warmup", type=most_warmup, help="s of walking before a head-to-head (default: the bundle's)")
     run.add_argument("--first-run", action="store_true", help="walk each policy slowly and weakly, record nothing")
-    run.add_argument("--mass", type=float, help="kg of the robot as it walks, for the log")
-    run.add_argument("--most-current", type=float, default=Limits.current, help="A from the pack, beyond: stop")
-    run.add_argument("--most-temperature", type=float, default=Limits.temperature, help="degC of a motor, beyond: stop")
+    run.add_argument("--mass", type=_number(1, 100), help="kg of the robot as it walks, for the log")
+    current, temperature = Limits.current, Limits.temperature
+    run.add_argument("--most-current", type=_number(1, 100), default=current, help="A from the pack, beyond: stop")
+    run.add_argument(
+        "--most-temperature", type=_number(20, 90), default=temperature, help="degC of a motor, beyond: stop"
+    )
     run.add_argument("--yes", action="store_true", help="begin without asking")
     bench = commands.add_parser("bench", help="step times and stops on this computer, against a made-up robot")
     bench.add_argument("bundle", type=Path)
-    bench.add_argument("--seconds", type=float, default=120.0, help="of walking; 0: stops only")
-    bench.add_argument("--stops", type=int, default=3, help="how often to try each reason to stop")
+    bench.add_argument("--seconds", type=seconds, default=120.0, help="of walking; 0: stops only")
+    bench.add_argument("--stops", type=_whole(0, 1000), default=3, help="how often to try each reason to stop")
     for one in (run, bench):
-        one.add_argument("--priority", type=int, default=20, help="real-time, 1 to 99; 0: none")
+        one.add_argument("--priority", type=_whole(0, 99), default=20, help="real-time, 1 to 99; 0: none")
+    for one in (run, check):
+        one.add_argument("--vouch", action="append", default=[], metavar="HASH", help=f"{VOUCH}; repeatable")
     return parser

@@ -1,4 +1,5 @@
-"""`python -m hts_go1_runtime.fake`: a robot that stands still and says so 250 times a second, then fails on purpose.
+"""`python -m hts_go1_runtime.fake`: a robot that hangs in the pose of standing, legs slack, says so 250 times a
+second, and then fails on purpose.
 
 For the bench and for tests: it notes when it failed and when the damping command came, on the clock that all processes
 of a computer share, and prints both as one line of JSON.
@@ -28,12 +29,12 @@ from hts_go1_runtime.packet import COMMAND, LARGEST, STATE, numbers_of_state, pa
 PERIOD = 0.004  # s
 FAULTS = (
     "none", "tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "lost link",
-    "stale states", "not finite", "operator file", "operator signal", "operator key",
+    "stale states", "not finite", "orientation", "operator file", "operator signal", "operator key",
 )  # fmt: skip
 
 
 def standing(sequence: int, stamp: float) -> State:
-    """A state of a robot that stands."""
+    """A state of a robot in the pose of standing whose joints carry nothing, as on a stool."""
     zero = np.zeros(12)
     return State(
         sequence, stamp, 0.0, STAND.copy(), zero.copy(), zero.copy(), np.array([1.0, 0, 0, 0]), np.zeros(3),
@@ -52,6 +53,7 @@ def failing(state: State, fault: str) -> State:
         "low voltage": {"voltage": 18.0},
         "temperature": {"temperature": np.where(np.arange(12) == 7, 85.0, 40.0)},
         "not finite": {"dq": np.full(12, np.nan)},
+        "orientation": {"quaternion": np.zeros(4)},
     }
     return dataclasses.replace(state, **changed.get(fault, {}))  # type: ignore[arg-type]
 

@@ -7,18 +7,20 @@ its name once it is whole. If the disk refuses (full), rows wait in memory and a
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hts_go1_runtime.errors import Stopped
 from hts_go1_runtime.link import Command, State
 from hts_go1_runtime.machine import JOINTS
 
@@ -105,6 +107,7 @@ def mapping(channels: Sequence[str], idle: Mapping[str, float], rate_hz: float, 
 
 class RowLog:
     """Writes one row's log into a folder. channels: which; described: its mapping. `write` once a step, then `closing`.
+    A log that is there already keeps its name and its content; `unnamed` then says where this one is.
 
     All that touches the disk is done by a thread: the mapping, so that what a killed process or a full disk leaves of
     the rows can be read too, then the rows, then the file gets its name.
@@ -114,6 +117,7 @@ class RowLog:
         self._target, self._partial = folder / f"{name}.csv", folder / f".{name}.csv.partial"
         self._mapping, self._described = folder / "mappings" / f"{name}.yaml", described
         self._channels, self.rows, self.fault = list(channels), 0, ""
+        self.unnamed = ""  # why a whole log on the disk did not get its name
         self._waiting = b""
         columns = ["time", *(column for name in channels for column in columns_of(name)), *NOTED]
         # Stamps to the microsecond; values to seven digits, what a float32 holds.
@@ -199,7 +203,10 @@ class RowLog:
 
     def _name(self) -> None:
         """The mapping is there already, so whoever sees the log sees what it is."""
-        if not self._whole or self._target.exists():
+        if not self._whole:
+            return
+        if self._target.exists():
+            self.unnamed = f"{self._target}: came from elsewhere meanwhile; what was recorded is in {self._partial}"
             return
         if self._at_last:
             write_whole(self._mapping, self._at_last)
@@ -254,6 +261,15 @@ class Events:
         line = json.dumps({"at": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "what": what, **numbers}) + "\n"
         shown = " ".join([what, *(f"{key}={value}" for key, value in numbers.items())])
         self._queue.put((shown, lambda: append_whole(self._path, line)))
+
+    @contextlib.contextmanager
+    def stops(self) -> Iterator[None]:
+        """Note what stops the robot while inside."""
+        try:
+            yield
+        except Stopped as stopped:
+            self.say("stopped", reason=stopped.reason, detail=stopped.detail)
+            raise
 
     def keep(self, path: Path, text: str) -> None:
         """Write a small file."""

@@ -58,6 +58,7 @@ class Loop:
         end = time.monotonic() + FIRST_STATE
         states: list[State] = []
         while not states:
+            self.heed()
             if time.monotonic() > end:
                 raise RuntimeFault(
                     f"No state came from the robot for {FIRST_STATE:g} s ({self.link.counts.broken} broken packets). "
@@ -96,6 +97,16 @@ class Loop:
             self.late_seconds.append(self.link.now() - self._due)
         return state
 
+    def watch(self, seconds: float) -> list[State]:
+        """What the robot says for so long, oldest first, while no step is due. Raises Stopped."""
+        end, seen = self.link.now() + seconds, []
+        while self.link.now() < end:
+            self.heed()
+            for state in self.link.wait(end):
+                self.state = state
+                seen.append(state)
+        return seen
+
     def look_over(self, state: State) -> tuple[str, str] | None:
         """What is wrong with a state, None if nothing: asked before the robot moves."""
         return self._guard.state(state)
@@ -113,6 +124,14 @@ class Loop:
             fault = ("operator", key) if key else None
         if fault is not None:
             self.stop(*fault)
+        if self._stopped is not None:
+            raise self._stopped
+
+    def heed(self) -> None:
+        """Raise Stopped if the robot was stopped, or the operator's key wants it: asked while no step is due."""
+        key = self._pressed()
+        if key:
+            self.stop("operator", key)
         if self._stopped is not None:
             raise self._stopped
 
@@ -148,14 +167,13 @@ class Loop:
         """No step is due for a while; the last command holds."""
         self._alarm = np.inf
 
-    def resume(self) -> None:
-        """The next step is due one period from now. What waited on the line meanwhile is old: it is let go."""
-        end = self.link.now() + AFRESH
-        while self.link.now() < end:
-            for state in self.link.wait(end):
-                self.state = state
+    def resume(self) -> list[State]:
+        """The next step is due one period from now. What waited on the line meanwhile is old: it is let go; what came
+        is returned, oldest first. Raises Stopped."""
+        seen = self.watch(AFRESH)
         self._guard = Guard(self.limits)
         self._due = self.link.now()
+        return seen
 
     def close(self) -> None:
         """End the watching thread."""

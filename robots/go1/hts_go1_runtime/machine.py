@@ -7,11 +7,13 @@ SDK's position example uses 5 and 1, common policies 20 to 35 and 0.5; twice tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from hts_go1 import constants as c
+from hts_go1_runtime.errors import RuntimeFault
 
 JOINTS = c.JOINT_NAMES
 SDK_POSITION_LIMIT = {"hip": (-1.047, 1.047), "thigh": (-0.663, 2.966), "calf": (-2.721, -0.837)}
@@ -37,7 +39,7 @@ SIT = per_joint({"hip": 0.0, "thigh": 1.3, "calf": -2.5})  # folded, trunk near 
 
 @dataclass(frozen=True)
 class Limits:
-    """Beyond which the robot is stopped.
+    """Beyond which the robot is stopped. Raises RuntimeFault for one that is not finite: it would stop nobody.
 
     tilt: of the trunk, rad; position_margin: rad beyond the joint's range; velocity_share: of the joint's limit;
     current: drawn from the pack, A; voltage: lowest of the pack, V (cut-off is 18.0: GO1 User Manual V1.4);
@@ -54,3 +56,10 @@ class Limits:
     silence: float = 0.024
     stale: float = 0.024
     late: float = 0.030
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not math.isfinite(value):
+                raise RuntimeFault(
+                    f"limit '{name}' is {value}, expected a finite number: no robot would be stopped by it."
+                )

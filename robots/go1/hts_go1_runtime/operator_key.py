@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
 import sys
+import termios
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
+from hts_go1_runtime.errors import RuntimeFault
+
+GLANCE = 0.1  # s: how often a question looks at whatever else could end the waiting
 Brake = Callable[[str, str], None]
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
 
@@ -43,9 +48,44 @@ def signals(brake: Brake) -> Iterator[None]:
 def listen(brake: Brake, keys: IO[str] | None = None) -> None:
     """A thread brakes the robot as soon as a line comes from stdin (or `keys`). An end of it is no key."""
     stream = sys.stdin if keys is None else keys
+    if stream is None:
+        return
 
     def work() -> None:
-        if stream.readline():
-            brake("operator", "a key on the terminal")
+        with contextlib.suppress(OSError):  # a terminal that is gone
+            if stream.readline():
+                brake("operator", "a key on the terminal")
 
     threading.Thread(target=work, daemon=True).start()
+
+
+def ask(question: str, look: Callable[[], None], keys: IO[str] | None = None) -> None:
+    """Wait until somebody answers a question by Enter alone on stdin (or `keys`).
+
+    A key that was pressed before the question was shown is no answer to it: a terminal forgets such. look: asked while
+    it waits; what it raises ends the waiting. (A read that blocks would hide a signal: Python begins it anew.)
+
+    Raises RuntimeFault for any other answer, and where nobody can answer.
+    """
+    stream = sys.stdin if keys is None else keys
+    if stream is None:
+        raise RuntimeFault(_NOBODY)
+    handle, line = stream.fileno(), b""
+    if os.isatty(handle):
+        termios.tcflush(handle, termios.TCIFLUSH)
+    print(question, flush=True)
+    while not line.endswith(b"\n"):
+        look()
+        if select.select([handle], [], [], GLANCE)[0]:
+            sign = os.read(handle, 1)
+            if not sign:
+                raise RuntimeFault(_NOBODY)
+            line += sign
+    if line.strip(b"\r\n"):
+        said = line.decode(errors="replace").strip("\r\n")[:40]
+        raise RuntimeFault(
+            f"'{said}' was typed, and Enter alone begins. Nothing has moved; start again when all is clear."
+        )
+
+
+_NOBODY = "Nobody said that the robot may move. Start it from a terminal, or with --yes."

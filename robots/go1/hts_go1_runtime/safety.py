@@ -11,8 +11,9 @@ from hts_go1_runtime.machine import JOINTS, POSITION_HIGH, POSITION_LOW, VELOCIT
 
 REASONS = (
     "tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "lost link", "late loop",
-    "operator", "not finite",
+    "operator", "not finite", "orientation",
 )  # fmt: skip
+UNIT = 0.05  # of an IMU's quaternion from length 1: float32 and its firmware's rounding stay below a thousandth
 DRIFT = 2e-4  # of two clocks, s/s: quartz is ten times better
 
 Fault = tuple[str, str]
@@ -33,10 +34,17 @@ class Guard:
     def state(self, state: State) -> Fault | None:
         """What is wrong with a state, or None. A number that is not measured (NaN) of the pack, of the feet or of the
         speed is not looked at; one of the joints or the trunk is a fault."""
-        limits, gravity = self.limits, state.gravity
+        limits, gravity = self.limits, state.gravity  # upright, if the quaternion were all zeros
         moving = (state.q, state.dq, state.tau, state.quaternion, state.gyro)
         if not all(np.isfinite(values).all() for values in moving):
             return "not finite", "the state of the joints or the trunk holds what is no number"
+        length = float(np.linalg.norm(state.quaternion))
+        if abs(length - 1) > UNIT:
+            shown = ", ".join(f"{part:.2f}" for part in state.quaternion)
+            return "orientation", (
+                f"the IMU's quaternion ({shown}) has length {length:.2f}, a rotation's is 1 within {UNIT:g}: the IMU "
+                "is not being read. Restart the robot, or its own process that reads the IMU"
+            )
         if gravity[2] > self._upright:
             tilt = math.degrees(math.acos(min(1.0, max(-1.0, -gravity[2]))))
             return "tilt", f"{tilt:.0f} degrees, at most {math.degrees(limits.tilt):.0f}"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,10 +13,13 @@ import numpy as np
 from hts_go1_runtime.bundle import Bundle, Row
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
+from hts_go1_runtime.gated import vouched_for
+from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.link import DAMPING, NOTHING, Command, Link, State
 from hts_go1_runtime.log import REAL, Events, RowLog, mapping, measured, samples
-from hts_go1_runtime.loop import Loop
+from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT
+from hts_go1_runtime.meeting import check_lies, meet
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.trimming import Trimming
 
@@ -34,13 +35,14 @@ IDLE_AGREES = 0.03  # of the level: a larger difference before and after a visit
 class Options:
     """rows: names of those to record, none: all that have no log yet; idle_seconds: to measure the idle levels before
     standing up, 0: not; warmup_seconds: None: the bundle's; first_run: walk each policy slowly and weakly, record
-    nothing; mass_kg: for the mapping."""
+    nothing; mass_kg: for the mapping; vouched: hashes of policies that failed the gate and are to be walked."""
 
     rows: tuple[str, ...] = ()
     idle_seconds: float = 10.0
     warmup_seconds: float | None = None
     first_run: bool = False
     mass_kg: float | None = None
+    vouched: tuple[str, ...] = ()
 
 
 class Session:
@@ -52,34 +54,48 @@ class Session:
         self.done: list[str] = []
         self._left: list[RowLog] = []  # rows that were broken off
         self._open: list[tuple[RowLog, Row]] = []  # rows that are walked but not whole on the disk yet
+        self._unnamed: list[RowLog] = []  # rows whose name was taken meanwhile
         self._channels: list[str] = []
         self._idle: dict[str, float] = {}
         self._torque = TORQUE_LIMIT
         self._wanted_heading: float | None = None
-        self._held: dict[str, tuple[float, bool]] = self._kept()
+        self._held = read_held(bundle.logs, bundle.hold)
+        self._vouched: dict[str, str] = {}
 
     def run(self, confirm: Callable[[str], None] = lambda text: None) -> list[str]:
         """Names of the logs that were recorded. confirm: asked before the robot moves. Raises Stopped, RuntimeFault."""
         rows = self._rows()
-        self._meet(rows)
-        confirm(self._summary(rows))
-        self.loop.resume()
+        self._vouched = vouched_for([row.policy for row in rows], self.bundle.policies, self.options.vouched)
+        for file, why in self._vouched.items():
+            self.events.say("vouched for", policy=file, gate=why)
+        with self.events.stops():
+            self._meet(rows)
+            confirm(self._summary(rows))
+            check_lies(self.loop.resume() or [self.loop.state])  # somebody may have thought for long
         try:
-            self._idle = self._measure_idle("idle")
-            self._stand_up()
-            try:
-                self._walk_rows(rows)
-            finally:
-                if not isinstance(sys.exception(), Stopped):
-                    self._sit_down()
-            self._idle_again()
-        except Stopped as stopped:
-            self.events.say("stopped", reason=stopped.reason, detail=stopped.detail)
-            raise
+            with self.events.stops():
+                self._visit(rows)
         finally:
             self.loop.damp(DAMP_SECONDS)
             self._wait_for_disk()
+        if self._unnamed:
+            raise RuntimeFault(f"{self._unnamed[0].unnamed}. Look at both, and move away the one that is none.")
         return self.done
+
+    def _visit(self, rows: Sequence[Row]) -> None:
+        """From lying to lying."""
+        self._idle = self._measure_idle("idle")
+        self._stand_up()
+        try:
+            self._walk_rows(rows)
+        except Stopped:
+            raise
+        except Exception as error:  # whatever it is, the robot is not left standing
+            self.events.say("broken off, it sits down", why=" ".join(f"{type(error).__name__}: {error}".split()))
+            self._sit_down()
+            raise
+        self._sit_down()
+        self._idle_again()
 
     # ------------------------------------------------------------------------------------------ before walking
 
@@ -102,16 +118,8 @@ class Session:
 
     def _meet(self, rows: Sequence[Row]) -> None:
         """First words with the robot: what it measures, and whether that is enough."""
-        state = self.loop.start()
-        fault = self.loop.look_over(state)
-        if fault:
-            raise RuntimeFault(f"The robot is not fit to start: {fault[0]}, {fault[1]}.")
-        if state.voltage == 0 and state.current == 0:
-            raise RuntimeFault(
-                "The robot's battery monitor gives 0 V and 0 A: it is not being read. Start the robot's own process "
-                "that reads it, or restart the robot."
-            )
-        self._channels = measured(state)
+        self.events.say("waiting for the robot's first state", at_most_s=FIRST_STATE)
+        self._channels = measured(meet(self.loop))
         if self.bundle.hold and any(row.trim for row in rows) and "base_velocity" not in self._channels:
             raise RuntimeFault(
                 "The speed is to be held, but the link gives no speed of the trunk. Connect the speed sensor (motion "
@@ -128,6 +136,7 @@ class Session:
         return (
             f"{len(rows)} rows, {walked:.0f} s; the pack has {state.voltage:.1f} V. "
             + (f"Not tried over simulated machines: {', '.join(gates)}. " if gates else "")
+            + (f"Failed the gate, vouched for: {', '.join(self._vouched)}. " if self._vouched else "")
             + "The robot will stand up and walk. Is everybody clear?"
         )
 
@@ -223,7 +232,7 @@ class Session:
             key = f"{row.session} {row.role} {row.policy_hash} {row.commands[0][1]:g}"
             if row.trim or key not in self._held:
                 self._held[key] = self._trim(policy, row)
-                self.events.keep(self.bundle.logs / "held.json", json.dumps(self._held, indent=1) + "\n")
+                self.events.keep(self.bundle.logs / FILE, written(self._held))
             commands[:, 0] = self._held[key][0]
         self.events.say("row", log=row.log, policy=row.policy, seconds=row.seconds)
         log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
@@ -233,7 +242,7 @@ class Session:
             for command in commands:
                 self._step(policy, command, log)
                 self._complain([log, *(one for one, _ in self._open)])
-        except (Stopped, RuntimeFault) as ended:
+        except Exception as ended:
             if fell(ended, row, log.rows):
                 self._fallen(log, row)
             else:
@@ -358,6 +367,10 @@ class Session:
         for log, row in list(self._open):
             if log.closing().is_set():
                 self._open.remove((log, row))
+                if log.unnamed:
+                    self._unnamed.append(log)
+                    self.events.say("not recorded", log=row.log, why=log.unnamed)
+                    continue
                 self.done.append(row.log)
                 self.events.say("recorded", log=row.log, samples=log.rows)
 
@@ -371,19 +384,6 @@ class Session:
                 self.events.say("waiting for the disk: free space, what was recorded is in memory", why=why)
                 said = True
             time.sleep(0.02)
-
-    def _kept(self) -> dict[str, tuple[float, bool]]:
-        """Commands that were found for this bundle before."""
-        path = self.bundle.logs / "held.json"
-        if not path.is_file():
-            return {}
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-            return {str(key): (float(value[0]), bool(value[1])) for key, value in found.items()}
-        except (ValueError, TypeError, IndexError, AttributeError) as error:
-            raise RuntimeFault(
-                f"{path}: damaged ({error}). Move it away, and record the head-to-heads anew."
-            ) from error
 
 
 def steps_of(commands: Sequence[tuple[float, float, float, float]], rate_hz: float) -> np.ndarray:

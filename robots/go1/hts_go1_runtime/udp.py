@@ -37,16 +37,15 @@ class UdpLink(Link):
     """
 
     def __init__(self, url: str, lockstep: bool = False) -> None:
-        parts = urlsplit(url)
-        if parts.scheme != "udp" or not parts.hostname or not parts.port:
-            raise RuntimeFault(f"--link {url}: expected udp://HOST:PORT, such as udp://127.0.0.1:9870.")
+        host, port = _address(url)
         self.simulated, self.counts = lockstep, Counts()
         self._url, self._sequence, self._newest = url, 0, -1
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
-            self._socket.connect((parts.hostname, parts.port))
+            self._socket.connect((host, port))
         except OSError as error:
+            self._socket.close()
             raise RuntimeFault(f"--link {url}: {error.strerror or error}. Correct host and port.") from error
         self._clock, self._tick = 0.0, -1
         self._send(pack(DONE, 0xFFFFFFFF, 0.0))
@@ -126,3 +125,16 @@ class UdpLink(Link):
             self._socket.send(data)
         except OSError:  # nobody there, a full buffer, a cable that was pulled: silence stops the robot
             self.counts.extra["unsent"] = self.counts.extra.get("unsent", 0) + 1
+
+
+def _address(url: str) -> tuple[str, int]:
+    """Host and port of udp://HOST:PORT. Raises RuntimeFault."""
+    try:
+        parts = urlsplit(url)  # raises ValueError for half of an IPv6 address
+        host, port = parts.hostname, parts.port  # and here for a port that is no number from 0 to 65535
+        if parts.scheme == "udp" and host and port:
+            host.encode("idna")  # and, as UnicodeError, for what is no name of a host
+            return host, port
+    except ValueError:
+        pass
+    raise RuntimeFault(f"--link {url}: expected udp://HOST:PORT, such as udp://127.0.0.1:9870.")

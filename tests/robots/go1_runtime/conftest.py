@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import json
 import shutil
 from collections.abc import Callable
@@ -18,7 +19,11 @@ from hts.policies.files import Policy, load_policy
 from hts.worlds.base import walking
 from hts.worlds.field_bundle import CHECKSUMS, Order, checksums, write_bundle
 from hts.worlds.field_manifest import Facts
+from hts_go1_runtime import cli
 
+SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
+scripted = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(scripted)
 SECONDS = 1.0
 
 
@@ -60,3 +65,17 @@ def change(bundle) -> Callable[[Callable[[dict[str, Any]], None]], Path]:
         return bundle
 
     return changed
+
+
+@pytest.fixture
+def visit(bundle, monkeypatch) -> Callable[..., int]:
+    """visit(*options, link=a scripted robot): exit code of `run` of the bundle."""
+
+    def run(*options: str, link=None) -> int:
+        robot = scripted.ScriptedLink() if link is None else link
+        robot.speed = 0.55
+        monkeypatch.setattr(cli, "UdpLink", lambda url, lockstep: robot)
+        quick = ["--idle-seconds", "0.2", "--warmup", "0", "--lockstep"]
+        return cli.main(["run", str(bundle), "--link", "udp://127.0.0.1:9870", *quick, *options])
+
+    return run

@@ -40,7 +40,11 @@ def test_what_is_no_packet_is_nothing(data):
     assert unpack(data) is None
 
 
-@pytest.mark.parametrize("url", ["tcp://127.0.0.1:1", "udp://127.0.0.1", "127.0.0.1:9870", "udp://:9870"])
+BAD = ("tcp://127.0.0.1:1", "udp://127.0.0.1", "127.0.0.1:9870", "udp://:9870", "udp://127.0.0.1:99999", "udp://h:abc")
+NO_HOST = ("udp://[::1:9870", "udp://127.0.0.1:-1", "udp://127.0.0.1:0", "udp://a..b:9870")
+
+
+@pytest.mark.parametrize("url", [*BAD, *NO_HOST])
 def test_an_address_that_is_none_is_named(url):
     with pytest.raises(RuntimeFault, match=r"expected udp://HOST:PORT"):
         UdpLink(url)

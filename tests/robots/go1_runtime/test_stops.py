@@ -48,7 +48,16 @@ def run(link, steps=100, pressed=lambda: None, make=lambda state: WALK) -> Stopp
     return stopped.value
 
 
-IN_A_STATE = ("tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "not finite")
+IN_A_STATE = (
+    "tilt",
+    "joint limit",
+    "joint speed",
+    "over-current",
+    "low voltage",
+    "temperature",
+    "not finite",
+    "orientation",
+)
 
 
 def test_every_reason_of_a_state_can_be_played():
@@ -282,6 +291,16 @@ def test_steps_that_are_always_late_still_look_at_every_state():
         walk()
     loop.close()
     assert len(steps) == 3  # nothing was sent on a state that nobody had looked at
+
+
+@pytest.mark.parametrize("length", [0.0, 0.5, 0.94, 1.06])
+def test_a_quaternion_that_is_no_rotation_is_no_upright_robot(length):
+    turned = length * np.array([math.cos(0.1), 0.0, math.sin(0.1), 0.0])
+    reason, detail = Guard(Limits()).state(dataclasses.replace(standing(0, 0.0), quaternion=turned))
+    assert reason == "orientation"
+    assert f"length {length:.2f}, a rotation's is 1 within 0.05" in detail and "estart the robot" in detail
+    nearly = 1.04 * np.array([math.cos(0.1), 0.0, math.sin(0.1), 0.0])
+    assert Guard(Limits()).state(dataclasses.replace(standing(0, 0.0), quaternion=nearly)) is None
 
 
 def test_a_state_is_judged_by_the_robots_own_numbers():

@@ -1,0 +1,37 @@
+"""First words with a robot, before it is told anything: whether it is fit to start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.link import State
+from hts_go1_runtime.loop import Loop
+from hts_go1_runtime.posture import carried
+
+WATCHED = 0.1  # s: of states for the mean torque of a joint
+
+
+def meet(loop: Loop) -> State:
+    """The robot's first state, with nothing wrong with it; the robot lies or hangs. Raises RuntimeFault, Stopped."""
+    state = loop.start()
+    if state.voltage == 0 and state.current == 0:  # before an empty pack is seen in it
+        raise RuntimeFault(
+            "The robot's battery monitor gives 0 V and 0 A: it is not being read. Start the robot's own process that "
+            "reads it, or restart the robot."
+        )
+    fault = loop.look_over(state)
+    if fault:
+        raise RuntimeFault(f"The robot is not fit to start: {fault[0]}, {fault[1]}.")
+    check_lies([state, *loop.watch(WATCHED)])
+    return state
+
+
+def check_lies(states: Sequence[State]) -> None:
+    """Raise RuntimeFault if the robot stands on its legs: a visit begins with motors that idle."""
+    how = carried(states)
+    if how:
+        raise RuntimeFault(
+            f"The robot stands, its legs carry it: {how}. A visit begins with idle motors, which would drop it. Lay it "
+            "down first, legs folded, or hang it up; nothing has moved."
+        )
