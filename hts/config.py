@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from hts.config_base import Config, Named, shares_of
+from hts.config_base import SEEDS, Config, MayBeEndless, Named, shares_of
 from hts.config_env import CommandConfig, EnvConfig, RandomisationConfig
 from hts.config_gate import GateConfig
 from hts.config_judging import EvaluationConfig, SelectionConfig, SimulationTestConfig
@@ -48,7 +48,7 @@ class PPOConfig(Config):
     horizon: int = Field(24, ge=1, description="control steps per world and batch, T")
     epochs: int = Field(5, ge=1, description="passes over each batch")
     minibatches: int = Field(4, ge=1, description="parts of a batch per pass")
-    clip: float = Field(0.2, gt=0, description="epsilon of the clipped surrogate")
+    clip: float = Field(0.2, allow_inf_nan=True, gt=0, description="epsilon of the clipped surrogate")
     gamma: float = Field(0.99, gt=0, lt=1, description="discount per control step")
     gae_lambda: float = Field(0.95, ge=0, le=1, description="lambda of generalised advantage estimation")
     entropy_coef: float = Field(0.0, ge=0, description="entropy bonus")
@@ -56,7 +56,7 @@ class PPOConfig(Config):
     learning_rate: float = Field(3e-4, gt=0, description="Adam step size (start value if adaptive)")
     adaptive_rate: bool = Field(False, description="rate follows KL(old‖new) per candidate, target `desired_kl`")
     desired_kl: float = Field(0.01, gt=0, description="target of the adaptive rate, nats")
-    max_grad_norm: float = Field(1.0, gt=0, description="per candidate")
+    max_grad_norm: float = Field(1.0, allow_inf_nan=True, gt=0, description="per candidate")
     multiplier_rate: float = Field(0.05, gt=0, description="eta: step of the Lagrange multiplier per batch")
     centring_rate: float = Field(0.05, gt=0, le=1, description="beta of reward centring, per batch")
     hold_rate: float = Field(0.0125, ge=0, description="step of the multipliers of held means per batch and error")
@@ -125,7 +125,7 @@ class PretrainConfig(Config):
     steps: int = Field(300_000_000, gt=0, description="control steps in all")
     hidden: tuple[int, ...] = Field((256, 128), min_length=1, description="hidden layers of actor and critic")
     init_std: float = Field(1.0, gt=0, description="sigma of the first policy, action units")
-    seed: int = Field(0, ge=0, description="of networks, env and exploration")
+    seed: int = Field(0, ge=0, lt=SEEDS, description="of networks, env and exploration")
     ppo: PPOConfig = Field(
         default_factory=lambda: PPOConfig(learning_rate=1e-3, adaptive_rate=True, entropy_coef=0.005),
         description="PPO without an anchor",
@@ -140,11 +140,13 @@ class TrustRegionConfig(Config):
     agreement: float = Field(
         0.5, gt=0, lt=1, description="grow if all of rho's interval lies above, shrink if all of it lies below"
     )
-    close: float = Field(0.75, gt=0, description="grow twice if all of rho's interval lies above this")
+    close: float = Field(
+        0.75, allow_inf_nan=True, gt=0, description="grow twice if all of rho's interval lies above this"
+    )
     grow: float = Field(2.0, ge=1, description="factor on every bound")
     shrink: float = Field(0.5, gt=0, le=1, description="factor on every bound, also after any fall")
     least: float = Field(0.05, gt=0, description="smallest bound, nats")
-    most: float = Field(40.0, gt=0, description="largest finite bound, nats")
+    most: float = Field(40.0, allow_inf_nan=True, gt=0, description="largest finite bound, nats")
 
 
 class SweepConfig(Config):
@@ -155,7 +157,7 @@ class SweepConfig(Config):
         description="λ per objective; missing: the objective's own. Several objectives: none given, each alone and all "
         "together, level by level; some given, every combination (all zero is left out)",
     )
-    kl_bounds: tuple[float, ...] = Field((0.2, 0.5, 1.0), min_length=1, description="c, nats; .inf: no bound")
+    kl_bounds: tuple[MayBeEndless, ...] = Field((0.2, 0.5, 1.0), min_length=1, description="c, nats; .inf: no bound")
     anchors: tuple[Literal["best", "pretrained", "front"], ...] = Field(
         ("best", "pretrained"),
         min_length=1,
@@ -191,6 +193,13 @@ class CollectionConfig(Config):
     exploring: int = Field(6, ge=0, description="recordings of the schedule with exploration noise")
     exploration: float = Field(0.3, gt=0, description="sigma of that noise, as a share of the policy's own sigma")
 
+    @field_validator("schedule")
+    @classmethod
+    def _comes_to_an_end(cls, schedule: ScheduleConfig) -> ScheduleConfig:
+        if not math.isfinite(schedule.seconds):  # which a mapping may leave open: there the log ends it
+            raise ValueError("a command lasts forever; expected so many seconds of each")
+        return schedule
+
 
 class MeasurementConfig(Config):
     """Fitting of measurement models."""
@@ -202,8 +211,10 @@ class MeasurementConfig(Config):
         description="after the check, fit again to all recordings: the policy that the next iteration starts from may "
         "be among those that were held out",
     )
-    seed: int = Field(0, ge=0, description="of initial weights and batch order")
-    max_seconds: float = Field(600.0, gt=0, description="stop after the epoch in which so much time has passed, s")
+    seed: int = Field(0, ge=0, lt=SEEDS, description="of initial weights and batch order")
+    max_seconds: float = Field(
+        600.0, allow_inf_nan=True, gt=0, description="stop after the epoch in which so much time has passed, s"
+    )
 
 
 class ProvenanceConfig(Config):
@@ -236,7 +247,7 @@ class RunConfig(Config):
         "instruments in the place of a fitted model: then only the reward sees inside",
     )
     executor: str = Field("local", description="local (ray is planned)")
-    seed: int = Field(0, ge=0, description="of the whole run")
+    seed: int = Field(0, ge=0, lt=SEEDS, description="of the whole run")
     iterations: int = Field(ge=1, description="rounds of Algorithm 1")
     max_real_samples: int | None = Field(
         None,

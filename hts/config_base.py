@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, AllowInfNan, BaseModel, ConfigDict, Field
+
+
+def _no_nan(found: float) -> float:
+    if math.isnan(found):
+        raise ValueError("is not a number")
+    return found
+
+
+SEEDS = 2**63
+"""Seeds are whole numbers from 0 to below this: what random generators and their states hold."""
+
+MayBeEndless = Annotated[float, AllowInfNan(True), AfterValidator(_no_nan)]
+"""A number that may be infinite (.inf), where that has a meaning of its own, such as no bound; never NaN."""
 
 
 class Config(BaseModel):
-    """Base of all configuration sections: frozen, unknown keys refused."""
+    """Base of all configuration sections: frozen, unknown keys refused, numbers finite where a field does not say that
+    it is `MayBeEndless`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def percent(share: float) -> int:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, NonNegativeFloat, field_validator
 
-from hts.config_base import Config
+from hts.config_base import SEEDS, Config
 
 Pulls = NonNegativeFloat | tuple[NonNegativeFloat, ...]
 
@@ -27,19 +27,26 @@ class RandomisationConfig(Config):
     joint_friction: tuple[float, float] = Field((0.7, 2.5), description="factor on dry joint friction, 1")
     joint_offset: tuple[float, float] = Field((-0.02, 0.02), description="encoder zero error, rad")
     push_speed: float = Field(0.5, ge=0, description="horizontal push, a jump of the velocity up to this, m/s; 0: none")
-    push_interval: float = Field(8.0, gt=0, description="mean time between pushes, s")
+    push_interval: float = Field(8.0, allow_inf_nan=True, gt=0, description="mean time between pushes, s")
     pull: Annotated[tuple[NonNegativeFloat, ...], BeforeValidator(_several, json_schema_input_type=Pulls)] = Field(
         (0.0,),
         min_length=1,
         description="horizontal pull as of a slope, up to this on each axis, m/s²; 0: none; several: instance n gets "
         "pull[n mod len]",
     )
-    pull_seconds: float = Field(3.0, gt=0, description="mean time until it is another, s")
+    pull_seconds: float = Field(3.0, allow_inf_nan=True, gt=0, description="mean time until it is another, s")
     delay_steps: tuple[int, int] = Field((0, 3), description="actuation delay in physics steps, inclusive range")
     delay_share: tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]] | None = Field(
         None, description="the same as shares of a control step, whatever the robot's physics step; null: `delay_steps`"
     )
     models: int = Field(32, ge=1, description="size of the pool of randomised models on the CPU engine")
+
+    @field_validator("friction", "strength", "joint_friction")
+    @classmethod
+    def _not_negative(cls, ends: tuple[float, float]) -> tuple[float, float]:
+        if min(ends) < 0:
+            raise ValueError("expected two numbers of at least 0")
+        return ends
 
     @field_validator("delay_steps", "delay_share")
     @classmethod
@@ -63,8 +70,8 @@ class CommandConfig(Config):
     vy: tuple[float, float] = Field((-0.5, 0.5), description="sideways velocity, m/s")
     yaw_rate: tuple[float, float] = Field((-1.0, 1.0), description="limits of the yaw rate, rad/s")
     heading: bool = Field(True, description="yaw rate = clip(gain · heading error), as Rudin et al. 2022")
-    heading_gain: float = Field(0.5, description="rad/s per rad")
-    resample_seconds: float = Field(10.0, gt=0, description="a new command every so often, s")
+    heading_gain: float = Field(0.5, ge=0, description="rad/s per rad")
+    resample_seconds: float = Field(10.0, allow_inf_nan=True, gt=0, description="a new command every so often, s")
     straight: float = Field(
         0.3, ge=0, le=1, description="share of env instances with the command vy = 0 that keep their heading"
     )
@@ -100,7 +107,7 @@ class EnvConfig(Config):
         "counts, 1 (soft_dof_pos_limit of Rudin et al.)",
     )
     threads: int = Field(0, ge=0, description="threads of the CPU engine; 0: one per core")
-    seed: int = Field(0, ge=0, description="of everything random in the env")
+    seed: int = Field(0, ge=0, lt=SEEDS, description="of everything random in the env")
     contacts_per_world: int = Field(0, ge=0, description="contact buffer of the warp engine; 0: the robot's worst case")
     constraints_per_world: int = Field(0, ge=0, description="constraint rows of the warp engine; 0: the worst case")
     device: str = Field("auto", description="torch device of the env; auto: cpu for `mujoco`, cuda for `warp`")

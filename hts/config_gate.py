@@ -38,7 +38,7 @@ class GateConfig(Config):
     lost_packets: tuple[float, float] = Field((0.0, 0.05), description="share of actions that never arrive, 1")
     torque_level: float = Field(0.9, gt=0, le=1, description="share of a torque limit that counts as reaching it")
     torque_share: float = Field(0.1, ge=0, lt=1, description="largest share of the time that a joint may be there")
-    joint_margin: float = Field(0.05, description="smallest distance of a joint from its position limits, rad")
+    joint_margin: float = Field(0.05, ge=0, description="smallest distance of a joint from its position limits, rad")
     action_rate: float = Field(
         0.75, gt=0, description="largest rate of a joint's target, root mean square, as a share of its velocity limit"
     )

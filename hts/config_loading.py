@@ -153,8 +153,14 @@ def section_of(model: type[Section], values: Mapping[str, Any], origin: Callable
 
 
 def read_config(file: Path) -> RunConfig:
-    """A resolved configuration, as `dump_config` wrote it; presets are not looked at. Raises ConfigError."""
-    return section_of(RunConfig, load_mapping_file(file), lambda location: f"{file}: {dotted(location)}")
+    """A resolved configuration, as `dump_config` wrote it; presets are not looked at. Raises ConfigError, which says
+    how to get the file back: nobody writes it by hand."""
+    try:
+        return section_of(RunConfig, load_mapping_file(file), lambda location: f"{file}: {dotted(location)}")
+    except ConfigError as error:
+        wrote = file.with_name("provenance.json")
+        version = f"; {wrote} names the version of hts that wrote it (packages, hard-to-sim)" if wrote.exists() else ""
+        raise ConfigError(f"{error} Put {file} back as the run wrote it{version}.") from error
 
 
 def dump_config(config: RunConfig) -> str:

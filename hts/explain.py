@@ -30,6 +30,7 @@ EXPECTED: dict[str, str] = {
     "greater_than_equal": "expected at least {ge:g}",
     "less_than": "expected less than {lt:g}",
     "less_than_equal": "expected at most {le:g}",
+    "finite_number": "expected a finite number",
     "too_short": "expected at least {min_length}",
     "too_long": "expected at most {max_length}",
 }

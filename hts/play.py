@@ -6,6 +6,7 @@ What is seen is the training simulation of the robot's nominal model, not the re
 from __future__ import annotations
 
 import ctypes.util
+import math
 import os
 import sys
 import tempfile
@@ -52,9 +53,11 @@ def play(
     folder: of a run, or None: then policy is a file; policy: "best", "pretrained", a candidate's id, or a policy file;
     speed: commanded, m/s; video: a file that does not exist yet, such as walk.mp4; seconds: of the video (a window
     stays until it is closed); robot: by name, without a run only, by default that of the policy file.
-    Raises SimulationError where there is nothing to draw with, RunError if the video exists, ConfigError for a robot
-    that cannot be played here.
+    Raises SimulationError where there is nothing to draw with, or an action is not finite, RunError if the video
+    exists, ConfigError for a speed that is not finite or a robot that cannot be played here.
     """
+    if not math.isfinite(speed):
+        raise ConfigError(f"--speed {speed}: expected a finite number, m/s.")
     if video is not None:
         video = _free(Path(video))
         _prepare_drawing()
@@ -110,7 +113,7 @@ class Walk:
         from hts.policies.deploy import DeployedPolicy
         from hts.sim.models import compile_model
 
-        self.robot, self.speed = robot, speed
+        self.robot, self.speed, self._file = robot, speed, policy
         self.model = compile_model(robot)
         self.data = mujoco.MjData(self.model)
         self.policy = DeployedPolicy(policy)
@@ -132,7 +135,8 @@ class Walk:
         return len(self._speeds) / self.robot.spec.control_rate_hz
 
     def step(self) -> None:
-        """One control step: the policy looks, the physics goes on."""
+        """One control step: the policy looks, the physics goes on. Raises SimulationError for a target that is not
+        finite, before the physics sees it."""
         spec, data = self.robot.spec, self.data
         rotation = self._rotation()
         yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
@@ -146,7 +150,15 @@ class Walk:
             "joint_velocity": data.qvel[joints[1]],
         }
         batch = {name: np.asarray(value, np.float32)[None] for name, value in readings.items()}
-        data.ctrl[:] = self.policy.targets(batch)[0]
+        targets = self.policy.targets(batch)[0]
+        if not np.isfinite(targets).all():
+            joint = spec.joint_names[int(np.argmin(np.isfinite(targets)))]
+            raise SimulationError(
+                f"{self._file}: its action is not finite {self.seconds:.2f} s after the start, at {self.speed:g} "
+                f"m/s ({joint}). Nothing is walked with it: give another policy, or a commanded speed that it was "
+                "trained for."
+            )
+        data.ctrl[:] = targets
         self._step(self.model, data, spec.substeps)
         rotation = self._rotation()
         self._speeds.append(float(rotation[:, 0] @ data.qvel[:3]))
@@ -200,6 +212,10 @@ def _film(walk: Walk, video: Path, seconds: float) -> Played:
         except OSError as error:
             partial.unlink(missing_ok=True)
             raise SimulationError(f"{video}: the video cannot be written; ffmpeg's reason is above.") from error
+        except BaseException:  # no half of a walk is left behind
+            writer.close()
+            partial.unlink(missing_ok=True)
+            raise
     partial.replace(video)
     return walk.result()
 

@@ -26,7 +26,7 @@ class Command(Config):
         json_schema_extra=_velocity_or_set_point, ser_json_inf_nan="constants"
     )
 
-    seconds: float = Field(gt=0, description="duration, s")
+    seconds: float = Field(allow_inf_nan=True, gt=0, description="duration, s")
     vx: float = Field(description="commanded forward velocity, m/s")
     vy: float = Field(0.0, description="commanded sideways velocity, m/s")
     yaw_rate: float = Field(0.0, description="commanded yaw rate, rad/s (0: the operator keeps the heading)")

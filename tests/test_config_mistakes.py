@@ -29,6 +29,8 @@ MISTAKES: dict[str, str] = {
     "a misspelt key in a list": WHOLE + "collection: {schedule: {commands: [{seconds: 4, vx: 0.5, yawrate: 1}]}}\n",
     "a word for a number": WHOLE + "seed: three\n",
     "a number out of range": WHOLE + "iterations: 0\n",
+    "a number that is none": WHOLE + "evaluation: {speed_tolerance: .nan}\n",
+    "an endless length": WHOLE + "gate: {seconds: .inf}\n",
     "one number for two": WHOLE + "finetune: {env: {commands: {vx: 1.0}}}\n",
     "a value for a section": WHOLE + "measurement: 40\n",
     "two mistakes": WHOLE + "sead: 3\niterations: many\n",

@@ -206,7 +206,7 @@ def expect(
     from hts.config_loading import check_names, load_config
     from hts.errors import RunError
     from hts.run.expected import compared, expect, shown, shown_compared
-    from hts.run.stages import read_json
+    from hts.run.stage_files import read_stage
     from hts.worlds.realities.population import weights_of
     from hts.worlds.twin.reality import read
 
@@ -216,7 +216,7 @@ def expect(
             f"{folder}: holds {len(files)} realities, {runs} are asked for. Draw more, `hts realities draw --count "
             f"{runs} --out {folder} …`, or ask for fewer: --runs."
         )
-    finished = None if measured is None else read_json(measured / "summary.json")
+    finished = None if measured is None else read_stage(measured / "summary.json")
     registry, configs = plugins.load(), {}
     for path in files:
         configs[path.stem] = load_config(

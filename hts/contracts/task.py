@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any, ClassVar
 
 from hts.config import NOTHING, Command, ScheduleConfig
@@ -76,7 +78,11 @@ class Task(ABC):
             )
 
     def check(self, set_points: Sequence[float], where: str) -> None:
-        """Raises ConfigError for a set-point that this task does not have; where: the key it stands under."""
+        """Raises ConfigError for a set-point that this task does not have, or that is no finite number; where: the key
+        or the option it stands under."""
+        for found in set_points:
+            if not _is_finite(found):
+                raise ConfigError(f"{where}: expected a finite number, found {found!r}.")
         if self.set_points is None:
             return
         for found in set_points:
@@ -97,6 +103,11 @@ class Task(ABC):
                     f"{{seconds: {command.seconds:g}, set_point: {'NUMBER' if self.set_points else 'null'}}}."
                 )
         self.check([command.commanded for command in schedule.commands], where)
+
+
+def _is_finite(found: Any) -> bool:
+    """Whether it is a number, and neither infinite nor NaN."""
+    return isinstance(found, Real) and not isinstance(found, bool) and math.isfinite(found)
 
 
 class FollowVelocity(Task):
@@ -129,8 +140,9 @@ class FollowVelocity(Task):
 
     def check(self, set_points: Sequence[float], where: str) -> None:
         """A head-to-head needs a speed above 0."""
+        super().check(set_points, where)
         for found in set_points:
-            if where in ("selection.speed", "selection.speeds") and not found > 0:
+            if where in ("selection.speed", "selection.speeds", "--speed") and not found > 0:
                 raise ConfigError(f"{where}: expected a number greater than 0, found {found:g}.")
 
     def check_schedule(self, schedule: ScheduleConfig, where: str) -> None:

@@ -22,7 +22,8 @@ class WorldContext:
 
     robot: name as registered; robot_settings: its settings; objectives: name -> settings; seed: of everything random in
     it; folder: where it may write; registry: all that is installed, as the run loaded it; None: the world loads it
-    itself if it needs it.
+    itself if it needs it; command: what a person types to make the same requests again, quoted for a shell, for a world
+    that ends the process to wait for one; empty: nobody said.
     """
 
     robot: str
@@ -31,6 +32,7 @@ class WorldContext:
     seed: int
     folder: Path
     registry: Installed | None = field(default=None, repr=False, compare=False)
+    command: str = field(default="", compare=False)
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import shlex
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
 from hts.config import Named
+from hts.config_base import SEEDS
 from hts.contracts import HoldSpeed, World, WorldContext
-from hts.errors import EvaluationError, PolicyError, RunError
+from hts.errors import ConfigError, EvaluationError, PolicyError, RunError
 from hts.evaluation.asked import asked, complete
 from hts.evaluation.final import (
     entry_both_ways,
@@ -21,7 +24,7 @@ from hts.evaluation.final import (
     task_entry,
     walked_speeds,
 )
-from hts.evaluation.held import ask_to_hold, hold_of
+from hts.evaluation.held import ask_to_hold, check_held, hold_of
 from hts.evaluation.walked_again import walked_again
 
 if TYPE_CHECKING:
@@ -47,7 +50,7 @@ def evaluate_run(
     front: trimming it again would find nothing); world: a name, by default the run's own world with its settings;
     seed, sessions: by default the run's; sessions: how often it is done anew, and the interval is over them.
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
-    head-to-head is refused (EvaluationError).
+    head-to-head is refused (EvaluationError), or speeds or seed are none that can be walked (ConfigError).
     """
     from hts.config_loading import read_config
     from hts.plugins import load
@@ -58,9 +61,14 @@ def evaluate_run(
     config = read_config(folder / "config.yaml")
     registry = registry or load()
     task = registry.make_robot(config.robot.name, config.robot.settings).task()
+    if speeds is not None and (isinstance(speeds, str) or not isinstance(speeds, Sequence)):
+        raise ConfigError(f"--speed: expected a list of numbers, found {speeds!r}.")
     task.check(speeds or (), "--speed")
-    speeds = tuple(speeds or config.evaluation.speeds)
+    command = command_of(folder, speeds or (), policy, world, seed, sessions)
+    speeds, given = tuple(speeds or config.evaluation.speeds), tuple(speeds or ())
     seed = config.seed if seed is None else seed
+    if not 0 <= seed < SEEDS:
+        raise ConfigError(f"--seed: expected a whole number from 0 to {SEEDS - 1}, found {seed}.")
     count = sessions or config.evaluation.sessions
     tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
@@ -73,10 +81,12 @@ def evaluate_run(
         seed=seed,
         folder=place,
         registry=registry,
+        command=command,
     )
     hold = None if has_held_commands(Path(policy or "best")) else hold_of(config)
     if hold is not None:
         task.check_hold("evaluation.hold_speed")
+        check_held("--speed", given, hold)
     place.mkdir(exist_ok=True)
     where = registry.make_world(named.name, named.settings, context)
     held: list[Recording] = []
@@ -123,6 +133,30 @@ def evaluate_run(
     return result
 
 
+def command_of(
+    folder: Path,
+    speeds: Sequence[float],
+    policy: str | Path | None,
+    world: str | None,
+    seed: int | None,
+    sessions: int | None,
+) -> str:
+    """What asks for the same evaluation again, quoted for a shell; what was left out stays left out."""
+    given = {
+        "policy": None if policy in (None, "best") else policy,
+        "world": world,
+        "seed": seed,
+        "sessions": sessions,
+    }
+    words = ["hts", "evaluate", str(folder)]
+    for speed in speeds:
+        words += ["--speed", repr(float(speed))]
+    for option, value in given.items():
+        if value is not None:
+            words += [f"--{option}", str(value)]
+    return shlex.join(words)
+
+
 def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int) -> list[Recording]:
     """A head-to-head, or as many as asked for. Raises EvaluationError for a world that makes one only."""
     if sessions == 1:
@@ -158,6 +192,11 @@ def policy_file(folder: Path, policy: str | Path) -> Path:
 
     to = folder / "evaluation" / f"{parameters.stem}.onnx"
     to.parent.mkdir(exist_ok=True)
+    found_by_gate, beside = parameters.with_suffix(".gate.json"), to.with_suffix(".gate.json")
+    if found_by_gate.exists():  # worlds that are machines ask for it
+        shutil.copyfile(found_by_gate, beside)
+    else:
+        beside.unlink(missing_ok=True)
     return to_onnx(load_policy(parameters), to)
 
 

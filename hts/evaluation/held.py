@@ -68,15 +68,19 @@ def check_hold(config: RunConfig) -> None:
     hold = hold_of(config)
     if hold is None:
         return
+    check_held("selection", config.selection.tested_speeds, hold)
+    check_held("evaluation", config.evaluation.speeds, hold)
+
+
+def check_held(where: str, speeds: Sequence[float], hold: HoldSpeed) -> None:
+    """Raise ConfigError for a speed, m/s, that lies outside the commands that may be sent. where: it was asked for."""
     low, high = hold.commands
-    asked = {"selection": config.selection.tested_speeds, "evaluation": config.evaluation.speeds}
-    for where, speeds in asked.items():
-        for speed in speeds:
-            if not low < speed < high:
-                raise ConfigError(
-                    f"{where}: {speed:g} m/s cannot be held with commands from {low:g} to {high:g} m/s, the range that "
-                    "is trained. Ask for a speed inside, or widen finetune.env.commands.vx."
-                )
+    for speed in speeds:
+        if not low < speed < high:
+            raise ConfigError(
+                f"{where}: {speed:g} m/s cannot be held with commands from {low:g} to {high:g} m/s, the range that "
+                "is trained. Ask for a speed inside, or widen finetune.env.commands.vx."
+            )
 
 
 def ask_to_hold(world: World, hold: HoldSpeed | None) -> None:

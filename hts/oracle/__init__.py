@@ -30,8 +30,9 @@ def start_oracle(config: RunConfig, folder: Path, *, dry_run: bool = False, regi
     check_oracle(config, registry)
     kind.check(config, registry)
     if dry_run:
-        from hts.run.cost import estimate, print_estimate
+        from hts.run.cost import check_memory, estimate, print_estimate
 
+        check_memory(estimate(config, registry))
         print_estimate(estimate(config, registry, kind.control_steps_per_second(config, registry)))
         print(note_of(config))
         return folder

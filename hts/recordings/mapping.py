@@ -20,6 +20,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from hts import units
 from hts.config import Config, ScheduleConfig
+from hts.config_base import MayBeEndless
 from hts.errors import ConfigError, unknown_name
 from hts.explain import explain
 from hts.recordings.commanded import without_end
@@ -59,7 +60,9 @@ class ChannelMapping(Config):
     per_joint: bool | None = Field(None, description="columns follow the joints; default: the name begins with joint_")
     idle: float | None = Field(None, description="level with electronics on and motors idle; makes it a real channel")
     real: bool = Field(True, description="false: a channel that the robot does not list, yet not one to learn")
-    limits: tuple[float, float] | None = Field(None, description="in the unit above, outside of which nothing may lie")
+    limits: tuple[MayBeEndless, MayBeEndless] | None = Field(
+        None, description="in the unit above, outside of which nothing may lie"
+    )
     outside: Literal["refuse", "drop"] = Field(
         "refuse",
         description="the log whose values lie outside the limits, or drop such rows, at most 1 in 100; without "
@@ -150,12 +153,16 @@ class LogMapping(Config):
     )
     time: TimeMapping = Field(description="the column of time stamps")
     rate_hz: float = Field(gt=0, description="of the recording, Hz; the log is resampled to it")
-    max_gap_seconds: float = Field(0.1, gt=0, description="longest gap that is filled by interpolation, s")
+    max_gap_seconds: float = Field(
+        0.1, allow_inf_nan=True, gt=0, description="longest gap that is filled by interpolation, s"
+    )
     runs: RunsMapping | None = Field(None, description="how several runs in one file are told apart")
     labels: LabelsMapping | None = Field(None, description="a file of labelled stretches")
     join: JoinMapping | None = Field(None, description="how the clocks of two files are brought together")
     one_clock: bool = Field(False, description="the stamps of all files count one clock, although each begins at 0")
-    cut: tuple[float, float] | None = Field(None, description="take only this stretch, s after the first stamp")
+    cut: tuple[MayBeEndless, MayBeEndless] | None = Field(
+        None, description="take only this stretch, s after the first stamp"
+    )
     joints: dict[str, str] | None = Field(None, description="robot's joint -> its name in the log, for {joint}")
     joint_order: tuple[str, ...] | None = Field(
         None, description="robot's joint names in the order of the log's columns; left out: the robot's order"

@@ -9,11 +9,30 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hts.errors import RunError
+from hts.explain import explain
 from hts.report.task_words import TaskWords
 
 Json = dict[str, Any]
+
+
+class FinalPart(BaseModel):
+    """The final of a summary.json: the policy, and by objective what it saves."""
+
+    policy: str = Field(description="the result of the run")
+    objectives: dict[str, dict[str, Any]] = Field(description="what it saves; empty: the policy to start from stays")
+
+
+class Summary(BaseModel):
+    """What a summary.json of any version holds, and no report is made without; the rest makes the page fuller."""
+
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+    objectives: list[str] = Field(description="names")
+    iterations: list[dict[str, Any]] = Field(description="what became of each")
+    final: FinalPart | None = Field(description="the final; null: there was none")
 
 
 @dataclass(frozen=True)
@@ -104,6 +123,13 @@ def read_run(folder: Path) -> RunData:
             )
         raise RunError(f"{folder}: holds no run (no summary.json). Give the folder that `hts run` named at its end.")
     summary = _json(path)
+    try:
+        Summary.model_validate(summary)
+    except ValidationError as error:
+        raise RunError(
+            f"{path}: damaged ({explain(error, Summary).rstrip('.')}). Expected what a finished run says of itself. "
+            f"Delete it and `hts resume {folder}`: it is written again."
+        ) from error
     return RunData(
         folder=folder,
         summary=summary,

@@ -33,10 +33,11 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     from hts.run.ready import check_ready
 
     if dry_run:
-        from hts.run.cost import estimate, print_estimate, print_ready
+        from hts.run.cost import check_memory, estimate, print_estimate, print_ready
         from hts.run.speed import control_steps_per_second
 
         check_ready(config, registry)
+        check_memory(estimate(config, registry))  # before a part of it is trained to measure how fast it goes
         print_estimate(estimate(config, registry, control_steps_per_second(config, registry)))
         print_ready(config)
         return Path(out)
@@ -69,7 +70,8 @@ def resume_run(folder: Path, registry: Registry | None = None) -> Path:
 def simulates_yet(config: RunConfig, folder: Path) -> bool:
     """Whether a run still trains, judges or asks the gate, as far as its folder tells: it does until whom the last
     iteration tries is known."""
-    from hts.run.stages import ENDED_EARLY, read_json
+    from hts.run.stage_files import read_stage
+    from hts.run.stages import ENDED_EARLY
 
     last = folder / f"iterations/{config.iterations - 1:02d}"
     over = (last / "test.json", folder / ENDED_EARLY, folder / "confirm.json", folder / "summary.json")
@@ -80,7 +82,7 @@ def simulates_yet(config: RunConfig, folder: Path) -> bool:
         return True
     if not (config.gate.enabled and config.gate.nearer) or (last / "nearer.json").exists():
         return False
-    gate = read_json(chosen)
+    gate = read_stage(chosen)
     return bool(gate["strict"]) and not gate["elites"]
 
 

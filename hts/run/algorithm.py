@@ -24,6 +24,7 @@ from hts.report import write_report
 from hts.report.outcome import nobody_chosen
 from hts.report.table import print_table
 from hts.report.task_words import TaskWords
+from hts.run.belonging import check_confirmed, check_fitted, check_iteration
 from hts.run.confirming import confirm, finalists
 from hts.run.finals import final
 from hts.run.gate import gate
@@ -34,6 +35,7 @@ from hts.run.learning import finetune, fit
 from hts.run.nearer import is_due, may_go_nearer, nearer
 from hts.run.progress import Progress
 from hts.run.reality import best_so_far, collect
+from hts.run.stage_files import read_stage
 from hts.run.stages import ENDED_EARLY, Stages, write_json
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
@@ -52,7 +54,7 @@ def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = J
     kind: what its stages work with; an oracle's is another one.
     """
     progress = Progress(total=STAGES_AROUND + stages_per_iteration(config) * config.iterations)
-    stages = Stages(folder, progress)
+    stages = Stages(folder, progress, read_stage)
     job = kind(config, folder, registry, stages)
     try:
         summary = algorithm_1(job)
@@ -83,10 +85,12 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder
         if config.fits_models:
             job.do(f"{name}/fit", f"{about}: fit measurement models", partial(fit, job, i))
+            check_fitted(job, i)
         else:
             job.stages.progress.skip(1)
         job.do(f"{name}/finetune", f"{about}: fine-tune candidates", partial(finetune, job, i, best))
         job.do(f"{name}/simulate", f"{about}: judge candidates in simulation", partial(simulate, job, i))
+        check_iteration(job, i)
         if config.gate.enabled and not (job.folder / f"{name}/test.json").exists():  # of a run of before: none
             job.do(f"{name}/gate", f"{about}: try elites over varied dynamics", partial(gate, job, i))
         elif config.gate.enabled:
@@ -108,6 +112,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
             job.do(f"{name}/best", f"{about}: measure the best so far", partial(best_so_far, job, i, best))
     if config.selection.confirm:
         best = job.do("confirm", "try the best of all iterations again", partial(confirm, job, best))["best"]
+        check_confirmed(job)
     else:
         job.stages.progress.skip(1)
     about = f"final head-to-head in world '{config.world.name}'"

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig
 from hts.contracts import WorldContext
+from hts.errors import ConfigError
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.evaluation.simulation import trial_seconds
 from hts.plugins import Registry
@@ -25,6 +28,10 @@ raw and normalised, channels, actions, and their gradients' working copies)."""
 
 BASE_MEMORY_GB = 1.2
 """The libraries in the run's own process and in two processes of a twin, before anything is trained."""
+
+
+CONTAINER_LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
+"""Where Linux says how much memory a container may take, bytes: control groups of version 2 and 1."""
 
 
 def estimate(config: RunConfig, registry: Registry, steps_per_second: float | None = None) -> dict[str, Any]:
@@ -68,6 +75,7 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     samples = together * config.finetune.num_envs * config.finetune.ppo.horizon
     cost = dict(world.cost(robot_seconds))
     world.close()
+    batch_gb = samples * BYTES_PER_SAMPLE / 1e9
     measured = "measured here" if steps_per_second else f"as on {assumed}; not measured here"
     return {
         "combinations": ", ".join(_shown(one) for one in weights) if len(objectives) > 1 else None,
@@ -81,8 +89,39 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
         "simulation_steps": steps,
         "speed": f"{rate:,.0f} a second, {measured}",
         "wall_minutes": (steps / rate + cost.get("wall_seconds", robot_seconds)) / 60.0,
-        "memory_gb": BASE_MEMORY_GB + samples * BYTES_PER_SAMPLE / 1e9,
+        "memory_gb": BASE_MEMORY_GB + batch_gb,
+        "host_memory_gb": BASE_MEMORY_GB + (0.0 if _on_gpu(config) else batch_gb),
     }
+
+
+def _on_gpu(config: RunConfig) -> bool:
+    """Whether batches lie in a GPU's memory, of which nothing is known here."""
+    return config.finetune.env.device.startswith("cuda") or (
+        config.engine == "warp" and config.finetune.env.device == "auto"
+    )
+
+
+def check_memory(cost: Mapping[str, Any]) -> None:
+    """Raise ConfigError for a run that needs more memory than this machine has. cost: of `estimate`."""
+    there = machine_memory_gb()
+    needed = cost["host_memory_gb"]
+    if there is not None and needed > there:
+        raise ConfigError(
+            f"This run needs about {needed:,.0f} GB of memory, this machine has {there:,.1f}. Train with fewer env "
+            "instances (--set finetune.num_envs=N), or fewer candidates together (--set finetune.max_candidates=P)."
+        )
+
+
+def machine_memory_gb() -> float | None:
+    """Of the whole machine, or of the container where that is less, GB; None where nobody says."""
+    try:
+        found = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return None
+    for limit in CONTAINER_LIMITS:
+        with suppress(OSError, ValueError):  # not there, or the word `max`
+            found = min(found, int(limit.read_text(encoding="ascii")))
+    return found / 1e9 if found > 0 else None
 
 
 def _shown(weights: Mapping[str, float]) -> str:
@@ -113,7 +152,7 @@ def print_estimate(cost: dict[str, Any]) -> None:
         "memory_gb": "GB of memory, about",
     }
     for key, value in cost.items():
-        if value is not None:
+        if value is not None and key in labels:
             shown = value if isinstance(value, str) else f"{value:,.1f}" if isinstance(value, float) else f"{value:,}"
             table.add_row(labels[key], shown)
     Console(highlight=False).print(table)

@@ -26,7 +26,8 @@ from hts.config_loading import dump_config
 from hts.errors import RunError
 from hts.report import wording
 from hts.run import resume_run, start_run, with_engine
-from hts.run.stages import read_json, write_json
+from hts.run.stage_files import read_stage
+from hts.run.stages import write_json
 
 FORMAT = 1  # of expected.json
 FILE = "expected.json"
@@ -65,7 +66,7 @@ def expect(
         done = "finished earlier" if (folder / "summary.json").exists() else "running"
         tell(f"{name} ({number + 1} of {len(configs)}): {done}, {folder}")
         run(config, folder)
-        row = _row(name, read_json(folder / "summary.json"), config)
+        row = _row(name, read_stage(folder / "summary.json"), config)
         rows.append({**row, "weight": weights[name]} if weights else row)
     result = {"format": FORMAT, "preset": next(iter(configs.values())).preset, "runs": rows, "expected": pooled(rows)}
     write_json(out / FILE, result)

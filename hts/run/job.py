@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from hts.config import RunConfig, ScheduleConfig
@@ -22,7 +23,8 @@ from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
 from hts.run.budget import Budget, plan, second_trials
 from hts.run.provenance import collect as collect_provenance
-from hts.run.stages import Stages, read_json, write_json
+from hts.run.stage_files import read_stage
+from hts.run.stages import Stages, write_json
 from hts.training.sweep import combinations, is_nearer, own_weights
 
 
@@ -45,8 +47,8 @@ class Job:
         return self.stages.do(name, title, work)
 
     def read(self, name: str) -> Any:
-        """Result of a finished stage."""
-        return read_json(self.folder / f"{name}.json")
+        """Result of a finished stage. Raises RunError as `read_stage`."""
+        return read_stage(self.folder / f"{name}.json")
 
     def prepare(self) -> None:
         """The pretrained policy and the provenance, before anything is spent."""
@@ -147,6 +149,7 @@ class Job:
             seed=self.config.seed,
             folder=self.folder / "world",
             registry=self.registry,
+            command=f"hts resume {quote(str(self.folder))}",
         )
         world = self.registry.make_world(self.config.world.name, self.config.world.settings, context)
         if self.hold is not None:
@@ -223,7 +226,9 @@ class Job:
             return read(name)
         except RecordingError as error:
             stages = [self.folder / "collect.json", *sorted(self.folder.glob("iterations/*/test.json"))]
-            maker = next((stage for stage in stages if stage.exists() and name in read_json(stage)["recordings"]), None)
+            maker = next(
+                (stage for stage in stages if stage.exists() and name in read_stage(stage)["recordings"]), None
+            )
             if maker is None:
                 raise
             raise RecordingError(

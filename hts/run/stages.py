@@ -35,10 +35,14 @@ def read_json(path: Path) -> Any:
             f"{path}: missing. Expected the JSON of a finished stage. Resume: that stage runs again."
         ) from error
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise RunError(
-            f"{path}: damaged ({error}). Expected the JSON of a finished stage. Delete it and resume: that stage runs "
-            "again."
-        ) from error
+        raise damaged(path, str(error)) from error
+
+
+def damaged(path: Path, why: str) -> RunError:
+    """The error for a stage's file that a run cannot go on with."""
+    return RunError(
+        f"{path}: damaged ({why}). Expected the JSON of a finished stage. Delete it and resume: that stage runs again."
+    )
 
 
 def _finite(value: Any) -> Any:
@@ -54,11 +58,12 @@ def _finite(value: Any) -> Any:
 class Stages:
     """The stages of one run folder. `do` skips what is done, so that a run killed anywhere goes on by calling it again.
 
-    Only one process may work in a folder: RunError if another one does.
+    Only one process may work in a folder: RunError if another one does. read: of the file of a stage that is done;
+    raises RunError for one that nothing can be made of.
     """
 
-    def __init__(self, folder: Path, progress: Progress) -> None:
-        self.folder, self.progress = folder, progress
+    def __init__(self, folder: Path, progress: Progress, read: Callable[[Path], Any] = read_json) -> None:
+        self.folder, self.progress, self._read = folder, progress, read
         self._lock = (folder / ".lock").open("w")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -73,7 +78,7 @@ class Stages:
         path = self.folder / f"{name}.json"
         if path.exists():
             self.progress.skip(1)
-            return read_json(path)
+            return self._read(path)
         started = time.perf_counter()
         with self.progress.stage(title) as report:
             result = work(report)

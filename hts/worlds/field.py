@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from pydantic import Field
@@ -24,7 +25,7 @@ from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
-from hts.worlds.field_logs import FOLDER, check_all_differ, check_ran, check_weighed, described
+from hts.worlds.field_logs import FOLDER, check_all_differ, check_ran, check_sections, check_weighed, described
 from hts.worlds.field_manifest import Facts, run_configuration
 
 
@@ -257,7 +258,9 @@ class FieldWorld(World):
         path = self._mapping_path()
         if self.settings.mapping is None and not path.exists():
             atomic_write(path, self._template())
-        return load_mapping(path)
+        mapping = load_mapping(path)
+        check_sections(path, mapping)
+        return mapping
 
     def _template(self) -> str:
         """A mapping to fill in: the robot's channels, and what only the robot gives for the objectives."""
@@ -300,9 +303,8 @@ class FieldWorld(World):
         return next((place for place in (folder, *folder.parents) if (place / "config.yaml").exists()), folder)
 
     def _command(self) -> str:
-        """What to type next: the run goes on."""
-        run = self._run_folder()
-        return f"hts evaluate {run}" if (run / "summary.json").exists() else f"hts resume {run}"
+        """What to type next, quoted for a shell: what asked says it; else the run goes on."""
+        return self._context.command or f"hts resume {quote(str(self._run_folder()))}"
 
 
 def _log_files(folder: Path, name: str) -> list[Path]:

@@ -19,7 +19,7 @@ from hts.errors import WorldError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
 from hts.policies.proof import unproven
-from hts.worlds.field_manifest import Facts, first_runs, manifest, policy_entry
+from hts.worlds.field_manifest import Facts, check_gate, first_runs, manifest, policy_entry
 
 UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
 CHECKSUMS = "SHA256SUMS"
@@ -243,6 +243,7 @@ def _write_policies(folder: Path, orders: Sequence[Order], facts: Facts) -> tupl
                 f"{', '.join(still_open)}. It is not bundled for a machine: import it with a log that shows them "
                 "(hts policy import … --log LOG), or put your name to them (--accept ITEM --by NAME), and begin anew."
             )
+        check_gate(order.policy, facts)
         explores = bool(card.exploration_std)
         key = (order.policy, order.name if explores else "")
         if key not in named:

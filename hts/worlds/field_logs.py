@@ -16,20 +16,28 @@ from typing import Any
 import numpy as np
 
 from hts.errors import RecordingError
+from hts.explain import shortened
 from hts.recordings.mapping import load_mapping
 from hts.recordings.recording import Recording
 
 FOLDER = "mappings"
+SECTIONS = {
+    "channels": "keys and values (a channel's name: its columns and unit)",
+    "recording": "keys and values (such as mass_kg: 13.2)",
+}
+GAINS = {"kp": "a list of one gain a joint, N*m/rad", "kd": "a list of one gain a joint, N*m*s/rad"}
 
 
 def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> tuple[dict[str, Any], Path]:
     """The mapping of one log and where it lies: that beside it, completed by the run's own; the run's own if there is
-    none. Raises RecordingError where the run's own tells of a second file, or of a level of a channel that is not in
-    the log: see `_check_one_file`."""
+    none. Raises RecordingError for either that is not built as a mapping is, see `check_sections`, and where the run's
+    own tells of a second file, or of a level of a channel that is not in the log: see `_check_one_file`."""
     path = logs / FOLDER / f"{name}.yaml"
+    check_sections(own_path, own)
     if not path.is_file():
         return dict(own), own_path
     mapping = load_mapping(path)
+    check_sections(path, mapping)
     channels = dict(mapping.get("channels") or {})
     _check_one_file(path, mapping, own, own_path)
     for channel, one in dict(own.get("channels") or {}).items():
@@ -39,6 +47,29 @@ def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> 
     facts, stated = dict(mapping.get("recording") or {}), dict(own.get("recording") or {})
     facts |= {key: value for key, value in stated.items() if value is not None or key not in facts}
     return {**mapping, "channels": channels, "recording": facts}, path
+
+
+def check_sections(path: Path, mapping: Mapping[str, Any]) -> None:
+    """Raise RecordingError, one line with the file and the key, where a part of a mapping that is looked at before all
+    of it is checked is not what it must be. path: of the mapping."""
+    for key, what in SECTIONS.items():
+        _check(path, key, mapping.get(key), Mapping, what)
+    for channel, one in dict(mapping.get("channels") or {}).items():
+        where = f"channels.{channel}"
+        _check(path, where, one, Mapping, "keys and values (columns, unit)")
+        _check(path, f"{where}.idle", (one or {}).get("idle"), (int, float), "a number, in the channel's unit")
+    for key, what in GAINS.items():
+        _check(path, f"recording.{key}", (mapping.get("recording") or {}).get(key), list, what)
+
+
+def _check(path: Path, key: str, found: Any, kind: type | tuple[type, ...], expected: str) -> None:
+    """Empty and left out pass: what is needed is asked for later."""
+    if found is None or (isinstance(found, kind) and not isinstance(found, bool)):
+        return
+    raise RecordingError(
+        f"{path}: {key}: expected {expected}, found {shortened(found)}. Write it so, or delete the line if it says "
+        "nothing."
+    )
 
 
 def _check_one_file(path: Path, mapping: Mapping[str, Any], own: Mapping[str, Any], own_path: Path) -> None:

@@ -31,6 +31,7 @@ import hts
 from hts.channels import Channel
 from hts.config_gate import FirstRunConfig
 from hts.contracts import HoldSpeed, RobotSpec
+from hts.errors import WorldError
 from hts.policies.export import CLIP
 
 SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
@@ -185,9 +186,31 @@ def _inside(content: Any, *path: str) -> Any:
     return content
 
 
+def check_gate(source: Path, facts: Facts) -> None:
+    """Raise WorldError for a policy that the gate before hardware refused, unless the run's `gate.strict: false` says
+    that a machine may have it, or of which nobody can read what the gate found. source: of an exported policy."""
+    found = _gate(source)
+    if not isinstance(found, Mapping) or found.get("passed") is not False:
+        return
+    if _inside(facts.run, "gate", "strict") is False:
+        return
+    refused = found.get("refused") or f"{source.name} is refused by the gate"
+    raise WorldError(
+        f"{source}: {refused}. It is not bundled for a machine: give a policy that passed. A run that lets a machine "
+        "have who fails the gate is begun with --set gate.strict=false (docs/safety.md)."
+    )
+
+
 def _gate(source: Path) -> Any:
-    """What the gate before hardware wrote of a policy; None where it was not tried."""
+    """What the gate before hardware wrote of a policy; None where it was not tried. Raises WorldError where it wrote
+    what cannot be read."""
+    path = source.with_suffix(".gate.json")
     try:
-        return json.loads(source.with_suffix(".gate.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
         return None
+    except (OSError, ValueError) as error:
+        raise WorldError(
+            f"{path}: cannot be read as JSON ({error}), so nobody knows whether the gate refused {source.name}. "
+            "Restore the file, or take a policy that passed."
+        ) from error

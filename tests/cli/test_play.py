@@ -164,3 +164,32 @@ def test_a_film_has_25_frames_a_second_and_is_said_to_be_simulation(run_folder, 
     assert imageio_ffmpeg.count_frames_and_secs(str(video))[0] == 25
     assert "Simulation, not the real robot" in capsys.readouterr().out
     assert [file.name for file in tmp_path.iterdir()] == ["walk.mp4"]
+
+
+@pytest.mark.parametrize("speed", [float("nan"), float("inf"), -float("inf")])
+def test_a_speed_that_is_not_finite_is_refused_before_anything_is_drawn(run_folder, tmp_path, speed):
+    with pytest.raises(ConfigError, match=r"^--speed (nan|-?inf): expected a finite number, m/s\.$"):
+        module.play(run_folder, policy="pretrained", speed=speed, video=tmp_path / "walk.mp4")
+
+
+def test_an_action_that_is_not_finite_stops_the_walk_and_leaves_no_video(walk, tmp_path, monkeypatch):
+    from contextlib import nullcontext
+
+    targets = walk.policy.targets
+
+    def broken_after_two_steps(batch):
+        found = targets(batch).copy()
+        found[0, 3] = np.nan if walk.seconds > 0.03 else found[0, 3]
+        return found
+
+    monkeypatch.setattr(walk.policy, "targets", broken_after_two_steps)
+    picture = np.zeros((module.HEIGHT, module.WIDTH, 3), np.uint8)
+    monkeypatch.setattr(module, "_renderer", lambda walk: nullcontext(lambda: picture))
+    joint = walk.robot.spec.joint_names[3]
+    with pytest.raises(
+        SimulationError, match=rf"pretrained.onnx: its action is not finite 0.04 s .* \({joint}\)"
+    ) as caught:
+        module._film(walk, tmp_path / "walk.mp4", 1.0)
+    assert "\n" not in str(caught.value)
+    assert np.isfinite(walk.data.ctrl).all()
+    assert not list(tmp_path.iterdir())

@@ -161,7 +161,7 @@ def refusals() -> dict[str, tuple[Recording, str]]:
         "role": (good.replace(role="elite"), "No role named 'elite'"),
         "gains": (good.replace(kp=(20.0,)), "kp has 1 values for 2 joints"),
         "schedule": (
-            good.replace(schedule=ScheduleConfig(commands=(Command(seconds=1.0, vx=float("inf")),))),
+            good.replace(schedule=ScheduleConfig(commands=(Command.model_construct(seconds=1.0, vx=float("inf")),))),
             "cannot be stored",
         ),
     }

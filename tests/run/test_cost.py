@@ -5,8 +5,16 @@ from __future__ import annotations
 import pytest
 
 from hts.config_loading import load_config
+from hts.errors import ConfigError
 from hts.plugins import load
-from hts.run.cost import BASE_MEMORY_GB, BYTES_PER_SAMPLE, STEPS_PER_SECOND, estimate
+from hts.run.cost import (
+    BASE_MEMORY_GB,
+    BYTES_PER_SAMPLE,
+    STEPS_PER_SECOND,
+    check_memory,
+    estimate,
+    machine_memory_gb,
+)
 
 pytest.importorskip("hts_go1", reason="the robot of these estimates is not installed")
 pytest.importorskip("hts_power", reason="the objective of these estimates is not installed")
@@ -113,3 +121,39 @@ def test_paper_stays_within_the_samples_of_the_paper():
     elite = 20 + 3 * (2 * 20 + 4 * 20)  # s, at least: warm up once, then trim both and walk four blocks at each speed
     final_minutes = final["robot_minutes"] - (2 * 5 * 32 + elite) / 60
     assert (whole["robot_minutes"] - final_minutes) * 60 * 50 < 384_000
+
+
+def test_only_what_lies_in_this_machines_memory_counts_against_it():
+    batch = 6 * 8 * 24 * BYTES_PER_SAMPLE / 1e9
+    assert cost_of("smoke", engine="mujoco")["host_memory_gb"] == pytest.approx(BASE_MEMORY_GB + batch)
+    assert cost_of("smoke", engine="warp")["host_memory_gb"] == BASE_MEMORY_GB
+    on_cpu = cost_of("smoke", "finetune.env.device=cpu", engine="warp")
+    assert on_cpu["host_memory_gb"] == pytest.approx(BASE_MEMORY_GB + batch)
+
+
+def test_a_run_that_needs_more_memory_than_there_is_says_so(monkeypatch):
+    cost = cost_of("smoke", "finetune.num_envs=1000000")
+    monkeypatch.setattr("hts.run.cost.machine_memory_gb", lambda: 16.0)
+    with pytest.raises(ConfigError, match=r"needs about 347 GB of memory, this machine has 16.0.*finetune.num_envs=N"):
+        check_memory(cost)
+    check_memory(cost_of("smoke"))
+    monkeypatch.setattr("hts.run.cost.machine_memory_gb", lambda: None)  # nobody says
+    check_memory(cost)
+
+
+def test_a_container_may_have_less_than_the_machine(monkeypatch, tmp_path):
+    whole = machine_memory_gb()
+    assert whole is not None and whole > 0.1
+    limit = tmp_path / "memory.max"
+    monkeypatch.setattr("hts.run.cost.CONTAINER_LIMITS", (tmp_path / "nowhere", limit))
+    limit.write_text("500000000\n")
+    assert machine_memory_gb() == 0.5
+    limit.write_text("max\n")
+    assert machine_memory_gb() >= whole
+
+
+def test_a_dry_run_that_cannot_fit_is_one_line(hts, tmp_path):
+    options = ("--objective", "power", "--robot", "go1", "--preset", "smoke", "--out", tmp_path / "run", "--dry-run")
+    done = hts("run", *options, "--set", "finetune.num_envs=100000000000")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1 and "GB of memory, this machine has" in done.stderr

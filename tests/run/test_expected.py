@@ -23,6 +23,7 @@ def summary(*improvements, policy="00-01", speeds=(0.5, 0.8), samples=1000):
     }
     return {
         "objectives": ["power"],
+        "iterations": [],
         "front": {"units": {"power": "1"}},
         "real_samples": samples,
         "world_identity": {"reality": "x", "reality_sha256": "ab"},

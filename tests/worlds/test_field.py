@@ -10,8 +10,10 @@ import yaml
 from field_folder import SECONDS, bundle, field, fill_in, write_log
 
 from hts.config import ScheduleConfig
+from hts.contracts import WorldContext
 from hts.errors import ConfigError, RecordingError, WaitingForRobot
 from hts.worlds.base import walking
+from hts.worlds.field import make_field
 
 
 def test_a_request_writes_a_bundle_and_waits_with_the_command_to_type(run, policy):
@@ -122,3 +124,22 @@ def test_each_round_of_a_race_is_one_bundle_and_its_policies_share_the_reference
     with pytest.raises(WaitingForRobot, match="6 of 6 logs"):
         field(run).head_to_head_round(*asked, 1, SECONDS)
     assert len([path for path in first.parent.iterdir() if path.is_dir()]) == 2
+
+
+def test_what_to_type_next_is_what_asked_and_may_be_pasted_into_a_shell(run, policy):
+    command = "hts evaluate 'my run' --speed 0.5 --policy 00-00 --world field --seed 3 --sessions 2"
+    context = WorldContext("go1", {}, {"power": {}}, 0, run, command=command)
+    world = make_field({"block_seconds": SECONDS}, context)
+    with pytest.raises(WaitingForRobot, match=f"then type: {command}$"):
+        world.head_to_head(policy, policy, [0.5])
+    assert f"4. Type: `{command}`" in (bundle(run) / "README.md").read_text()
+    with pytest.raises(WaitingForRobot, match=f"then type: {command}$"):
+        world.idle()
+
+
+def test_a_folder_with_a_blank_in_its_name_is_quoted(run, policy):
+    folder = run / "my run"
+    folder.mkdir()
+    (folder / "config.yaml").write_text("preset: smoke\n")
+    with pytest.raises(WaitingForRobot, match=f"then type: hts resume '{folder}'$"):
+        field(folder).collect([policy], walking(0.5, SECONDS))

@@ -181,3 +181,53 @@ def test_a_log_that_ends_in_a_fall_may_be_shorter_than_its_row(self_described):
     assert found.fell and found.seconds == pytest.approx(1.0, abs=0.05)
     with pytest.raises(RecordingError, match=r"5.0 s long, but 3 s were to be recorded"):
         self_described(seconds=5.0)
+
+
+REFUSED = '{"passed": false, "refused": "00-00 is refused by the gate: the trunk tilts by 31 degrees (allowed: 25)"}'
+
+
+def test_a_policy_that_the_gate_refused_is_not_bundled_unless_the_run_lets_a_machine_have_it(run, policy):
+    policy.with_suffix(".gate.json").write_text(REFUSED)
+    refused = r"walk.onnx: 00-00 is refused by the gate: .*\(allowed: 25\)\. It is not bundled.*gate\.strict=false"
+    for strict in ("", "gate: {strict: null}\n", "gate: {strict: true}\n"):
+        (run / "config.yaml").write_text(f"preset: smoke\n{strict}")
+        with pytest.raises(WorldError, match=refused) as caught:
+            field(run).head_to_head(policy, policy, [0.8])
+        assert "\n" not in str(caught.value)
+        assert not list(run.rglob("policies"))  # nor half of it
+    (run / "config.yaml").write_text("gate: {strict: false}\n")
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+    assert json.loads((bundle(run) / "manifest.json").read_text())["policies"][0]["gate"]["passed"] is False
+
+
+def test_a_policy_of_which_nobody_can_read_what_the_gate_found_is_not_bundled(run, policy):
+    policy.with_suffix(".gate.json").write_text(REFUSED[:20])
+    with pytest.raises(
+        WorldError, match=r"walk.gate.json: cannot be read as JSON .*whether the gate refused walk.onnx"
+    ):
+        field(run).head_to_head(policy, policy, [0.8])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"recording": 3}, r"recording: expected keys and values \(such as mass_kg: 13.2\), found 3\."),
+        ({"recording": [3]}, r"recording: expected keys and values .*, found \[3\]\."),
+        ({"recording": {"kp": 3}}, r"recording\.kp: expected a list of one gain a joint, N\*m/rad, found 3\."),
+        ({"channels": [1]}, r"channels: expected keys and values .*, found \[1\]\."),
+        ({"channels": {"battery_current": 4}}, r"channels\.battery_current: expected keys and values .*, found 4\."),
+        (
+            {"channels": {"battery_current": {"columns": "i", "unit": "A", "idle": "low"}}},
+            r"channels\.battery_current\.idle: expected a number, in the channel's unit, found 'low'\.",
+        ),
+    ],
+)
+@pytest.mark.parametrize("whose", ["own", "beside"])
+def test_a_mapping_that_is_built_wrongly_is_named_with_file_and_key(run, policy, self_described, change, said, whose):
+    own, beside = run / "field" / "mapping.yaml", bundle(run) / "logs" / "mappings" / "00.yaml"
+    if whose == "own":
+        own.write_text(yaml.safe_dump({**yaml.safe_load(own.read_text()), **change}))
+    with pytest.raises(RecordingError, match=rf"{own if whose == 'own' else beside}: {said}") as caught:
+        self_described(lambda mapping: mapping.update(change) if whose == "beside" else None)
+    assert "\n" not in str(caught.value)

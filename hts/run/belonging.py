@@ -1,0 +1,111 @@
+"""Whether the files of a run's stages belong together: each names candidates that the stages before it know.
+
+One file may be whole by itself (`hts.run.stage_files`) and yet not be of this run, as after somebody edited it or put
+back an older one. The file that is at fault is named as a damaged one is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from hts.run.front import PRETRAINED
+from hts.run.job import Job
+from hts.run.stages import damaged
+from hts.training.sweep import is_nearer
+
+JUDGED = ("objective_scores", "task_rewards", "predicted", "trials")
+"""What simulate.json holds beside what every version wrote, and who is tried is chosen by."""
+
+
+def check_fitted(job: Job, iteration: int) -> None:
+    """Raise RunError for a fit.json that lacks an objective of the run."""
+    name = f"iterations/{iteration:02d}/fit"
+    _check_has(_path(job, name), job.objectives, job.read(name))
+
+
+def check_iteration(job: Job, iteration: int) -> None:
+    """Raise RunError for a file of an iteration's stages, as far as they are done, that does not belong to the others.
+    Its candidates are trained and judged."""
+    folder = f"iterations/{iteration:02d}"
+    rows, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
+    known = {row["id"] for row in rows}
+    _check_judged(job, folder, known, simulated)
+    tested = _path(job, f"{folder}/test")
+    if not tested.exists():  # else nobody reads them any more, and a run of before has not all of them
+        gate_is_next = job.config.gate.enabled and not _path(job, f"{folder}/gate").exists()
+        trusts = job.config.sweep.trust_region.enabled
+        _check_has(
+            _path(job, f"{folder}/simulate"), JUDGED if gate_is_next else ("predicted",) if trusts else (), simulated
+        )
+    if _path(job, f"{folder}/gate").exists():
+        _check_gate(_path(job, f"{folder}/gate"), job.read(f"{folder}/gate"), known)
+    nearer = _path(job, f"{folder}/nearer")
+    if nearer.exists():
+        found = job.read(f"{folder}/nearer")
+        closer = {row["id"] for row in found["candidates"]}
+        _check_has(nearer, closer, found["simulate"]["scores"])
+        _check(nearer, "it judged", found["simulate"]["scores"], closer, "its candidates")
+        _check_gate(nearer, found["gate"], closer)
+        known |= closer
+    if tested.exists():
+        found = job.read(f"{folder}/test")
+        best = [] if found["best"] is None else [found["best"]]
+        tried = [name for name in found["results"] if nearer.exists() or not is_nearer(name)]  # else they come again
+        _check(tested, "it tried", tried, known, "candidates of this iteration")
+        _check_has(tested, [*found["elites"], *best], found["results"])
+        _check(tested, "the best so far is", [found["best_so_far"]], _tested(job, iteration + 1), "one that was tried")
+
+
+def check_confirmed(job: Job) -> None:
+    """Raise RunError for a confirm.json that names a policy which no iteration tried."""
+    found = job.read("confirm")
+    named = [found["best"], *found["tried"], *found["results"], *found.get("next", ())]
+    _check(_path(job, "confirm"), "it names", named, _tested(job, job.done_iterations), "policies that were tried")
+    _check_has(_path(job, "confirm"), found["tried"], found["results"])
+
+
+def _check_judged(job: Job, folder: str, known: Collection[str], simulated: Mapping[str, Any]) -> None:
+    """Of finetune.json and simulate.json with other candidates, that one is at fault whose odd candidate has no policy
+    file, for the stage that trained them wrote these."""
+    tuned, judged = _path(job, f"{folder}/finetune"), _path(job, f"{folder}/simulate")
+    scores = simulated["scores"]
+    odd = [name for name in known if name not in scores]
+    if any(not job.policy_path(name).exists() for name in odd):
+        _check(tuned, "its candidates are", known, scores, "those of simulate.json")
+    for key in ("scores", "falls", "tracked"):
+        _check_has(judged, known, simulated[key])
+        _check(judged, f"its {key} are of", simulated[key], known, "the candidates of finetune.json")
+    _check(judged, "its elites are", simulated["elites"], known, "candidates of finetune.json")
+
+
+def _check_gate(path: Path, gate: Mapping[str, Any], known: Collection[str]) -> None:
+    """Whom the gate saw, kept out or let pass."""
+    _check(path, "the gate saw", [*gate["policies"], *gate["kept_out"], *gate["proposed"]], known, "its candidates")
+    _check(path, "the gate let pass", gate["elites"], gate["policies"], "those that it saw")
+
+
+def _tested(job: Job, iterations: int) -> set[str]:
+    """Policies that have a trial in the first so many iterations, and those that need none."""
+    tried = (job.read(f"iterations/{index:02d}/test")["results"] for index in range(iterations))
+    return {job.first, PRETRAINED, *(name for results in tried for name in results)}
+
+
+def _check(path: Path, about: str, names: Iterable[str], known: Collection[str], expected: str) -> None:
+    """Raise RunError if one of the names is not among those that are known."""
+    strangers = sorted(name for name in names if name not in known)
+    if strangers:
+        listed = ", ".join(sorted(known)[:6]) or "nothing"
+        raise damaged(path, f"{about} {strangers[0]}, expected {expected}: {listed}")
+
+
+def _check_has(path: Path, wanted: Iterable[str], found: Collection[str]) -> None:
+    """Raise RunError if one of the names is missing."""
+    missing = sorted(name for name in wanted if name not in found)
+    if missing:
+        raise damaged(path, f"nothing about {', '.join(missing)}")
+
+
+def _path(job: Job, stage: str) -> Path:
+    return job.folder / f"{stage}.json"

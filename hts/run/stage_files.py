@@ -1,0 +1,245 @@
+"""What the JSON of each finished stage must hold for a run to go on with it: what later stages read without asking.
+
+A file that was cut off, or edited, may be JSON all the same. What is here is checked before anything is made of it, so
+that such a file is named, and what to do with it. Keys that later versions added are optional: runs begun by earlier
+ones go on. Everything that no stage reads passes as it is.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from hts.explain import explain
+from hts.report.data import Summary
+from hts.run.stages import damaged, read_json
+
+Number = float | None
+"""JSON has neither NaN nor infinity: null stands for them."""
+
+
+class Part(BaseModel):
+    """Part of a file. A text is no number, and unknown keys are let alone."""
+
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+
+class Collect(Part):
+    """collect.json: ids of recordings; samples of the robot."""
+
+    recordings: list[str] = Field(description="ids in the run's store")
+    samples: int = Field(description="of the robot, control steps")
+
+
+class Fitted(Part):
+    """How one objective's model was fitted and checked."""
+
+    dataset: str = Field(description="SHA-256 of what it was fitted to")
+    held_out_r2: Number = Field(description="on recordings kept from the fit, 1")
+    rank_correlation: Number = Field(description="of predicted and measured cost over policies, 1")
+    held_out: dict[str, Any] = Field(description="all of that check")
+
+
+Fit = dict[str, Fitted]
+"""fit.json: by objective."""
+
+
+class Tuned(Part):
+    """A candidate; kl and kl_bound in nats, null: infinite."""
+
+    id: str = Field(description="its name in the run")
+    anchor: str = Field(description="best, pretrained or a policy's id")
+    weights: dict[str, Number] = Field(description="objective -> λ")
+    kl_bound: Number = Field(description="c, nats; null: none")
+    kl: Number = Field(description="mean KL to the anchor, nats")
+    std: Number = Field(description="its mean σ, action units")
+    anchor_std: Number = Field(description="the anchor's, action units")
+    stopped: str | None = Field(description="why its training was stopped; null: it was not")
+    policy_hash: str = Field(description="of the exported policy")
+
+
+class Finetune(Part):
+    """finetune.json."""
+
+    candidates: list[Tuned] = Field(description="all that were trained")
+    steps: int = Field(description="control steps of all of them")
+
+
+class Simulate(Part):
+    """simulate.json: by candidate."""
+
+    scores: dict[str, Number] = Field(description="mean r_real, 1/s")
+    falls: dict[str, int] = Field(description="env instances that fell")
+    tracked: dict[str, bool] = Field(description="whether it does its task at every set-point")
+    elites: list[str] = Field(description="whom the selector named")
+    steps: int = Field(description="control steps")
+    objective_scores: dict[str, dict[str, Number]] | None = Field(
+        None, description="candidate -> objective -> score, 1/s"
+    )
+    task_rewards: dict[str, Number] | None = Field(None, description="the task's own reward, 1/s")
+    predicted: dict[str, dict[str, dict[str, Any]]] | None = Field(
+        None, description="candidate -> objective -> speed -> what is promised"
+    )
+    trials: dict[str, list[dict[str, Any]]] | None = Field(None, description="candidate -> its trials")
+
+
+class Gated(Part):
+    """A policy that the gate looked at."""
+
+    passed: bool = Field(description="every check")
+    failed: list[str] = Field(description="checks that it did not pass")
+    refused: str | None = Field(description="the line; null: it passed")
+    worst: dict[str, Any] = Field(description="check -> what was worst")
+
+
+class Gate(Part):
+    """gate.json."""
+
+    strict: bool = Field(description="whether who fails is kept from the world")
+    checks: list[str] = Field(description="that were made")
+    untold: list[str] = Field(description="that the env cannot tell")
+    accepted_untold: list[str] = Field(description="for which of those a person vouches")
+    limits: dict[str, Number] = Field(description="check -> what its value is held against")
+    proposed: list[str] = Field(description="whom the selector named first")
+    elites: list[str] = Field(description="who is tried for real")
+    kept_out: dict[str, str] = Field(description="candidate -> why it was not asked about")
+    policies: dict[str, Gated] = Field(description="who was tried here")
+    pretrained: Gated | None = Field(description="the yardstick, where somebody was refused")
+    first_run: dict[str, Any] = Field(description="how gently a policy first runs on a machine")
+    lines: list[str] = Field(description="what was said")
+    steps: int = Field(description="control steps")
+
+
+class Nearer(Part):
+    """nearer.json: candidates as finetune.json has them, and the two files that follow."""
+
+    line: str = Field(description="what was said")
+    candidates: list[Tuned] = Field(description="those closer to their anchors")
+    simulate: Simulate = Field(description="as simulate.json")
+    gate: Gate = Field(description="as gate.json")
+
+
+class Trial(Part):
+    """What a trial measured of a candidate that was not refused."""
+
+    fell: bool = Field(description="in the world")
+    selection_score: dict[str, Number] = Field(description="by objective")
+
+
+class Result(Part):
+    """A trial."""
+
+    real: dict[str, dict[str, dict[str, Any]]] | None = Field(
+        description="objective -> speed -> improvement and metrics; null: refused"
+    )
+    refused: str | None = Field(description="why; null: it was not")
+    tested: Trial | None = Field(None, description="what selection goes by")
+
+
+class Region(Part):
+    """How the KL bounds moved."""
+
+    scale: float = Field(description="factor on the finite bounds from now on, 1")
+
+
+class Test(Part):
+    """test.json."""
+
+    __test__ = False  # its name begins like a pytest class
+
+    elites: list[str] = Field(description="who was tried")
+    results: dict[str, Result] = Field(description="by elite")
+    recordings: list[str] = Field(description="ids in the run's store")
+    best: str | None = Field(description="the best of them; null: nobody was better")
+    best_so_far: str = Field(description="of all iterations until now")
+    samples: int = Field(description="of the robot, control steps")
+    model_checks: dict[str, dict[str, Any]] = Field(description="objective -> how well its model predicted them")
+    trust_region: Region | None = Field(None, description="where the bounds move")
+
+
+class Best(Part):
+    """best.json."""
+
+    policy: str = Field(description="the best so far")
+    objectives: dict[str, Any] = Field(description="what it saves")
+
+
+class Confirm(Part):
+    """confirm.json."""
+
+    tried: list[str] = Field(description="who was tried twice")
+    results: dict[str, Result] = Field(description="by candidate")
+    recordings: list[str] = Field(description="ids in the run's store")
+    samples: int = Field(description="of the robot, control steps")
+    best: str = Field(description="who goes to the final")
+    next: list[str] = Field(default_factory=list, description="who else may get one, the best first")
+
+
+class GivenUp(Part):
+    """A final that another one took the place of."""
+
+    policy: str = Field(description="its id")
+    falls: int = Field(description="in all that it walked")
+
+
+class Final(Part):
+    """final.json."""
+
+    policy: str = Field(description="the result of the run")
+    objectives: dict[str, dict[str, Any]] = Field(description="what it saves; empty: the policy to start from stays")
+    recordings: list[str] = Field(description="ids in the run's store")
+    samples: int = Field(description="of the robot, control steps")
+    given_up: list[GivenUp] = Field(default_factory=list, description="finals before it")
+
+
+class Provenance(Part):
+    """provenance.json."""
+
+    world: dict[str, str] = Field(default_factory=dict, description="which machine it is, as far as the world says")
+
+
+class TrueLevel(Part):
+    """Mean and spread of a true quantity, in its instrument's unit."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    mean: float = Field(description="in its instrument's unit")
+    std: float = Field(description="in its instrument's unit")
+
+
+class Truth(Part):
+    """truth.json of an oracle: by objective."""
+
+    levels: dict[str, TrueLevel] = Field(description="by objective")
+
+
+FILES: dict[str, Any] = {
+    "collect": Collect,
+    "fit": Fit,
+    "finetune": Finetune,
+    "simulate": Simulate,
+    "gate": Gate,
+    "nearer": Nearer,
+    "test": Test,
+    "best": Best,
+    "confirm": Confirm,
+    "final": Final,
+    "summary": Summary,
+    "provenance": Provenance,
+    "truth": Truth,
+}
+"""Stage -> what its file must hold."""
+
+
+def read_stage(path: Path) -> Any:
+    """The JSON of a finished stage, as it lies there. Raises RunError, one line, for a file that is missing, that is no
+    JSON, or that lacks what a run needs of it."""
+    found = read_json(path)
+    if path.stem in FILES:
+        try:
+            TypeAdapter(FILES[path.stem]).validate_python(found)
+        except ValidationError as error:
+            raise damaged(path, explain(error, Part).rstrip(".")) from error
+    return found

@@ -1,0 +1,133 @@
+"""`hts evaluate`: what it refuses before anything is walked, and what a world that has to wait is told to say."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hts.config_loading import dump_config, load_config, read_config
+from hts.contracts import World
+from hts.errors import ConfigError, HtsError
+from hts.evaluation.evaluate import command_of, evaluate_run, policy_file
+from hts.plugins import Entry, Registry
+from hts.testing.examples.robot.robot import Tiny
+from hts.testing.made_up_recordings import CostObjective
+
+
+class Asked(HtsError):
+    """The world was asked for the head-to-head."""
+
+
+class Asking(World):
+    """Ends where it is asked, with what it knows then."""
+
+    name = "asking"
+
+    def __init__(self, context) -> None:
+        self.context = context
+
+    def idle(self):
+        return {"cost": 0.0}
+
+    def collect(self, policies, schedule):
+        return []
+
+    def hold_speed(self, hold):
+        return True
+
+    def head_to_head(self, policy, reference, speeds):
+        raise Asked(list(speeds), self.context.command)
+
+
+@pytest.fixture
+def registry() -> Registry:
+    return Registry(
+        objectives={"cost": Entry("cost", lambda settings: CostObjective(), "tests")},
+        robots={"example": Entry("example", lambda settings: Tiny(), "tests")},
+        worlds={"asking": Entry("asking", lambda settings, context: Asking(context), "tests")},
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return made(tmp_path / "my run", "evaluation.hold_speed=false")
+
+
+def made(folder: Path, *overrides: str) -> Path:
+    config = load_config(preset="quick", objectives=["cost"], robot="example", world="asking", overrides=overrides)
+    (folder / "policies").mkdir(parents=True)
+    (folder / "config.yaml").write_text(dump_config(config))
+    for name in ("best", "pretrained"):
+        (folder / "policies" / f"{name}.onnx").write_bytes(b"")
+    return folder
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf, "a", True, None])
+def test_a_speed_that_is_no_finite_number_is_refused(folder, registry, speed):
+    with pytest.raises(ConfigError, match=r"^--speed: expected a finite number, found ") as caught:
+        evaluate_run(folder, speeds=[0.8, speed], registry=registry)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0])
+def test_so_is_one_at_which_nobody_walks_ahead(folder, registry, speed):
+    with pytest.raises(ConfigError, match=rf"^--speed: expected a number greater than 0, found {speed:g}\.$"):
+        evaluate_run(folder, speeds=[speed], registry=registry)
+
+
+@pytest.mark.parametrize("speeds", ["0.8", 0.8])
+def test_speeds_are_a_list(folder, registry, speeds):
+    with pytest.raises(ConfigError, match="^--speed: expected a list of numbers, found "):
+        evaluate_run(folder, speeds=speeds, registry=registry)
+
+
+def test_a_speed_that_cannot_be_held_is_refused_as_in_a_run(tmp_path, registry):
+    held = made(tmp_path / "held", "evaluation.hold_speed=true")
+    low, high = read_config(held / "config.yaml").finetune.env.commands.vx
+    with pytest.raises(
+        ConfigError, match=f"^--speed: 25 m/s cannot be held with commands from {low:g} to {high:g} m/s"
+    ):
+        evaluate_run(held, speeds=[0.8, 25.0], registry=registry)
+
+
+def test_a_speed_may_be_a_number_of_numpy(folder, registry):
+    with pytest.raises(Asked) as caught:
+        evaluate_run(folder, speeds=[np.float32(0.5), 1], registry=registry)
+    assert caught.value.args[0] == [0.5, 1]
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63])
+def test_a_seed_that_no_generator_takes_is_refused(folder, registry, seed):
+    with pytest.raises(ConfigError, match=rf"^--seed: expected a whole number from 0 .*, found {seed}\.$"):
+        evaluate_run(folder, speeds=[0.8], seed=seed, registry=registry)
+
+
+def test_a_world_is_told_the_whole_command_that_asks_again(folder, registry):
+    with pytest.raises(Asked) as caught:
+        evaluate_run(folder, [0.5, 0.85], "pretrained", "asking", seed=3, registry=registry)
+    typed = ["hts", "evaluate", str(folder), "--speed", "0.5", "--speed", "0.85"]
+    typed += ["--policy", "pretrained", "--world", "asking", "--seed", "3"]
+    assert shlex.split(caught.value.args[1]) == typed
+    assert f"'{folder}'" in caught.value.args[1]  # its name has a blank
+
+
+def test_what_was_left_out_stays_left_out():
+    assert command_of(Path("r1"), (), "best", None, None, None) == "hts evaluate r1"
+    assert command_of(Path("r1"), (), None, "field", 0, 4) == "hts evaluate r1 --world field --seed 0 --sessions 4"
+
+
+def test_what_the_gate_found_goes_with_parameters_that_are_exported(folder, monkeypatch):
+    monkeypatch.setattr("hts.policies.export.to_onnx", lambda policy, to: to)
+    monkeypatch.setattr("hts.policies.files.load_policy", lambda path: path)
+    parameters = folder / "00-00.safetensors"
+    parameters.write_bytes(b"")
+    parameters.with_suffix(".gate.json").write_text('{"passed": false}')
+    beside = policy_file(folder, parameters).with_suffix(".gate.json")
+    assert beside.parent == folder / "evaluation" and beside.read_text() == '{"passed": false}'
+    parameters.with_suffix(".gate.json").unlink()
+    policy_file(folder, parameters)
+    assert not beside.exists()  # nor does that of another one stay

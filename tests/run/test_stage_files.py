@@ -1,0 +1,131 @@
+"""Files of finished stages that are JSON and yet not what the stage wrote: one line that names them, nothing spent."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hts import api
+from hts.errors import RunError
+from hts.run.stage_files import FILES, Collect, Test, read_stage
+
+FIRST = "iterations/00"
+STAGES = [
+    "collect",
+    *(f"{FIRST}/{stage}" for stage in ("fit", "finetune", "simulate", "gate", "test")),
+    "final",
+    "summary",
+]
+
+
+def changed(folder: Path, stage: str, change) -> Path:
+    """The stage's file with what change(its content) gives."""
+    path = folder / f"{stage}.json"
+    path.write_text(json.dumps(change(json.loads(path.read_text()))))
+    return path
+
+
+def without(folder: Path, *stages: str) -> None:
+    for stage in stages:
+        (folder / f"{stage}.json").unlink()
+
+
+def refused(folder: Path, path: Path, said: str) -> None:
+    with pytest.raises(RunError, match=rf"^{path}: damaged \(.*{said}.*\)\. .* Delete it and resume: ") as caught:
+        api.resume(folder)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("content", [{}, [], 3, None])
+def test_a_file_that_holds_something_else_is_refused(broken_run, stage, content):
+    refused(broken_run, changed(broken_run, stage, lambda _: content), "")
+
+
+@pytest.mark.parametrize(
+    ("stage", "key"), [(FIRST + "/test", "best"), (FIRST + "/gate", "elites"), ("collect", "recordings")]
+)
+def test_a_key_that_is_missing_is_named(broken_run, stage, key):
+    path = changed(broken_run, stage, lambda found: {name: one for name, one in found.items() if name != key})
+    refused(broken_run, path, f"{key}: this key is needed and missing")
+
+
+def test_a_key_of_another_type_is_named(broken_run):
+    path = changed(broken_run, "collect", lambda found: {**found, "samples": "many"})
+    refused(broken_run, path, "samples: expected a whole number, found 'many'")
+
+
+@pytest.mark.parametrize("last", ["simulate", "gate", "test", "all"])
+def test_a_changed_candidate_is_laid_to_the_file_that_is_at_fault(broken_run, last):
+    after = STAGES[STAGES.index(f"{FIRST}/{last}") + 1 :] if last != "all" else []
+    without(broken_run, *after)
+
+    def renamed(found):
+        found["candidates"][1]["id"] = "00-07"
+        return found
+
+    path = changed(broken_run, f"{FIRST}/finetune", renamed)
+    refused(broken_run, path, "its candidates are 00-07, expected those of simulate.json: 00-00, 00-01")
+
+
+def test_candidates_that_were_not_judged_are_laid_to_the_file_that_judged_them(broken_run):
+    def forgotten(found):
+        for key in ("scores", "falls", "tracked"):
+            del found[key]["00-01"]
+        return found
+
+    refused(broken_run, changed(broken_run, f"{FIRST}/simulate", forgotten), "nothing about 00-01")
+
+
+@pytest.mark.parametrize(
+    ("stage", "change", "said"),
+    [
+        ("gate", {"elites": ["00-09"]}, "the gate let pass 00-09"),
+        ("gate", {"kept_out": {"00-09": "fell"}}, "the gate saw 00-09"),
+        ("test", {"elites": ["00-09"]}, "nothing about 00-09"),
+        ("test", {"results": {}}, "nothing about 00-0"),
+        ("test", {"best_so_far": "00-09"}, "the best so far is 00-09"),
+        ("simulate", {"elites": ["00-09"]}, "its elites are 00-09"),
+    ],
+)
+def test_a_candidate_that_nobody_knows_is_named(broken_run, stage, change, said):
+    refused(broken_run, changed(broken_run, f"{FIRST}/{stage}", lambda found: {**found, **change}), said)
+
+
+def test_what_an_earlier_version_did_not_write_is_missed_only_where_it_is_needed(small_run, broken_run):
+    added = ("predicted", "task_rewards", "trials")
+
+    def earlier(found):
+        return {key: one for key, one in found.items() if key not in added}
+
+    path = changed(broken_run, f"{FIRST}/simulate", earlier)
+    assert api.resume(broken_run) == broken_run
+    without(broken_run, f"{FIRST}/gate", f"{FIRST}/test", "final", "summary")
+    refused(broken_run, path, "nothing about predicted, task_rewards, trials")
+
+
+def test_a_report_is_not_made_of_a_summary_that_says_nothing(broken_run):
+    from hts.report import write_report
+
+    path = changed(broken_run, "summary", lambda _: {})
+    before = (broken_run / "report.html").read_bytes()
+    with pytest.raises(RunError, match=rf"^{path}: damaged \(objectives: .* `hts resume {broken_run}`: it is written"):
+        write_report(broken_run)
+    assert (broken_run / "report.html").read_bytes() == before
+    without(broken_run, "summary")
+    api.resume(broken_run)
+    write_report(broken_run)
+
+
+def test_every_file_of_a_finished_run_passes(small_run):
+    read = [path for path in small_run.folder.rglob("*.json") if path.stem in FILES and "policies" not in path.parts]
+    assert len(read) >= 8
+    for path in read:
+        assert read_stage(path) == json.loads(path.read_text())
+
+
+def test_a_key_that_a_later_version_adds_is_let_alone():
+    Collect.model_validate({"recordings": [], "samples": 0, "later": 1})
+    assert "later" not in Test.model_fields
