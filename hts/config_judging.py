@@ -97,8 +97,8 @@ class SelectionConfig(Config):
         None,
         ge=0,
         le=1,
-        description="what such a second trial asks in the place of `min_valid`; null: the same. One trial asks for more "
-        "than the final because the next may go worse; the second is the next",
+        description="what such a second trial asks in the place of `min_valid`; null: the same. One trial asks for "
+        "more than the final because the next may go worse; the second is the next",
     )
 
     def steady_share(self, before: int) -> tuple[float | None, str]:
