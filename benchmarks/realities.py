@@ -130,7 +130,8 @@ def _made(
 def chosen_groups(given: argparse.Namespace) -> list[Group]:
     """What the options of `table` and `figures` choose."""
     lines = read_lines(files_of(given.lines or [LINES]))
-    return groups_of(lines, given.preset, given.methods.split(",") if given.methods else None, given.objective)
+    methods, as_one = ([] if one is None else one.split(",") for one in (given.methods, given.as_one))
+    return groups_of(lines, given.preset, methods or None, given.objective, as_one)
 
 
 def table(given: argparse.Namespace) -> int:
@@ -276,6 +277,7 @@ def parser() -> argparse.ArgumentParser:
     reading.add_argument("--lines", type=Path, action="append", help="files or folders (default: docs/results/lines)")
     reading.add_argument("--preset", help="of the lines, where they have several")
     reading.add_argument("--methods", help="names with commas, in the order to be shown (default: all)")
+    reading.add_argument("--as-one", help="methods, with commas, whose versions do the same and count as one")
     reading.add_argument("--objective", help="default: the lines' first")
 
     one = commands.add_parser("table", parents=[reading], help="tables as markdown")

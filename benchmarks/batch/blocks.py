@@ -41,7 +41,10 @@ NUMBER = {
     "docs/results-earlier.md": WITH_DECIMALS,
 }
 """What counts as a number of a result in the pages that are watched: in all but the first, any with decimals."""
-KEYS = {"lines", "preset", "methods", "realities", "objective", "against", "method", "statistic", "speed", "metric"}
+KEYS = {
+    *("lines", "preset", "methods", "as-one", "realities", "objective", "against"),
+    *("method", "statistic", "speed", "metric"),
+}
 STATISTICS = {"median": quantile(0.5), "mean": mean, "5th-percentile": quantile(0.05), "lowest": quantile(0.0)}
 COUNTS = ("falls", "refused", "runs", "realities", "real-samples")
 
@@ -113,6 +116,7 @@ def _made(what: str, folder: Path) -> str:
             given.get("preset"),
             given["methods"].split(",") if "methods" in given else None,
             given.get("objective"),
+            given["as-one"].split(",") if "as-one" in given else (),
         )
         if name == "gap":
             return gap_table(

@@ -150,12 +150,17 @@ def _quantity(figures: Figures, metric: str | None) -> float:
 
 
 def groups_of(
-    lines: Iterable[Line], preset: str | None = None, methods: Sequence[str] | None = None, objective: str | None = None
+    lines: Iterable[Line],
+    preset: str | None = None,
+    methods: Sequence[str] | None = None,
+    objective: str | None = None,
+    as_one: Collection[str] = (),
 ) -> list[Group]:
     """Groups in the order of `methods`, else of the lines. Raises EvaluationError where nothing is left, or where one
     group holds several presets or one run twice: those are not to be averaged.
 
-    Versions of a method (other options, another commit) are groups of their own: `ours@1a2b3c4`, commit or options.
+    Versions of a method (other options, another commit) are groups of their own: `ours@1a2b3c4`, commit or options;
+    but for the methods of `as_one`, whose versions the caller knows to do the same.
     """
     wanted = [
         line
@@ -188,9 +193,19 @@ def groups_of(
     unit = next(
         (line.result.objectives[name].unit for line in wanted if line.result and name in line.result.objectives), "1"
     )
+    for one in as_one:
+        if one not in {line.method for line in wanted}:
+            raise EvaluationError(unknown_name("method in these lines", one, sorted({line.method for line in wanted})))
     parted: dict[tuple[str, str, str], list[Line]] = {}
     for line in wanted:
-        parted.setdefault((line.method, line.method_hash, line.commit), []).append(line)
+        version = ("", "") if line.method in as_one else (line.method_hash, line.commit)
+        rows = parted.setdefault((line.method, *version), [])
+        if line.method in as_one and any((one.reality, one.seed) == (line.reality, line.seed) for one in rows):
+            raise EvaluationError(
+                f"{line.method} has two runs on {line.reality} at seed {line.seed}, of different versions, so they are "
+                "not one. Leave one of the files of lines out."
+            )
+        rows.append(line)
     found = [
         Group(_name(key, list(parted)), name, unit, tuple(sorted(rows, key=lambda line: (line.reality, line.seed))))
         for key, rows in parted.items()

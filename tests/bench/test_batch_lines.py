@@ -333,6 +333,22 @@ def test_a_block_may_keep_to_some_realities(tmp_path):
         blocks.written("<!-- results: methods lines=a.jsonl realities=a,c --><!-- end -->", tmp_path)
 
 
+def test_versions_that_do_the_same_may_count_as_one(tmp_path):
+    older = line(reality="a", key="1", seed=0, saved=(0.1, 0.1, 0.1))
+    newer = line(reality="a", key="2", seed=1, saved=(0.3, 0.3, 0.3), commit="d" * 40)
+    (tmp_path / "a.jsonl").write_text("".join(one.model_dump_json() + "\n" for one in (older, newer)))
+    asked = "<!-- results: value lines=a.jsonl statistic=mean{} --><!-- end -->"
+    with pytest.raises(EvaluationError, match="No method in these lines named 'ours'"):
+        blocks.written(asked.format(""), tmp_path)
+    assert "-->20.0 %<!--" in blocks.written(asked.format(" as-one=ours"), tmp_path)
+    with pytest.raises(EvaluationError, match="No method in these lines named 'our'. Did you mean"):
+        blocks.written(asked.format(" as-one=our"), tmp_path)
+    again = newer.model_copy(update={"seed": 0})
+    (tmp_path / "a.jsonl").write_text("".join(one.model_dump_json() + "\n" for one in (older, again)))
+    with pytest.raises(EvaluationError, match="ours has two runs on a at seed 0, of different versions"):
+        blocks.written(asked.format(" as-one=ours"), tmp_path)
+
+
 def test_a_number_outside_of_blocks_is_seen_unless_it_stood_there_before():
     text = "Saves 15.6 % and 3 dB(A). <!-- results: value lines=a.jsonl -->20.0 %<!-- end --> | 7.25 |"
     assert blocks.strangers("README.md", text, {}) == ["15.6", "3"]
