@@ -39,7 +39,9 @@ class RandomisationConfig(Config):
     delay_share: tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]] | None = Field(
         None, description="the same as shares of a control step, whatever the robot's physics step; null: `delay_steps`"
     )
-    models: int = Field(32, ge=1, description="size of the pool of randomised models that worlds share, on either engine")
+    models: int = Field(
+        32, ge=1, description="size of the pool of randomised models that worlds share, on either engine"
+    )
 
     @field_validator("friction", "strength", "joint_friction")
     @classmethod
