@@ -93,20 +93,6 @@ class SelectionConfig(Config):
         description="so many of the best of all iterations are tried once more before the final, at the speeds in "
         "reverse order, and the best over both trials goes to it; 0, or a single speed: the best of one trial does",
     )
-    confirm_min_valid: float | None = Field(
-        None,
-        ge=0,
-        le=1,
-        description="what such a second trial asks in the place of `min_valid`; null: the same. One trial asks for "
-        "more than the final because the next may go worse; the second is the next",
-    )
-
-    def steady_share(self, before: int) -> tuple[float | None, str]:
-        """Share of valid segments that a trial asks of an elite that had so many before (None: no more than the final
-        asks of both policies), and the key that says so."""
-        if before > 0 and self.confirm_min_valid is not None:
-            return self.confirm_min_valid, "selection.confirm_min_valid"
-        return self.min_valid, "selection.min_valid"
 
     @property
     def tested_speeds(self) -> tuple[float, ...]:

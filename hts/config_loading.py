@@ -155,6 +155,8 @@ def section_of(model: type[Section], values: Mapping[str, Any], origin: Callable
 def read_config(file: Path) -> RunConfig:
     """A resolved configuration, as `dump_config` wrote it; presets are not looked at. Raises ConfigError, which says
     how to get the file back: nobody writes it by hand."""
+    if not file.exists():
+        return section_of(RunConfig, load_mapping_file(file), str)
     try:
         return section_of(RunConfig, load_mapping_file(file), lambda location: f"{file}: {dotted(location)}")
     except ConfigError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,11 +61,12 @@ def evaluate_run(
     config = read_config(folder / "config.yaml")
     registry = registry or load()
     task = registry.make_robot(config.robot.name, config.robot.settings).task()
-    if speeds is not None and (isinstance(speeds, str) or not isinstance(speeds, Sequence)):
+    if isinstance(speeds, str) or not isinstance(speeds, Iterable | None):
         raise ConfigError(f"--speed: expected a list of numbers, found {speeds!r}.")
-    task.check(speeds or (), "--speed")
-    command = command_of(folder, speeds or (), policy, world, seed, sessions)
-    speeds, given = tuple(speeds or config.evaluation.speeds), tuple(speeds or ())
+    given = () if speeds is None else tuple(speeds)
+    task.check(given, "--speed")
+    command = command_of(folder, given, policy, world, seed, sessions)
+    speeds = given or tuple(config.evaluation.speeds)
     seed = config.seed if seed is None else seed
     if not 0 <= seed < SEEDS:
         raise ConfigError(f"--seed: expected a whole number from 0 to {SEEDS - 1}, found {seed}.")

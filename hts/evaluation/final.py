@@ -195,13 +195,12 @@ def candidate_result(
     seed: int = 0,
     task: Task = VELOCITY,
     min_valid: float | None = None,
-    asked_by: str = "selection.min_valid",
 ) -> CandidateResult:
     """Compare a candidate on every objective. A candidate that cannot walk is a result, not a failure of the run.
 
     The selector gets the mean over the speeds; who is refused at one speed is refused, and so is who met a reference
     that has too few valid segments itself (`reference`: what follows is the caller's to say). min_valid: share of valid
-    segments that is asked of the candidate, where more than `config` asks of both; asked_by: the key that says so.
+    segments that is asked of the candidate, where more than `config` asks of both.
     """
     entry: dict[str, Any] = {}
     comparisons = {}
@@ -217,7 +216,7 @@ def candidate_result(
             return CandidateResult(None, None, why, None, fallen, few)
         for speed, result in results.items():
             if min_valid is not None and result.valid < min_valid:
-                why = unsteady(candidate, speed, result.policy_segments, min_valid, task, asked_by)
+                why = unsteady(candidate, speed, result.policy_segments, min_valid, task)
                 own = refusal(result.policy_segments, speed)
                 return CandidateResult(None, None, why, own, falls_by_speed(recordings, task))
         entry[name] = {
@@ -234,11 +233,11 @@ def falls_by_speed(recordings: Sequence[Recording], task: Task) -> dict[str, int
     return {key: count for key, count in counts.items() if count}
 
 
-def unsteady(candidate: str, speed: float, segments: Segments, min_valid: float, task: Task, asked_by: str) -> str:
+def unsteady(candidate: str, speed: float, segments: Segments, min_valid: float, task: Task) -> str:
     """Why a candidate that could be compared is refused all the same, in one line."""
     return (
         f"{candidate}: Head-to-head{task.at(speed)}: {len(segments)} of {segments.total} segments of the policy are "
-        f"valid, enough for a figure, but a trial asks for {min_valid:.0%} of them ({asked_by}), since the "
+        f"valid, enough for a figure, but a trial asks for {min_valid:.0%} of them (selection.min_valid), since the "
         "next one may go worse."
     )
 

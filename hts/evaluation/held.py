@@ -75,11 +75,12 @@ def check_hold(config: RunConfig) -> None:
 def check_held(where: str, speeds: Sequence[float], hold: HoldSpeed) -> None:
     """Raise ConfigError for a speed, m/s, that lies outside the commands that may be sent. where: it was asked for."""
     low, high = hold.commands
+    widen = "" if where.startswith("--") else ", or widen finetune.env.commands.vx"  # a run that is over is trained
     for speed in speeds:
         if not low < speed < high:
             raise ConfigError(
                 f"{where}: {speed:g} m/s cannot be held with commands from {low:g} to {high:g} m/s, the range that "
-                "is trained. Ask for a speed inside, or widen finetune.env.commands.vx."
+                f"is trained. Ask for a speed inside{widen}."
             )
 
 

@@ -1,7 +1,8 @@
 """Whether the files of a run's stages belong together: each names candidates that the stages before it know.
 
 One file may be whole by itself (`hts.run.stage_files`) and yet not be of this run, as after somebody edited it or put
-back an older one. The file that is at fault is named as a damaged one is.
+back another one: then it names candidates that no other file knows, or a gate's result is of another policy of that
+name. The file that is at fault is named as a damaged one is.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def check_iteration(job: Job, iteration: int) -> None:
     Its candidates are trained and judged."""
     folder = f"iterations/{iteration:02d}"
     rows, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
-    known = {row["id"] for row in rows}
+    known = {row["id"]: str(row["policy_hash"]) for row in rows}
     _check_judged(job, folder, known, simulated)
     tested = _path(job, f"{folder}/test")
     if not tested.exists():  # else nobody reads them any more, and a run of before has not all of them
@@ -44,7 +45,7 @@ def check_iteration(job: Job, iteration: int) -> None:
     nearer = _path(job, f"{folder}/nearer")
     if nearer.exists():
         found = job.read(f"{folder}/nearer")
-        closer = {row["id"] for row in found["candidates"]}
+        closer = {row["id"]: str(row["policy_hash"]) for row in found["candidates"]}
         _check_has(nearer, closer, found["simulate"]["scores"])
         _check(nearer, "it judged", found["simulate"]["scores"], closer, "its candidates")
         _check_gate(nearer, found["gate"], closer)
@@ -80,10 +81,13 @@ def _check_judged(job: Job, folder: str, known: Collection[str], simulated: Mapp
     _check(judged, "its elites are", simulated["elites"], known, "candidates of finetune.json")
 
 
-def _check_gate(path: Path, gate: Mapping[str, Any], known: Collection[str]) -> None:
-    """Whom the gate saw, kept out or let pass."""
+def _check_gate(path: Path, gate: Mapping[str, Any], known: Mapping[str, str]) -> None:
+    """Whom the gate saw, kept out or let pass. known: id -> hash; results of before the gate kept it have none."""
     _check(path, "the gate saw", [*gate["policies"], *gate["kept_out"], *gate["proposed"]], known, "its candidates")
     _check(path, "the gate let pass", gate["elites"], gate["policies"], "those that it saw")
+    for name, row in gate["policies"].items():
+        if row.get("policy_hash", known[name]) != known[name]:
+            raise damaged(path, f"the gate saw another {name}, {row['policy_hash'][:12]}, expected {known[name][:12]}")
 
 
 def _tested(job: Job, iterations: int) -> set[str]:

@@ -105,8 +105,7 @@ def whole(
     of = dict(zip(elites, _head_to_heads(job, elites, speeds), strict=True))
     vain = _again(job, of, spent, before)
     recorded = [recording for session in of.values() for recording in session] + vain
-    results = {elite: _result(job, elite, recordings, before) for elite, recordings in of.items()}
-    tests = Tests(of, recorded, results)
+    tests = Tests(of, recorded, {elite: _result(job, elite, recordings) for elite, recordings in of.items()})
     check_reference(tests, job.world, job.stages.progress.say)
     return tests
 
@@ -148,7 +147,7 @@ def _again(job: Job, of: dict[str, list[Recording]], spent: int, before: int = 0
         return []
     hold = replace(job.hold, again=before * selection.trims_again)
     config, task, objective = _evaluation(job), job.robot.task(), next(iter(job.objectives.values()))
-    asked = config.model_copy(update={"min_valid": max(config.min_valid, selection.steady_share(before)[0] or 0.0)})
+    asked = config.model_copy(update={"min_valid": max(config.min_valid, selection.min_valid or 0.0)})
     spent += sum(map(samples_of, of.values()))
     vain: list[Recording] = []
     for elite, session in of.items():
@@ -238,10 +237,10 @@ def race(
     return tests
 
 
-def _result(job: Job, elite: str, recordings: Sequence[Recording], before: int = 0) -> CandidateResult:
+def _result(job: Job, elite: str, recordings: Sequence[Recording]) -> CandidateResult:
     seed, task = job.seed("interval", elite), job.robot.task()
-    steady = job.config.selection.steady_share(before)
-    found = candidate_result(elite, job.objectives, recordings, _evaluation(job), seed, task, *steady)
+    steady = job.config.selection.min_valid
+    found = candidate_result(elite, job.objectives, recordings, _evaluation(job), seed, task, steady)
     if found.tested is None:
         return found
     return replace(found, tested=replace(found.tested, made=_made(job, elite)))

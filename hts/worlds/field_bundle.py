@@ -139,10 +139,11 @@ def _watch(first: Mapping[str, float], task: Task) -> str:
     return f"""\
 ## Before a policy {"walks" if walks else "moves"} for the first time on this machine
 
-Hang the robot or keep a hand on its handle. {"Walk" if walks else "Run"} each new policy for {first["seconds"]:g} s at
+Hang the robot, or lay it down with its limbs folded and keep a hand on it: its motors may idle at first, and drop one
+that stands. {"Walk" if walks else "Run"} each new policy for {first["seconds"]:g} s at
 {first["speed_scale"]:.0%} of the {"speed" if walks else "set-point"} with the torque limited to
 {first["torque_scale"]:.0%}, record nothing, and look whether it {"walks" if walks else "moves"} as in simulation.
-`manifest.json` says under `gate` whether it was tried over many simulated machines; null: it was not.
+`manifest.json` says under `gate` whether it was tried over many simulated machines (null: it was not) and `passed`.
 
 ## What to watch
 

@@ -6,11 +6,9 @@ import json
 
 import pytest
 
-from hts.config_judging import SelectionConfig
 from hts.contracts import Comparison, TestedCandidate
 from hts.errors import ConfigError
 from hts.report.outcome import closing, second_trial
-from hts.run import testing_elites
 from hts.run.confirming import over_both, ranked, winner
 from hts.run.judging import same_policies
 from hts.selection.hierarchical import Hierarchical, HierarchicalSettings
@@ -153,28 +151,3 @@ def test_a_single_speed_has_no_second_order(tmp_path):
     with kit_installed():
         run = tiny_run(tmp_path / "run", settings={**TWICE, "selection.speeds": []})
     assert run.summary["confirmation"]["tried"] == []
-
-
-def test_a_second_trial_may_ask_for_less_than_the_first(tmp_path, monkeypatch):
-    asked = []
-    plain = testing_elites.candidate_result
-
-    def result(elite, objectives, recordings, config, seed, task, share, key):
-        asked.append((share, key))
-        return plain(elite, objectives, recordings, config, seed, task, share, key)
-
-    monkeypatch.setattr(testing_elites, "candidate_result", result)
-    shares = {"selection.min_valid": 0.6, "selection.confirm_min_valid": 0.5}
-    with kit_installed():
-        tiny_run(tmp_path / "run", settings=TWICE | shares)
-    assert json.loads((tmp_path / "run/confirm.json").read_text())["tried"]
-    assert asked == [(0.6, "selection.min_valid")] * 4 + [(0.5, "selection.confirm_min_valid")] * 2
-
-
-@pytest.mark.parametrize(
-    ("second", "asked"), [(None, (0.6, "selection.min_valid")), (0.0, (0.0, "selection.confirm_min_valid"))]
-)
-def test_a_second_trial_asks_the_same_where_nothing_else_is_said(second, asked):
-    config = SelectionConfig(min_valid=0.6, confirm_min_valid=second)
-    assert config.steady_share(0) == (0.6, "selection.min_valid")
-    assert config.steady_share(1) == asked

@@ -94,6 +94,19 @@ def test_a_candidate_that_nobody_knows_is_named(broken_run, stage, change, said)
     refused(broken_run, changed(broken_run, f"{FIRST}/{stage}", lambda found: {**found, **change}), said)
 
 
+def test_a_gate_that_saw_another_policy_of_that_name_is_named(broken_run):
+    def another(found):
+        first = next(iter(found["policies"]))
+        return {
+            **found,
+            "policies": {**found["policies"], first: {**found["policies"][first], "policy_hash": "0" * 64}},
+        }
+
+    refused(
+        broken_run, changed(broken_run, f"{FIRST}/gate", another), "the gate saw another 00-0., 000000000000, expected"
+    )
+
+
 def test_what_an_earlier_version_did_not_write_is_missed_only_where_it_is_needed(small_run, broken_run):
     added = ("predicted", "task_rewards", "trials")
 
