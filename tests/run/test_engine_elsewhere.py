@@ -67,9 +67,10 @@ def test_a_second_look_that_is_still_to_be_taken_simulates(finished, tmp_path):
     )
     last = tmp_path / "iterations/00"
     last.mkdir(parents=True)
-    (last / "gate.json").write_text(json.dumps({"strict": True, "elites": ["00-00"]}))
+    whole = json.loads((finished.folder / "iterations/00/gate.json").read_text())
+    (last / "gate.json").write_text(json.dumps(whole | {"strict": True, "elites": ["00-00"]}))
     assert not simulates_yet(config, tmp_path)
-    (last / "gate.json").write_text(json.dumps({"strict": True, "elites": []}))
+    (last / "gate.json").write_text(json.dumps(whole | {"strict": True, "elites": []}))
     assert simulates_yet(config, tmp_path)
     (last / "nearer.json").write_text("{}")
     assert not simulates_yet(config, tmp_path)
