@@ -315,6 +315,9 @@ def test_who_fell_while_being_judged_is_not_tried(tmp_path, monkeypatch):
     result = json.loads((tmp_path / "run/iterations/00/gate.json").read_text())
     assert result["elites"] == ["00-02"]
     assert result["kept_out"]["00-00"] == "fell while being judged, in 1 env instance"
+    note = json.loads((tmp_path / "run/iterations/00/candidates/00-00.gate.json").read_text())
+    assert note["passed"] is False and note["failed"] == ["falls"]
+    assert note["refused"] == "00-00: fell while being judged, in 1 env instance"
 
 
 def test_a_simulated_world_tries_who_fails_and_says_what_a_machine_would_not_get(tmp_path, monkeypatch, capsys):
