@@ -78,8 +78,8 @@ def tried(
     for row in candidates:  # whoever asks for one of these later is told what was known before the gate looked
         name, stopped = row["id"], row["stopped"] is not None
         if name not in rows and (stopped or simulated["falls"][name]):
-            said = {"failed": ["training stopped" if stopped else "falls"], "refused": f"{name}: {kept_out[name]}"}
-            job.note_gate(name, {"instances": 0, "passed": False, **said})
+            known = {"failed": ["training stopped" if stopped else "falls"], "refused": f"{name}: {kept_out[name]}"}
+            job.note_gate(name, {"instances": 0, "passed": False, **known})
     return {
         "format": FORMAT,
         "checks": list(trials.checks),
