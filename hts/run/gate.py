@@ -75,8 +75,8 @@ def tried(
     settings = job.config.gate
     for name, row in rows.items():
         job.note_gate(name, {"instances": trials.instances, "set_points": list(trials.set_points), **row})
-    for row in candidates:  # whoever asks for one of these later is told what was known before the gate looked
-        name, stopped = row["id"], row["stopped"] is not None
+    for candidate in candidates:  # whoever asks for one of these later is told what was known before the gate looked
+        name, stopped = candidate["id"], candidate["stopped"] is not None
         if name not in rows and (stopped or simulated["falls"][name]):
             known = {"failed": ["training stopped" if stopped else "falls"], "refused": f"{name}: {kept_out[name]}"}
             job.note_gate(name, {"instances": 0, "passed": False, **known})
