@@ -283,9 +283,16 @@ def test_weights_that_leave_nothing_to_learn_from_are_refused():
     assert config("calm", "cheap", overrides=["sweep.weights.calm=[0]"]).sweep.weights == {"calm": (0.0,)}
 
 
-@pytest.mark.parametrize("value", ["-1", ".nan", ".inf"])
-def test_a_weight_is_a_number_of_at_least_zero(value):
-    with pytest.raises(ConfigError, match="is not a number of at least 0|weights.calm.0: expected a finite number"):
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("-1", "is not a number of at least 0"),
+        (".nan", "weights.calm.0: expected a finite number"),
+        (".inf", "weights.calm.0: expected a finite number"),
+    ],
+)
+def test_a_weight_is_a_number_of_at_least_zero(value, said):
+    with pytest.raises(ConfigError, match=said):
         config("calm", overrides=[f"sweep.weights.calm=[{value}]"])
 
 
