@@ -14,11 +14,21 @@ def _no_nan(found: float) -> float:
     return found
 
 
+def _in_order(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError("expected two numbers, the smaller one first")
+    return ends
+
+
 SEEDS = 2**63
 """Seeds are whole numbers from 0 to below this: what random generators and their states hold."""
 
 MayBeEndless = Annotated[float, AllowInfNan(True), AfterValidator(_no_nan)]
 """A number that may be infinite (.inf), where that has a meaning of its own, such as no bound; never NaN."""
+
+
+Range = Annotated[tuple[float, float], AfterValidator(_in_order)]
+"""(low, high) of a uniform distribution; both may be one number, which is then what everyone gets."""
 
 
 class Config(BaseModel):

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, NonNegativeFloat, field_validator
 
-from hts.config_base import SEEDS, Config
+from hts.config_base import SEEDS, Config, Range
 
 Pulls = NonNegativeFloat | tuple[NonNegativeFloat, ...]
 
@@ -20,12 +20,12 @@ class RandomisationConfig(Config):
     """What differs between env instances; (low, high) of a uniform distribution."""
 
     enabled: bool = Field(True, description="false: every world is the nominal one")
-    friction: tuple[float, float] = Field((0.4, 1.2), description="sliding friction of the floor, 1")
-    added_mass: tuple[float, float] = Field((-1.0, 2.0), description="added to the trunk, kg")
-    com_shift: tuple[float, float] = Field((-0.02, 0.02), description="of the trunk's centre of mass, each axis, m")
-    strength: tuple[float, float] = Field((0.9, 1.1), description="factor on kp and kd, 1")
-    joint_friction: tuple[float, float] = Field((0.7, 2.5), description="factor on dry joint friction, 1")
-    joint_offset: tuple[float, float] = Field((-0.02, 0.02), description="encoder zero error, rad")
+    friction: Range = Field((0.4, 1.2), description="sliding friction of the floor, 1")
+    added_mass: Range = Field((-1.0, 2.0), description="added to the trunk, kg")
+    com_shift: Range = Field((-0.02, 0.02), description="of the trunk's centre of mass, each axis, m")
+    strength: Range = Field((0.9, 1.1), description="factor on kp and kd, 1")
+    joint_friction: Range = Field((0.7, 2.5), description="factor on dry joint friction, 1")
+    joint_offset: Range = Field((-0.02, 0.02), description="encoder zero error, rad")
     push_speed: float = Field(0.5, ge=0, description="horizontal push, a jump of the velocity up to this, m/s; 0: none")
     push_interval: float = Field(8.0, allow_inf_nan=True, gt=0, description="mean time between pushes, s")
     pull: Annotated[tuple[NonNegativeFloat, ...], BeforeValidator(_several, json_schema_input_type=Pulls)] = Field(
@@ -68,9 +68,9 @@ class RandomisationConfig(Config):
 class CommandConfig(Config):
     """What velocities are asked for in training; uniform ranges."""
 
-    vx: tuple[float, float] = Field((-1.5, 1.5), description="forward velocity, m/s")
-    vy: tuple[float, float] = Field((-0.5, 0.5), description="sideways velocity, m/s")
-    yaw_rate: tuple[float, float] = Field((-1.0, 1.0), description="limits of the yaw rate, rad/s")
+    vx: Range = Field((-1.5, 1.5), description="forward velocity, m/s")
+    vy: Range = Field((-0.5, 0.5), description="sideways velocity, m/s")
+    yaw_rate: Range = Field((-1.0, 1.0), description="limits of the yaw rate, rad/s")
     heading: bool = Field(True, description="yaw rate = clip(gain · heading error), as Rudin et al. 2022")
     heading_gain: float = Field(0.5, ge=0, description="rad/s per rad")
     resample_seconds: float = Field(10.0, allow_inf_nan=True, gt=0, description="a new command every so often, s")

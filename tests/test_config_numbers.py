@@ -81,6 +81,13 @@ def value_of(key: str) -> Any:
         ("finetune.env.commands.heading_gain=-1", "heading_gain: expected at least 0, found -1."),
         ("finetune.env.randomisation.friction=[-1, 1]", "friction: expected two numbers of at least 0, found [-1, 1]."),
         ("finetune.env.randomisation.strength=[-0.9, 1.1]", "strength: expected two numbers of at least 0"),
+        ("finetune.env.randomisation.com_shift=[0.1, -0.1]", "com_shift: expected two numbers, the smaller one first"),
+        (
+            "finetune.env.commands.vx=[1.5, -1.5]",
+            "commands.vx: expected two numbers, the smaller one first, found [1.5",
+        ),
+        ("gate.payload=[3.0, -1.0]", "gate.payload: expected two numbers, the smaller one first, found [3.0, -1.0]."),
+        ("gate.lost_packets=[0.0, .inf]", "gate.lost_packets.1: expected a finite number, found inf."),
         ("finetune.env.reward_weights.alive=.nan", "reward_weights.alive: expected a finite number, found nan."),
         ("sweep.kl_bounds=[.nan]", "--set sweep.kl_bounds.0: is not a number, found nan."),
         (
