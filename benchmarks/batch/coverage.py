@@ -261,7 +261,7 @@ def _evaluated(work: Work, objective: Objective, registry: plugins.Registry) -> 
             every_second=_every_second(one),
             occasions=alone.get(speed_key(speed), []),
             mean_speed=one.mean_speed,
-            reference_speed=float(one.reference_segments.speed.mean()),
+            reference_speed=one.reference_mean_speed,
             falls=one.falls,
         )
         for speed, one in results.items()

@@ -43,7 +43,7 @@ class Counted(Part):
     """Of a truth: what the pieces say that a head-to-head would count, and their share of all."""
 
     improvement: float
-    improvement_ci95: Interval
+    improvement_ci95: Interval | None
     valid: float
     reference_valid: float
 

@@ -1,7 +1,8 @@
 """Head-to-head: a policy against its reference on one machine, as one number with an interval.
 
 Blocks alternate in the order A-B-B-A: both policies then have the same mean time, so that anything that drifts
-evenly (charge, heat) adds the same to both means and cancels. In A-B-A-B the second always comes later.
+evenly (charge, heat) adds the same to both means and cancels. In A-B-A-B the second always comes later. Every block
+counts the same for that (`hts.evaluation.balance`), however many of its seconds are valid.
 """
 
 from __future__ import annotations
@@ -16,7 +17,17 @@ import numpy as np
 from hts.config import EvaluationConfig
 from hts.contracts import VELOCITY, Comparison, FollowVelocity, Objective, Task
 from hts.errors import EvaluationError, HtsError, PluginError
-from hts.evaluation.held import NAMES, Commanded, NotComparable, check_apart, check_range, commanded, refusal
+from hts.evaluation.balance import Balance
+from hts.evaluation.held import (
+    NAMES,
+    Commanded,
+    NotComparable,
+    check_apart,
+    check_range,
+    commanded,
+    mean_speeds,
+    refusal,
+)
 from hts.evaluation.segments import Segments, cut
 from hts.evaluation.sessions import interval_of
 
@@ -60,8 +71,8 @@ class HeadToHead:
     """A policy against its reference at one asked speed, or one set-point of another task.
 
     comparison: improvement, selection score and metrics by the objective; improvement_ci95: 95 % interval, over
-    sessions where there are several, None if a single segment leaves nothing to tell it from; metrics_ci95: the same
-    for each metric;
+    sessions where there are several, None if a single segment leaves nothing to tell it from, or if some draw cannot
+    be compared; metrics_ci95: the same for each metric;
     policy_segments, reference_segments: the valid ones; policy_scores, reference_scores: the objective's quantities
     per segment, each (S,); commanded: what was sent to both, and whether the speed was held; every_second: the same
     without the rule that a second must be near the asked speed, None of a task that is not to follow a velocity, or
@@ -93,7 +104,12 @@ class HeadToHead:
     @property
     def mean_speed(self) -> float:
         """Of the policy over its valid segments, m/s; of another task what was achieved, in its unit."""
-        return float(self.policy_segments.speed.mean())
+        return mean_speeds(self.policy_segments, self.reference_segments)[0]
+
+    @property
+    def reference_mean_speed(self) -> float:
+        """The same of the reference."""
+        return mean_speeds(self.policy_segments, self.reference_segments)[1]
 
     @property
     def valid(self) -> float:
@@ -118,7 +134,7 @@ class HeadToHead:
                 "segments": len(self.reference_segments),
                 "valid": self.reference_segments.valid,
                 "falls": self.reference_segments.falls,
-                "mean_speed": float(self.reference_segments.speed.mean()),
+                "mean_speed": self.reference_mean_speed,
                 "commanded": self.commanded.reference,
             },
         }
@@ -182,8 +198,7 @@ def _every_second(
             ci95 = every.interval(_improvement, config, seed)
     except (HtsError, ArithmeticError, ValueError):  # a second at no speed has no cost of transport, say
         return None
-    speeds = (float(every.segments[role].speed.mean()) for role in ROLES)
-    return EverySecond(found.improvement, ci95, *speeds)
+    return EverySecond(found.improvement, ci95, *mean_speeds(every.segments["policy"], every.segments["reference"]))
 
 
 def _improvement(comparison: Comparison) -> float:
@@ -230,8 +245,8 @@ class _Measured:
             ) from error
 
     def comparison(self) -> Comparison:
-        """Of the means over all valid segments."""
-        found = self.compared(*(_table(self.scores[role]).mean(axis=0) for role in ("policy", "reference")))
+        """Of the means over the valid segments, every block and every session counting the same."""
+        found = self.compared(*self._balance.means(*(_table(self.scores[role]) for role in ROLES)))
         _check_finite(self.objective, found)
         return found
 
@@ -239,10 +254,19 @@ class _Measured:
         self, number: Callable[[Comparison], float], config: EvaluationConfig, seed: int
     ) -> tuple[float, float] | None:
         """95 %, of a number of the comparison."""
-        policy, reference = ((self.segments[role], _table(self.scores[role])) for role in ROLES)
+        policy, reference = (_table(self.scores[role]) for role in ROLES)
         return interval_of(
-            lambda one, other: number(self.compared(one, other)), policy, reference, config.bootstrap, seed
+            lambda one, other: number(self.compared(one, other)),
+            self._balance,
+            policy,
+            reference,
+            config.bootstrap,
+            seed,
         )
+
+    @property
+    def _balance(self) -> Balance:
+        return Balance.of(*(self.segments[role] for role in ROLES))
 
 
 def _measure(

@@ -17,6 +17,7 @@ import numpy as np
 from hts.config import EvaluationConfig, RunConfig
 from hts.contracts import HoldSpeed, World
 from hts.errors import ConfigError, EvaluationError, RecordingError
+from hts.evaluation.balance import Balance
 from hts.evaluation.segments import Segments
 from hts.evaluation.sessions import interval_of
 
@@ -131,13 +132,14 @@ def check_apart(
 ) -> None:
     """Raise SpeedNotHeld if held speeds are apart.
 
-    Apart: the mean speeds over the valid segments differ by more than `config.held_tolerance` of the asked one, and by
-    more than chance explains (the 95 % interval of the difference does not hold zero): a short test cannot tell a
-    difference of 1 % from none, and a refusal must not be a throw of dice.
+    Apart: the mean speeds over the valid segments, every block counting the same, differ by more than
+    `config.held_tolerance` of the asked one, and by more than chance explains (the 95 % interval of the difference does
+    not hold zero): a short test cannot tell a difference of 1 % from none, and a refusal must not be a throw of dice.
     """
     if not sent.held:
         return
-    means = {role: float(segments[role].speed.mean()) for role in ("policy", "reference")}
+    found = mean_speeds(segments["policy"], segments["reference"])
+    means = dict(zip(("policy", "reference"), found, strict=True))
     apart = (means["policy"] - means["reference"]) / speed
     bounds = difference_interval(segments, speed, config.bootstrap, seed)
     if abs(apart) <= config.held_tolerance or bounds is None or bounds[0] <= 0.0 <= bounds[1]:
@@ -158,11 +160,18 @@ def difference_interval(
     None if a single segment leaves nothing to tell it from."""
     return interval_of(
         lambda policy, reference: float(policy[0] - reference[0]) / speed,
-        (segments["policy"], segments["policy"].speed[:, None]),
-        (segments["reference"], segments["reference"].speed[:, None]),
+        Balance.of(segments["policy"], segments["reference"]),
+        segments["policy"].speed[:, None],
+        segments["reference"].speed[:, None],
         resamples,
         seed,
     )
+
+
+def mean_speeds(policy: Segments, reference: Segments) -> tuple[float, float]:
+    """Of both over their valid segments, as `Balance` counts them, m/s; of another task what was achieved."""
+    one, other = Balance.of(policy, reference).means(policy.speed[:, None], reference.speed[:, None])
+    return float(one[0]), float(other[0])
 
 
 def refusal(segments: Segments, speed: float) -> dict[str, float | None]:

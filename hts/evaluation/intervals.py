@@ -29,13 +29,14 @@ def interval(
     seed: int = 0,
     level: float = 0.95,
 ) -> tuple[float, float] | None:
-    """Interval of `statistic(policy mean, reference mean)`, each mean of shape (Q,).
+    """Interval of `statistic(policy mean, reference mean)`, each mean of shape (Q,), that of the means of blocks.
 
     policy, reference: one array (segments, Q) per uninterrupted block, in time order. The same seed gives the same
-    interval. Blocks of a single segment each are joined, as they say nothing alone; None if that leaves one segment.
+    interval. Blocks of a single segment each are joined, as they say nothing alone; None if that leaves one segment, or
+    if the statistic of a draw is no finite number.
     """
     groups = (_joined_if_single(policy), _joined_if_single(reference))
-    means = [np.concatenate(blocks).mean(axis=0) for blocks in groups]
+    means = [np.mean([block.mean(axis=0) for block in blocks], axis=0) for blocks in groups]
     point = statistic(means[0], means[1])
     correlation = lag_one_correlation(_linearised(statistic, groups, means, point))
     batches = [[_batch(block, correlation) for block in blocks] for blocks in groups]
@@ -45,6 +46,8 @@ def interval(
     rng = np.random.default_rng(seed)
     drawn = [_resampled_means(blocks, resamples, rng) for blocks in batches]
     values = np.array([statistic(p, r) for p, r in zip(drawn[0], drawn[1], strict=True)])
+    if not np.isfinite(values).all():
+        return None
     low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
     quantile = (1 + level) / 2
     stretch = stats.t.ppf(quantile, degrees) / stats.norm.ppf(quantile)
@@ -115,11 +118,10 @@ def _resampled_means(
     blocks: list[tuple[np.ndarray, np.ndarray]], resamples: int, rng: np.random.Generator
 ) -> np.ndarray:
     """Means (resamples, Q) over all blocks, batches drawn with replacement within their own block."""
-    total = sum(int(sizes.sum()) for _, sizes in blocks)
     result = np.zeros((resamples, blocks[0][0].shape[1]))
-    for means, sizes in blocks:
+    for means, _ in blocks:
         chosen = rng.integers(0, len(means), size=(resamples, len(means)))
-        result += means[chosen].mean(axis=1) * (sizes.sum() / total)
+        result += means[chosen].mean(axis=1) / len(blocks)
     return result
 
 
@@ -131,10 +133,9 @@ def _variance_ratio(batches: list[list[tuple[np.ndarray, np.ndarray]]], correlat
     """
     true = shown = 0.0
     for blocks in batches:
-        total = sum(int(sizes.sum()) for _, sizes in blocks)
+        share = 1 / len(blocks) ** 2
         for _, sizes in blocks:
             count, length = len(sizes), int(sizes.sum())
-            share = (length / total) ** 2
             true += share * variance_of_mean(length, correlation)
             if count > 1:
                 within = variance_of_mean(length / count, correlation) - variance_of_mean(length, correlation)

@@ -22,6 +22,7 @@ import numpy as np
 from hts import plugins
 from hts.contracts import VELOCITY, HoldSpeed, Instrument, Objective, PhysicsSample
 from hts.errors import ConfigError, EvaluationError, UnfitWorldError
+from hts.evaluation.balance import mean_of_blocks
 from hts.evaluation.final import speed_key
 from hts.evaluation.head_to_head import ANY_SPEED, ROLES, by_speed
 from hts.evaluation.segments import cut
@@ -69,11 +70,13 @@ class Truth:
 
 @dataclass(frozen=True)
 class Walked:
-    """One session at one speed. means: over all pieces; counted: of each role the objective's quantities of the pieces
-    that a head-to-head would count, in the order of `means`, (S, Q)."""
+    """One session at one speed. means: over all pieces; counted: of each role the means of the objective's quantities
+    over the pieces that a head-to-head would count, in the order of `means`, (Q,), every block counting the same; empty
+    without any; pieces: how many they are."""
 
     means: Means
     counted: Mapping[str, np.ndarray]
+    pieces: Mapping[str, int]
 
 
 class Exact(Instrument):
@@ -193,6 +196,7 @@ def _grouped(asked: Truth, groups: Sequence[range], processes: int) -> Any:
 def _walked(objective: Objective, recordings: Sequence[Recording], speed: float, tolerance: float) -> Walked:
     means: dict[str, dict[str, float]] = {}
     counted: dict[str, np.ndarray] = {}
+    pieces: dict[str, int] = {}
     for role in ROLES:
         blocks = sorted((one for one in recordings if one.role == role), key=lambda one: one.block)
         segments = cut(blocks, ANY_SPEED)
@@ -204,7 +208,9 @@ def _walked(objective: Objective, recordings: Sequence[Recording], speed: float,
         at_limit = [one.notes.get("held_saturated") == "true" for one in blocks]
         scores = objective.score(segments)
         done = VELOCITY.done(segments.speed, segments.commanded, tolerance)
-        counted[role] = np.stack(list(scores.values()), axis=1)[done]
+        table = np.stack(list(scores.values()), axis=1)[done]
+        counted[role] = mean_of_blocks(table, segments.block[done]) if len(table) else table.ravel()
+        pieces[role] = len(table)
         means[role] = {
             **{name: float(np.mean(values)) for name, values in scores.items()},
             "pieces": float(len(segments)),
@@ -212,7 +218,7 @@ def _walked(objective: Objective, recordings: Sequence[Recording], speed: float,
             "falls": float(segments.falls),
             "saturated": float(any(at_limit)),
         }
-    return Walked(means, counted)
+    return Walked(means, counted, pieces)
 
 
 def _entry(objective: Objective, walked: Sequence[Walked], speed: float) -> dict[str, Any]:
@@ -223,8 +229,8 @@ def _entry(objective: Objective, walked: Sequence[Walked], speed: float) -> dict
     def compared(policy: np.ndarray, reference: np.ndarray) -> Any:
         return objective.compare(*(dict(zip(names, map(float, one), strict=True)) for one in (policy, reference)))
 
-    first, second = ([np.array([[one[role][name] for name in names]]) for one in sessions] for role in ROLES)
-    whole = compared(np.concatenate(first).mean(axis=0), np.concatenate(second).mean(axis=0))
+    first, second = (np.array([[one[role][name] for name in names] for one in sessions]) for role in ROLES)
+    whole = compared(first.mean(axis=0), second.mean(axis=0))
     interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, first, second)
 
     def over(role: str, name: str) -> np.ndarray:
@@ -232,7 +238,7 @@ def _entry(objective: Objective, walked: Sequence[Walked], speed: float) -> dict
 
     return {
         "improvement": whole.improvement,
-        "improvement_ci95": list(interval),
+        "improvement_ci95": list(interval) if interval else None,
         "metrics": dict(whole.metrics),
         "sessions": len(sessions),
         "mean_speed": float(over("policy", "speed").mean()),
@@ -246,20 +252,19 @@ def _entry(objective: Objective, walked: Sequence[Walked], speed: float) -> dict
 
 
 def _counted(compared: Callable[[np.ndarray, np.ndarray], Any], walked: Sequence[Walked]) -> dict[str, Any] | None:
-    """Of the pieces that a head-to-head would count, as it takes them: each counts alike."""
-    both = [one for one in walked if all(len(one.counted[role]) for role in ROLES)]
+    """Of the pieces that a head-to-head would count, as it takes them: blocks and sessions count alike."""
+    both = [one for one in walked if all(one.pieces[role] for role in ROLES)]
     if len(both) < 2:
         return None
-    first, second = ([one.counted[role] for one in both] for role in ROLES)
-    whole = compared(np.concatenate(first).mean(axis=0), np.concatenate(second).mean(axis=0))
+    first, second = (np.array([one.counted[role] for one in both]) for role in ROLES)
+    whole = compared(first.mean(axis=0), second.mean(axis=0))
     interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, first, second)
     shares = [
-        sum(len(one.counted[role]) for one in walked) / sum(one.means[role]["pieces"] for one in walked)
-        for role in ROLES
+        sum(one.pieces[role] for one in walked) / sum(one.means[role]["pieces"] for one in walked) for role in ROLES
     ]
     return {
         "improvement": whole.improvement,
-        "improvement_ci95": list(interval),
+        "improvement_ci95": list(interval) if interval else None,
         "valid": shares[0],
         "reference_valid": shares[1],
     }
