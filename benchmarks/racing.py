@@ -186,7 +186,7 @@ def replay(folder: Path, settings: Json) -> list[Json]:
             assert rounds is not None
             raced = in_rounds(job, test["elites"], selector, rounds, lambda share: None)
             assert raced is not None
-            best = selector.best([found.tested for found in raced.results.values() if found.tested is not None])
+            best = selector.best(raced.for_best(selector))
             measured = {name: row.get("tested", {}).get("selection_score") for name, row in test["results"].items()}
             seconds = sum(recording.seconds for recording in raced.recorded)
             whole = test["samples"] / job.robot.spec.control_rate_hz
@@ -294,7 +294,8 @@ def _race(world: Any, settings: Any, seed: int) -> Json:
     from hts.testing.known_race import run_race
 
     raced = run_race(world, settings, seed)
-    best = Racing(settings).best([found.tested for found in raced.results.values() if found.tested is not None])
+    selector = Racing(settings)
+    best = selector.best(raced.for_best(selector))
     first, last = world.names[0], raced.races[-1]
     left_out = any(first in one["racing"] and one["going_on"] and first not in one["going_on"] for one in raced.races)
     early = len(raced.races) < settings.rounds and first in last["racing"] and best not in (first, None)

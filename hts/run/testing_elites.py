@@ -56,6 +56,14 @@ class Tests:
 
     __test__ = False  # its name begins like a pytest class
 
+    def for_best(self, selector: Selector) -> list[TestedCandidate]:
+        """Those of whom the best is chosen: after a race who was in its last round, since whoever left before was found
+        to be worse, and scores over other rounds do not compare; everybody, where nobody of them is good enough."""
+        everybody = [found.tested for found in self.results.values() if found.tested is not None]
+        last = self.races[-1]["racing"] if self.races else list(self.results)
+        still = [one for one in everybody if one.id in last]
+        return everybody if selector.best(still) is None else still
+
 
 def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     """Elites against the pretrained policy; π_best <- the best of them, if it beats the best so far.
@@ -72,7 +80,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     else:
         check_reference(tests, job.world, job.stages.progress.say)
     ids = job.keep(tests.recorded, iteration + 1)
-    tested = [found.tested for found in tests.results.values() if found.tested is not None]
+    tested = tests.for_best(selector)
     incumbent = [] if best == job.first else [tested_before(job, best)]  # nobody before the first success
     races = {"rounds": tests.races} if tests.races else {}
     return {

@@ -15,8 +15,11 @@ from hts.config import EvaluationConfig
 from hts.contracts import Comparison, RacedCandidate, Rounds
 from hts.contracts import TestedCandidate as Elite  # under its own name pytest takes it for a test class
 from hts.errors import ConfigError
+from hts.evaluation.final import CandidateResult
 from hts.evaluation.halves import halves
 from hts.evaluation.head_to_head import point
+from hts.recordings.recording import Series
+from hts.run.testing_elites import Tests
 from hts.selection import racing
 from hts.selection.racing import RacingSettings, make, residual_variance, still_racing
 from hts.testing.known_race import KnownRounds, run_race
@@ -175,6 +178,40 @@ def test_a_race_finds_a_clear_winner_with_less_than_half_of_the_seconds():
         scores = {name: found.tested.comparisons["cost"].selection_score for name, found in tests.results.items()}
         assert max(scores, key=scores.get) == "candidate-1"
         assert sum(recording.seconds for recording in tests.recorded) <= 0.4 * 3 * 320
+
+
+class Days(KnownRounds):
+    """What walking costs differs by 3 % from round to round, for everybody but the reference."""
+
+    def round(self, racing, number, block_seconds, rng):
+        rows = super().round(racing, number, block_seconds, rng)
+        factor = 1 + 0.03 * rng.standard_normal()
+        return [[one if one.role == "reference" else dearer(one, factor) for one in row] for row in rows]
+
+
+def dearer(recording, factor):
+    cost = recording.channels["cost"]
+    return recording.replace(channels={**recording.channels, "cost": Series(cost.channel, cost.values * factor)})
+
+
+def test_who_left_in_a_flattering_round_is_not_the_best_by_it():
+    selector, flattered = make({}), 0
+    for seed in range(60):
+        tests = run_race(Days((0.20, 0.199, 0.18), scatter=0.003, correlation=0.3), RacingSettings(), seed)
+        everybody = [found.tested for found in tests.results.values()]
+        flattered += selector.best(everybody) not in tests.races[-1]["racing"]
+        assert selector.best(tests.for_best(selector)) in tests.races[-1]["racing"]
+    assert flattered > 0, "these races show nothing"
+
+
+def test_where_nobody_of_the_last_round_is_good_enough_the_best_that_left_is():
+    results = {
+        name: CandidateResult({}, Elite(name, {"x": Comparison(score, score)}, fell), None)
+        for name, score, fell in (("a", 0.3, True), ("b", 0.1, False))
+    }
+    tests = Tests({}, [], results, [{"racing": ["a", "b"]}, {"racing": ["a"]}])
+    selector = make({"objective": "x"})
+    assert selector.best(tests.for_best(selector)) == "b"
 
 
 def test_the_budget_ends_a_race_that_nothing_decides():
