@@ -65,6 +65,9 @@ def evaluate_run(
         raise ConfigError(f"--speed: expected a list of numbers, found {speeds!r}.")
     given = () if speeds is None else tuple(speeds)
     task.check(given, "--speed")
+    twice = next((speed for speed in given if given.count(speed) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"--speed: {twice:g} is there twice; ask for each once. --sessions 2 walks all of them anew.")
     command = command_of(folder, given, policy, world, seed, sessions)
     speeds = given or tuple(config.evaluation.speeds)
     seed = config.seed if seed is None else seed

@@ -6,6 +6,7 @@ within ±10 % of the commanded one (the paper's protocol).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -109,7 +110,7 @@ def cut(
 
     The first `settle_seconds` of a recording and of every command are dropped and not counted (a world that knows
     better says so in the recording's note `unsteady_seconds`). A piece is valid if
-    the task was done in it (see `Task.done`), no samples are missing in it, and it is
+    the task was done in it (see `Task.done`), no more than one sample is missing in it (clocks jitter), and it is
     not near a fall (from 1 s before the trunk tilts over to settle_seconds after it stands again).
     Raises RecordingError if rates differ or a channel that the task is judged by is missing.
     """
@@ -135,7 +136,7 @@ def cut(
             piece = slice(start, start + samples)
             speed = float(achieved[piece].mean())
             elapsed = recording.time[piece][-1] - recording.time[piece][0]
-            whole = elapsed < 1.2 * segment_seconds  # a gap in the log stretches the piece
+            whole = elapsed < (samples + 0.5) / recording.rate_hz  # samples that are missing stretch the piece
             if not whole or near_fall[piece].any():
                 continue
             walked.append(speed)
@@ -178,11 +179,22 @@ def _seconds(noted: str | None, otherwise: float) -> float:
     if noted is None:
         return otherwise
     try:
-        return float(noted)
-    except ValueError as error:
+        seconds = float(noted)
+    except ValueError:
+        seconds = math.nan
+    if not 0.0 <= seconds < math.inf:
         raise RecordingError(
-            f"A recording's note unsteady_seconds is '{noted}', expected a number of seconds."
-        ) from error
+            f"A recording's note unsteady_seconds is '{noted}', expected a number of seconds from 0 on."
+        )
+    return seconds
+
+
+def _falls_noted(recording: Recording) -> int:
+    """A world may see falls that do not tilt the trunk. Raises RecordingError for a note that is no count."""
+    noted = recording.notes.get("falls", "0")
+    if not (noted.isascii() and noted.isdecimal()):
+        raise RecordingError(f"A recording's note falls is '{noted}', expected how often it fell, a whole number.")
+    return int(noted)
 
 
 def _starts(recording: Recording, settle_seconds: float, samples: int) -> list[tuple[int, float]]:
@@ -226,5 +238,4 @@ def _near_falls(recording: Recording, settle_seconds: float) -> tuple[np.ndarray
         falls = len(edges) // 2
     if recording.fell and falls == 0:  # it ended in a fall whose tilt was not recorded
         near[max(0, num - round((BEFORE_FALL_SECONDS + settle_seconds) * recording.rate_hz)) :] = True
-    noted = recording.notes.get("falls", "")  # a world may see falls that do not tilt the trunk
-    return near, max(falls, int(recording.fell), int(noted) if noted.isdecimal() else 0)
+    return near, max(falls, int(recording.fell), _falls_noted(recording))

@@ -79,6 +79,11 @@ def test_so_is_one_at_which_nobody_walks_ahead(folder, registry, speed):
         evaluate_run(folder, speeds=[speed], registry=registry)
 
 
+def test_a_speed_is_asked_for_once_since_a_second_time_is_no_more_of_the_same_block(folder, registry):
+    with pytest.raises(ConfigError, match=r"^--speed: 0\.8 is there twice; ask for each once\. --sessions 2 "):
+        evaluate_run(folder, speeds=[0.8, 0.5, 0.8], registry=registry)
+
+
 @pytest.mark.parametrize("speeds", ["0.8", 0.8])
 def test_speeds_are_a_list(folder, registry, speeds):
     with pytest.raises(ConfigError, match="^--speed: expected a list of numbers, found "):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from hts.config import Command, ScheduleConfig
 from hts.errors import RecordingError
 from hts.evaluation.segments import cut
+from hts.recordings.recording import Series
 from hts.testing.made_up_recordings import known_recording
 
 
@@ -88,6 +91,33 @@ def test_a_piece_with_missing_samples_does_not_count():
     segments = cut([recording.replace(time=time, schedule=ScheduleConfig(commands=commands))])
     assert segments.time == pytest.approx([2.0, 6.0, 7.0])
     assert segments.total == 4
+
+
+def test_one_sample_may_be_missing_since_clocks_jitter_and_two_may_not():
+    recording = known_recording([1.0] * 12, rate_hz=50.0)
+    for missing, valid in ((1, 1.0), (2, 0.0), (9, 0.0)):  # of each second
+        kept = np.flatnonzero(np.arange(recording.num_samples) % 50 >= missing)
+        segments = cut([without(recording, kept)])
+        assert segments.valid == valid, missing
+
+
+def without(recording, kept):
+    channels = {name: Series(one.channel, np.asarray(one.values)[kept]) for name, one in recording.channels.items()}
+    return recording.replace(time=recording.time[kept], channels=channels)
+
+
+@pytest.mark.parametrize(
+    ("notes", "expected"),
+    [
+        ({"unsteady_seconds": "nan"}, "note unsteady_seconds is 'nan', expected a number of seconds from 0 on."),
+        ({"unsteady_seconds": "inf"}, "note unsteady_seconds is 'inf', expected a number of seconds from 0 on."),
+        ({"unsteady_seconds": "-30"}, "note unsteady_seconds is '-30', expected a number of seconds from 0 on."),
+        ({"falls": "3.0"}, "note falls is '3.0', expected how often it fell, a whole number."),
+    ],
+)
+def test_a_note_that_says_no_such_number_is_named(notes, expected):
+    with pytest.raises(RecordingError, match=f"^A recording's {re.escape(expected)}$"):
+        cut([known_recording([1.0] * 6).replace(notes=notes)])
 
 
 def test_blocks_of_different_sessions_are_different_blocks():
