@@ -148,6 +148,12 @@ class TrustRegionConfig(Config):
     least: float = Field(0.05, gt=0, description="smallest bound, nats")
     most: float = Field(40.0, allow_inf_nan=True, gt=0, description="largest finite bound, nats")
 
+    @model_validator(mode="after")
+    def _in_order(self) -> TrustRegionConfig:
+        if self.least > self.most:
+            raise ValueError(f"least: {self.least:g} is above most, {self.most:g}")
+        return self
+
 
 class SweepConfig(Config):
     """Anchors × weights λ × KL bounds c."""
@@ -178,6 +184,12 @@ class SweepConfig(Config):
         for bound in self.kl_bounds:
             if not bound > 0 or math.isnan(bound):
                 raise ValueError(f"kl_bounds: {bound} is not a positive number")
+            limits = self.trust_region
+            if limits.enabled and math.isfinite(bound) and not limits.least <= bound <= limits.most:
+                raise ValueError(
+                    f"kl_bounds: {bound:g} is outside of what the trust region may make of it, {limits.least:g} to "
+                    f"{limits.most:g}; set trust_region.least and trust_region.most around it"
+                )
         return self
 
 

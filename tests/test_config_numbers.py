@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any, get_args
 
@@ -86,6 +87,7 @@ def value_of(key: str) -> Any:
             "finetune.env.commands.vx=[1.5, -1.5]",
             "commands.vx: expected two numbers, the smaller one first, found [1.5",
         ),
+        ("sweep.trust_region={least: 5, most: 1}", "sweep.trust_region: least: 5 is above most, 1"),
         ("gate.payload=[3.0, -1.0]", "gate.payload: expected two numbers, the smaller one first, found [3.0, -1.0]."),
         ("gate.lost_packets=[0.0, .inf]", "gate.lost_packets.1: expected a finite number, found inf."),
         ("finetune.env.reward_weights.alive=.nan", "reward_weights.alive: expected a finite number, found nan."),
@@ -102,3 +104,21 @@ def test_a_number_that_makes_no_sense_is_refused(override, expected):
 
 def test_the_largest_seed_is_taken():
     assert fake_config(seed=2**63 - 1).seed == 2**63 - 1
+
+
+@pytest.mark.parametrize("bound", [0.05, 40.0, math.inf])
+def test_a_kl_bound_is_one_that_the_trust_region_keeps(bound):
+    asked = ["sweep.trust_region.enabled=true", f"sweep.kl_bounds=[1, {yaml_of(bound)}]"]
+    assert fake_config(overrides=asked).sweep.kl_bounds == (1.0, bound)
+
+
+@pytest.mark.parametrize("bound", [0.02, 41.0])
+def test_one_that_it_would_replace_is_refused_where_it_is_on(bound):
+    asked = f"sweep.kl_bounds=[1, {bound}]"
+    found = refusal(overrides=["sweep.trust_region.enabled=true", asked])
+    assert f"kl_bounds: {bound:g} is outside of what the trust region may make of it, 0.05 to 40; set " in found
+    assert fake_config(overrides=["sweep.trust_region.enabled=false", asked]).sweep.kl_bounds == (1.0, bound)
+
+
+def yaml_of(number: float) -> str:
+    return ".inf" if math.isinf(number) else str(number)

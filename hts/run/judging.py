@@ -74,7 +74,7 @@ def judge(
     env.close()
     promised = _promised(job, iteration, results)
     task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
-    share = needed(test.min_valid, [results[row["id"]] for row in rows])
+    share = needed(test.min_valid, rows, results)
     judged = [
         replace(
             _judge(row, results[row["id"]], test.speed_tolerance, task, share),
@@ -231,10 +231,12 @@ def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]
     )
 
 
-def needed(share: float, results: Sequence[Sequence[SimulatedTrial]]) -> float:
+def needed(share: float, rows: Sequence[Mapping[str, Any]], results: Mapping[str, Sequence[SimulatedTrial]]) -> float:
     """Share of its seconds that a candidate must do its task at its worst set-point: `share`, or what the steadiest
-    candidate reaches, so that somebody does. results: trials of each candidate."""
-    return min([share, max((_least_valid(row) for row in results), default=0.0)])
+    candidate reaches, so that somebody does. Who was stopped stands at its anchor, is nobody to try, and sets no
+    measure. rows: of the candidates; results: trials of each."""
+    reached = [_least_valid(results[row["id"]]) for row in rows if row["stopped"] is None]
+    return min(share, max(reached, default=0.0))
 
 
 def _least_valid(results: Sequence[SimulatedTrial]) -> float:

@@ -270,16 +270,24 @@ class Group:
         return Finetuned(named, moment.tensors, moment.kl, moment.std, anchor_std, None, known, moment.share, prices)
 
     def _project(self) -> list[float]:
-        """Measure the KL on fresh batches of the finished candidates' own states;
-        project who ended beyond its bound."""
+        """Measure the KL on fresh batches of the finished candidates' own states; project who ended beyond its bound.
+
+        Who is inside stays as it is, however many batches the others take. Raises SimulationError as the trainer does
+        if the KL of the last one that is left is not finite.
+        """
         bounds = self.bounds.to(self.bare.device)
+        found, inside = torch.full_like(bounds, torch.inf), torch.zeros_like(bounds, dtype=torch.bool)
         while True:
             observation = self.trainer.collect()["observation"].flatten(1, 2)
             self._extra += 1
             kl = mean_kl(self.population, self.anchor, observation)
-            if bool((kl <= KL_SLACK * bounds).all()) or self._extra > MOST_PROJECTIONS:
-                return kl.tolist()
-            project_to_kl_bound(self.population, self.anchor, observation, bounds)
+            for index in torch.nonzero(~kl.isfinite()).flatten().tolist():
+                self.trainer.stop(index, "its KL to the anchor is not finite when training ends")
+            found = torch.where(inside, found, kl)
+            inside |= kl <= KL_SLACK * bounds
+            if bool(inside.all()) or self._extra > MOST_PROJECTIONS:
+                return found.tolist()
+            project_to_kl_bound(self.population, self.anchor, observation, torch.where(inside, torch.inf, bounds))
 
 
 def _of_member(row: Mapping[str, Any], index: int) -> dict[str, float]:

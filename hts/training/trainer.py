@@ -231,13 +231,15 @@ class PopulationTrainer:
             for index in bad.flatten(1).any(1).nonzero().flatten().tolist():
                 first = int(bad[index].any(0).nonzero()[0])
                 step = self.batches * self.config.horizon + first
-                self._stop(
+                self.stop(
                     index,
                     f"{what} is not finite at control step {step} (batch {self.batches}) in "
                     f"{int(bad[index, :, first].sum())} of its worlds",
                 )
 
-    def _stop(self, index: int, reason: str) -> None:
+    def stop(self, index: int, reason: str) -> None:
+        """Stop a candidate, unless it is: it goes back to its anchor and learns nothing more; `reason` says why.
+        Raises SimulationError if it was the last one."""
         if index in self.stopped:
             return
         self.stopped[index] = f"candidate {self.names[index]}: {reason}"
@@ -252,7 +254,7 @@ class PopulationTrainer:
                 self.population.vectors[index].copy_(self.anchor.vectors[index])
 
     def _stop_in_batch(self, index: int, reason: str) -> None:
-        self._stop(index, f"{reason} in batch {self.batches}")
+        self.stop(index, f"{reason} in batch {self.batches}")
 
     def _samples(self, data: TensorDictBase, reward: torch.Tensor) -> tuple[Samples, Samples]:
         """See `samples_of`."""

@@ -119,8 +119,12 @@ def test_who_holds_its_speed_in_too_few_seconds_comes_after_those_that_do():
 
 
 def test_where_nobody_does_the_steadiest_is_enough():
-    assert needed(0.7, [trials(0.9, 0.55), trials(0.6, 0.65)]) == 0.6
-    assert needed(0.7, [trials(0.9, 0.75)]) == 0.7 and needed(0.7, []) == 0.0
+    walks = {"a": trials(0.9, 0.55), "b": trials(0.6, 0.65), "c": trials(0.9, 0.75)}
+    rows = [{"id": name, "stopped": None} for name in walks]
+    assert needed(0.7, rows[:2], walks) == 0.6
+    assert needed(0.7, rows[2:], walks) == 0.7 and needed(0.7, [], walks) == 0.0
+    stopped = {"id": "c", "stopped": "it was stopped"}
+    assert needed(0.7, [*rows[:2], stopped], walks) == 0.6, "who stands at its anchor is steady, and nobody to try"
 
 
 def test_a_run_whose_env_knows_no_pulls_goes_on_without_one(tmp_path):
