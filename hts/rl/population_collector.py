@@ -162,7 +162,7 @@ class SplitStepCollector(BaseCollector):
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:  # type: ignore[override]
         """Go on from `state_dict`. Before the first batch, since a captured step keeps the memory it was made with."""
-        self.bare_env.load_full_state(state_dict["env_state_dict"])
+        self.bare_env.go_on(state_dict["env_state_dict"])
         for transform, memory in zip(self.transforms, state_dict["transforms"], strict=True):
             transform.load_state_dict(memory)
         if self.policy.random is not None:

@@ -36,8 +36,13 @@ class TaskEnv(EnvBase):
         return None
 
     def load_full_state(self, state: TensorDictBase) -> None:
-        """Go on from `full_state`."""
+        """Go on from `full_state`. Collectors reset the env that they are given, so the next reset of all instances
+        has to start no episodes; a `SplitStepEnv` that is told by `go_on` sees to that itself."""
         raise NotImplementedError(f"{type(self).__name__} cannot be saved in mid-episode.")
+
+    def go_on(self, state: TensorDictBase) -> None:
+        """What whoever resumes a training calls: `load_full_state`."""
+        self.load_full_state(state)
 
     def check(self) -> None:
         """Raise SimulationError if something in the simulator went wrong since the start, such as a buffer that
@@ -91,6 +96,7 @@ class SplitStepEnv(TaskEnv):
     """
 
     random: PopulationRandom
+    _goes_on = False
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -138,12 +144,17 @@ class SplitStepEnv(TaskEnv):
 
     # ------------------------------------------------------------------------------------------------- abilities
 
+    def go_on(self, state: TensorDictBase) -> None:
+        """`load_full_state`, after which the next reset of all instances starts no episodes."""
+        self.load_full_state(state)
+        self._goes_on = True
+
     def groups(self) -> Sequence[SplitStepEnv]:
         """Envs of consecutive candidates that make up this one and may be stepped side by side; itself, the default."""
         return [self]
 
     def first_mask(self) -> torch.Tensor:
-        """Where the first reset starts episodes, bool [P, N]: everywhere, unless they go on from a saved state."""
+        """Where a reset of all instances starts episodes, bool [P, N]: everywhere, the default."""
         return torch.ones(self.batch_size, dtype=torch.bool, device=self.device)
 
     def launched_simulator(self) -> LaunchedSimulator | None:
@@ -165,7 +176,13 @@ class SplitStepEnv(TaskEnv):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = tensordict.get("_reset", None) if tensordict is not None else None
-        mask = self.first_mask() if mask is None else mask.view(self.batch_size)
+        if mask is None:
+            mask = self.first_mask()
+            if self._goes_on:
+                self._goes_on = False
+                mask = torch.zeros_like(mask)
+        else:
+            mask = mask.view(self.batch_size)
         if any_or_tracing(mask):
             self.start_episodes(mask)
         done = torch.zeros(*self.batch_size, 1, dtype=torch.bool, device=self.device)

@@ -367,7 +367,7 @@ class PopulationTrainer:
         }
         for index in self.stopped:
             self.steps.halt(index)
-        base_and_transforms(self.env)[0].load_full_state(state["env"])
+        base_and_transforms(self.env)[0].go_on(state["env"])
         self.population.refresh()
 
     def close(self) -> None:
