@@ -173,6 +173,18 @@ def test_the_reference_is_frozen_and_no_optimiser_sees_it():
     assert float(again.kl_to_reference(data)) == pytest.approx(float(loss.kl_to_reference(data)))
 
 
+def test_a_trained_population_is_the_reference_of_the_next_loss():
+    population = Population(Sizes(3, 3, 2, (8,)), 2, seed=3)
+    actor, critic = PopulationActor(population), PopulationCritic(population)
+    data = population_batch(population)
+    optimiser = torch.optim.Adam(population.parameters(), lr=1e-2)
+    losses = KLConstrainedPPOLoss(actor, critic, kl_bound=torch.ones(2))(data)
+    (losses["loss_objective"] + losses["loss_critic"]).sum().backward()
+    optimiser.step()
+    again = KLConstrainedPPOLoss(actor, critic, kl_bound=torch.ones(2))
+    assert again.kl_to_reference(data).abs().max() < 1e-6
+
+
 def test_the_fast_path_is_the_same_mathematics():
     population = Population(Sizes(3, 4, 2, (8,)), 3, seed=3)
     reference = Population.from_candidates(population.sizes, [Population(population.sizes, 1, 0.7, 8).candidate(0)] * 3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
 from torch.nn import functional as F
@@ -147,3 +149,23 @@ def test_what_acts_follows_every_change_of_the_parameters():
     after = population.mean(x)
     assert torch.equal(after[0], before[0]) and not torch.equal(after[1], before[1])
     torch.testing.assert_close(population.double().mean(x.double()), after.double())
+
+
+def test_a_copy_acts_with_its_own_parameters():
+    population, x = Population(SIZES, 1, seed=3), torch.randn(1, 6, 5)
+    begun, before = copy.deepcopy(population.state_dict()), population.mean(x).clone()
+    with torch.no_grad():
+        population.vectors[0].add_(0.5)
+    moved = population.mean(x)  # as many changes as the copy counts below
+    copied = copy.deepcopy(population)
+    assert torch.equal(copied.mean(x), moved)
+    again = copy.deepcopy(population)
+    again.load_state_dict(begun)
+    assert torch.equal(again.mean(x), before) and torch.equal(population.mean(x), moved)
+
+
+def test_what_acts_is_a_copy_of_every_parameter():
+    population = Population(SIZES, 1, seed=3)
+    population.refresh()
+    memory = population.vectors[0].untyped_storage().data_ptr()
+    assert all(one.untyped_storage().data_ptr() != memory for one in population._ready()[0].values())
