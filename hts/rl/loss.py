@@ -123,6 +123,12 @@ class KLConstrainedPPOLoss(LossModule):
         if parameter is not None:
             self.multiplier.to(parameter.device)
 
+    def train(self, mode: bool = True) -> KLConstrainedPPOLoss:
+        """Training mode of actor and critic; the reference stays as it is when it acts."""
+        super().train(mode)
+        self.reference.eval()
+        return self
+
     @property
     def functional(self) -> bool:
         """False: the networks are used as they are, no parameters are taken out of them."""

@@ -173,6 +173,29 @@ def test_the_reference_is_frozen_and_no_optimiser_sees_it():
     assert float(again.kl_to_reference(data)) == pytest.approx(float(loss.kl_to_reference(data)))
 
 
+def test_the_reference_neither_drops_out_nor_follows_its_batches_whatever_the_loss_is_told():
+    torch.manual_seed(0)
+    head = nn.Sequential(nn.BatchNorm1d(3), nn.Dropout(0.5), Head())
+    actor = ProbabilisticActor(
+        TensorDictModule(head, in_keys=["observation"], out_keys=["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=IndependentNormal,
+        return_log_prob=True,
+    )
+    actor.eval()
+    critic = networks()[1]
+    data = batch_of(actor, critic)
+    loss = KLConstrainedPPOLoss(actor, critic)
+    held = nn.ModuleList([loss])
+    held.eval()
+    held.train()
+    assert actor.training and not any(module.training for module in loss.reference.modules())
+    actor.eval()
+    before = {name: value.clone() for name, value in loss.reference.state_dict().items()}
+    assert float(loss.kl_to_reference(data)) == pytest.approx(0.0, abs=1e-6)
+    assert all(torch.equal(loss.reference.state_dict()[name], value) for name, value in before.items())
+
+
 def test_a_trained_population_is_the_reference_of_the_next_loss():
     population = Population(Sizes(3, 3, 2, (8,)), 2, seed=3)
     actor, critic = PopulationActor(population), PopulationCritic(population)
