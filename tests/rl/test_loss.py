@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import CompositeDistribution, ProbabilisticTensorDictSequential, TensorDictModule
 from torch import nn
-from torch.distributions import Independent, Normal, StudentT
+from torch.distributions import AffineTransform, Independent, Normal, StudentT, TransformedDistribution
 from torchrl.modules import IndependentNormal, MaskedCategorical, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
@@ -349,6 +349,33 @@ def test_squashing_changes_no_kl():
     torch.testing.assert_close(squashed, gaussian_kl(loc, scale.log(), other, wide.log()))
     plain = distribution_kl(IndependentNormal(loc, scale), IndependentNormal(other, wide))
     torch.testing.assert_close(plain, squashed)
+
+
+def test_squashing_to_other_limits_changes_the_kl():
+    torch.manual_seed(0)
+    loc, scale = torch.zeros(50_000, 2), torch.full((50_000, 2), 0.3)
+    policy, reference = TanhNormal(loc, scale), TanhNormal(loc, scale, low=-2.0, high=2.0)
+    # In the reference's y = 2 tanh(x), an action a of the policy is x = atanh(a / 2).
+    x = torch.linspace(-2.0, 2.0, 4001)
+    base = Normal(0.0, 0.3)
+    density = base.log_prob(x) - (1 - x.tanh().square()).log()
+    back = (x.tanh() / 2).atanh()
+    there = base.log_prob(back) - (2 * (1 - back.tanh().square())).log()
+    expected = 2 * float((base.log_prob(x).exp() * (density - there)).sum() * (x[1] - x[0]))
+    assert expected > 0.5
+    assert float(distribution_kl(policy, reference).mean()) == pytest.approx(expected, rel=0.02)
+    same = distribution_kl(reference, TanhNormal(loc, 2 * scale, low=-2.0, high=2.0))
+    torch.testing.assert_close(same, gaussian_kl(loc, scale.log(), loc, (2 * scale).log()))
+
+
+def test_actions_that_are_shifted_otherwise_have_the_kl_of_their_own_scale():
+    torch.manual_seed(0)
+    base = Normal(torch.zeros(50_000, 1), 1.0)
+    policy, reference = (
+        Independent(TransformedDistribution(base, [AffineTransform(shift, 1.0)]), 1) for shift in (0.0, 3.0)
+    )
+    assert float(distribution_kl(policy, reference).mean()) == pytest.approx(4.5, rel=0.02)  # 3^2 / 2
+    assert not distribution_kl(policy, policy).any()
 
 
 def test_where_no_formula_is_known_one_sample_has_the_right_mean():
