@@ -46,11 +46,12 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
 
 def _categorical_kl(policy: Categorical, reference: Categorical) -> torch.Tensor:
     """sum_a p(a) (ln p(a) - ln q(a)) over what the policy may do. torch's own takes the difference of two -inf where
-    an action is masked out of both, and the gradient of what it then sets to 0 is NaN."""
+    an action is masked out of both, and the gradient of what it then sets to 0 is NaN. Infinite, without gradient,
+    where the policy may do what the reference may not."""
     possible = policy.probs > 0
-    ratio = torch.where(possible, policy.logits, 0.0) - torch.where(possible, reference.logits, 0.0)
-    forbidden = (possible & (reference.probs == 0)).any(-1)
-    return torch.where(forbidden, math.inf, (policy.probs * ratio).sum(-1))
+    both = possible & (reference.probs != 0)
+    ratio = torch.where(both, policy.logits, 0.0) - torch.where(both, reference.logits, 0.0)
+    return torch.where((possible & ~both).any(-1), math.inf, (policy.probs * ratio).sum(-1))
 
 
 def _squashed(distribution: Distribution) -> TransformedDistribution | None:

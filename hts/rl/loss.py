@@ -211,7 +211,7 @@ class KLConstrainedPPOLoss(LossModule):
 
     def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
         """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch; see `LagrangeMultiplier`. Returns the new
-        alpha."""
+        alpha. Raises ValueError for a KL that is NaN or of another shape than kl_bound."""
         return self.multiplier.update(kl)
 
     @torch.no_grad()

@@ -174,7 +174,7 @@ class PopulationTrainer:
                 learning = self._learning
                 self.kl = self._measure_kl(data, samples) if learning is None else learning.kl().clone()
                 if self.batches >= self.config.warmup_batches:
-                    self.multipliers.update(self.kl)
+                    self.multipliers.step(self.kl)  # a NaN stops its own candidate, by its next gradient
         self.batches += 1
         falls = data["next", "terminated"].flatten(1).sum(1)
         std = self.population.log_std().exp().mean((1, 2))
