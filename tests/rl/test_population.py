@@ -6,8 +6,11 @@ import copy
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch.nn import functional as F
+from torchrl.envs import ExplorationType, set_exploration_type
 
+from hts.rl.actor import PopulationActor
 from hts.rl.backend import CpuBackend
 from hts.rl.population import Population, Sizes
 from hts.rl.random import PopulationRandom
@@ -169,3 +172,17 @@ def test_what_acts_is_a_copy_of_every_parameter():
     population.refresh()
     memory = population.vectors[0].untyped_storage().data_ptr()
     assert all(one.untyped_storage().data_ptr() != memory for one in population._ready()[0].values())
+
+
+@pytest.mark.parametrize("kind", [ExplorationType.DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE])
+def test_an_actor_explores_unless_it_is_told_otherwise(kind):
+    random = PopulationRandom([1, 2], torch.device("cpu"))
+    actor = PopulationActor(Population(SIZES, 2, seed=3), random)
+    seen, before = TensorDict({"observation": torch.randn(2, 6, 5)}, [2, 6]), random.state_dict()
+    with set_exploration_type(kind):
+        found = actor(seen.copy())
+    assert torch.equal(found["action"], found["loc"])
+    assert torch.equal(random.state_dict()["generators"], before["generators"])  # nothing was drawn
+    with set_exploration_type(ExplorationType.RANDOM):
+        assert not (actor(seen.copy())["action"] == found["loc"]).any()
+    assert not (actor(seen.copy())["action"] == found["loc"]).any()
