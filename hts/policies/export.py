@@ -15,7 +15,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from hts.atomic import atomic_write
-from hts.policies.files import Policy
+from hts.policies.files import Policy, check_finite
 from hts.policies.held_commands import FAR, HeldCommands
 from hts.policies.onnx_metadata import metadata_of_policy
 
@@ -27,8 +27,9 @@ def to_onnx(policy: Policy, path: Path, held: HeldCommands | None = None) -> Pat
     """`observation` (batch, O) float32, raw -> `action` (batch, J), the mean action. Written in one move.
 
     held: commands to be sent for wanted speeds, put in front of the policy. The graph is built node by node: it is
-    small, exact, and needs no tracing.
+    small, exact, and needs no tracing. Raises PolicyError for numbers that are not finite.
     """
+    check_finite(path, policy.tensors)
     tensors, layers = policy.tensors, len(policy.card.hidden) + 1
     weights = {"mean": tensors["observation_mean"], "std": tensors["observation_std"]}
     weights |= {f"{what}{i}": tensors[f"actor.{i}.{what}"] for i in range(layers) for what in ("weight", "bias")}
@@ -111,7 +112,9 @@ class _Actor(torch.nn.Module):
 
 def to_torchscript(policy: Policy, path: Path, held: HeldCommands | None = None) -> Path:
     """The same function as a TorchScript file with the card as extra file `hts.json` (and `held_speeds`,
-    `held_commands` as in ONNX metadata), while torch still offers it."""
+    `held_commands` as in ONNX metadata), while torch still offers it. Raises PolicyError for numbers that are not
+    finite."""
+    check_finite(path, policy.tensors)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=DeprecationWarning)
         warnings.filterwarnings("ignore", message=".*torch.jit.*", category=FutureWarning)

@@ -81,6 +81,13 @@ def hash_tensors(tensors: Mapping[str, torch.Tensor]) -> str:
     return digest.hexdigest()
 
 
+def check_finite(what: Path | str, tensors: Mapping[str, torch.Tensor]) -> None:
+    """Raises PolicyError unless every tensor that a policy holds is finite as float32; what: named in the error."""
+    for name, value in tensors.items():
+        if not bool(torch.isfinite(value.float()).all()):
+            raise PolicyError(f"{what}: '{name}' holds numbers that are not finite. Use an earlier policy.")
+
+
 def make_card(
     spec: RobotSpec, tensors: Mapping[str, torch.Tensor], observation: list[dict[str, Any]], sizes: Sizes, **made: Any
 ) -> PolicyCard:
@@ -112,15 +119,17 @@ def tensor_path(path: Path) -> Path:
 
 
 def save_policy(path: Path, policy: Policy) -> Path:
-    """Write `path` (.safetensors) and its .json, each in one move: no reader ever sees half a file."""
+    """Write `path` (.safetensors) and its .json, each in one move: no reader ever sees half a file. Raises PolicyError,
+    and writes nothing, for numbers that are not finite."""
     path = tensor_path(path)
+    check_finite(path, policy.tensors)
     tensors = dump_tensors({name: value.contiguous() for name, value in policy.tensors.items()})
     atomic_write(path.with_suffix(".json"), json.dumps(asdict(policy.card), indent=1) + "\n")
     return atomic_write(path, tensors)
 
 
 def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
-    """Read a policy back. Raises PolicyError if a file is missing, damaged, or made for another robot."""
+    """Read a policy back. Raises PolicyError if a file is missing, damaged, not finite, or made for another robot."""
     path = tensor_path(path)
     try:
         card = read_card(path.with_suffix(".json"))
@@ -147,6 +156,7 @@ def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
         raise PolicyError(
             f"{path}: its numbers do not match the hash in {path.with_suffix('.json').name}. Copy both files again."
         )
+    check_finite(path, tensors)
     if robot is not None:
         check_robot(path, card, robot)
     return Policy(tensors, card)

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 
-from hts.policies.files import Policy, hash_tensors
+from hts.policies.files import Policy, check_finite, hash_tensors
 
 CLIP = 10.0  # normalised observations are clipped to ± this, as in `hts.rl.Population`
 
@@ -80,13 +80,14 @@ def with_parameters(policy: Policy, actor: nn.Module, critic: nn.Module | None =
 
     How the policy was made that this one started from stands in the new card under `made.start`, beside its hash: the
     card cannot know what was done since. Numbers that are the same are the same policy, with the card that it had.
-    Raises ValueError for modules of another shape.
+    Raises ValueError for modules of another shape, PolicyError for numbers that are not finite.
     """
     tensors = {name: value.clone() for name, value in policy.tensors.items()}
     _take(tensors, "actor", actor)
     tensors["log_std"] = _single(actor, GaussianMean).log_std.detach().cpu().clone()
     if critic is not None:
         _take(tensors, "critic", critic)
+    check_finite("The trained policy", tensors)
     own = hash_tensors(tensors)
     if own == policy.card.policy_hash:
         return Policy(tensors, policy.card)

@@ -8,6 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch.distributions import Independent, Normal
+from torchrl.envs.utils import ExplorationType, exploration_type
 
 from hts.rl.population import Parameters, Population
 from hts.rl.random import PopulationRandom
@@ -24,8 +25,9 @@ def log_prob(action: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor) ->
 class PopulationActor(TensorDictModuleBase):
     """The policies of P candidates: observation [P, ..., O] -> loc, action [P, ..., A] and action_log_prob [P, ...].
 
-    random: where the exploration noise comes from, a generator per candidate; None: the mean action. `forward` is for
-    collecting and gives no gradient; `get_dist` is for losses.
+    random: where the exploration noise comes from, a generator per candidate; None: the mean action, as under TorchRL's
+    `set_exploration_type` of any type but random. `forward` is for collecting and gives no gradient; `get_dist` is for
+    losses.
     """
 
     in_keys = ["observation"]  # noqa: RUF012 - what TensorDictModuleBase asks for
@@ -48,7 +50,7 @@ class PopulationActor(TensorDictModuleBase):
         observation = tensordict["observation"]
         loc, log_std = self.loc(observation), self.log_std(observation.ndim)
         action = loc
-        if self.random is not None:
+        if self.random is not None and exploration_type() in (None, ExplorationType.RANDOM):
             action = loc + log_std.exp() * self.random.normal(*loc.shape[1:])
         tensordict["loc"], tensordict["action"] = loc, action
         tensordict["action_log_prob"] = log_prob(action, loc, log_std)

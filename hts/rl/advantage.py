@@ -22,9 +22,10 @@ def advantages(
 
     reward, value, terminated, done [P, N, T]; next_value [P, N, T]: V of the state that each step ended in, which at
     the end of an episode is the last one of the old episode. A time-out (done, not terminated) bootstraps from it, a
-    fall from 0.
+    fall from 0, whatever next_value is there: not even finite where the physics has diverged.
     """
     column = (..., None)
+    next_value = next_value.masked_fill(terminated, 0.0)  # torchrl's product with 0 keeps a NaN
     # Step by step and not TorchRL's vectorised form, whose sums depend a little on the number of candidates.
     advantage, target = generalized_advantage_estimate(
         gamma, lam, value[column], next_value[column], reward[column], done[column], terminated[column]

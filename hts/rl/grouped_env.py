@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 
+from hts.errors import SimulationError
 from hts.rl.random import PopulationRandom
 from hts.rl.task_env import SplitStepEnv
 
@@ -79,14 +80,17 @@ class GroupedEnv(SplitStepEnv):
 
     def full_state(self) -> TensorDict | None:
         """Everything needed to go on from here: what one env of all candidates would give. In the state of a group
-        every tensor begins with its candidates or their instances."""
+        every tensor begins with its candidates or their instances, or is one number that all groups share (a clock).
+        Raises SimulationError where such a number is not the same in all of them."""
         first, *others = [group.full_state() for group in self._groups]
-        return None if first is None else first.apply(lambda *parts: torch.cat(parts), *others)
+        return None if first is None else first.named_apply(self._whole, *others, nested_keys=True)
 
     def load_full_state(self, state: TensorDictBase) -> None:
         """Go on from `full_state`."""
         for index, group in enumerate(self._groups):
-            group.load_full_state(state.apply(lambda whole, index=index: self._split(whole)[index]))
+            group.load_full_state(
+                state.apply(lambda whole, index=index: self._split(whole)[index] if whole.ndim else whole.clone())
+            )
 
     def check(self) -> None:
         """Raise SimulationError if something went wrong in a group's simulator."""
@@ -108,6 +112,18 @@ class GroupedEnv(SplitStepEnv):
     def _parts(self, whole: torch.Tensor) -> list[tuple[SplitStepEnv, torch.Tensor]]:
         """Each group with its rows of a tensor [P, ...]."""
         return list(zip(self._groups, self._split(whole), strict=True))
+
+    def _whole(self, name: str | tuple[str, ...], *parts: torch.Tensor) -> torch.Tensor:
+        """One tensor out of what each group saves under a name."""
+        if parts[0].ndim:
+            return torch.cat(parts)
+        if not all(torch.equal(part, parts[0]) for part in parts):
+            path = name if isinstance(name, str) else ".".join(name)
+            raise SimulationError(
+                f"{type(self._groups[0]).__name__} saves one number as '{path}', and its groups have different ones "
+                f"({', '.join(str(part.item()) for part in parts)}). Save one for each candidate, [P], in full_state()."
+            )
+        return parts[0]
 
     def _split(self, whole: torch.Tensor) -> Sequence[torch.Tensor]:
         """Each group's rows of a tensor that begins with candidates [P, ...] or with their instances [P·N, ...]."""

@@ -25,15 +25,14 @@ def gaussian_kl(
 def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tensor:
     """KL(policy || reference) in each state, shape of `policy.batch_shape`, nats; differentiable in policy.
 
-    In closed form where torch knows one. Both squashed by the same bijection (a tanh): that of what was squashed, since
-    a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action a ~ policy, which
-    has the right mean.
+    In closed form where torch knows one. Both squashed by the same bijection (a tanh, to the same limits): that of what
+    was squashed, since a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action
+    a ~ policy, which has the right mean.
     """
-    inner = [_unsquashed(one) for one in (policy, reference)]
-    if type(policy) is type(reference) and None not in inner:
-        first, second = inner
-    else:
-        first, second = policy, reference
+    first, second = policy, reference
+    squashed, other = _squashed(policy), _squashed(reference)
+    if squashed is not None and other is not None and squashed.transforms == other.transforms:
+        first, second = squashed.base_dist, other.base_dist
     if isinstance(first, Categorical) and isinstance(second, Categorical):
         return _categorical_kl(first, second)
     try:
@@ -47,15 +46,16 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
 
 def _categorical_kl(policy: Categorical, reference: Categorical) -> torch.Tensor:
     """sum_a p(a) (ln p(a) - ln q(a)) over what the policy may do. torch's own takes the difference of two -inf where
-    an action is masked out of both, and the gradient of what it then sets to 0 is NaN."""
+    an action is masked out of both, and the gradient of what it then sets to 0 is NaN. Infinite, without gradient,
+    where the policy may do what the reference may not."""
     possible = policy.probs > 0
-    ratio = torch.where(possible, policy.logits, 0.0) - torch.where(possible, reference.logits, 0.0)
-    forbidden = (possible & (reference.probs == 0)).any(-1)
-    return torch.where(forbidden, math.inf, (policy.probs * ratio).sum(-1))
+    both = possible & (reference.probs != 0)
+    ratio = torch.where(both, policy.logits, 0.0) - torch.where(both, reference.logits, 0.0)
+    return torch.where((possible & ~both).any(-1), math.inf, (policy.probs * ratio).sum(-1))
 
 
-def _unsquashed(distribution: Distribution) -> Distribution | None:
-    """The base of a squashed distribution; None for any other, and for limits that depend on the state."""
+def _squashed(distribution: Distribution) -> TransformedDistribution | None:
+    """A squashed distribution, without what only says which dimensions are an action's; None for any other."""
     if isinstance(distribution, Independent):
-        return _unsquashed(distribution.base_dist)
-    return distribution.base_dist if isinstance(distribution, TransformedDistribution) else None
+        return _squashed(distribution.base_dist)
+    return distribution if isinstance(distribution, TransformedDistribution) else None

@@ -123,6 +123,12 @@ class KLConstrainedPPOLoss(LossModule):
         if parameter is not None:
             self.multiplier.to(parameter.device)
 
+    def train(self, mode: bool = True) -> KLConstrainedPPOLoss:
+        """Training mode of actor and critic; the reference stays as it is when it acts."""
+        super().train(mode)
+        self.reference.eval()
+        return self
+
     @property
     def functional(self) -> bool:
         """False: the networks are used as they are, no parameters are taken out of them."""
@@ -205,7 +211,7 @@ class KLConstrainedPPOLoss(LossModule):
 
     def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
         """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch; see `LagrangeMultiplier`. Returns the new
-        alpha."""
+        alpha. Raises ValueError for a KL that is NaN or of another shape than kl_bound."""
         return self.multiplier.update(kl)
 
     @torch.no_grad()

@@ -37,13 +37,25 @@ class LagrangeMultiplier(nn.Module):
         self.register_buffer("value", torch.zeros_like(limits))
 
     def forward(self, kl: torch.Tensor) -> torch.Tensor:
-        """alpha KL: what the loss adds. Changes nothing."""
-        return self.value * kl
+        """alpha KL: what the loss adds; nothing where alpha is 0, be KL infinite. Changes nothing."""
+        return torch.where(self.value == 0, 0.0, self.value * kl)
 
     @torch.no_grad()
     def update(self, kl: torch.Tensor) -> torch.Tensor:
         """kl, of the shape of bounds: mean KL over the batch's states with the parameters after its gradient steps.
-        Returns the new value."""
+        Returns the new value. Raises ValueError for another shape, or a NaN, which alpha would keep for good."""
+        kl = torch.as_tensor(kl)
+        if kl.shape != self.bounds.shape:
+            raise ValueError(
+                f"kl has the shape {tuple(kl.shape)}, kl_bound {tuple(self.bounds.shape)}; expected the same."
+            )
+        if bool(kl.isnan().any()):
+            raise ValueError(f"kl is {kl.tolist()}: the policy, its reference or a state is not finite. Stop training.")
+        return self.step(kl)
+
+    @torch.no_grad()
+    def step(self, kl: torch.Tensor) -> torch.Tensor:
+        """`update` without its questions, which wait for a GPU."""
         excess = torch.where(torch.isinf(self.bounds), 0.0, kl / self.bounds - 1.0).clamp(max=LARGEST_EXCESS)
         self.value = (self.value + self.rate * excess).clamp(min=0.0)
         return self.value

@@ -6,6 +6,7 @@ import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import nn
@@ -143,6 +144,7 @@ class Population(nn.Module):
 
         On the CPU weights are copied, if they have changed, laid out by column: a product with few observations is then
         twice as fast. On a GPU they are copied to where they were before, which is where a captured graph reads them.
+        A copy of the population makes its own.
         """
         before, self._versions = self._versions, self._now()
         with torch.no_grad():
@@ -152,7 +154,7 @@ class Population(nn.Module):
                 self._cache = [
                     {
                         name: v.t().contiguous().t() if v.ndim == 2 else v.clone()
-                        for name, v in self.split(vector).items()
+                        for name, v in self.split(vector.clone()).items()  # one row is already laid out by column
                     }
                     for vector in self.vectors
                 ]
@@ -278,6 +280,10 @@ class Population(nn.Module):
     def _now(self) -> list[int]:
         """How often each candidate's parameters have been changed, also by an optimiser."""
         return [vector._version for vector in self.vectors]
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What copying asks for: the parameters of a copy count their changes from 0 again.
+        return {**self.__dict__, "_stacked": None, "_versions": [], "_cache": None}
 
     def _apply(self, fn: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> Population:
         # What .to(device), .double(), ... call.

@@ -25,6 +25,7 @@ from torchrl.envs import EnvBase
 
 from hts.rl.actor import PopulationActor, log_prob
 from hts.rl.deferred import DeferrableTransform, base_and_transforms
+from hts.rl.random import EXPLORATION_SEED
 from hts.rl.task_env import SplitStepEnv
 from hts.rl.threads import pool
 
@@ -144,10 +145,10 @@ class SplitStepCollector(BaseCollector):
         self.policy.population.refresh()
 
     def set_seed(self, seed: int, static_seed: bool = False) -> int:
-        """Seed the env and, beside it, the exploration noise."""
+        """Seed the env and, from another seed, the exploration noise: neither repeats the other's numbers."""
         after = self.env.set_seed(seed, static_seed=static_seed)
         if self.policy.random is not None:
-            self.policy.random.seed(seed)
+            self.policy.random.seed(seed + EXPLORATION_SEED)
         return after
 
     def state_dict(self) -> OrderedDict:

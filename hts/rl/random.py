@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import torch
 
+EXPLORATION_SEED = 101  # added to a candidate's seed: its noise is not drawn from the stream that its env draws from
+
 
 class PrefetchedNoise:
     """The numbers of several steps drawn at once, before the first of them: a step that is a captured graph then only

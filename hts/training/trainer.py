@@ -21,7 +21,7 @@ from hts.rl.measured_reward import MeasuredReward
 from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier, UpperMultiplier
 from hts.rl.population import Population
 from hts.rl.precision import tf32
-from hts.rl.random import PopulationRandom
+from hts.rl.random import EXPLORATION_SEED, PopulationRandom
 from hts.rl.rows import row_mean, row_std
 from hts.rl.samples import Samples, kl_of_batch, samples_of
 from hts.rl.settings import UpdateSettings
@@ -92,7 +92,7 @@ class PopulationTrainer:
         self.names, self.update_normaliser = list(names), update_normaliser
         count, device = population.count, population.device
         self.dt = env.dt
-        self.noise = PopulationRandom([seed + 101 for seed in seeds], device)
+        self.noise = PopulationRandom([seed + EXPLORATION_SEED for seed in seeds], device)
         self.order = PopulationRandom([seed + 202 for seed in seeds], device)
         self.backend = backend_for(device, capture=config.capture, tf32=config.tf32, fuse=config.fuse)
         self.steps = self.backend.gradient_steps(population, update_settings(config), self._stop_in_batch)
@@ -174,7 +174,7 @@ class PopulationTrainer:
                 learning = self._learning
                 self.kl = self._measure_kl(data, samples) if learning is None else learning.kl().clone()
                 if self.batches >= self.config.warmup_batches:
-                    self.multipliers.update(self.kl)
+                    self.multipliers.step(self.kl)  # a NaN stops its own candidate, by its next gradient
         self.batches += 1
         falls = data["next", "terminated"].flatten(1).sum(1)
         std = self.population.log_std().exp().mean((1, 2))

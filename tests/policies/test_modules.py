@@ -10,6 +10,7 @@ from torchrl.modules import ProbabilisticActor, ValueOperator
 
 from hts.contracts import RobotSpec
 from hts.envs.observation import observation_layout
+from hts.errors import PolicyError
 from hts.policies.files import Policy, load_policy, make_card, save_policy
 from hts.policies.modules import actor_of, critic_of, with_parameters
 from hts.rl import Population, Sizes
@@ -96,3 +97,12 @@ def test_a_module_of_another_shape_is_refused():
     start = policy()
     with pytest.raises(ValueError, match="The actor has 1 linear layers, its policy 3"):
         with_parameters(start, torch.nn.Linear(15, 2))
+
+
+def test_numbers_that_training_has_broken_are_named():
+    start = policy()
+    actor, critic = actor_of(start), critic_of(start)
+    with torch.no_grad():
+        list(critic.parameters())[-1].fill_(float("nan"))
+    with pytest.raises(PolicyError, match=r"The trained policy: 'critic.2.bias' holds numbers that are not finite"):
+        with_parameters(start, actor, critic)

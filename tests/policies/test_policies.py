@@ -8,12 +8,13 @@ import json
 import pytest
 import torch
 from dog import SPEC
+from safetensors.torch import save
 from torch import nn
 
 from hts.envs.observation import critic_observation_size, observation_layout
 from hts.errors import PolicyError
 from hts.policies.export import to_onnx, to_torchscript
-from hts.policies.files import Policy, load_policy, make_card, save_policy
+from hts.policies.files import Policy, hash_tensors, load_policy, make_card, save_policy
 from hts.policies.importing import Layout, import_policy
 from hts.policies.proof import ITEMS, unproven
 from hts.rl.population import Population, Sizes
@@ -98,6 +99,26 @@ def test_a_tampered_tensor_is_found(saved):
     data[-3] ^= 1
     saved.write_bytes(bytes(data))
     refusal(saved, "do not match the hash in walk.json")
+
+
+@pytest.mark.parametrize("name", ["actor.1.weight", "critic.0.bias", "log_std", "observation_std", "stranger"])
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_numbers_that_are_not_finite_are_named_and_neither_written_read_nor_exported(tmp_path, name, bad):
+    good = policy()
+    tensors = {**good.tensors, "stranger": torch.zeros(2)}
+    tensors[name] = torch.full_like(tensors[name], bad)
+    broken = Policy(tensors, dataclasses.replace(good.card, policy_hash=hash_tensors(tensors)))
+    path = tmp_path / "walk.safetensors"
+    why = rf"walk\S*: '{name}' holds numbers that are not finite"
+    for write in (save_policy, to_onnx, to_torchscript):
+        with pytest.raises(PolicyError, match=why):
+            write(path, broken) if write is save_policy else write(broken, tmp_path / "walk.onnx")
+    assert not list(tmp_path.iterdir())
+    path.write_bytes(save(tensors))  # by somebody else
+    path.with_suffix(".json").write_text(json.dumps(dataclasses.asdict(broken.card)))
+    for read in (load_policy, import_policy):
+        with pytest.raises(PolicyError, match=why):
+            read(path, SPEC)
 
 
 def test_tensors_of_another_shape_are_named(saved):

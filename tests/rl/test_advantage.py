@@ -9,6 +9,7 @@ from torchrl.objectives.value import GAE
 
 from hts.rl.actor import PopulationCritic
 from hts.rl.advantage import advantages, sparse_next_values
+from hts.rl.backend import CpuBackend, GpuBackend
 from hts.rl.population import Population, Sizes
 
 
@@ -55,6 +56,17 @@ def test_a_fall_ends_all_hope_and_a_time_out_does_not():
         assert float(advantage) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_after_a_fall_the_next_value_is_not_used_even_if_it_is_no_number(bad):
+    reward, value, following, terminated, done = rollout()
+    expected = advantages(reward, value, following, terminated, done, 0.97, 0.9)
+    found = advantages(reward, value, following.masked_fill(terminated, bad), terminated, done, 0.97, 0.9)
+    assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True))
+    elsewhere = (~terminated).nonzero()[0]
+    following[tuple(elsewhere)] = bad
+    assert not torch.isfinite(advantages(reward, value, following, terminated, done, 0.97, 0.9)[0]).all()
+
+
 def test_advantages_of_a_candidate_do_not_depend_on_when_others_fall():
     rows = rollout()
     crowd, _ = advantages(*rows, 0.99, 0.95)
@@ -98,6 +110,19 @@ def test_few_evaluations_give_the_values_of_all():
     assert not found[fell].any()
     alone = Population.from_candidates(population.sizes, [population.candidate(1)])
     assert torch.equal(sparse_next_values(alone, data[1:2], value[1:2]), found[1:2])
+
+
+def test_a_fall_whose_last_observation_is_no_number_harms_nobody_on_either_kind_of_device():
+    population, data = Population(Sizes(3, 5, 2, (8,)), 3, seed=2), batch()
+    terminated, done = (data["next", name].squeeze(-1) for name in ("terminated", "done"))
+    data["next", "critic_observation"][terminated] = float("nan")
+    value = population.value(data["critic_observation"].flatten(1, 2)).view(data.shape)
+    reward = data["next", "reward"].squeeze(-1)
+    on_gpu = GpuBackend(torch.device("cpu"), capture=False, tf32=False, fuse=False)
+    each = [backend.next_values(population, data, value) for backend in (CpuBackend(), on_gpu)]
+    one, other = (advantages(reward, value, following, terminated, done, 0.99, 0.95)[0] for following in each)
+    assert torch.isfinite(one).all()
+    torch.testing.assert_close(other, one)
 
 
 def test_stock_gae_gives_our_advantages():

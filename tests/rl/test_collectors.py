@@ -143,6 +143,17 @@ def test_a_population_collector_collects_what_torchrls_collector_collects_bit_by
     other.close()
 
 
+def test_a_seed_given_to_a_collector_draws_other_numbers_for_exploration_than_for_the_env(robot):
+    trainer, other = make_trainer(robot), make_trainer(robot, seeds=(7, 8))
+    trainer.collector.set_seed(7)
+    env, noise = trainer.collector.bare_env.random, trainer.noise
+    drawn = noise.normal(50)
+    assert not any(torch.equal(one, two) for one in env.normal(50) for two in drawn)
+    assert torch.equal(drawn, other.noise.normal(50))  # as a trainer of these seeds
+    for one in (trainer, other):
+        one.close()
+
+
 def test_under_next_stands_what_the_old_episode_ended_in_and_not_the_new_episodes_beginning(robot):
     trainer = make_trainer(robot)
     data = trainer.collect()

@@ -90,6 +90,37 @@ def test_a_saved_state_opens_in_groups_and_in_one_env(robot, make):
         assert_same(other.collect(), expected)
 
 
+def with_clocks(env, clocks) -> list:
+    """Groups that save one number each beside their state; returns what they load later."""
+    loaded = []
+    for group, clock in zip(env.groups(), clocks, strict=True):
+        full_state, load = group.full_state, group.load_full_state
+        group.full_state = lambda full_state=full_state, clock=clock: full_state().set(
+            ("own", "clock"), torch.tensor(clock)
+        )
+        group.load_full_state = lambda state, load=load: (loaded.append(state["own", "clock"]), load(state))
+    return loaded
+
+
+def test_a_number_that_all_groups_share_is_saved_once_and_given_to_each(make):
+    env = make(2)
+    loaded = with_clocks(env, (3, 3))
+    env.reset()
+    state = env.full_state()
+    assert state["own", "clock"].shape == () and state["own", "clock"] == 3
+    env.load_full_state(state)
+    assert loaded == [3, 3]
+    assert_same(env.full_state(), state)
+
+
+def test_a_number_that_groups_do_not_share_is_told_in_one_line(make):
+    env = make(2)
+    with_clocks(env, (3, 4))
+    env.reset()
+    with pytest.raises(SimulationError, match=r"saves one number as 'own.clock', .* different ones \(3, 4\)"):
+        env.full_state()
+
+
 def test_a_seed_given_later_is_that_of_one_env(make):
     grouped, whole = make(2), make(1)
     for env in (grouped, whole):

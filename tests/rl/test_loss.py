@@ -9,8 +9,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import CompositeDistribution, ProbabilisticTensorDictSequential, TensorDictModule
 from torch import nn
-from torch.distributions import Independent, Normal, StudentT
-from torchrl.modules import IndependentNormal, MaskedCategorical, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.modules import IndependentNormal, MaskedCategorical, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
@@ -21,9 +20,7 @@ from hts.rl import (
     PopulationActor,
     PopulationCritic,
     Sizes,
-    gaussian_kl,
 )
-from hts.rl.kl import distribution_kl
 from hts.rl.surrogate import population_loss
 
 
@@ -173,6 +170,41 @@ def test_the_reference_is_frozen_and_no_optimiser_sees_it():
     assert float(again.kl_to_reference(data)) == pytest.approx(float(loss.kl_to_reference(data)))
 
 
+def test_the_reference_neither_drops_out_nor_follows_its_batches_whatever_the_loss_is_told():
+    torch.manual_seed(0)
+    head = nn.Sequential(nn.BatchNorm1d(3), nn.Dropout(0.5), Head())
+    actor = ProbabilisticActor(
+        TensorDictModule(head, in_keys=["observation"], out_keys=["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=IndependentNormal,
+        return_log_prob=True,
+    )
+    actor.eval()
+    critic = networks()[1]
+    data = batch_of(actor, critic)
+    loss = KLConstrainedPPOLoss(actor, critic)
+    held = nn.ModuleList([loss])
+    held.eval()
+    held.train()
+    assert actor.training and not any(module.training for module in loss.reference.modules())
+    actor.eval()
+    before = {name: value.clone() for name, value in loss.reference.state_dict().items()}
+    assert float(loss.kl_to_reference(data)) == pytest.approx(0.0, abs=1e-6)
+    assert all(torch.equal(loss.reference.state_dict()[name], value) for name, value in before.items())
+
+
+def test_a_trained_population_is_the_reference_of_the_next_loss():
+    population = Population(Sizes(3, 3, 2, (8,)), 2, seed=3)
+    actor, critic = PopulationActor(population), PopulationCritic(population)
+    data = population_batch(population)
+    optimiser = torch.optim.Adam(population.parameters(), lr=1e-2)
+    losses = KLConstrainedPPOLoss(actor, critic, kl_bound=torch.ones(2))(data)
+    (losses["loss_objective"] + losses["loss_critic"]).sum().backward()
+    optimiser.step()
+    again = KLConstrainedPPOLoss(actor, critic, kl_bound=torch.ones(2))
+    assert again.kl_to_reference(data).abs().max() < 1e-6
+
+
 def test_the_fast_path_is_the_same_mathematics():
     population = Population(Sizes(3, 4, 2, (8,)), 3, seed=3)
     reference = Population.from_candidates(population.sizes, [Population(population.sizes, 1, 0.7, 8).candidate(0)] * 3)
@@ -281,13 +313,30 @@ def test_a_policy_whose_actions_are_masked_has_the_gradients_of_clip_ppo(bound):
         torch.testing.assert_close(one, other)
 
 
-def test_the_kl_of_categoricals_is_torchs_and_infinite_where_the_reference_forbids_what_is_done():
+def test_without_a_bound_a_reference_that_forbids_an_action_changes_no_gradient():
     torch.manual_seed(0)
-    first, second = (torch.distributions.Categorical(logits=torch.randn(5, 4)) for _ in range(2))
-    torch.testing.assert_close(distribution_kl(first, second), torch.distributions.kl_divergence(first, second))
-    forbidden = torch.distributions.Categorical(probs=torch.tensor([0.5, 0.5, 0.0]))
-    done = torch.distributions.Categorical(probs=torch.tensor([0.2, 0.2, 0.6]))
-    assert distribution_kl(done, forbidden) == float("inf") and torch.isfinite(distribution_kl(forbidden, done))
+    head, critic = nn.Linear(3, 3), networks()[1]
+
+    def masked(*allowed: bool) -> ProbabilisticActor:
+        logits = TensorDictModule(
+            lambda observation: (head(observation), torch.tensor(allowed).expand(len(observation), 3)),
+            in_keys=["observation"],
+            out_keys=["logits", "mask"],
+        )
+        return ProbabilisticActor(
+            logits, in_keys=["logits", "mask"], distribution_class=MaskedCategorical, return_log_prob=True
+        )
+
+    actor, data = masked(True, True, True), TensorDict({"observation": torch.randn(64, 3)}, [64])
+    with torch.no_grad():
+        critic(actor(data))
+    data["advantage"], data["value_target"] = torch.randn(64, 1), torch.randn(64, 1)
+    slopes = []
+    for reference in (actor, masked(True, True, False)):
+        found = KLConstrainedPPOLoss(actor, critic, reference=reference, kl_bound=float("inf"))(data)
+        slopes.append(torch.autograd.grad(found["loss_objective"], list(head.parameters())))
+    assert found["kl"] == float("inf") and torch.isfinite(found["loss_objective"])
+    assert all(torch.equal(one, other) for one, other in zip(*slopes, strict=True))
 
 
 def test_keys_can_be_renamed_and_stock_gae_fills_them():
@@ -302,29 +351,6 @@ def test_keys_can_be_renamed_and_stock_gae_fills_them():
     assert isinstance(loss.value_estimator, GAE)
     loss.value_estimator(data)
     assert torch.isfinite(loss(data.flatten())["loss_objective"])
-
-
-# -------------------------------------------------------------------------------------------------- divergences
-
-
-def test_squashing_changes_no_kl():
-    loc, other = torch.randn(2, 5, 3)
-    scale, wide = torch.full((5, 3), 0.4), torch.full((5, 3), 0.7)
-    squashed = distribution_kl(TanhNormal(loc, scale), TanhNormal(other, wide))
-    torch.testing.assert_close(squashed, gaussian_kl(loc, scale.log(), other, wide.log()))
-    plain = distribution_kl(IndependentNormal(loc, scale), IndependentNormal(other, wide))
-    torch.testing.assert_close(plain, squashed)
-
-
-def test_where_no_formula_is_known_one_sample_has_the_right_mean():
-    torch.manual_seed(0)
-    policy = Independent(Normal(torch.zeros(50_000, 1), 0.5), 1)
-    reference = Independent(StudentT(torch.full((50_000, 1), 3.0)), 1)
-    x = torch.linspace(-4.0, 4.0, 4001)  # the integral of p (ln p - ln q)
-    density = Normal(0.0, 0.5).log_prob(x)
-    expected = float((density.exp() * (density - StudentT(3.0).log_prob(x))).sum() * (x[1] - x[0]))
-    assert expected > 0.2
-    assert float(distribution_kl(policy, reference).mean()) == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize("keys", [{"in_key": "nope"}, {"in_key": "heat", "reward_key": "nope"}])

@@ -5,7 +5,13 @@ from __future__ import annotations
 import pytest
 import torch
 
-from hts.rl.multiplier import LARGEST_ERROR, LARGEST_PRICE, EqualityMultiplier, UpperMultiplier
+from hts.rl.multiplier import (
+    LARGEST_ERROR,
+    LARGEST_PRICE,
+    EqualityMultiplier,
+    LagrangeMultiplier,
+    UpperMultiplier,
+)
 
 
 def follow(multiplier: EqualityMultiplier, pull: torch.Tensor, updates: int, strength: float = 1.0) -> torch.Tensor:
@@ -115,3 +121,30 @@ def test_a_limit_that_cannot_be_kept_has_a_largest_price():
 def test_a_limit_must_be_positive():
     with pytest.raises(ValueError, match="limit is 0"):
         UpperMultiplier(0.0)
+
+
+# ----------------------------------------------------------------------------------------------- of a bound on the KL
+
+
+def test_a_multiplier_of_zero_adds_nothing_be_the_kl_infinite():
+    multiplier = LagrangeMultiplier(torch.tensor([float("inf"), 0.5]))
+    kl = torch.full((2,), float("inf"), requires_grad=True)
+    added = multiplier(kl)
+    assert added.tolist() == [0.0, 0.0]
+    assert torch.autograd.grad(added.sum(), kl)[0].tolist() == [0.0, 0.0]
+    assert multiplier.update(kl.detach()).tolist() == pytest.approx([0.0, 0.1])  # 0.05 x 2, the largest excess
+    assert multiplier(torch.tensor([float("inf"), 3.0])).tolist() == pytest.approx([0.0, 0.3])
+
+
+def test_a_kl_that_is_no_number_is_refused_and_changes_nothing():
+    multiplier = LagrangeMultiplier(torch.tensor([0.5, 0.5]))
+    multiplier.update(torch.tensor([1.0, 1.0]))
+    with pytest.raises(ValueError, match=r"kl is \[1.0, nan\]: the policy, its reference or a state is not finite"):
+        multiplier.update(torch.tensor([1.0, float("nan")]))
+    assert multiplier.value.tolist() == pytest.approx([0.05, 0.05])
+
+
+@pytest.mark.parametrize(("bounds", "kl"), [(0.5, [0.1, 2.0]), (0.5, [0.6]), ([0.5, 0.5], 3.0)])
+def test_a_kl_of_another_shape_than_its_bounds_is_refused(bounds, kl):
+    with pytest.raises(ValueError, match=r"kl has the shape \(.*\), kl_bound \(.*\); expected the same"):
+        LagrangeMultiplier(torch.tensor(bounds)).update(torch.tensor(kl))

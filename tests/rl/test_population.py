@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
+from tensordict import TensorDict
 from torch.nn import functional as F
+from torchrl.envs import ExplorationType, set_exploration_type
 
+from hts.rl.actor import PopulationActor
 from hts.rl.backend import CpuBackend
 from hts.rl.population import Population, Sizes
 from hts.rl.random import PopulationRandom
@@ -147,3 +152,37 @@ def test_what_acts_follows_every_change_of_the_parameters():
     after = population.mean(x)
     assert torch.equal(after[0], before[0]) and not torch.equal(after[1], before[1])
     torch.testing.assert_close(population.double().mean(x.double()), after.double())
+
+
+def test_a_copy_acts_with_its_own_parameters():
+    population, x = Population(SIZES, 1, seed=3), torch.randn(1, 6, 5)
+    begun, before = copy.deepcopy(population.state_dict()), population.mean(x).clone()
+    with torch.no_grad():
+        population.vectors[0].add_(0.5)
+    moved = population.mean(x)  # as many changes as the copy counts below
+    copied = copy.deepcopy(population)
+    assert torch.equal(copied.mean(x), moved)
+    again = copy.deepcopy(population)
+    again.load_state_dict(begun)
+    assert torch.equal(again.mean(x), before) and torch.equal(population.mean(x), moved)
+
+
+def test_what_acts_is_a_copy_of_every_parameter():
+    population = Population(SIZES, 1, seed=3)
+    population.refresh()
+    memory = population.vectors[0].untyped_storage().data_ptr()
+    assert all(one.untyped_storage().data_ptr() != memory for one in population._ready()[0].values())
+
+
+@pytest.mark.parametrize("kind", [ExplorationType.DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE])
+def test_an_actor_explores_unless_it_is_told_otherwise(kind):
+    random = PopulationRandom([1, 2], torch.device("cpu"))
+    actor = PopulationActor(Population(SIZES, 2, seed=3), random)
+    seen, before = TensorDict({"observation": torch.randn(2, 6, 5)}, [2, 6]), random.state_dict()
+    with set_exploration_type(kind):
+        found = actor(seen.copy())
+    assert torch.equal(found["action"], found["loc"])
+    assert torch.equal(random.state_dict()["generators"], before["generators"])  # nothing was drawn
+    with set_exploration_type(ExplorationType.RANDOM):
+        assert not (actor(seen.copy())["action"] == found["loc"]).any()
+    assert not (actor(seen.copy())["action"] == found["loc"]).any()

@@ -1,0 +1,67 @@
+"""The KL divergence of two distributions of actions, beside integrals and torch's own."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.distributions import AffineTransform, Independent, Normal, StudentT, TransformedDistribution
+from torchrl.modules import IndependentNormal, TanhNormal
+
+from hts.rl import gaussian_kl
+from hts.rl.kl import distribution_kl
+
+
+def test_squashing_changes_no_kl():
+    loc, other = torch.randn(2, 5, 3)
+    scale, wide = torch.full((5, 3), 0.4), torch.full((5, 3), 0.7)
+    squashed = distribution_kl(TanhNormal(loc, scale), TanhNormal(other, wide))
+    torch.testing.assert_close(squashed, gaussian_kl(loc, scale.log(), other, wide.log()))
+    plain = distribution_kl(IndependentNormal(loc, scale), IndependentNormal(other, wide))
+    torch.testing.assert_close(plain, squashed)
+
+
+def test_squashing_to_other_limits_changes_the_kl():
+    torch.manual_seed(0)
+    loc, scale = torch.zeros(50_000, 2), torch.full((50_000, 2), 0.3)
+    policy, reference = TanhNormal(loc, scale), TanhNormal(loc, scale, low=-2.0, high=2.0)
+    # In the reference's y = 2 tanh(x), an action a of the policy is x = atanh(a / 2).
+    x = torch.linspace(-2.0, 2.0, 4001)
+    base = Normal(0.0, 0.3)
+    density = base.log_prob(x) - (1 - x.tanh().square()).log()
+    back = (x.tanh() / 2).atanh()
+    there = base.log_prob(back) - (2 * (1 - back.tanh().square())).log()
+    expected = 2 * float((base.log_prob(x).exp() * (density - there)).sum() * (x[1] - x[0]))
+    assert expected > 0.5
+    assert float(distribution_kl(policy, reference).mean()) == pytest.approx(expected, rel=0.02)
+    same = distribution_kl(reference, TanhNormal(loc, 2 * scale, low=-2.0, high=2.0))
+    torch.testing.assert_close(same, gaussian_kl(loc, scale.log(), loc, (2 * scale).log()))
+
+
+def test_actions_that_are_shifted_otherwise_have_the_kl_of_their_own_scale():
+    torch.manual_seed(0)
+    base = Normal(torch.zeros(50_000, 1), 1.0)
+    policy, reference = (
+        Independent(TransformedDistribution(base, [AffineTransform(shift, 1.0)]), 1) for shift in (0.0, 3.0)
+    )
+    assert float(distribution_kl(policy, reference).mean()) == pytest.approx(4.5, rel=0.02)  # 3^2 / 2
+    assert not distribution_kl(policy, policy).any()
+
+
+def test_where_no_formula_is_known_one_sample_has_the_right_mean():
+    torch.manual_seed(0)
+    policy = Independent(Normal(torch.zeros(50_000, 1), 0.5), 1)
+    reference = Independent(StudentT(torch.full((50_000, 1), 3.0)), 1)
+    x = torch.linspace(-4.0, 4.0, 4001)  # the integral of p (ln p - ln q)
+    density = Normal(0.0, 0.5).log_prob(x)
+    expected = float((density.exp() * (density - StudentT(3.0).log_prob(x))).sum() * (x[1] - x[0]))
+    assert expected > 0.2
+    assert float(distribution_kl(policy, reference).mean()) == pytest.approx(expected, rel=0.02)
+
+
+def test_the_kl_of_categoricals_is_torchs_and_infinite_where_the_reference_forbids_what_is_done():
+    torch.manual_seed(0)
+    first, second = (torch.distributions.Categorical(logits=torch.randn(5, 4)) for _ in range(2))
+    torch.testing.assert_close(distribution_kl(first, second), torch.distributions.kl_divergence(first, second))
+    forbidden = torch.distributions.Categorical(probs=torch.tensor([0.5, 0.5, 0.0]))
+    done = torch.distributions.Categorical(probs=torch.tensor([0.2, 0.2, 0.6]))
+    assert distribution_kl(done, forbidden) == float("inf") and torch.isfinite(distribution_kl(forbidden, done))
