@@ -18,6 +18,8 @@ import numpy as np
 from hts.contracts import Signals
 from hts.measurement.checks import traces_of
 from hts.measurement.data import check_units, recorded_signals
+from hts.measurement.fit_settings import FitSettings
+from hts.measurement.fitting import fit_model
 from hts.measurement.linear import Linear, LinearSettings
 from hts.measurement.scoring import Trace, commanded_speed, r2
 from hts.measurement.split import named_part
@@ -163,7 +165,7 @@ def _held_out(objective: Objective, signals: Signals, pairs: Sequence[Pair]) -> 
     everything: list[Trace] = []
     for name, test, training in pairs:
         model = Linear(LinearSettings(), signals)
-        model.fit(training)
+        fit_model(model, training, FitSettings(), None)
         traces = [trace for trace in traces_of(model, objective.target.name, test) if len(trace.measured)]
         if not traces:
             continue

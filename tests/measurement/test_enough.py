@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from hts.channels import Channel
-from hts.errors import RecordingError
+from hts.errors import PluginError, RecordingError
 from hts.measurement.enough import enough
+from hts.measurement.linear import Linear
 from hts.recordings import Series
 from hts.testing.known_signals import KnownHeat, known_heat
 
@@ -89,6 +90,26 @@ def test_a_policy_whose_level_is_missed_is_named(plenty):
         worn.append(one)
     found = enough(KnownHeat(), worn)
     assert any("the level of policy c is missed by -" in line for line in found.missing), found.missing
+
+
+def test_policies_behind_a_gauge_that_stopped_are_told_of(plenty):
+    stopped = []
+    for one in plenty:
+        heat = one.values("heat").copy()
+        heat[20:] = 1.9
+        stopped.append(one.replace(channels={**one.channels, "heat": Series(one.channels["heat"].channel, heat)}))
+    found = enough(KnownHeat(), stopped)
+    assert found.r2 is None and "record longer: too little is left to test a model on" in found.missing
+
+
+def test_a_fit_that_fails_is_one_line(plenty, monkeypatch):
+    def fails(model, recordings, how):
+        return 1 / 0
+
+    monkeypatch.setattr(Linear, "learn", fails)
+    with pytest.raises(PluginError, match="Measurement model 'linear': fit.. failed, ZeroDivisionError") as caught:
+        enough(KnownHeat(), plenty)
+    assert "\n" not in str(caught.value)
 
 
 def test_schedules_that_nobody_stated_are_asked_for(plenty):

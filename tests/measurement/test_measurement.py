@@ -133,6 +133,8 @@ def test_r2_is_the_share_of_variance_explained():
     assert r2(np.array([1.0, 2.0, 3.0]), np.array([2.0, 2.0, 2.0])) == 0.0
     assert r2(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 4.0])) == 0.5
     assert r2(np.array([2.0, 2.0]), np.array([2.0, 2.0])) is None
+    assert r2(np.full(3, 0.1), np.zeros(3)) is None  # their mean is 0.1 and a rounding error
+    assert r2(1e5 + np.array([0.0, 1.0]), 1e5 + np.array([0.0, 1.0])) == 1.0
 
 
 def test_rank_correlation_is_of_ranks_and_null_for_one_policy():
