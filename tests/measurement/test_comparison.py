@@ -11,7 +11,7 @@ from hts.cli import fit as fit_cli
 from hts.cli.fit_progress import FitProgress
 from hts.errors import ConfigError, RecordingError
 from hts.measurement import comparison, fit_command
-from hts.measurement.baseline import fit_best, stand_ins
+from hts.measurement.baseline import WINDOWS_SECONDS, fit_best, stand_ins
 from hts.measurement.fit_command import FitChecks, Wanted
 from hts.measurement.fit_report import cautions, table
 from hts.measurement.split import named_part
@@ -49,6 +49,18 @@ def fitted(tmp_path, store, name="cool", **how):
 
 def rows_of(report):
     return {row["name"]: row for row in report["compared"]}
+
+
+@pytest.mark.parametrize("level", [0.1, 23.4, 123.456, 1e4 / 3])
+def test_a_stand_in_that_was_constant_explains_nothing(level):
+    """A temperature that did not change while it was recorded: rounding is no slope."""
+    walk = known_heat(1, seconds=60.0)
+    heat = np.random.default_rng(0).standard_normal(3000).cumsum() * 0.01
+    walk = walk.replace(channels={**walk.channels, "heat": Series(HEAT, heat)})
+    constant = {"Σ|temperature|": lambda channels: np.full(len(channels["heat"]), level)}
+    for windows in ((0.0,), WINDOWS_SECONDS):
+        _, fit = fit_best(constant, "heat", [walk], windows)
+        assert fit.scale == 0.0 and fit.predict(np.full(9, level + 0.5)) == pytest.approx([heat[50:].mean()] * 9)
 
 
 def test_mean_proxies_and_linear_are_scored_on_the_samples_of_the_chosen_model(tmp_path, run):
