@@ -11,15 +11,15 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hts.contracts import Signals
+from hts.guarded import guarded
 from hts.measurement.checks import traces_of
 from hts.measurement.data import check_units, recorded_signals
-from hts.measurement.fit_settings import FitSettings
-from hts.measurement.fitting import fit_model
 from hts.measurement.linear import Linear, LinearSettings
 from hts.measurement.scoring import Trace, commanded_speed, r2
 from hts.measurement.split import named_part
@@ -165,7 +165,8 @@ def _held_out(objective: Objective, signals: Signals, pairs: Sequence[Pair]) -> 
     everything: list[Trace] = []
     for name, test, training in pairs:
         model = Linear(LinearSettings(), signals)
-        fit_model(model, training, FitSettings(), None)
+        what = f"Measurement model 'linear', fitted with policy {name[:8] or '(unnamed)'} held out,"
+        guarded(what, partial(model.fit, training))
         traces = [trace for trace in traces_of(model, objective.target.name, test) if len(trace.measured)]
         if not traces:
             continue

@@ -107,7 +107,7 @@ def test_a_fit_that_fails_is_one_line(plenty, monkeypatch):
         return 1 / 0
 
     monkeypatch.setattr(Linear, "learn", fails)
-    with pytest.raises(PluginError, match="Measurement model 'linear': fit.. failed, ZeroDivisionError") as caught:
+    with pytest.raises(PluginError, match="'linear', fitted with policy . held out, failed, ZeroDivision") as caught:
         enough(KnownHeat(), plenty)
     assert "\n" not in str(caught.value)
 
