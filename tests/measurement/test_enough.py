@@ -40,6 +40,14 @@ def test_a_speed_at_which_nobody_walked_is_missing(plenty):
     assert missing == "record 20 s more at 1.1: there are 0 s, expected 20"
 
 
+def test_seconds_at_speeds_beside_the_asked_one_are_summed(plenty):
+    """120 s at 0.5 and 120 s at 0.8 of `plenty`; beside them 12 s at 0.78 and 14 s at 1.02 and at 1.05."""
+    more = [known_heat(9, "a", seconds=s, speed=v) for s, v in ((12.0, 0.78), (14.0, 1.02), (14.0, 1.05))]
+    assert enough(KnownHeat(), [*plenty, *more], speeds=[0.8, 1.03]).missing == ()
+    (missing,) = enough(KnownHeat(), [*plenty, *more], speeds=[1.0]).missing
+    assert missing == "record 6 s more at 1: there are 14 s, expected 20"
+
+
 def test_one_short_recording_lacks_everything():
     found = enough(KnownHeat(), [known_heat(0, seconds=20.0)])
     assert not found.by_policy
