@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -86,6 +87,11 @@ def cautions(report: Mapping[str, Any]) -> list[str]:
     """
     held, target, shared = report["held_out"], report["target"], report["shared"]
     lines = []
+    if report["left_out"]:
+        reasons = Counter(report["left_out"].values())
+        why = "; ".join(f"{count}: {reason}" for reason, count in reasons.items())
+        many = f"{len(report['left_out'])} recording{'s' if len(report['left_out']) > 1 else ''}"
+        lines.append(f"{target}: {many} left out, listed in fit.json under `left_out` ({why}).")
     if report["masked"]["samples"]:
         lines.append(f"{target}: {told(Masked(**report['masked']))}")
     if shared["held_out"]:

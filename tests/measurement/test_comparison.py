@@ -127,6 +127,17 @@ def test_a_test_store_is_held_out_and_what_it_shares_leaves_the_training(tmp_pat
         fit_command.fit_store("cool", run, tmp_path / "self", overrides=QUICK, checks=FitChecks(test=run))
 
 
+def test_recordings_of_a_test_store_that_lack_a_channel_are_listed_and_counted(tmp_path, run):
+    blind = [known_heat(seed) for seed in (4, 5)]
+    blind = [b.replace(channels={n: s for n, s in b.channels.items() if n != "heat"}, idle={}) for b in blind]
+    tests = store_of(tmp_path / "tests.zarr", known_heat(3), *blind)
+    report = fitted(tmp_path, run, checks=FitChecks(test=tests))
+    assert len(report["held_out"]["recordings"]) == 1
+    assert set(report["left_out"]) == set(RecordingStore(tests).ids()) - set(report["held_out"]["recordings"])
+    told = "heat: 2 recordings left out, listed in fit.json under `left_out` "
+    assert cautions(report)[0] == told + "(2: of the test store, has no channel 'heat')."
+
+
 def test_a_test_store_of_another_robot_is_refused(tmp_path, run):
     other = store_of(tmp_path / "other.zarr", known_heat(2, robot="another"))
     with pytest.raises(RecordingError, match="differ in robot: fake in 1 .*another in 1"):
