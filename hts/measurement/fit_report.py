@@ -21,8 +21,10 @@ def summary_line(report: Mapping[str, Any]) -> str:
     """One line for a person, from the report of `fit_and_check`."""
     held = report["held_out"]
     if not held["recordings"]:
+        fitted = len(report["training"])
+        what = "one recording" if fitted == 1 else f"{fitted} recordings, each the only one of a policy that is kept"
         return (
-            f"{report['target']}: fitted to one recording, so none was held out and nothing is known of how well it "
+            f"{report['target']}: fitted to {what}, so none was held out and nothing is known of how well it "
             "predicts. Import two at least, or hold out its end: --split chronological=0.7"
         )
     proxy = (held["proxy"] or {}).get("smoothed")
