@@ -249,6 +249,20 @@ def test_policies_are_files_runs_and_folders_of_runs(policies, tmp_path):
         policies_of([tmp_path / "nowhere"])
 
 
+def test_policies_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    for batch_of_runs in "ABC":
+        for run in ("dev-00", "dev-01"):
+            folder = tmp_path / batch_of_runs / run / "policies"
+            folder.mkdir(parents=True)
+            (folder / "best.onnx").touch()
+    (tmp_path / "other.onnx").touch()
+    best = {f"{a}/{b}": tmp_path / a / b / "policies/best.onnx" for a in "ABC" for b in ("dev-00", "dev-01")}
+    assert policies_of([tmp_path / name for name in "ABC"]) == best
+    files = policies_of([*best.values(), tmp_path / "other.onnx", best["A/dev-00"]])  # one of them twice
+    assert files == {**{f"{key}/policies/best": file for key, file in best.items()}, "other": tmp_path / "other.onnx"}
+    assert list(policies_of([tmp_path / "A"])) == ["dev-00", "dev-01"]
+
+
 def test_truths_come_first_and_repetitions_in_turn(policies):
     made = works(policies)
     assert [(work.repetition, work.reality) for work in made] == [
