@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, field
@@ -65,23 +66,34 @@ class Work:
 
 def policies_of(places: Sequence[Path]) -> dict[str, Path]:
     """Name -> ONNX file: files themselves, those of a folder, and of run folders (or folders of them) the best. Names
-    are told apart by their folders. Raises PolicyError where there is none."""
-    found: dict[str, Path] = {}
+    are told apart by as many of their folders as it takes. Raises PolicyError where there is none."""
+    found: dict[Path, tuple[Path, Path]] = {}  # the file wherever it is -> what it is called after, and itself
     for place in places:
         files = [place] if place.is_file() and place.suffix == ".onnx" else sorted(place.glob("*.onnx"))
-        for file in files:
-            found[file.stem if file.stem not in found else f"{file.parent.name}/{file.stem}"] = file
+        found |= {file.resolve(): (file.absolute().with_suffix(""), file) for file in files}
         if files:
             continue
         runs = [place, *sorted(one for one in place.glob("*") if one.is_dir())] if place.is_dir() else []
-        best = {run.name: run / "policies" / "best.onnx" for run in runs if (run / "policies" / "best.onnx").is_file()}
+        best = {run: run / "policies" / "best.onnx" for run in runs if (run / "policies" / "best.onnx").is_file()}
         if not best:
             raise PolicyError(
                 f"{place}: expected an .onnx file, a finished run's folder, or a folder of either. Export one with "
                 "`hts export`, or keep folders of a batch with --keep."
             )
-        found |= best
-    return found
+        found |= {file.resolve(): (run.absolute(), file) for run, file in best.items()}
+    names = _told_apart([called for called, _ in found.values()])
+    return {name: file for name, (_, file) in zip(names, found.values(), strict=True)}
+
+
+def _told_apart(paths: Sequence[Path]) -> list[str]:
+    """The last part of each path, and as many before it as no other path shares all of."""
+    names, depth = [path.name for path in paths], 1
+    while len(set(names)) < len(names) and depth < max(len(path.parts) for path in paths):
+        depth, count = depth + 1, Counter(names)
+        names = [
+            "/".join(path.parts[-depth:]) if count[name] > 1 else name for path, name in zip(paths, names, strict=True)
+        ]
+    return names
 
 
 def works_of(

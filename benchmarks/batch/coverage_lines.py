@@ -115,6 +115,31 @@ Against = Literal["all", "counted", "uncertain"]
 better than its own sessions tell."""
 
 
+def truths_of(lines: Sequence[CoverageLine]) -> dict[tuple[str, str, str, str], CoverageLine]:
+    """The truth of each pair: of several the one with the most speeds, of equals the last. Raises EvaluationError where
+    each of two has a speed that the other lacks."""
+    found: dict[tuple[str, str, str, str], CoverageLine] = {}
+    for line in lines:
+        if line.kind != "truth":
+            continue
+        other = found.get(line.pair, line)
+        if other.speeds.keys() <= line.speeds.keys():
+            found[line.pair] = line
+        elif not line.speeds.keys() < other.speeds.keys():
+            raise EvaluationError(
+                f"Two truths of {line.policy} on {line.reality} are at {', '.join(other.speeds)} and at "
+                f"{', '.join(line.speeds)} m/s: neither is the whole. Make one at all of them (`coverage run --only "
+                "truths --speeds`), or leave one's lines out."
+            )
+    return found
+
+
+def _partial(lines: Sequence[CoverageLine]) -> list[CoverageLine]:
+    """Truths with fewer speeds than another of their pair."""
+    truths = truths_of(lines)
+    return [one for one in lines if one.kind == "truth" and len(one.speeds) < len(truths[one.pair].speeds)]
+
+
 def coverage(
     lines: Sequence[CoverageLine],
     kind: str,
@@ -124,7 +149,7 @@ def coverage(
 ) -> dict[str, list[tuple[float, Interval, float]]]:
     """reality -> (estimate, interval, truth) of every evaluation there. Where truths are uncertain, the interval is
     that of the difference of the two. Raises EvaluationError without a truth."""
-    truths = {line.pair: line for line in lines if line.kind == "truth"}
+    truths = truths_of(lines)
     found: dict[str, list[tuple[float, Interval, float]]] = {}
     for line in lines:
         if line.kind == "truth" or policy not in (None, line.policy):
@@ -180,6 +205,8 @@ def coverage_table(lines: Sequence[CoverageLine]) -> str:
     if len(units) > 1:
         names = ", ".join(sorted(name for name, _ in units))
         raise EvaluationError(f"These lines are of several objectives ({names}). Name files of one with --lines.")
+    partial = _partial(lines)
+    lines = [line for line in lines if line not in partial]
     show = differences(next(iter(units))[1], signed=False)
     signed = differences(next(iter(units))[1])
     speeds = sorted({key for line in evaluations for key in line.speeds}, key=float)
@@ -220,14 +247,17 @@ def coverage_table(lines: Sequence[CoverageLine]) -> str:
     head += ["error, RMS", "error, mean"]
     sessions = sorted({line.lengths.sessions for line in evaluations})
     note = f"{', '.join(map(str, sessions))} sessions an evaluation; {refused} speeds refused"
+    if partial:
+        note += f"; truths left out, as another of their pair has more speeds: {len(partial)}"
     more = _misses(coverage(lines, first)) + _left_out(lines, signed, show) + _resampled(evaluations)
     return f"{table(head, rows)}\n\n{note}; truths to within {_truth_error(lines, show)} (95 %, mean).{more}"
 
 
 def pairs_table(lines: Sequence[CoverageLine]) -> str:
     """Each policy on each reality: the truth, and what evaluations of it said."""
-    rows = []
-    for truth in sorted((line for line in lines if line.kind == "truth"), key=lambda line: (line.policy, line.reality)):
+    rows, partial = [], _partial(lines)
+    truths = [line for line in lines if line.kind == "truth" and line not in partial]
+    for truth in sorted(truths, key=lambda line: (line.policy, line.reality)):
         mine = [line for line in lines if line.kind == "evaluation" and line.pair == truth.pair]
         show = differences(truth.unit, signed=False)
         for speed, one in sorted(truth.speeds.items(), key=lambda item: float(item[0])):

@@ -187,7 +187,8 @@ def realities(groups: Sequence[Group]) -> str:
     def cell(group: Group, name: str) -> str:
         if name not in group.values():
             return NONE
-        lowest = min(_mean_of(group.values(speed), name) for speed in group.speeds)
+        at_speeds = [group.values(speed) for speed in group.speeds]
+        lowest = min(_mean_of(values, name) for values in at_speeds if name in values)  # a version may be asked others
         return f"{show(_mean_of(group.values(), name))} (lowest speed {show(lowest)})"
 
     rows = [[n, *(cell(g, n) for g in groups)] for n in names]

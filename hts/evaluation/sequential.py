@@ -17,6 +17,7 @@ unit on, for normal units, is the t-test's likelihood ratio mixed over the effec
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -32,8 +33,8 @@ def evidence(values: Sequence[float] | np.ndarray, null: float = 0.0, g: float =
 
         E = √r · [(1 + t²/ν) / (1 + r t²/ν)]^(n/2)
 
-    It may be looked at after each unit: P(ever E ≥ 1/α) ≤ α. One unit says nothing (1). Raises ValueError for a value
-    that is not finite.
+    It may be looked at after each unit: P(ever E ≥ 1/α) ≤ α. One unit says nothing (1). Infinite where it is more than
+    a float holds. Raises ValueError for a value that is not finite.
     """
     found = _checked(values)
     n = len(found)
@@ -43,7 +44,8 @@ def evidence(values: Sequence[float] | np.ndarray, null: float = 0.0, g: float =
     if squares == 0.0:
         return 1.0 if off == 0.0 else math.inf
     r, ratio = 1.0 / (1.0 + n * g), off / squares  # ratio = t²/ν
-    return math.exp(0.5 * math.log(r) + 0.5 * n * (math.log1p(ratio) - math.log1p(r * ratio)))
+    log = 0.5 * math.log(r) + 0.5 * n * (math.log1p(ratio) - math.log1p(r * ratio))
+    return math.exp(log) if log < math.log(sys.float_info.max) else math.inf
 
 
 def half_width(values: Sequence[float] | np.ndarray, error: float = 0.05, g: float = EFFECT_VARIANCE) -> float:

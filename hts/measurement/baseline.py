@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from hts.measurement.scoring import Trace, scores, unscored
+from hts.measurement.scoring import Trace, scores, unscored, varies
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, Signals
@@ -135,7 +135,8 @@ def _fit_line(
                 [shifted(proxy, delay, window)[skip:] for skip, (proxy, _, _) in zip(skips, pairs, strict=True)]
             )
             variance = x.var()
-            scale = float(((x - x.mean()) * (y - y.mean())).mean() / variance) if variance > 0 else 0.0
+            moves = varies(variance, (x * x).mean())  # differences of sums leave rounding noise of a constant
+            scale = float(((x - x.mean()) * (y - y.mean())).mean() / variance) if moves else 0.0
             offset = float(y.mean() - scale * x.mean())
             error = float(((y - scale * x - offset) ** 2).mean())
             if error < least:

@@ -11,11 +11,13 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hts.contracts import Signals
+from hts.guarded import guarded
 from hts.measurement.checks import traces_of
 from hts.measurement.data import check_units, recorded_signals
 from hts.measurement.linear import Linear, LinearSettings
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
 
 LEAST_SECONDS = 120.0
 SECONDS_AT_A_SPEED = 20.0
+SAME_SPEED = 0.05
+"""Commanded speeds nearer than this to one that is asked about count for it, m/s or the unit of a set-point."""
 LEAST_POLICIES = 3
 LEAST_R2 = 0.6
 LEAST_DIRECTIONS = 1 / 3
@@ -163,7 +167,8 @@ def _held_out(objective: Objective, signals: Signals, pairs: Sequence[Pair]) -> 
     everything: list[Trace] = []
     for name, test, training in pairs:
         model = Linear(LinearSettings(), signals)
-        model.fit(training)
+        what = f"Measurement model 'linear', fitted with policy {name[:8] or '(unnamed)'} held out,"
+        guarded(what, partial(model.fit, training))
         traces = [trace for trace in traces_of(model, objective.target.name, test) if len(trace.measured)]
         if not traces:
             continue
@@ -203,7 +208,7 @@ def _too_little(
     if not at:
         found.append("state the commanded speeds (recording.schedule in the mapping): no recording does")
     for speed in speeds:
-        there_at = next((one for known, one in at.items() if abs(known - speed) < 0.05), 0.0)
+        there_at = sum(one for known, one in at.items() if abs(known - speed) < SAME_SPEED)
         if at and there_at < SECONDS_AT_A_SPEED:
             found.append(
                 f"record {SECONDS_AT_A_SPEED - there_at:.0f} s more at {speed:g}: there are {there_at:.0f} s, expected "

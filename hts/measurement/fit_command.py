@@ -186,7 +186,8 @@ def fit_store(
     """Fit the objective's model to all recordings of a store that have its channels; returns the path of fit.json.
 
     overrides: KEY=VALUE, the key `measurement.…` or `objectives.NAME.…` as in a run's config; say: told what is being
-    done. Recordings without one of the channels are left out and listed in fit.json under `left_out`.
+    done. Recordings, those of the test store too, without one of the channels are left out and listed in fit.json
+    under `left_out`.
     Raises RunError if `out` holds a fit already; RecordingError if nothing can be fitted, or where recordings are of
     several robots, rates, joints or units.
     """
@@ -205,7 +206,7 @@ def fit_store(
         objective = registry.make_objective(objective_name, settings["objectives"])
     recordings, left_out = _usable(store, objective, wanted.robot)
     dataset = store.dataset([one.id for one in recordings])
-    parts, shared = _split(objective, recordings, checks, config, wanted.robot)
+    parts, shared, untested = _split(objective, recordings, checks, config, wanted.robot)
     candidates = Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)
     spec = _spec(registry, parts.training[0])
     choice, rows, tried = compared(candidates, parts, checks.models, checks.best, spec, say)
@@ -217,7 +218,7 @@ def fit_store(
         "shared": asdict(shared),
         "best_of": tried,
         "dataset": dataset.sha256,
-        "left_out": left_out,
+        "left_out": {**untested, **left_out},
         "store": str(store_path),
         "test": None if checks.test is None else str(checks.test),
     }
@@ -305,30 +306,34 @@ def _split(
     checks: FitChecks,
     config: MeasurementConfig,
     robot: str | None,
-) -> tuple[Split, Shared]:
-    """Who is fitted to and who is held out, and whether they have samples in common."""
+) -> tuple[Split, Shared, dict[str, str]]:
+    """Who is fitted to and who is held out, whether they have samples in common, and why recordings of the test store
+    were left out."""
     from hts.recordings.store import RecordingStore
 
     channels = (*objective.inputs, objective.target.name)
+    untested: dict[str, str] = {}
     if checks.test is None:
         check_alike(recordings, channels)
         parts = split_by(checks.split, recordings, config.held_out, config.seed)
     else:
         if checks.split is not None:
             raise ConfigError("--test and --split both say what is held out: give one of them.")
-        test, _ = _usable(RecordingStore(checks.test), objective, robot)
+        test, left_out = _usable(RecordingStore(checks.test), objective, robot)
+        untested = {recording_id: f"of the {TEST_STORE}, {why}" for recording_id, why in left_out.items()}
         check_alike([*recordings, *test], channels)
         parts = Split(list(recordings), test, f"{TEST_STORE} {checks.test}")
     if checks.keep_shared:
         _, marked = shared_samples(parts.training, parts.held_out, channels)
-        return parts, Shared(int(sum(one.sum() for one in marked)), sum(one.num_samples for one in parts.held_out))
+        count = int(sum(one.sum() for one in marked))
+        return parts, Shared(count, sum(one.num_samples for one in parts.held_out)), untested
     training, shared = without_shared(parts.training, parts.held_out, channels)
     if not training:
         raise RecordingError(
             "Everything that is to be fitted to is held out too: the same logs are on both sides. Import others, or "
             "split one store with --split chronological=0.7."
         )
-    return replace(parts, training=training), shared
+    return replace(parts, training=training), shared, untested
 
 
 def _spec(registry: Registry, recording: Recording) -> RobotSpec | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,8 +21,10 @@ def summary_line(report: Mapping[str, Any]) -> str:
     """One line for a person, from the report of `fit_and_check`."""
     held = report["held_out"]
     if not held["recordings"]:
+        fitted = len(report["training"])
+        what = "one recording" if fitted == 1 else f"{fitted} recordings, each the only one of a policy that is kept"
         return (
-            f"{report['target']}: fitted to one recording, so none was held out and nothing is known of how well it "
+            f"{report['target']}: fitted to {what}, so none was held out and nothing is known of how well it "
             "predicts. Import two at least, or hold out its end: --split chronological=0.7"
         )
     proxy = (held["proxy"] or {}).get("smoothed")
@@ -86,6 +89,11 @@ def cautions(report: Mapping[str, Any]) -> list[str]:
     """
     held, target, shared = report["held_out"], report["target"], report["shared"]
     lines = []
+    if report["left_out"]:
+        reasons = Counter(report["left_out"].values())
+        why = "; ".join(f"{count}: {reason}" for reason, count in reasons.items())
+        many = f"{len(report['left_out'])} recording{'s' if len(report['left_out']) > 1 else ''}"
+        lines.append(f"{target}: {many} left out, listed in fit.json under `left_out` ({why}).")
     if report["masked"]["samples"]:
         lines.append(f"{target}: {told(Masked(**report['masked']))}")
     if shared["held_out"]:

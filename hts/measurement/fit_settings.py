@@ -45,6 +45,7 @@ class Learner(MeasurementModel):
 
     def learn(self, recordings: Sequence[Recording], how: FitSettings) -> dict[str, Any]:
         """Fit to all the recordings, in place. The report, JSON values: samples, epochs, stopped, warm_started,
-        validation_r2 and what else is worth telling; recordings, seed and seconds are added to it.
+        validation_r2 (None if nothing varies there) and what else is worth telling; recordings, seed and seconds are
+        added to it.
         Raises RecordingError."""
         raise NotImplementedError(f"{type(self).__name__} has neither `learn` nor `fit`.")

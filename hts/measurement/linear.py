@@ -23,6 +23,7 @@ from hts.contracts import MeasurementModel, ModelContext, Prediction, Signals
 from hts.measurement.data import Piece, training_data
 from hts.measurement.lstm_fit import one_thread
 from hts.measurement.ridge import POOLINGS, RIDGES, Moments, chosen, parts_left_out, penalty_of
+from hts.measurement.scoring import explained
 from hts.measurement.torch_model import TorchModel
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ class Linear(TorchModel):
             poolings = POOLINGS if config.pooling is None else (config.pooling,)
             std, groups = self.feature_std, self.shared_features()
             found = chosen(folds, std, groups, len(self.lags), ridges, poolings if groups else (1.0,))
+            tested = sum(folds[1:], start=folds[0])
             whole = sum(folds, start=rest).first(found.lags * self.num_features)
             solution = whole.solved(found.ridge * penalty_of(found.pooling, std, groups, found.lags))
         self.weight.zero_()
@@ -102,7 +104,7 @@ class Linear(TorchModel):
             "ridge": found.ridge,
             "pooling": found.pooling,
             "lag_seconds": self.lags[found.lags - 1] / self.signals.rate_hz,
-            "validation_r2": 1.0 - found.error / sum(folds[1:], start=folds[0]).variance(),
+            "validation_r2": explained(found.error, tested.variance(), float(tested.yy / tested.count)),
         }
 
     def shared_features(self) -> list[slice]:

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from hts.errors import RecordingError
 from hts.measurement.data import Piece, split_ends, training_data
+from hts.measurement.scoring import explained
 
 if TYPE_CHECKING:
     from hts.contracts.measurement_model import Progress
@@ -38,8 +39,8 @@ def fit_lstm(model: LSTM, recordings: Sequence[Recording], how: FitSettings) -> 
 
     Adam with clipped gradients and a cosine step size; the epoch with the least error on the last 10 % of each
     recording is kept. Stops early after `patience` epochs without a better one, or after the epoch in which
-    `max_seconds` have passed. The report: samples, epochs, best_epoch, stopped, warm_started, validation_r2, and the
-    error of each epoch in z-scores as `curve`.
+    `max_seconds` have passed. The report: samples, epochs, best_epoch, stopped, warm_started, validation_r2 (None if
+    nothing varies there), and the error of each epoch in z-scores as `curve`.
     """
     began = time.monotonic()
     pieces = training_data(model.signals, recordings)
@@ -63,7 +64,7 @@ def fit_lstm(model: LSTM, recordings: Sequence[Recording], how: FitSettings) -> 
         "best_epoch": search.best_epoch,
         "stopped": search.stopped,
         "warm_started": before is not None,
-        "validation_r2": 1.0 - search.best_error / _variance(validation or training),
+        "validation_r2": explained(search.best_error, *_spread(validation or training)),
         "curve": search.curve,
     }
 
@@ -239,5 +240,9 @@ def _pad(pieces: Sequence[Piece]) -> tuple[Tensor, Tensor, Tensor]:
     return inputs, target, weight
 
 
-def _variance(pieces: Sequence[Piece]) -> float:
-    return float(torch.cat([piece.target[piece.skip :] for piece in pieces]).var(correction=0))
+def _spread(pieces: Sequence[Piece]) -> tuple[float, float]:
+    """Variance and mean square of the scored samples; 0 where they are all one number."""
+    target = torch.cat([piece.target[piece.skip :] for piece in pieces])
+    if bool((target == target[0]).all()):  # single precision leaves more of a constant than double
+        return 0.0, 0.0
+    return float(target.var(correction=0)), float(target.square().mean())

@@ -24,6 +24,8 @@ BLOCK_SECONDS = 1.0
 """What is drawn together for an interval: errors are alike for a while."""
 DRAWS = 1000
 LEAST_BLOCKS = 4
+ROUNDING = 1e-12
+"""A variance that is no larger share of the mean square than this is what rounding leaves of a constant."""
 
 
 def unscored(recording: Recording) -> int:
@@ -31,10 +33,22 @@ def unscored(recording: Recording) -> int:
     return min(round(SETTLE_SECONDS * recording.rate_hz), int(SETTLE_SHARE * recording.num_samples))
 
 
+def varies(variance: float, square: float) -> bool:
+    """Whether a variance is more than rounding; square: the mean square that it was made of, or sums of both."""
+    return variance > ROUNDING * square
+
+
+def explained(error: float, variance: float, square: float) -> float | None:
+    """R² from a mean squared error, or sums of squares; None if nothing `varies`."""
+    return 1.0 - error / variance if varies(variance, square) else None
+
+
 def r2(measured: np.ndarray, predicted: np.ndarray) -> float | None:
     """Share of the variance explained, 1 - SSE/SST; None if nothing varies."""
-    total = float(((measured - measured.mean()) ** 2).sum()) if measured.size else 0.0
-    return 1.0 - float(((measured - predicted) ** 2).sum()) / total if total > 0 else None
+    if not measured.size:
+        return None
+    total = float(((measured - measured.mean()) ** 2).sum())
+    return explained(float(((measured - predicted) ** 2).sum()), total, float((measured**2).sum()))
 
 
 def spearman(first: Sequence[float], second: Sequence[float]) -> float | None:
@@ -153,10 +167,10 @@ def r2_interval(traces: Sequence[Trace]) -> list[float] | None:
     table[:, 1] -= level * table[:, 0]  # about the mean, or sums of squares lose their last digits
     count, total, squares, errors = table[drawn].sum(1).T
     around = squares - total**2 / count
-    varies = around > 1e-12 * np.maximum(squares, 1e-300)
-    if varies.mean() < 0.5:
+    moving = around > ROUNDING * np.maximum(squares, 1e-300)
+    if moving.mean() < 0.5:
         return None
-    low, high = np.quantile(1.0 - errors[varies] / around[varies], (0.025, 0.975))
+    low, high = np.quantile(1.0 - errors[moving] / around[moving], (0.025, 0.975))
     return [float(low), float(high)]
 
 

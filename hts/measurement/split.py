@@ -22,7 +22,8 @@ def split(
 
     From four policies on, `share` of them are held out whole, at least one; never the one with the most
     recordings nor those whose hash is in `keep`. Then one recording each of other policies that have several,
-    until the share is reached. Same recordings and seed, same split.
+    until the share is reached. Where each policy has a single recording, and there are too few for whole ones, one that
+    is not in `keep` is held out, if there is one. Same recordings and seed, same split.
 
     Of a single recording nothing is held out: its own end, seconds after what was fitted, says nothing of another walk.
     """
@@ -45,8 +46,9 @@ def split(
         for policy in policies:
             if len(held) < budget and len(queues.get(policy, ())) > 1:
                 held.append(queues[policy].pop())
-    if not held:  # every policy has one recording, and there are too few to spare a whole policy by the rule above
-        held.append(queues[policies[-1]].pop())
+    spare = [policy for policy in policies if policy not in keep]
+    if not held and spare:  # every policy has one recording, and none could be spared by the rule above
+        held.append(queues[spare[-1]].pop())
     chosen = set(held)
     return (
         [recording for index, recording in enumerate(recordings) if index not in chosen],

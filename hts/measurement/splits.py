@@ -92,6 +92,12 @@ def split_by(rule: SplitRule | None, recordings: Sequence[Recording], held_out: 
         order = np.random.default_rng(seed).permutation(len(names))
         chosen = {names[index] for index in order[: max(1, round((1.0 - share) * len(names)))]}
     if len(chosen) == len(groups):
+        if len(groups) > 1:
+            listed = ", ".join(name or "(none)" for name in groups)
+            raise RecordingError(
+                f"--split {rule.kind}: nothing is left to fit to: all {len(groups)} are held out ({listed}). Name "
+                f"fewer, or give a larger share to fit to, e.g. {rule.kind}=0.7."
+            )
         found = "all recordings have none" if set(groups) == {""} else f"there is one, {next(iter(groups))}"
         raise RecordingError(
             f"--split {rule.kind}: nothing is left to fit to: {found}. "

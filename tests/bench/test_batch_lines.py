@@ -349,6 +349,14 @@ def test_versions_that_do_the_same_may_count_as_one(tmp_path):
         blocks.written(asked.format(" as-one=ours"), tmp_path)
 
 
+def test_versions_as_one_may_have_been_asked_other_speeds():
+    older, newer = line(reality="a"), line(reality="b", commit="d" * 40, saved=(0.3, 0.4, None))
+    result = newer.result.model_copy(update={"asked_speeds": [0.8, 1.1]})
+    groups = groups_of([older, newer.model_copy(update={"result": result})], as_one=["ours"])
+    assert row_of(tables.realities(groups), "a")[1] == "20.0 % (lowest speed 10.0 %)"
+    assert row_of(tables.realities(groups), "b")[1] == "20.0 % (lowest speed 0.0 %)"  # 40 % and a refused one
+
+
 def test_a_number_outside_of_blocks_is_seen_unless_it_stood_there_before():
     text = "Saves 15.6 % and 3 dB(A). <!-- results: value lines=a.jsonl -->20.0 %<!-- end --> | 7.25 |"
     assert blocks.strangers("README.md", text, {}) == ["15.6", "3"]

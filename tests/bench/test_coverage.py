@@ -19,6 +19,7 @@ from batch.coverage_lines import (
     Occasion,
     coverage,
     coverage_table,
+    pairs_table,
     read_coverage,
     share,
 )
@@ -178,9 +179,35 @@ def test_coverage_can_be_cut_by_speed_and_policy():
     assert "| sessions as units | b |" in coverage_table(lines)
 
 
+def at_speeds(line: CoverageLine, *speeds: str) -> CoverageLine:
+    return line.model_copy(update={"speeds": dict.fromkeys(speeds, line.speeds["0.8"])})
+
+
+def test_a_second_truth_with_fewer_speeds_takes_no_interval_away():
+    """Truth and three evaluations at two speeds; another truth of the pair at one of them, before or after."""
+    whole, part = at_speeds(made_up(repetition=None), "0.5", "0.8"), made_up(repetition=None, key="t2", saved=0.9)
+    evaluations = [at_speeds(made_up(repetition=number), "0.5", "0.8") for number in range(3)]
+    for lines in ([whole, *evaluations], [whole, *evaluations, part], [part, whole, *evaluations]):
+        assert len(coverage(lines, "sessions as units")["dev-00"]) == 6
+        text = coverage_table(lines)
+        assert ("; truths left out, as another of their pair has more speeds: 1;" in text) == (part in lines)
+        assert row_of(text, "sessions as units") == row_of(coverage_table([whole, *evaluations]), "sessions as units")
+        assert len(pairs_table(lines).splitlines()) == 2 + 2
+
+
+def test_of_two_truths_at_the_same_speeds_the_last_counts():
+    lines = [made_up(repetition=None, saved=0.1), made_up(repetition=None, key="t2"), made_up(saved=0.2)]
+    ((_, _, truth),) = coverage(lines, "sessions as units")["dev-00"]
+    assert truth == 0.2 and "truths left out" not in coverage_table(lines)
+
+
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
+        (
+            [at_speeds(made_up(repetition=None), "0.5"), made_up(repetition=None, key="t2"), made_up()],
+            "Two truths of a on dev-00 are at 0.5 and at 0.8 m/s: neither is the whole. Make one at all",
+        ),
         ([made_up(repetition=None)], "No line is an evaluation"),
         ([made_up()], "no truth. Run `coverage run` to its end"),
         ([*batch(), made_up(objective="noise", unit="dB(A)")], r"several objectives \(noise, power\)"),
@@ -247,6 +274,20 @@ def test_policies_are_files_runs_and_folders_of_runs(policies, tmp_path):
     assert policies_of([tmp_path]) == {"again": policies["again"]}  # a folder of files
     with pytest.raises(PolicyError, match=r"expected an .onnx file, a finished run's folder"):
         policies_of([tmp_path / "nowhere"])
+
+
+def test_policies_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    for batch_of_runs in "ABC":
+        for run in ("dev-00", "dev-01"):
+            folder = tmp_path / batch_of_runs / run / "policies"
+            folder.mkdir(parents=True)
+            (folder / "best.onnx").touch()
+    (tmp_path / "other.onnx").touch()
+    best = {f"{a}/{b}": tmp_path / a / b / "policies/best.onnx" for a in "ABC" for b in ("dev-00", "dev-01")}
+    assert policies_of([tmp_path / name for name in "ABC"]) == best
+    files = policies_of([*best.values(), tmp_path / "other.onnx", best["A/dev-00"]])  # one of them twice
+    assert files == {**{f"{key}/policies/best": file for key, file in best.items()}, "other": tmp_path / "other.onnx"}
+    assert list(policies_of([tmp_path / "A"])) == ["dev-00", "dev-01"]
 
 
 def test_truths_come_first_and_repetitions_in_turn(policies):

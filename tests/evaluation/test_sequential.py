@@ -43,6 +43,12 @@ def test_two_units_say_nothing_and_equal_ones_everything():
     assert half_width([1.0, 1.0, 1.0, 1.0]) == 0.0
 
 
+def test_evidence_beyond_what_a_float_holds_is_infinite():
+    values = 1.0 + 1e-3 * np.random.default_rng(0).standard_normal(400)
+    assert 1e100 < evidence(values[:100]) < math.inf
+    assert evidence(values) == math.inf
+
+
 @pytest.mark.parametrize("wrong", [[1.0, math.nan], [[1.0], [2.0]]])
 def test_a_bad_number_never_becomes_another_number(wrong):
     with pytest.raises(ValueError, match="finite|shape"):

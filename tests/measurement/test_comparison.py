@@ -11,7 +11,7 @@ from hts.cli import fit as fit_cli
 from hts.cli.fit_progress import FitProgress
 from hts.errors import ConfigError, RecordingError
 from hts.measurement import comparison, fit_command
-from hts.measurement.baseline import fit_best, stand_ins
+from hts.measurement.baseline import WINDOWS_SECONDS, fit_best, stand_ins
 from hts.measurement.fit_command import FitChecks, Wanted
 from hts.measurement.fit_report import cautions, table
 from hts.measurement.split import named_part
@@ -49,6 +49,18 @@ def fitted(tmp_path, store, name="cool", **how):
 
 def rows_of(report):
     return {row["name"]: row for row in report["compared"]}
+
+
+@pytest.mark.parametrize("level", [0.1, 23.4, 123.456, 1e4 / 3])
+def test_a_stand_in_that_was_constant_explains_nothing(level):
+    """A temperature that did not change while it was recorded: rounding is no slope."""
+    walk = known_heat(1, seconds=60.0)
+    heat = np.random.default_rng(0).standard_normal(3000).cumsum() * 0.01
+    walk = walk.replace(channels={**walk.channels, "heat": Series(HEAT, heat)})
+    constant = {"Σ|temperature|": lambda channels: np.full(len(channels["heat"]), level)}
+    for windows in ((0.0,), WINDOWS_SECONDS):
+        _, fit = fit_best(constant, "heat", [walk], windows)
+        assert fit.scale == 0.0 and fit.predict(np.full(9, level + 0.5)) == pytest.approx([heat[50:].mean()] * 9)
 
 
 def test_mean_proxies_and_linear_are_scored_on_the_samples_of_the_chosen_model(tmp_path, run):
@@ -113,6 +125,17 @@ def test_a_test_store_is_held_out_and_what_it_shares_leaves_the_training(tmp_pat
     assert kept["shared"]["removed"] == 0 and any("is no held-out figure" in line for line in cautions(kept))
     with pytest.raises(RecordingError, match="the same logs are on both sides"):
         fit_command.fit_store("cool", run, tmp_path / "self", overrides=QUICK, checks=FitChecks(test=run))
+
+
+def test_recordings_of_a_test_store_that_lack_a_channel_are_listed_and_counted(tmp_path, run):
+    blind = [known_heat(seed) for seed in (4, 5)]
+    blind = [b.replace(channels={n: s for n, s in b.channels.items() if n != "heat"}, idle={}) for b in blind]
+    tests = store_of(tmp_path / "tests.zarr", known_heat(3), *blind)
+    report = fitted(tmp_path, run, checks=FitChecks(test=tests))
+    assert len(report["held_out"]["recordings"]) == 1
+    assert set(report["left_out"]) == set(RecordingStore(tests).ids()) - set(report["held_out"]["recordings"])
+    told = "heat: 2 recordings left out, listed in fit.json under `left_out` "
+    assert cautions(report)[0] == told + "(2: of the test store, has no channel 'heat')."
 
 
 def test_a_test_store_of_another_robot_is_refused(tmp_path, run):

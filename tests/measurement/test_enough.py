@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from hts.channels import Channel
-from hts.errors import RecordingError
+from hts.errors import PluginError, RecordingError
 from hts.measurement.enough import enough
+from hts.measurement.linear import Linear
 from hts.recordings import Series
 from hts.testing.known_signals import KnownHeat, known_heat
 
@@ -37,6 +38,14 @@ def test_three_policies_at_two_speeds_are_enough(plenty):
 def test_a_speed_at_which_nobody_walked_is_missing(plenty):
     (missing,) = enough(KnownHeat(), plenty, speeds=[0.5, 1.1]).missing
     assert missing == "record 20 s more at 1.1: there are 0 s, expected 20"
+
+
+def test_seconds_at_speeds_beside_the_asked_one_are_summed(plenty):
+    """120 s at 0.5 and 120 s at 0.8 of `plenty`; beside them 12 s at 0.78 and 14 s at 1.02 and at 1.05."""
+    more = [known_heat(9, "a", seconds=s, speed=v) for s, v in ((12.0, 0.78), (14.0, 1.02), (14.0, 1.05))]
+    assert enough(KnownHeat(), [*plenty, *more], speeds=[0.8, 1.03]).missing == ()
+    (missing,) = enough(KnownHeat(), [*plenty, *more], speeds=[1.0]).missing
+    assert missing == "record 6 s more at 1: there are 14 s, expected 20"
 
 
 def test_one_short_recording_lacks_everything():
@@ -89,6 +98,26 @@ def test_a_policy_whose_level_is_missed_is_named(plenty):
         worn.append(one)
     found = enough(KnownHeat(), worn)
     assert any("the level of policy c is missed by -" in line for line in found.missing), found.missing
+
+
+def test_policies_behind_a_gauge_that_stopped_are_told_of(plenty):
+    stopped = []
+    for one in plenty:
+        heat = one.values("heat").copy()
+        heat[20:] = 1.9
+        stopped.append(one.replace(channels={**one.channels, "heat": Series(one.channels["heat"].channel, heat)}))
+    found = enough(KnownHeat(), stopped)
+    assert found.r2 is None and "record longer: too little is left to test a model on" in found.missing
+
+
+def test_a_fit_that_fails_is_one_line(plenty, monkeypatch):
+    def fails(model, recordings, how):
+        return 1 / 0
+
+    monkeypatch.setattr(Linear, "learn", fails)
+    with pytest.raises(PluginError, match="'linear', fitted with policy . held out, failed, ZeroDivision") as caught:
+        enough(KnownHeat(), plenty)
+    assert "\n" not in str(caught.value)
 
 
 def test_schedules_that_nobody_stated_are_asked_for(plenty):

@@ -148,6 +148,16 @@ def test_a_constant_target_is_refused():
         fitted([r.replace(channels={**r.channels, "heat": Series(HEAT, np.full(1000, 3.0))})])
 
 
+@pytest.mark.parametrize("level", [1.9, 0.0])
+def test_where_nothing_varies_in_what_is_left_out_there_is_no_r2(level):
+    """The gauge stands still from 0.4 s on: what the lags need before is all that moves."""
+    r = known_heat(1)
+    heat = r.values("heat").copy()
+    heat[20:] = level
+    model, report = fitted([r.replace(channels={**r.channels, "heat": Series(HEAT, heat)})])
+    assert report["validation_r2"] is None and torch.isfinite(model.weight).all()
+
+
 def test_inputs_that_all_stand_still_are_refused():
     r = known_heat(1)
     still = {name: Series(one.channel, np.ones_like(one.values)) for name, one in r.channels.items() if name != "heat"}

@@ -8,6 +8,8 @@ import torch
 from hts.channels import Channel
 from hts.contracts import Signals
 from hts.measurement.lstm import LSTM, LSTMSettings, worlds_last
+from hts.recordings.recording import Series
+from hts.testing.known_signals import known_heat
 
 SMALL = LSTMSettings(hidden=16, products=True)
 HEAT = Signals((Channel("effort", "N*m", (3,)), Channel("rate", "rad/s", (3,))), Channel("heat", "W"), 50.0)
@@ -68,6 +70,18 @@ def test_making_a_model_does_not_touch_the_global_random_generator():
     torch.manual_seed(5)
     LSTM(SMALL, HEAT, seed=9)
     assert torch.equal(torch.rand(1), expected)
+
+
+@pytest.mark.parametrize("level", [1.9, 1.25, 0.0])
+def test_an_end_in_which_the_robot_stands_is_fitted_to_and_has_no_r2(level):
+    """The last tenth chooses the epoch; nothing varies in it."""
+    r = known_heat(1)
+    heat = r.values("heat").copy()
+    heat[880:] = level
+    report = LSTM(LSTMSettings(hidden=4), HEAT).fit(
+        [r.replace(channels={**r.channels, "heat": Series(r.channels["heat"].channel, heat)})], epochs=2
+    )
+    assert report["validation_r2"] is None and report["best_epoch"] >= 1
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

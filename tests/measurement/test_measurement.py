@@ -133,6 +133,8 @@ def test_r2_is_the_share_of_variance_explained():
     assert r2(np.array([1.0, 2.0, 3.0]), np.array([2.0, 2.0, 2.0])) == 0.0
     assert r2(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 4.0])) == 0.5
     assert r2(np.array([2.0, 2.0]), np.array([2.0, 2.0])) is None
+    assert r2(np.full(3, 0.1), np.zeros(3)) is None  # their mean is 0.1 and a rounding error
+    assert r2(1e5 + np.array([0.0, 1.0]), 1e5 + np.array([0.0, 1.0])) == 1.0
 
 
 def test_rank_correlation_is_of_ranks_and_null_for_one_policy():
@@ -214,6 +216,22 @@ def test_split_holds_out_whole_policies_but_never_those_to_keep():
 def test_split_of_two_recordings_of_one_policy_keeps_one_for_fitting():
     training, held = split([recording(1, seconds=1.0), recording(2, seconds=1.0)], 0.2)
     assert (len(training), len(held)) == (1, 1)
+
+
+def test_of_policies_with_one_recording_each_only_one_that_is_not_kept_is_held_out():
+    for policies in ("ab", "abc", "abcd"):
+        each = [recording(seed, policy, seconds=1.0) for seed, policy in enumerate(policies)]
+        for seed in range(20):
+            _, held = split(each, 0.2, seed, keep=("a",))
+            assert len(held) == 1 and held[0].policy_hash != "a"
+
+
+def test_where_all_policies_are_kept_and_have_one_recording_nothing_is_held_out():
+    each = [recording(seed, policy, seconds=4.0) for seed, policy in enumerate("ab")]
+    assert split(each, 0.2, keep=("a", "b")) == (each, [])
+    report = fit_command.fit_and_check(KnownHeat(), each, MeasurementConfig(epochs=1), keep=("a", "b")).report
+    line = fit_report.summary_line(report)
+    assert "fitted to 2 recordings, each the only one of a policy that is kept, so none was held out" in line
 
 
 def test_of_a_single_recording_nothing_is_held_out_and_nothing_is_claimed():

@@ -79,6 +79,18 @@ def test_a_wrong_split_is_one_line(text, said):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("text", ["recording=0.1", "recording=r0,r1,r2"])
+def test_where_all_would_be_held_out_all_are_named(text):
+    with pytest.raises(RecordingError, match=r"all 3 are held out \(r0, r1, r2\). Name fewer, or .* recording=0.7"):
+        split_by(SplitRule.parsed(text), many(3), 0.2)
+    assert len(split_by(SplitRule.parsed("recording=0.7"), many(3), 0.2).training) == 2
+
+
+def test_where_there_is_one_it_is_named():
+    with pytest.raises(RecordingError, match="there is one, r0. Split in another way"):
+        split_by(SplitRule.parsed("recording=0.1"), many(1), 0.2)
+
+
 def test_where_no_recording_says_its_session_another_split_is_advised():
     with pytest.raises(RecordingError, match=r"all recordings have none.*chronological=0.7"):
         split_by(SplitRule.parsed("session"), many(), 0.2)

@@ -16,12 +16,13 @@ from pydantic import Field
 from hts.channels import Channel
 from hts.config import Config, Named
 from hts.contracts import Comparison, Objective
+from hts.errors import EvaluationError
+from hts.evaluation.segments import Segments
 from hts_power.proxy import JOULE_COEFFICIENT, analytic_power
 
 if TYPE_CHECKING:
     import torch
 
-    from hts.evaluation.segments import Segments
     from hts.recordings.recording import Recording
 
 GRAVITY = 9.81  # m/s²
@@ -121,11 +122,15 @@ class Power(Objective):
         return -prediction
 
     def score(self, segments: Segments) -> Mapping[str, np.ndarray]:
-        """gross_power W, net_power W and cost_of_transport (J per metre and newton of weight) of each segment."""
+        """gross_power W, net_power W and cost_of_transport (J per metre and newton of weight) of each segment. Raises
+        EvaluationError for measured segments whose mean net power is not above 0."""
         current, voltage = segments.values("battery_current"), segments.values("battery_voltage")
         idle_power = segments.idle("battery_current") * segments.idle("battery_voltage")
         gross = mean_power(current, voltage)
         net = gross - idle_power
+        # Here, not in `compare`: all of a policy's segments are a mistake of the idle level, one draw of them is noise.
+        if isinstance(segments, Segments) and len(segments) and net.mean() <= 0:
+            raise EvaluationError(_below_idle(segments, float(gross.mean()), float(idle_power.mean())))
         return {
             "gross_power": gross,
             "net_power": net,
@@ -156,6 +161,16 @@ class Power(Objective):
     def proxy(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Yang et al.'s analytic power, W; see `hts_power.proxy`."""
         return analytic_power(channels["joint_torque"], channels["joint_velocity"], self.settings.joule_coefficient)
+
+
+def _below_idle(segments: Segments, gross: float, idle: float) -> str:
+    who = " and ".join(dict.fromkeys(f"{one.role} {one.policy_hash[:8]}" for one in segments.recordings))
+    return (
+        f"The {who} drew {gross:.1f} W in the mean and its recordings say {idle:.1f} W idle, {gross - idle:.1f} W net: "
+        "expected more than 0 W, or a saving has the wrong sign. Measure the idle levels of battery_current and "
+        "battery_voltage again with electronics on and motors idle (the robot lying down, motors unpowered), and give "
+        "them with the recordings."
+    )
 
 
 def _rounded(weight: float) -> float:

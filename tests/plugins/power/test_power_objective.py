@@ -12,8 +12,11 @@ import torch
 from pydantic import ValidationError
 
 from hts.channels import Channel
-from hts.config import Command, ScheduleConfig
+from hts.config import Command, EvaluationConfig, ScheduleConfig
 from hts.config_loading import load_config
+from hts.errors import EvaluationError
+from hts.evaluation.head_to_head import HeadToHead, compare
+from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.segments import cut
 from hts.recordings.recording import Recording, Series
 from hts_power import plugin
@@ -63,6 +66,46 @@ def test_power_is_the_mean_of_the_product_not_the_product_of_means():
 def test_cost_of_transport_is_net_energy_per_metre_and_newton():
     score = Power().score(cut([recording([5.0], [20.0], 0.75)]))
     assert score["cost_of_transport"] == pytest.approx([70.0 / (10.0 * 9.81 * 0.75)] * 2)
+
+
+def head_to_head(policy: float, reference: float, idle: float, scatter: float = 0.0) -> HeadToHead:
+    """A-B-B-A at mean powers, W; scatter: standard deviation from second to second, W."""
+    rng = np.random.default_rng(0)
+    blocks = []
+    for block, role in enumerate(("policy", "reference", "reference", "policy")):
+        watts = {"policy": policy, "reference": reference}[role] + scatter * rng.standard_normal(12)
+        made = recording(np.repeat(watts, 50) / 20.0, [20.0], 0.8, seconds=12)
+        levels = {"battery_current": idle / 20.0, "battery_voltage": 20.0}
+        blocks.append(replace(made, role=role, block=block, session="s", policy_hash=f"{role}-hash", idle=levels))
+    return compare(Power(), blocks, EvaluationConfig())
+
+
+@pytest.mark.parametrize(
+    ("policy", "reference", "idle", "said"),
+    [
+        (60.0, 100.0, 80.0, "The policy policy-h drew 60.0 W in the mean and its recordings say 80.0 W idle, -20.0 W"),
+        (130.0, 80.0, 120.0, "The reference referenc drew 80.0 W .* 120.0 W idle, -40.0 W net"),
+        (100.0, 80.0, 120.0, "motors idle .the robot lying down, motors unpowered."),
+        (100.0, 80.0, 80.0, "80.0 W idle, 0.0 W net: expected more than 0 W"),
+    ],
+)
+def test_an_idle_level_above_what_walking_draws_is_refused_as_it_turns_the_sign(policy, reference, idle, said):
+    with pytest.raises(EvaluationError, match=said) as caught:
+        head_to_head(policy, reference, idle)
+    assert "\n" not in str(caught.value)
+
+
+def test_seconds_below_idle_are_noise_where_the_mean_is_above():
+    """Of 10 ± 60 W net many a second, and many a draw of the interval, is below 0."""
+    found = head_to_head(92.0, 100.0, 90.0, scatter=60.0)
+    assert (found.reference_scores["net_power"] < 0).any() and found.reference_scores["net_power"].mean() > 0
+    assert found.improvement_ci95 is not None
+
+
+def test_what_a_model_predicts_below_idle_is_no_mistake_of_the_idle_level():
+    data = [recording([4.0, 6.0], [20.0, 20.0], 0.8)]
+    pieces_of = lambda level: pieces(Power(), np.full((3, 50), level), np.full(3, 0.8), 0.8, data)
+    assert predicted_comparison(Power(), pieces_of(1.0), pieces_of(5.0)).improvement > 1.0
 
 
 def comparison(settings: PowerSettings):
