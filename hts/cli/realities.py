@@ -52,8 +52,10 @@ def draw(
     """Draw twins over the published ranges until so many agree with public facts, or with a lab's own recordings."""
     from hts.worlds.realities import batch, posterior_like
     from hts.worlds.realities import population as like_ours
+    from hts.worlds.realities.folder import check_name
     from hts.worlds.realities.posterior import accepted
 
+    check_name(name, out)
     robot = robot or _only_robot()
     if policy_file is not None and like is None:
         raise typer.BadParameter("says who walked in the recordings of --like; there are none.", param_hint="--policy")
