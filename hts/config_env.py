@@ -48,7 +48,14 @@ class RandomisationConfig(Config):
         description="size of the pool of randomised models that worlds share, on either engine",
     )
 
-    @field_validator("friction", "strength", "joint_friction")
+    @field_validator("strength")
+    @classmethod
+    def _above_zero(cls, ends: tuple[float, float]) -> tuple[float, float]:
+        if not min(ends) > 0:
+            raise ValueError("expected two numbers above 0")
+        return ends
+
+    @field_validator("friction", "joint_friction")
     @classmethod
     def _not_negative(cls, ends: tuple[float, float]) -> tuple[float, float]:
         if min(ends) < 0:

@@ -81,7 +81,8 @@ def value_of(key: str) -> Any:
         (f"measurement.seed={2**63}", "--set measurement.seed: expected less than"),
         ("finetune.env.commands.heading_gain=-1", "heading_gain: expected at least 0, found -1."),
         ("finetune.env.randomisation.friction=[-1, 1]", "friction: expected two numbers of at least 0, found [-1, 1]."),
-        ("finetune.env.randomisation.strength=[-0.9, 1.1]", "strength: expected two numbers of at least 0"),
+        ("finetune.env.randomisation.strength=[-0.9, 1.1]", "strength: expected two numbers above 0"),
+        ("finetune.env.randomisation.strength=[0, 0]", "strength: expected two numbers above 0"),
         ("finetune.env.randomisation.com_shift=[0.1, -0.1]", "com_shift: expected two numbers, the smaller one first"),
         (
             "finetune.env.commands.vx=[1.5, -1.5]",
