@@ -20,10 +20,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from hts import plugins
 from hts.atomic import atomic_write
+from hts.contracts import Instrument, Robot
 from hts.cores import available
 from hts.errors import ConfigError
+from hts.explain import dotted, explain
 from hts.plugin_settings import in_full
 from hts.worlds.realities.check import Verdict, check
 from hts.worlds.realities.draw import Draw, draw
@@ -58,12 +62,31 @@ def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str
     return content
 
 
-def examine(reality: Reality, policy: Path) -> Verdict:
-    """Hold a reality against the facts."""
+def machine_of(reality: Reality) -> tuple[Robot, TwinSettings, dict[str, Instrument]]:
+    """The robot, the twin and its instruments. Raises ConfigError for parameters that they do not take."""
     registry = plugins.load()
     robot = registry.make_robot(reality.robot)
-    settings = TwinSettings.model_validate(dict(reality.parameters))
+    try:
+        settings = TwinSettings.model_validate(dict(reality.parameters))
+    except ValidationError as error:
+        raise ConfigError(explain(error, TwinSettings, lambda at: f"parameters.{dotted(at)}")) from error
     instruments = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
+    return robot, settings, instruments
+
+
+def read_whole(reference: str) -> Reality:
+    """What is in the file of a name or path, all of which a twin takes. Raises ConfigError that names it."""
+    reality = read(reference)
+    try:
+        machine_of(reality)
+    except ConfigError as error:
+        raise ConfigError(f"reality {reference}: {error}") from error
+    return reality
+
+
+def examine(reality: Reality, policy: Path) -> Verdict:
+    """Hold a reality against the facts."""
+    robot, settings, instruments = machine_of(reality)
     return check(robot, settings, instruments, policy)
 
 
