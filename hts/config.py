@@ -73,6 +73,16 @@ class PPOConfig(Config):
     )
 
 
+def check_minibatches(ppo: PPOConfig, num_envs: int) -> None:
+    """Raises ValueError where a batch of a candidate has fewer samples than it shall have parts."""
+    samples = ppo.horizon * num_envs
+    if ppo.minibatches > samples:
+        raise ValueError(
+            f"ppo.minibatches: {ppo.minibatches} parts of a batch of {samples} samples (ppo.horizon {ppo.horizon} x "
+            f"num_envs {num_envs}); expected at most {samples}"
+        )
+
+
 class FinetuneConfig(Config):
     """Fine-tuning of all candidates of an iteration, together."""
 
@@ -116,6 +126,11 @@ class FinetuneConfig(Config):
     def _on_the_way(cls, shares: tuple[float, ...]) -> tuple[float, ...]:
         return shares_of("training", shares)
 
+    @model_validator(mode="after")
+    def _a_batch_has_so_many_parts(self) -> FinetuneConfig:
+        check_minibatches(self.ppo, self.num_envs)
+        return self
+
 
 class PretrainConfig(Config):
     """The policy to start from, made in simulation with the task's own reward."""
@@ -131,6 +146,11 @@ class PretrainConfig(Config):
         description="PPO without an anchor",
     )
     env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")
+
+    @model_validator(mode="after")
+    def _a_batch_has_so_many_parts(self) -> PretrainConfig:
+        check_minibatches(self.ppo, self.num_envs)
+        return self
 
 
 class TrustRegionConfig(Config):
@@ -260,7 +280,7 @@ class RunConfig(Config):
     )
     executor: str = Field("local", description="local (ray is planned)")
     seed: int = Field(0, ge=0, lt=SEEDS, description="of the whole run")
-    iterations: int = Field(ge=1, description="rounds of Algorithm 1")
+    iterations: int = Field(ge=1, le=1000, description="rounds of Algorithm 1")
     max_real_samples: int | None = Field(
         None,
         ge=1,

@@ -8,6 +8,8 @@ from pydantic import BeforeValidator, Field, NonNegativeFloat, field_validator
 
 from hts.config_base import SEEDS, Config, Range
 
+MOST_MODELS = 10_000  # 30 s and 5 GB for a robot with 12 joints
+MOST_THREADS = 1024  # each holds a state of the physics; no machine has as many cores
 Pulls = NonNegativeFloat | tuple[NonNegativeFloat, ...]
 
 
@@ -40,10 +42,20 @@ class RandomisationConfig(Config):
         None, description="the same as shares of a control step, whatever the robot's physics step; null: `delay_steps`"
     )
     models: int = Field(
-        32, ge=1, description="size of the pool of randomised models that worlds share, on either engine"
+        32,
+        ge=1,
+        le=MOST_MODELS,
+        description="size of the pool of randomised models that worlds share, on either engine",
     )
 
-    @field_validator("friction", "strength", "joint_friction")
+    @field_validator("strength")
+    @classmethod
+    def _above_zero(cls, ends: tuple[float, float]) -> tuple[float, float]:
+        if not min(ends) > 0:
+            raise ValueError("expected two numbers above 0")
+        return ends
+
+    @field_validator("friction", "joint_friction")
     @classmethod
     def _not_negative(cls, ends: tuple[float, float]) -> tuple[float, float]:
         if min(ends) < 0:
@@ -108,7 +120,7 @@ class EnvConfig(Config):
         description="share of each joint's range, around its middle, outside of which the reward term `joint_range` "
         "counts, 1 (soft_dof_pos_limit of Rudin et al.)",
     )
-    threads: int = Field(0, ge=0, description="threads of the CPU engine; 0: one per core")
+    threads: int = Field(0, ge=0, le=MOST_THREADS, description="threads of the CPU engine; 0: one per core")
     seed: int = Field(0, ge=0, lt=SEEDS, description="of everything random in the env")
     contacts_per_world: int = Field(0, ge=0, description="contact buffer of the warp engine; 0: the robot's worst case")
     constraints_per_world: int = Field(0, ge=0, description="constraint rows of the warp engine; 0: the worst case")

@@ -19,6 +19,11 @@ PLACE_FAULTS: dict[int, str] = {
     errno.EPERM: "not permitted. Change its owner or mode, or choose another place{option}",
     errno.ENOSPC: "the disk is full. Nothing finished is lost: free some space and give the command again",
     errno.EDQUOT: "the disk quota is used up. Nothing finished is lost: free some space and give the command again",
+    errno.EFBIG: "the file would be larger than is allowed here (`ulimit -f`, or the file system's limit). Nothing "
+    "finished is lost: raise it and give the command again",
+    errno.EIO: "the disk reports an input/output error. Look at it, or choose another place{option}",
+    errno.ESTALE: "the network file system has lost it. Mount it anew, or choose another place{option}",
+    errno.EMFILE: "too many files are open. Raise the limit (`ulimit -n`) and give the command again",
     errno.ENOTDIR: "a part of this path is a file, not a folder. Choose another place{option}",
     errno.EISDIR: "is a folder, a file was expected. Choose another place{option}",
     errno.ENOENT: "is not there, or cannot be made there. Check the path, or choose another place{option}",

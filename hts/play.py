@@ -199,7 +199,7 @@ def _film(walk: Walk, video: Path, seconds: float) -> Played:
 
     rate = walk.robot.spec.control_rate_hz
     stride = max(1, round(rate / FRAME_RATE))  # control steps per frame
-    partial = video.with_name(f".{video.stem}.partial{video.suffix}")
+    partial, frames = video.with_name(f".{video.stem}.partial{video.suffix}"), 0
     with _renderer(walk) as draw:
         writer = imageio_ffmpeg.write_frames(str(partial), (WIDTH, HEIGHT), fps=rate / stride)
         try:
@@ -208,7 +208,9 @@ def _film(walk: Walk, video: Path, seconds: float) -> Played:
                 walk.step()
                 if index % stride == 0:
                     writer.send(draw())
+                    frames += 1
             writer.close()
+            _check_frames(partial, frames)
         except OSError as error:
             partial.unlink(missing_ok=True)
             raise SimulationError(f"{video}: the video cannot be written; ffmpeg's reason is above.") from error
@@ -218,6 +220,18 @@ def _film(walk: Walk, video: Path, seconds: float) -> Played:
             raise
     partial.replace(video)
     return walk.result()
+
+
+def _check_frames(video: Path, frames: int) -> None:
+    """Raise OSError unless all frames can be read: its writer does not say how ffmpeg ended, on a full disk say."""
+    import imageio_ffmpeg
+
+    try:
+        found, _ = imageio_ffmpeg.count_frames_and_secs(str(video))
+    except RuntimeError as error:
+        raise OSError(f"{video} cannot be read") from error
+    if found != frames:
+        raise OSError(f"{video} holds {found} of {frames} frames")
 
 
 @contextmanager

@@ -70,6 +70,8 @@ def check_task(config: RunConfig, robot: Robot) -> None:
     else:
         task.check((config.selection.speed,), "selection.speed")
     task.check(config.evaluation.speeds, "evaluation.speeds")
+    task.check_tolerance(config.simulation_test.speed_tolerance, "simulation_test.speed_tolerance")
+    task.check_tolerance(config.evaluation.speed_tolerance, "evaluation.speed_tolerance")
     task.check_schedule(config.collection.schedule, "collection.schedule")
     if config.evaluation.hold_speed:
         task.check_hold("evaluation.hold_speed")

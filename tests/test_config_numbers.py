@@ -9,7 +9,7 @@ from typing import Any, get_args
 import pytest
 from pydantic import BaseModel
 
-from hts.config import Config, RunConfig
+from hts.config import Config, PretrainConfig, RunConfig
 from hts.config_loading import load_config
 from hts.errors import ConfigError
 
@@ -81,7 +81,8 @@ def value_of(key: str) -> Any:
         (f"measurement.seed={2**63}", "--set measurement.seed: expected less than"),
         ("finetune.env.commands.heading_gain=-1", "heading_gain: expected at least 0, found -1."),
         ("finetune.env.randomisation.friction=[-1, 1]", "friction: expected two numbers of at least 0, found [-1, 1]."),
-        ("finetune.env.randomisation.strength=[-0.9, 1.1]", "strength: expected two numbers of at least 0"),
+        ("finetune.env.randomisation.strength=[-0.9, 1.1]", "strength: expected two numbers above 0"),
+        ("finetune.env.randomisation.strength=[0, 0]", "strength: expected two numbers above 0"),
         ("finetune.env.randomisation.com_shift=[0.1, -0.1]", "com_shift: expected two numbers, the smaller one first"),
         (
             "finetune.env.commands.vx=[1.5, -1.5]",
@@ -122,3 +123,22 @@ def test_one_that_it_would_replace_is_refused_where_it_is_on(bound):
 
 def yaml_of(number: float) -> str:
     return ".inf" if math.isinf(number) else str(number)
+
+
+@pytest.mark.parametrize(
+    ("key", "most"),
+    [("finetune.env.threads", 1024), ("finetune.env.randomisation.models", 10_000), ("iterations", 1000)],
+)
+def test_numbers_that_would_only_fill_a_machine_have_an_upper_end(key, most):
+    fake_config(overrides=[f"{key}={most}"])
+    for number in (most + 1, 10**18):
+        assert f"{key}: expected" in refusal(overrides=[f"{key}={number}"])
+
+
+def test_a_batch_is_not_cut_into_more_parts_than_it_has_samples():
+    small = ["finetune.num_envs=2", "finetune.ppo.horizon=3"]
+    fake_config(overrides=[*small, "finetune.ppo.minibatches=6"])
+    said = refusal(overrides=[*small, "finetune.ppo.minibatches=7"])
+    assert "7 parts of a batch of 6 samples (ppo.horizon 3 x num_envs 2); expected at most 6" in said
+    with pytest.raises(ValueError, match="7 parts of a batch of 6 samples"):
+        PretrainConfig(num_envs=2, ppo={"horizon": 3, "minibatches": 7})

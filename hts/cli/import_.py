@@ -71,7 +71,7 @@ def command(
     if to is not None:
         check_place(to, "--to STORE")
     if figure is not None:
-        check_picture(figure)
+        check_picture(figure, to)
     given = load_mapping(mapping)
     _drop(given, drop or (), mapping)
     objectives = [registry.make_objective(name) for name in objective or []]

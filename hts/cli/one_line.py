@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 import threading
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ from hts.places import place_fault
 
 OF_PATHS = (errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP)
 """Said only of the error itself: as the cause of another one they may have been dealt with."""
+IN_TEXTS = (errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ESTALE, errno.EMFILE)
+"""Looked for in the texts of errors that are not the system's own."""
 
 
 def one_line(error: Exception) -> tuple[str, int] | None:
@@ -95,10 +98,7 @@ def _in_a_thread(what: threading.ExceptHookArgs) -> None:
 
 
 def _errno_in_text(text: str) -> int:
-    for number, phrase in ((errno.ENOSPC, "No space left on device"), (errno.EROFS, "Read-only file system")):
-        if phrase in text:
-            return number
-    return 0
+    return next((number for number in IN_TEXTS if os.strerror(number) in text), 0)
 
 
 def _usage(error: typer.TyperException) -> str:

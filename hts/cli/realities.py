@@ -52,8 +52,10 @@ def draw(
     """Draw twins over the published ranges until so many agree with public facts, or with a lab's own recordings."""
     from hts.worlds.realities import batch, posterior_like
     from hts.worlds.realities import population as like_ours
+    from hts.worlds.realities.folder import check_name
     from hts.worlds.realities.posterior import accepted
 
+    check_name(name, out)
     robot = robot or _only_robot()
     if policy_file is not None and like is None:
         raise typer.BadParameter("says who walked in the recordings of --like; there are none.", param_hint="--policy")
@@ -84,10 +86,11 @@ def draw(
 @app.command()
 def show(reality: Which, as_json: AsJson = False) -> None:
     """Show what a reality is: its structures, and where it differs from the default twin."""
+    from hts.worlds.realities.batch import read_whole
     from hts.worlds.twin.parameters import TwinSettings
-    from hts.worlds.twin.reality import locate, read, sha256
+    from hts.worlds.twin.reality import locate, sha256
 
-    found = read(reality)
+    found = read_whole(reality)
     if as_json:
         typer.echo(json.dumps({**found.model_dump(mode="json"), "sha256": sha256(locate(reality))}, indent=1))
         return
@@ -105,10 +108,9 @@ def show(reality: Which, as_json: AsJson = False) -> None:
 @app.command()
 def check(reality: Which, as_json: AsJson = False) -> None:
     """Hold a reality against public facts. Exit code 1 if it does not agree."""
-    from hts.worlds.realities.batch import verdict_on
-    from hts.worlds.twin.reality import read
+    from hts.worlds.realities.batch import read_whole, verdict_on
 
-    verdict = verdict_on(read(reality))
+    verdict = verdict_on(read_whole(reality))
     if as_json:
         facts = [one.model_dump(mode="json") for one in verdict.measured]
         typer.echo(json.dumps({"agrees": verdict.kept, "why": verdict.why, "facts": facts}, indent=1))
@@ -207,8 +209,8 @@ def expect(
     from hts.errors import RunError
     from hts.run.expected import compared, expect, shown, shown_compared
     from hts.run.stage_files import read_stage
+    from hts.worlds.realities.batch import read_whole
     from hts.worlds.realities.population import weights_of
-    from hts.worlds.twin.reality import read
 
     files = sorted(path for path in folder.glob("*.json"))[:runs]
     if len(files) < runs:
@@ -222,7 +224,7 @@ def expect(
         configs[path.stem] = load_config(
             preset=preset,
             objectives=objective or (),
-            robot=read(str(path)).robot,
+            robot=read_whole(str(path)).robot,
             world="twin",
             engine=engine,
             seed=seed,

@@ -77,6 +77,9 @@ class Task(ABC):
                 "robot that follows a commanded velocity can hold a speed. Leave the key out."
             )
 
+    def check_tolerance(self, tolerance: float, where: str) -> None:  # noqa: B027 - most have their own use for it
+        """Raises ConfigError for a tolerance that this task has no use for; by default it takes any. where: its key."""
+
     def check(self, set_points: Sequence[float], where: str) -> None:
         """Raises ConfigError for a set-point that this task does not have, or that is no finite number; where: the key
         or the option it stands under."""
@@ -139,11 +142,19 @@ class FollowVelocity(Task):
         return Command(seconds=seconds, vx=set_point)
 
     def check(self, set_points: Sequence[float], where: str) -> None:
-        """A head-to-head needs a speed above 0."""
+        """Who is judged walks: no second at a command of 0 m/s would count."""
         super().check(set_points, where)
         for found in set_points:
-            if where in ("selection.speed", "selection.speeds", "--speed") and not found > 0:
+            if not found > 0:
                 raise ConfigError(f"{where}: expected a number greater than 0, found {found:g}.")
+
+    def check_tolerance(self, tolerance: float, where: str) -> None:
+        """It is relative, so that with 1 who stands still would do what was commanded."""
+        if not tolerance < 1:
+            raise ConfigError(
+                f"{where}: expected a share below 1, found {tolerance:g}. It is relative to the commanded speed: 0.1 "
+                "is ±10 %."
+            )
 
     def check_schedule(self, schedule: ScheduleConfig, where: str) -> None:
         for number, command in enumerate(schedule.commands):

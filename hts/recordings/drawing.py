@@ -13,10 +13,15 @@ MOST_SHOWN = 6
 """Recordings in one picture."""
 
 
-def check_picture(path: Path) -> None:
-    """Raises ConfigError for a file name whose ending is no picture's."""
+def check_picture(path: Path, store: Path | None = None) -> None:
+    """Raises ConfigError for a file name whose ending is no picture's, and for one inside of a store, such as the one
+    that is imported to."""
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"--figure {path}: expected a name that ends in {', '.join(SUFFIXES)}.")
+    above = path.resolve().parents
+    inside = [place for place in above if (place / "zarr.json").exists() or (store and place == store.resolve())]
+    if inside:
+        raise ConfigError(f"--figure {path}: is inside of the store {inside[0]}. Choose a place outside of it.")
 
 
 def draw(recordings: Sequence[Recording], path: Path) -> None:

@@ -40,7 +40,7 @@ from hts.recordings.mapping import (
 )
 from hts.recordings.motion import check_motion
 from hts.recordings.outliers import outlier_limits, without_outliers
-from hts.recordings.plausible import check_idle, check_limits
+from hts.recordings.plausible import check_facts, check_idle, check_limits
 from hts.recordings.recording import Recording, Series
 from hts.recordings.samples import Samples, common_grid, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
@@ -155,6 +155,7 @@ def _one(
     channels = {name: _series(one, log, robot, grid) for name, one in samples.items()}
     told = _notes(files, tables, samples, grid, log, dropped)
     recording = _recording(channels, grid, log, robot, {**told, **notes}, where)
+    check_facts(recording, robot, where)
     per_joint = {name for name, one in log.channels.items() if follows_joints(name, one)}
     stated = _stated_limits(channels, log)
     check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)

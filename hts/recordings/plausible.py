@@ -1,4 +1,4 @@
-"""Whether columns can be what a mapping says they are, judged by the robot's limits and by the idle level.
+"""Whether columns and facts can be what a mapping says they are, judged by the robot's limits and by the idle level.
 
 Logs exist whose header says torque over columns that hold motor temperatures. Units do not show that; limits do.
 """
@@ -9,9 +9,9 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from hts.contracts import RobotSpec
+from hts.contracts import Robot, RobotSpec
 from hts.errors import RecordingError
-from hts.recordings.recording import Series
+from hts.recordings.recording import Recording, Series
 
 # A log may overshoot a limit for a moment (estimates, impacts). It may not do so typically, nor by half in 1 % of it.
 PEAK_FACTOR = 1.5
@@ -22,6 +22,10 @@ POSITION_MARGIN = 0.35
 ABSURD_FACTOR = 20.0
 # A robot at work takes several times what it takes idle. A thousandfold is another unit.
 IDLE_FACTOR = 100.0
+# Nobody walks with four times its own mass on its back, nor without four fifths of it. Grams are 1000 to 1.
+MASS_FACTOR = 5.0
+# m/s and rad/s: legged robots run at some m/s. Written in mm/s these are thousands, in cm/s hundreds.
+FASTEST_ON_LEGS, FASTEST = 20.0, 100.0
 
 
 def check_limits(
@@ -80,6 +84,31 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
                 f"{where}: '{name}' is {median:.4g} {unit} at the median, its idle level {level:g} {unit}. {hint}; if "
                 "it is right, say so with `limits`."
             )
+
+
+def check_facts(recording: Recording, robot: Robot, where: str) -> None:
+    """Raise RecordingError for a stated mass or commanded velocity that this robot cannot have. where: begins the
+    message. A mass is held against the robot's model, if it has one."""
+    fastest = FASTEST_ON_LEGS if robot.spec.foot_sites else FASTEST
+    for number, command in enumerate(recording.schedule.commands):
+        told = (("vx", "m/s", command.vx), ("vy", "m/s", command.vy), ("yaw_rate", "rad/s", command.yaw_rate))
+        for name, unit, found in told:
+            if abs(found) > fastest:
+                raise RecordingError(
+                    f"{where}: recording.schedule.commands.{number}.{name} is {found:g} {unit}. Expected at most "
+                    f"{fastest:g} {unit}. It is probably in another unit (mm/s are no m/s): correct it."
+                )
+    if recording.mass_kg is None or robot.mjcf() is None:
+        return
+    from hts.sim.models import compile_model
+
+    model = compile_model(robot)
+    mass = float(model.body_mass[model.body_weldid != 0].sum())  # of what can move
+    if mass > 0 and not 1 / MASS_FACTOR <= recording.mass_kg / mass <= MASS_FACTOR:
+        raise RecordingError(
+            f"{where}: recording.mass_kg is {recording.mass_kg:g} kg, the model of '{robot.spec.name}' has {mass:.3g} "
+            "kg. It is probably in another unit (g are no kg): weigh the robot and correct it, or leave it out."
+        )
 
 
 def implausible(channels: Mapping[str, Series], per_joint: Mapping[str, bool], spec: RobotSpec) -> list[str]:

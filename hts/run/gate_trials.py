@@ -26,7 +26,7 @@ from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 from hts.rl.task_env import TaskEnv
 from hts.run.gate_checks import NEEDS, Worst, limits
-from hts.sim.models import FLOOR, compile_model, variants
+from hts.sim.models import FLOOR, check_added_mass, compile_model, variants
 
 SETTLING = 1.0  # s
 PACKETS = 9341  # so that losing them shares no random number with anything else of a seed
@@ -44,6 +44,12 @@ def varied(base: EnvConfig, gate: GateConfig, instances: int) -> EnvConfig:
         "models": instances,
     }
     return base.model_copy(update={"randomisation": base.randomisation.model_copy(update=ranges)})
+
+
+def check_payload(robot: Robot, gate: GateConfig) -> None:
+    """Raise ConfigError for a payload that would leave nothing of the trunk; of the velocity task alone it is known."""
+    if isinstance(robot, VelocityRobot):
+        check_added_mass(compile_model(robot), robot, gate.payload, "gate.payload")
 
 
 class LostPackets:

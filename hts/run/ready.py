@@ -58,6 +58,10 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
     check_world(config, registry)
     if engine is not None:
         _check_env(config, registry, engine)
+        if config.gate.enabled:
+            from hts.run.gate_trials import check_payload
+
+            check_payload(robot, config.gate)
 
 
 def transforms(config: RunConfig, registry: Registry) -> list[Measured]:

@@ -31,6 +31,16 @@ def compile_model(robot: Robot) -> mujoco.MjModel:
     return model
 
 
+def check_added_mass(model: mujoco.MjModel, robot: Robot, added: tuple[float, float], where: str) -> None:
+    """Raise ConfigError for a trunk that would weigh nothing or less. added: kg; where: the key that says so."""
+    mass = float(model.body(robot.spec.trunk_body).mass[0])
+    if not mass + added[0] > 0:
+        raise ConfigError(
+            f"{where}: {added[0]:g} kg would leave nothing of the trunk of '{robot.spec.name}', which weighs "
+            f"{mass:.3g} kg. Raise the lower end."
+        )
+
+
 def variants(robot: Robot, config: RandomisationConfig, seed: int, count: int | None = None) -> list[mujoco.MjModel]:
     """A pool of randomised models; just the nominal one if randomisation is off.
 
@@ -41,6 +51,7 @@ def variants(robot: Robot, config: RandomisationConfig, seed: int, count: int | 
         return [compile_model(robot)]
     rng = np.random.default_rng([seed, 7201])
     nominal = compile_model(robot)  # once: a copy takes a hundredth of the time
+    check_added_mass(nominal, robot, config.added_mass, "randomisation.added_mass")
     return [vary(copy.copy(nominal), robot, config, rng) for _ in range(count or config.models)]
 
 

@@ -9,6 +9,8 @@ import importlib.metadata
 import importlib.util
 import keyword
 import re
+import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
@@ -108,19 +110,28 @@ def write_starter(kind: str, name: str, parent: Path, log_only: bool = False) ->
         files[file] = Template(text).substitute(words)
     files |= _log_to_try(kind, name)
     try:
-        for file, text in files.items():
-            path = folder / file
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
+        parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=parent) as beside:
+            _write(files, Path(beside, folder.name), (module, name) if kind == "robot" else None)
+            Path(beside, folder.name).rename(folder)  # whole or not at all
     except OSError as error:
         raise RunError(
-            f"{folder}: cannot be written ({error.strerror}). Choose another place with --to DIR."
+            f"{folder}: cannot be written ({error.strerror}). Free some space, or choose another place with --to DIR."
         ) from error
-    if kind == "robot":
+    return folder
+
+
+def _write(files: Mapping[str, str], folder: Path, robot: tuple[str, str] | None) -> None:
+    """The package's files. robot: module and name of one, which ships a policy. Raises OSError."""
+    for file, text in files.items():
+        path = folder / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    if robot is not None:
         from hts.testing.tiny_policy import write_drive_policy
 
+        module, name = robot
         write_drive_policy(folder / module / "policies" / "pretrained.safetensors", name)
-    return folder
 
 
 def first_run(kind: str, name: str, folder: Path, log_only: bool = False) -> str:

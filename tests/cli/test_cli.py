@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import importlib
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -16,7 +17,7 @@ import typer
 
 from hts.cli.commands import COMMANDS
 from hts.cli.main import main
-from hts.cli.one_line import disk_fault, resumable
+from hts.cli.one_line import disk_fault, one_line, resumable
 from hts.config_loading import dump_config, load_config
 from hts.errors import RunError, WaitingForRobot
 
@@ -239,6 +240,22 @@ def test_a_full_disk_is_seen_through_the_error_of_a_library():
     assert disk_fault(RuntimeError("I/O error: No space left on device (os error 28)"), Path("run")).startswith("run: ")
     assert disk_fault(RuntimeError("something else")) is None
     assert disk_fault(FileNotFoundError(errno.ENOENT, "gone", "file")) is None
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (errno.EFBIG, "larger than is allowed here (`ulimit -f`"),
+        (errno.EIO, "input/output error"),
+        (errno.ESTALE, "the network file system has lost it"),
+        (errno.EMFILE, "too many files are open. Raise the limit (`ulimit -n`)"),
+    ],
+)
+def test_other_faults_of_a_disk_are_one_line_too_and_seen_in_the_text_of_a_library(number, words):
+    own = OSError(number, os.strerror(number), "/data/file")
+    assert disk_fault(own).startswith("/data/file: ") and words in disk_fault(own)
+    assert words in disk_fault(RuntimeError(f"I/O error: {os.strerror(number)} (os error {number})"), Path("run"))
+    assert "error: /data/file: " in one_line(own)[0] and one_line(own)[1] == 2
 
 
 def test_a_thread_that_the_disk_stopped_says_nothing_and_any_other_does(tmp_path, capsys):

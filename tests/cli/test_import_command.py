@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -105,6 +106,8 @@ def test_the_picture_shows_the_values(lab, tmp_path):
     [
         (IMPORT, "--mapping M.yaml is needed; `hts import FILE --robot R --suggest > M.yaml` begins one"),
         ([*IMPORT, "--mapping", "m.yaml"], "--to STORE is needed, or --dry-run"),
+        ([*STORE, "--figure", "s.zarr/p.png"], "--figure s.zarr/p.png: is inside of the store "),
+        ([*STORE, "--dry-run", "--figure", "s.zarr/deep/../p.png"], "Choose a place outside of it."),
         ([*STORE, "--figure", "p.doc"], "expected a name that ends in .png, .svg, .pdf"),
         (["import", "none.csv", "--robot", "hinge", "--suggest"], "none.csv: cannot be read"),
     ],
@@ -112,6 +115,16 @@ def test_the_picture_shows_the_values(lab, tmp_path):
 def test_what_is_missing_is_one_line(lab, arguments, expected):
     code, _, err = lab(*arguments)
     assert code == 2 and len(err) == 1 and expected in err[0]
+    assert not Path("s.zarr").exists()
+
+
+def test_a_picture_inside_of_any_store_is_refused(lab, tmp_path):
+    assert lab(*STORE)[0] == 0
+    before = sorted(tmp_path.rglob("*"))
+    for figure in ("s.zarr/p.png", f"s.zarr/{RecordingStore('s.zarr').ids()[0]}/p.png"):
+        code, _, err = lab(*IMPORT, "--mapping", "m.yaml", "--to", "other.zarr", "--figure", figure)
+        assert code == 2 and len(err) == 1 and f"is inside of the store {tmp_path}/s.zarr" in err[0]
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_runs_of_one_file_become_recordings(lab):

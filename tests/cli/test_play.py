@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +166,37 @@ def test_a_film_has_25_frames_a_second_and_is_said_to_be_simulation(run_folder, 
     assert imageio_ffmpeg.count_frames_and_secs(str(video))[0] == 25
     assert "Simulation, not the real robot" in capsys.readouterr().out
     assert [file.name for file in tmp_path.iterdir()] == ["walk.mp4"]
+
+
+CUT_OFF = """
+python - > "$OUT/out" 2> "$OUT/err" <<END
+import numpy as np
+from pathlib import Path
+from contextlib import nullcontext
+from hts import play
+from hts.plugins import load
+
+walk = play.Walk(load().make_robot("go1"), Path("$OUT/pretrained.onnx"), 0.8)
+noise = np.random.default_rng(0).integers(0, 255, (play.HEIGHT, play.WIDTH, 3), dtype=np.uint8)
+play._renderer = lambda walk: nullcontext(lambda: noise)
+try:
+    play._film(walk, Path("$DISK/walk.mp4"), 0.4)
+except play.SimulationError as error:
+    print(error)
+END
+ls -A "$DISK" > "$OUT/left"
+"""
+
+
+def test_a_video_that_a_full_disk_cuts_off_is_refused_and_nothing_of_it_stays(on_a_disk, run_folder, tmp_path):
+    shutil.copy(run_folder / "policies" / "pretrained.onnx", tmp_path)
+    on_a_disk("64k", f'python() {{ "{sys.executable}" "$@"; }}\n{CUT_OFF}')
+    said = (tmp_path / "out").read_text()
+    assert said == f"{tmp_path}/disk/walk.mp4: the video cannot be written; ffmpeg's reason is above.\n", (
+        tmp_path / "err"
+    ).read_text()
+    assert "No space left on device" in (tmp_path / "err").read_text()
+    assert (tmp_path / "left").read_text() == ""
 
 
 @pytest.mark.parametrize("speed", [float("nan"), float("inf"), -float("inf")])

@@ -41,6 +41,25 @@ def test_an_unknown_reality_is_one_line(capsys, command):
     assert "\n" not in said and "No reality named 'dev-0O'. Did you mean 'dev-" in said
 
 
+@pytest.mark.parametrize("command", ["show", "check"])
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"dynamics": {"trunk_mass_scale": 99}}, "parameters.dynamics.trunk_mass_scale: expected"),
+        ({"dynamic": {}}, "parameters.dynamic: there is no key 'dynamic'"),
+        ({"instruments": {"battery_gauge": {"idle_power": "x"}}}, "idle_power"),
+    ],
+)
+def test_parameters_that_no_twin_takes_are_one_line_that_names_the_file(tmp_path, capsys, command, parameters, said):
+    content = json.loads(locate("dev-00").read_text())
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps({**content, "parameters": parameters}))
+    assert main(["realities", command, str(file)]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith(f"error: reality {file}: ") and said in line and line.count("\n") == 1, line
+    assert "TwinSettings" not in line
+
+
 def verdict(why: str) -> Verdict:
     return Verdict((Measured(name="standing", value=70.0 if why else 60.0, low=53, high=65, unit="W"),), why)
 

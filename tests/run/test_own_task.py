@@ -225,6 +225,27 @@ def test_a_set_point_is_nothing_for_a_robot_that_follows_a_velocity():
         check_names(config(**given, overrides=["selection.speeds=[0.5, -0.5]"]), load())
 
 
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("evaluation.speeds=[0.0]", "evaluation.speeds: expected a number greater than 0, found 0."),
+        ("evaluation.speeds=[0.5, -0.8]", "evaluation.speeds: expected a number greater than 0, found -0.8."),
+        ("simulation_test.speeds=[0]", "simulation_test.speeds: expected a number greater than 0, found 0."),
+        ("evaluation.speed_tolerance=10", "evaluation.speed_tolerance: expected a share below 1, found 10."),
+        ("simulation_test.speed_tolerance=1", "simulation_test.speed_tolerance: expected a share below 1, found 1."),
+    ],
+)
+def test_a_robot_that_follows_a_velocity_is_judged_at_speeds_above_0_within_a_share_of_them(override, words):
+    with pytest.raises(ConfigError) as caught:
+        check_names(config(objectives=["power"], robot="go1", world="twin", overrides=[override]), load())
+    assert str(caught.value).startswith(words) and "\n" not in str(caught.value)
+
+
+def test_another_task_has_its_own_use_for_the_tolerance():
+    overrides = ["evaluation.speed_tolerance=10", "simulation_test.speed_tolerance=10"]
+    check_names(config(overrides=overrides), load())
+
+
 def test_a_preset_that_holds_the_speed_does_not_for_a_task_that_cannot(monkeypatch):
     holding = {part: {**PRESETS["smoke"][part], "hold_speed": True} for part in ("simulation_test", "evaluation")}
     several = {"selection": {**PRESETS["smoke"]["selection"], "speeds": [0.5, 1.1]}}

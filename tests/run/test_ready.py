@@ -237,3 +237,11 @@ def test_a_sensor_that_cannot_be_read_is_found_before_a_robot_walks(install, cha
     source = SENSOR.format(api=API_VERSION, channel=channel, target=target, read=read)
     with on_path(install("stranger", {"stranger": source}, {"stranger": "stranger"})):
         assert said in refusal(HtsError, "broken", "twin")
+
+
+@pytest.mark.parametrize("key", ["finetune.env.randomisation.added_mass", "gate.payload"])
+def test_a_trunk_that_would_weigh_nothing_is_one_line_with_its_key_and_mass(key):
+    check("fake", "known", "tiny", "mujoco", f"{key}=[-1.0, 1.0]")
+    said = refusal(ConfigError, "fake", "known", "tiny", "mujoco", f"{key}=[-20.0, 1.0]")
+    assert said.startswith(f"{key.removeprefix('finetune.env.')}: -20 kg would leave nothing of the trunk of 'tiny'")
+    assert re.search(r"which weighs [\d.]+ kg\. Raise the lower end\.$", said)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -179,6 +180,30 @@ def test_nothing_is_overwritten(tmp_path):
     write_starter("selector", "steady", tmp_path)
     with pytest.raises(RunError, match="exists already"):
         write_starter("selector", "steady", tmp_path)
+
+
+@pytest.mark.parametrize(("kind", "failing"), [("selector", "write_text"), ("robot", "save_policy")])
+def test_a_disk_that_fills_up_leaves_no_half_of_a_package(tmp_path, monkeypatch, kind, failing):
+    def full(path, *_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    with monkeypatch.context() as patch:
+        if failing == "write_text":
+            written, write_text = [], Path.write_text
+            patch.setattr(
+                Path,
+                "write_text",
+                lambda self, *args, **options: (
+                    full(self) if len(written) == 3 else (written.append(self), write_text(self, *args, **options))
+                ),
+            )
+        else:
+            patch.setattr("hts.policies.files.save_policy", full)
+        with pytest.raises(RunError, match="hts-steady: cannot be written .No space left on device.*--to DIR"):
+            write_starter(kind, "steady", tmp_path / "there")
+    assert list((tmp_path / "there").iterdir()) == []
+    folder = write_starter(kind, "steady", tmp_path / "there")
+    assert (folder / "pyproject.toml").is_file() and [path.name for path in folder.parent.iterdir()] == ["hts-steady"]
 
 
 @pytest.mark.parametrize("name", ["Hopper", "2legs", "my--robot", "class", "", "two__lines", "a_", "a-"])

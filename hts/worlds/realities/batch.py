@@ -20,18 +20,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from hts import plugins
 from hts.atomic import atomic_write
+from hts.contracts import Instrument, Robot
 from hts.cores import available
-from hts.errors import ConfigError, RunError
+from hts.errors import ConfigError
+from hts.explain import dotted, explain
 from hts.plugin_settings import in_full
 from hts.worlds.realities.check import Verdict, check
 from hts.worlds.realities.draw import Draw, draw
+from hts.worlds.realities.folder import LINES, begun, only_one
 from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
 from hts.worlds.twin.parameters import MACHINE, TwinSettings
 from hts.worlds.twin.reality import Reality, read
 
-LINES = "draws.jsonl"
 PARENT_SECONDS = 1.0  # between two looks whether the parent is there
 AHEAD = 2  # draws in work per process: one that takes long does not hold up the others
 
@@ -58,12 +62,31 @@ def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str
     return content
 
 
-def examine(reality: Reality, policy: Path) -> Verdict:
-    """Hold a reality against the facts."""
+def machine_of(reality: Reality) -> tuple[Robot, TwinSettings, dict[str, Instrument]]:
+    """The robot, the twin and its instruments. Raises ConfigError for parameters that they do not take."""
     registry = plugins.load()
     robot = registry.make_robot(reality.robot)
-    settings = TwinSettings.model_validate(dict(reality.parameters))
+    try:
+        settings = TwinSettings.model_validate(dict(reality.parameters))
+    except ValidationError as error:
+        raise ConfigError(explain(error, TwinSettings, lambda at: f"parameters.{dotted(at)}")) from error
     instruments = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
+    return robot, settings, instruments
+
+
+def read_whole(reference: str) -> Reality:
+    """What is in the file of a name or path, all of which a twin takes. Raises ConfigError that names it."""
+    reality = read(reference)
+    try:
+        machine_of(reality)
+    except ConfigError as error:
+        raise ConfigError(f"reality {reference}: {error}") from error
+    return reality
+
+
+def examine(reality: Reality, policy: Path) -> Verdict:
+    """Hold a reality against the facts."""
+    robot, settings, instruments = machine_of(reality)
     return check(robot, settings, instruments, policy)
 
 
@@ -101,25 +124,26 @@ def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None 
         "name": asked.name,
         "ranges_sha256": ranges_sha256(drawn_parameters(plugins.load())),
     }
-    lines = begun(folder / LINES, heading)
-    files = [folder / f"{asked.name}-{number:02d}.json" for number in range(asked.count)]
-    kept = sum(line["kept"] for line in lines)
-    _check_files(files[:kept])
-    if kept >= asked.count:
+    with only_one(folder):
+        lines = begun(folder, heading)
+        files = [folder / f"{asked.name}-{number:02d}.json" for number in range(asked.count)]
+        kept = sum(line["kept"] for line in lines)
+        _check_files(files[:kept])
+        if kept >= asked.count:
+            return files
+        for line, content in _in_order(asked, len(lines), processes):
+            path = files[kept] if line["kept"] else None
+            if path is not None:
+                named = Reality.model_validate_json(content).model_copy(update={"name": path.stem})
+                atomic_write(path, json.dumps(named.model_dump(mode="json"), indent=1) + "\n")
+                kept += 1
+            with (folder / LINES).open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+            if tell is not None:
+                tell(line, path.stem if path else "")
+            if kept == asked.count:
+                break
         return files
-    for line, content in _in_order(asked, len(lines), processes):
-        path = files[kept] if line["kept"] else None
-        if path is not None:
-            named = Reality.model_validate_json(content).model_copy(update={"name": path.stem})
-            atomic_write(path, json.dumps(named.model_dump(mode="json"), indent=1) + "\n")
-            kept += 1
-        with (folder / LINES).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-        if tell is not None:
-            tell(line, path.stem if path else "")
-        if kept == asked.count:
-            break
-    return files
 
 
 def _in_order(asked: Asked, first: int, processes: int) -> Iterator[tuple[dict[str, Any], str]]:
@@ -149,30 +173,6 @@ def end_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def begun(path: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Lines so far of a file with this heading, begun if it is not there. Raises RunError for a folder of others."""
-    if not path.exists():
-        if path.parent.exists() and any(path.parent.iterdir()):
-            raise RunError(f"{path.parent}: is not empty and holds no {LINES}. Choose an empty folder with --out.")
-        atomic_write(path, json.dumps(heading) + "\n")
-        return []
-    text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]  # a line that was cut off is drawn again
-    if whole != text:
-        atomic_write(path, whole)
-    found, *lines = (json.loads(line) for line in whole.splitlines())
-    other = [key for key in {**heading, **found} if found.get(key) != heading.get(key)]
-    if "like" in other:
-        had = "other figures of a robot, or another --discrepancy" if "like" in found else "the public facts"
-        raise RunError(f"{path}: was begun with {had}. Choose another folder with --out.")
-    if other:
-        raise RunError(
-            f"{path}: was begun with another {other[0]} ({found.get(other[0])}, now {heading.get(other[0])}). "
-            "Choose another folder with --out."
-        )
-    return lines
 
 
 def _check_files(files: list[Path]) -> None:

@@ -28,7 +28,8 @@ from hts.contracts import Instrument
 from hts.cores import available
 from hts.errors import RunError
 from hts.worlds.realities import sampler
-from hts.worlds.realities.batch import LINES, begun, end_with, parameters_of
+from hts.worlds.realities.batch import end_with, parameters_of
+from hts.worlds.realities.folder import LINES, begun, damaged, only_one, rows_of
 from hts.worlds.realities.like import Likeness
 from hts.worlds.realities.misfit import free_distance, measured_of, misfit
 from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
@@ -164,29 +165,30 @@ def draw_like(
         "ranges_sha256": ranges_sha256(drawn_parameters(registry)),
         "like": asked.like.model_dump(mode="json"),
     }
-    lines = begun(folder / LINES, heading)
-    generations = generations_of(lines, asked.size)
-    rest = lines[len(generations) * asked.size :]
-    while not generations or not _agrees(generations[-1], within):
-        spent = sum(line["simulated"] for line in lines)
-        if budget is not None and spent >= budget:
-            raise RunError(_not_enough(folder, budget, generations))
-        tasks = _next(asked, generations, within, rest)
-        for particle in work(asked, tasks[len(rest) :], processes, within):
-            task = tasks[len(rest)]
-            line = {"generation": task.generation, "place": task.place, "bound": task.bound, "step": task.step}
-            line |= particle.plain()
-            with (folder / LINES).open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
-            lines.append(line)
-            rest.append(line)
-            spent += particle.simulated
-            tell(_said(line, len(rest), asked.size, spent, budget))
-            if budget is not None and spent >= budget and len(rest) < asked.size:
+    with only_one(folder):
+        lines = begun(folder, heading)
+        generations = generations_of(lines, asked.size)
+        rest = lines[len(generations) * asked.size :]
+        while not generations or not _agrees(generations[-1], within):
+            spent = sum(line["simulated"] for line in lines)
+            if budget is not None and spent >= budget:
                 raise RunError(_not_enough(folder, budget, generations))
-        generations, rest = generations_of(lines, asked.size), []
-        tell(_summed_up(generations[-1]))
-    return _written(asked, folder, generations[-1])
+            tasks = _next(asked, generations, within, rest)
+            for particle in work(asked, tasks[len(rest) :], processes, within):
+                task = tasks[len(rest)]
+                line = {"generation": task.generation, "place": task.place, "bound": task.bound, "step": task.step}
+                line |= particle.plain()
+                with (folder / LINES).open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(line) + "\n")
+                lines.append(line)
+                rest.append(line)
+                spent += particle.simulated
+                tell(_said(line, len(rest), asked.size, spent, budget))
+                if budget is not None and spent >= budget and len(rest) < asked.size:
+                    raise RunError(_not_enough(folder, budget, generations))
+            generations, rest = generations_of(lines, asked.size), []
+            tell(_summed_up(generations[-1]))
+        return _written(asked, folder, generations[-1])
 
 
 def generations_of(lines: Sequence[Mapping[str, Any]], size: int) -> list[Generation]:
@@ -242,12 +244,21 @@ def _written(asked: Asked, folder: Path, last: Generation) -> list[Path]:
     return files
 
 
+def kept_of(folder: Path) -> list[dict[str, Any]]:
+    """Realities with their weights and distances; none for a folder of draws that all weigh the same. Raises RunError
+    for a damaged file."""
+    path = folder / KEPT
+    rows = rows_of(path) if path.is_file() else []
+    for number, row in enumerate(rows, 1):
+        numbers = [row.get(key) for key in ("weight", "distance")]
+        if not isinstance(row.get("reality"), str) or not all(type(one) in (int, float) for one in numbers):
+            raise damaged(path, number, "expected reality, weight and distance")
+    return rows
+
+
 def weights_of(folder: Path) -> dict[str, float]:
     """Name of a reality -> its weight; empty for a folder of draws that all weigh the same."""
-    path = folder / KEPT
-    if not path.is_file():
-        return {}
-    return {row["reality"]: float(row["weight"]) for row in map(json.loads, path.read_text("utf-8").splitlines())}
+    return {row["reality"]: float(row["weight"]) for row in kept_of(folder)}
 
 
 def _random(seed: str, what: str) -> np.random.Generator:

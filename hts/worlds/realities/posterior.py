@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hts.errors import RunError
-from hts.worlds.realities.batch import LINES
+from hts.worlds.realities.folder import draws_of
 from hts.worlds.realities.ranges import Drawn
 
 Lines = Sequence[Mapping[str, Any]]
@@ -32,10 +30,7 @@ class Narrowed:
 
 def lines_of(folder: Path) -> Lines:
     """All draws of a folder. Raises RunError."""
-    path = folder / LINES
-    if not path.is_file():
-        raise RunError(f"{path}: there is no such file. `hts realities draw` writes it.")
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()[1:]]
+    return draws_of(folder).lines
 
 
 def accepted(folder: Path) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,20 +9,18 @@ from typing import Any
 import numpy as np
 
 from hts.worlds.realities import sampler
-from hts.worlds.realities.batch import LINES
+from hts.worlds.realities.folder import LINES, draws_of
 from hts.worlds.realities.like import Likeness
 from hts.worlds.realities.misfit import in_tolerances
-from hts.worlds.realities.population import KEPT, Generation, generations_of
+from hts.worlds.realities.population import Generation, generations_of, kept_of
 from hts.worlds.realities.posterior import Narrowed
 from hts.worlds.realities.ranges import Drawn
 from hts.worlds.realities.space import Space
 
 
 def heading_of(folder: Path) -> Mapping[str, Any]:
-    """First line of draws.jsonl."""
-    with (folder / LINES).open(encoding="utf-8") as file:
-        content: Mapping[str, Any] = json.loads(file.readline())
-    return content
+    """First line of draws.jsonl. Raises RunError."""
+    return draws_of(folder).heading
 
 
 def is_population(folder: Path) -> bool:
@@ -36,7 +33,7 @@ def accepted(folder: Path) -> str:
     generations = _read(folder)
     simulated, moved = _counts(generations)
     tries = sum(one.simulated for one in generations[0].population) if generations else 0
-    kept = len((folder / KEPT).read_text("utf-8").splitlines()) if (folder / KEPT).is_file() else 0
+    kept = len(kept_of(folder))
     bound = generations[-1].bound if generations else None
     reached = "no distance yet" if bound is None else f"{bound:.2f} tolerances"
     share = moved / max(simulated - tries, 1)
@@ -66,9 +63,9 @@ def text(parameters: Sequence[Drawn], folder: Path, most: int = 12) -> str:
     for name in space.switches:
         share = sum(weight for index, weight in weights.items() if name in draws[index].switches)
         rows.append(f"| `{name}` | 50 % | {share:.0%} |")
-    if (folder / KEPT).is_file():
+    kept = kept_of(folder)
+    if kept:
         rows += ["", "| reality | weight | tolerances away |", "|---|---|---|"]
-        kept = [json.loads(line) for line in (folder / KEPT).read_text("utf-8").splitlines()]
         rows += [f"| {one['reality']} | {one['weight']:.3f} | {one['distance']:.2f} |" for one in kept]
     return "\n".join(rows)
 
@@ -145,9 +142,8 @@ def _counts(generations: Sequence[Generation]) -> tuple[int, int]:
 
 
 def lines_of(folder: Path) -> list[dict[str, Any]]:
-    """Particles of a folder, whole lines alone."""
-    lines = (folder / LINES).read_text(encoding="utf-8")
-    return [json.loads(line) for line in lines[: lines.rfind("\n") + 1].splitlines()[1:]]
+    """Particles of a folder, whole lines alone. Raises RunError."""
+    return draws_of(folder).lines
 
 
 def _read(folder: Path) -> list[Generation]:
