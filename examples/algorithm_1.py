@@ -188,7 +188,7 @@ def main(iterations: int = ITERATIONS, batches: int = 40, pretraining: int = 150
         if found[winner] > saving:
             best, saving = candidates[winner], found[winner]
         tried = ", ".join(f"λ {sweep[i][1]:g} c {sweep[i][2]:g}: {found[i]:.1%}" for i in elites)
-        print(f"iteration {iteration + 1}: fit R² {fit['validation_r2']:.2f}; saved by the elites: {tried}")
+        print(f"iteration {iteration + 1}: fit R² {fit['validation_r2'] or float('nan'):.2f}; elites saved: {tried}")
     print(f"best: {saving:.1%} less than the pretrained policy")
     return saving
 

@@ -213,7 +213,9 @@ def _film(walk: Walk, video: Path, seconds: float) -> Played:
             _check_frames(partial, frames)
         except OSError as error:
             partial.unlink(missing_ok=True)
-            raise SimulationError(f"{video}: the video cannot be written; ffmpeg's reason is above.") from error
+            raise SimulationError(
+                f"{video}: the video cannot be written ({error}); what ffmpeg said of it is above."
+            ) from error
         except BaseException:  # no half of a walk is left behind
             writer.close()
             partial.unlink(missing_ok=True)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hts.evaluation.segments import Segments
+from hts.evaluation.segments import Segments, kept
 
 Blocks = list[np.ndarray]
 """Rows of a table, one array for each block in the order of time."""
@@ -49,6 +49,19 @@ class Balance:
     def session_means(self, policy: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The same for each session, each (sessions, Q)."""
         return _means(self.policy, policy), _means(self.reference, reference)
+
+
+def in_common(policy: Segments, reference: Segments) -> tuple[Segments, Segments]:
+    """Both without the segments of sessions that hold valid ones of one of them alone, where at least two hold of both:
+    nothing can be compared with them."""
+    named = [np.array([one.recordings[index].session for index in one.recording]) for one in (policy, reference)]
+    common = set(named[0]) & set(named[1])
+    if len(common) < 2:
+        return policy, reference
+    first, second = (
+        kept(one, np.isin(names, list(common))) for one, names in zip((policy, reference), named, strict=True)
+    )
+    return first, second
 
 
 def mean_of_blocks(table: np.ndarray, block: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 from hts.config import EvaluationConfig
 from hts.contracts import VELOCITY, Comparison, FollowVelocity, Objective, Task
 from hts.errors import EvaluationError, HtsError, PluginError
-from hts.evaluation.balance import Balance
+from hts.evaluation.balance import Balance, in_common
 from hts.evaluation.held import (
     NAMES,
     Commanded,
@@ -255,8 +255,15 @@ class _Measured:
     ) -> tuple[float, float] | None:
         """95 %, of a number of the comparison."""
         policy, reference = (_table(self.scores[role]) for role in ROLES)
+
+        def drawn(one: np.ndarray, other: np.ndarray) -> float:
+            try:
+                return number(self.compared(one, other))
+            except (EvaluationError, PluginError):  # the means themselves could be compared
+                return math.nan
+
         return interval_of(
-            lambda one, other: number(self.compared(one, other)),
+            drawn,
             self._balance,
             policy,
             reference,
@@ -283,7 +290,8 @@ def _measure(
     """
     speed = _one_speed(recordings, task)
     ordered = sorted(recordings, key=lambda recording: (recording.session, recording.block))
-    segments = {role: cut([r for r in ordered if r.role == role], config.speed_tolerance, task=task) for role in ROLES}
+    found = (cut([r for r in ordered if r.role == role], config.speed_tolerance, task=task) for role in ROLES)
+    segments = dict(zip(ROLES, in_common(*found), strict=True))
     if sent is not None:
         check_range(segments, speed, sent)  # the reason of all that follows from it
     for role in ROLES:
@@ -325,6 +333,7 @@ def _check_enough(segments: Segments, role: str, speed: float, config: Evaluatio
     if segments.valid >= config.min_valid and len(segments) >= config.min_segments:
         return
     fell = f", with {segments.falls} falls" if segments.falls else ""
+    fell += f", samples are missing in {segments.gaps}" if segments.gaps else ""
     if isinstance(task, FollowVelocity):
         walked = "" if math.isnan(segments.walked) else f"; it went {segments.walked:.2f} m/s on average"
         rule = f"within ±{config.speed_tolerance:.0%} of the commanded speed{fell}{walked}"

@@ -38,10 +38,13 @@ def interval(
     groups = (_joined_if_single(policy), _joined_if_single(reference))
     means = [np.mean([block.mean(axis=0) for block in blocks], axis=0) for blocks in groups]
     point = statistic(means[0], means[1])
-    correlation = lag_one_correlation(_linearised(statistic, groups, means, point))
+    effects = _linearised(statistic, groups, means, point)
+    if not all(np.isfinite(one).all() for one in effects):
+        return None
+    correlation = lag_one_correlation(effects)
     batches = [[_batch(block, correlation) for block in blocks] for blocks in groups]
-    degrees = sum(len(counts) - 1 for blocks in batches for _, counts in blocks)
-    if degrees < 1:
+    degrees = _degrees(batches, correlation)
+    if degrees is None:
         return None
     rng = np.random.default_rng(seed)
     drawn = [_resampled_means(blocks, resamples, rng) for blocks in batches]
@@ -123,6 +126,19 @@ def _resampled_means(
         chosen = rng.integers(0, len(means), size=(resamples, len(means)))
         result += means[chosen].mean(axis=1) / len(blocks)
     return result
+
+
+def _degrees(batches: list[list[tuple[np.ndarray, np.ndarray]]], correlation: float) -> float | None:
+    """Degrees of freedom of what the batches show of the variance (Satterthwaite 1946, Biometrics Bulletin 2:110), as
+    far as it comes of blocks with several of them; None where none has. Batches - blocks for blocks of one length; next
+    to one that is left with few segments, and counts the same, little more than that one's own."""
+    parts = [
+        (variance_of_mean(int(sizes.sum()), correlation) / len(blocks) ** 2, len(sizes) - 1)
+        for blocks in batches
+        for _, sizes in blocks
+    ]
+    spread = sum(variance**2 / degrees for variance, degrees in parts if degrees)
+    return sum(variance for variance, degrees in parts if degrees) ** 2 / spread if spread else None
 
 
 def _variance_ratio(batches: list[list[tuple[np.ndarray, np.ndarray]]], correlation: float) -> float:

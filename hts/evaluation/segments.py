@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
 FALLEN_GRAVITY_Z = -0.5  # projected gravity z of an upright trunk is -1; -0.5 is a tilt of 60 degrees
+MISSING = 0.03  # share of a piece's samples, by the recording's own clock; one sample where that is less
 BEFORE_FALL_SECONDS = 1.0  # a stumble starts before the trunk has tilted
 
 
@@ -33,7 +34,7 @@ class Segments:
     session, so that pieces with one number were recorded without interruption;
     total: pieces cut before the validity test; falls: times the trunk tipped over, or as many as a recording's note
     `falls` says, at least one per recording that says it fell; walked: mean `speed` of all pieces, near
-    falls and gaps left out, whether they count or not; NaN without any.
+    falls and gaps left out, whether they count or not; NaN without any; gaps: pieces in which samples are missing.
     """
 
     recordings: tuple[Recording, ...]
@@ -46,6 +47,7 @@ class Segments:
     total: int
     falls: int
     walked: float
+    gaps: int = 0
 
     def __len__(self) -> int:
         return len(self.start)
@@ -110,7 +112,7 @@ def cut(
 
     The first `settle_seconds` of a recording and of every command are dropped and not counted (a world that knows
     better says so in the recording's note `unsteady_seconds`). A piece is valid if
-    the task was done in it (see `Task.done`), no more than one sample is missing in it (clocks jitter), and it is
+    the task was done in it (see `Task.done`), no more than one sample or `MISSING` of them are missing in it, and it is
     not near a fall (from 1 s before the trunk tilts over to settle_seconds after it stands again).
     Raises RecordingError if rates differ or a channel that the task is judged by is missing.
     """
@@ -121,23 +123,27 @@ def cut(
             "resample them to one rate when importing."
         )
     samples = round(rates[0] * segment_seconds) if rates else 0
+    spare = max(1.5, MISSING * samples)  # clocks jitter
     columns: list[tuple[int, int, float, float, int]] = []
     blocks: dict[tuple[str, int], int] = {}
     walked: list[float] = []
-    total = falls = 0
+    total = falls = gaps = 0
     for index, recording in enumerate(recordings):
         block = blocks.setdefault((recording.session, recording.block), len(blocks))
         settle = _seconds(recording.notes.get("unsteady_seconds"), settle_seconds)
         near_fall, count = _near_falls(recording, settle)
         falls += count
         achieved = _achieved(recording, task)
+        step = float(np.median(np.diff(recording.time))) if recording.num_samples > 1 else 1 / recording.rate_hz
         for start, commanded in _starts(recording, settle, samples):
             total += 1
             piece = slice(start, start + samples)
             speed = float(achieved[piece].mean())
-            elapsed = recording.time[piece][-1] - recording.time[piece][0]
-            whole = elapsed < (samples + 0.5) / recording.rate_hz  # samples that are missing stretch the piece
-            if not whole or near_fall[piece].any():
+            missing = (recording.time[piece][-1] - recording.time[piece][0]) / step - (samples - 1)
+            if missing > spare:
+                gaps += 1
+                continue
+            if near_fall[piece].any():
                 continue
             walked.append(speed)
             if task.done(speed, commanded, speed_tolerance):
@@ -154,7 +160,14 @@ def cut(
         total=total,
         falls=falls,
         walked=float(np.mean(walked)) if walked else float("nan"),
+        gaps=gaps,
     )
+
+
+def kept(segments: Segments, which: np.ndarray) -> Segments:
+    """Those of the pieces alone, bool (S,); the others are no longer valid."""
+    columns = {name: vars(segments)[name][which] for name in ("recording", "start", "speed", "commanded", "block")}
+    return replace(segments, **columns)
 
 
 def falls_of(role: str, recordings: Sequence[Recording]) -> int:

@@ -283,6 +283,7 @@ class Group:
             kl = mean_kl(self.population, self.anchor, observation)
             for index in torch.nonzero(~kl.isfinite()).flatten().tolist():
                 self.trainer.stop(index, "its KL to the anchor is not finite when training ends")
+                kl[index] = 0.0  # it is its anchor now
             found = torch.where(inside, found, kl)
             inside |= kl <= KL_SLACK * bounds
             if bool(inside.all()) or self._extra > MOST_PROJECTIONS:

@@ -7,7 +7,7 @@ import pytest
 
 from hts.config import EvaluationConfig
 from hts.evaluation.balance import Balance, mean_of_blocks
-from hts.evaluation.head_to_head import compare, point
+from hts.evaluation.head_to_head import TooFewSegments, compare, point
 from hts.evaluation.segments import cut
 from hts.recordings.recording import Recording, Series
 from hts.testing.made_up_recordings import CostObjective, known_head_to_head
@@ -78,6 +78,17 @@ def test_without_two_sessions_of_both_every_block_counts():
     policy, reference = (cut([one for one in blocks if one.role == role]) for role in ("policy", "reference"))
     balance = Balance.of(policy, reference)
     assert balance.sessions == () and [len(role[0]) for role in (balance.policy, balance.reference)] == [2, 2]
+
+
+def test_seconds_of_a_session_that_counts_for_nothing_are_none_of_those_that_a_figure_needs():
+    """On two days the policy keeps one second a block, and on two others the reference none."""
+    recordings = []
+    for day in range(4):
+        for one in known_head_to_head(8.0, 10.0, seed=day):
+            lost = {("policy", True): 37, ("reference", False): 40}.get((one.role, day < 2), 0)
+            recordings.append(off_speed(one, lost).replace(session=f"day {day}"))
+    with pytest.raises(TooFewSegments, match=r"^Head-to-head at 0\.8 m/s: 4 of 304 segments of the policy are valid "):
+        compare(OBJECTIVE, recordings, QUICK)
 
 
 def test_the_mean_of_blocks_by_hand():

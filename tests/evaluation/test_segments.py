@@ -101,6 +101,18 @@ def test_one_sample_may_be_missing_since_clocks_jitter_and_two_may_not():
         assert segments.valid == valid, missing
 
 
+@pytest.mark.parametrize("rate_hz", [10.0, 50.0, 200.0, 1000.0])
+def test_a_clock_that_goes_slower_than_the_rate_says_misses_no_samples(rate_hz):
+    recording = known_recording([1.0] * 8, rate_hz=rate_hz)
+    assert cut([recording.replace(time=recording.time * 1.04)]).valid == 1.0
+
+
+def test_how_many_pieces_miss_samples_is_known():
+    recording = known_recording([1.0] * 8, rate_hz=50.0)
+    found = cut([without(recording, np.delete(np.arange(400), slice(220, 230)))])
+    assert (found.gaps, len(found)) == (1, found.total - 1)
+
+
 def without(recording, kept):
     channels = {name: Series(one.channel, np.asarray(one.values)[kept]) for name, one in recording.channels.items()}
     return recording.replace(time=recording.time[kept], channels=channels)
