@@ -52,8 +52,8 @@ def test_who_is_simulated_together_does_not_hang_on_the_machine(asked, monkeypat
         row = {"net_power": 50.0, "gross_power": 80.0, "cost_of_transport": 0.5, "speed": 0.8, "falls": 1.0}
         row["pieces"] = 8.0
         means = {"policy": {**row, "saturated": 0.0}, "reference": {**row, "net_power": 100.0, "saturated": 1.0}}
-        counted = {"policy": np.array([[60.0, 90.0, 0.6]] * 6), "reference": np.array([[80.0, 110.0, 0.8]] * 8)}
-        return [(0.8, Walked(means, counted)) for _ in group]
+        counted = {"policy": np.array([60.0, 90.0, 0.6]), "reference": np.array([80.0, 110.0, 0.8])}
+        return [(0.8, Walked(means, counted, {"policy": 6, "reference": 8})) for _ in group]
 
     monkeypatch.setattr(truth_module, "one_group", fake)
     at = truth(replace(asked, sessions=13))["speeds"]["0.8"]
