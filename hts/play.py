@@ -213,8 +213,9 @@ def _film(walk: Walk, video: Path, seconds: float) -> Played:
             _check_frames(partial, frames)
         except OSError as error:
             partial.unlink(missing_ok=True)
+            why = str(error).splitlines()[0] if str(error) else type(error).__name__  # ffmpeg's command follows
             raise SimulationError(
-                f"{video}: the video cannot be written ({error}); what ffmpeg said of it is above."
+                f"{video}: the video cannot be written ({why}); what ffmpeg said of it is above."
             ) from error
         except BaseException:  # no half of a walk is left behind
             writer.close()
@@ -231,9 +232,9 @@ def _check_frames(video: Path, frames: int) -> None:
     try:
         found, _ = imageio_ffmpeg.count_frames_and_secs(str(video))
     except RuntimeError as error:
-        raise OSError(f"{video} cannot be read") from error
+        raise OSError("what was written cannot be read") from error
     if found != frames:
-        raise OSError(f"{video} holds {found} of {frames} frames")
+        raise OSError(f"{found} of {frames} frames were written")
 
 
 @contextmanager

@@ -192,9 +192,8 @@ def test_a_video_that_a_full_disk_cuts_off_is_refused_and_nothing_of_it_stays(on
     shutil.copy(run_folder / "policies" / "pretrained.onnx", tmp_path)
     on_a_disk("64k", f'python() {{ "{sys.executable}" "$@"; }}\n{CUT_OFF}')
     said = (tmp_path / "out").read_text()
-    assert said == f"{tmp_path}/disk/walk.mp4: the video cannot be written; ffmpeg's reason is above.\n", (
-        tmp_path / "err"
-    ).read_text()
+    why = "(what was written cannot be read); what ffmpeg said of it is above."
+    assert said == f"{tmp_path}/disk/walk.mp4: the video cannot be written {why}\n", (tmp_path / "err").read_text()
     assert "No space left on device" in (tmp_path / "err").read_text()
     assert (tmp_path / "left").read_text() == ""
 
