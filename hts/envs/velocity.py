@@ -104,7 +104,6 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self._fixed_draws = DRAWS + 3 + 2 + 6 + joints + 1
         self._observation = zeros(*shape, 9 + 3 * joints, device=device)
         self._critic_observation = zeros(*shape, 9 + 3 * joints + 4 + feet, device=device)
-        self._resuming = False
         self._make_specs(joints, feet)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -153,14 +152,6 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         if seed is not None:
             self.random.seed(seed)
             self.__dict__.pop("_draws", None)  # drawn with the old seed
-
-    def first_mask(self) -> torch.Tensor:
-        """Everywhere; nowhere after `load_full_state`, since the episodes go on."""
-        mask = super().first_mask()
-        if self._resuming:
-            self._resuming = False
-            mask = torch.zeros_like(mask)
-        return mask
 
     def begin_step(self, action: torch.Tensor) -> torch.Tensor:
         """Actions [P, N, J] -> actuator inputs (substeps, P·N, J)."""
@@ -393,7 +384,6 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         if "disturbances" in state.keys():  # noqa: SIM118 - older checkpoints lack them
             self.disturbances.pull = state["disturbances", "pull"].to(self.device).clone()
         self._read_engine()
-        self._resuming = True
 
     def close(self, **kwargs: Any) -> None:
         self.engine.close()

@@ -9,7 +9,7 @@ policies. So a mean is that of blocks within a session, and of sessions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,8 +36,8 @@ class Balance:
     def of(cls, policy: Segments, reference: Segments) -> Balance:
         """Of the valid segments of two policies, at least one of each."""
         named = [_blocks_by_session(one) for one in (policy, reference)]
-        common = tuple(name for name in named[0] if name in named[1])
-        if len(common) > 1:
+        common = _common(*named)
+        if common:
             return cls(common, *(tuple(found[name] for name in common) for found in named))
         return cls((), *(([block for blocks in found.values() for block in blocks],) for found in named))
 
@@ -54,19 +54,24 @@ class Balance:
 def in_common(policy: Segments, reference: Segments) -> tuple[Segments, Segments]:
     """Both without the segments of sessions that hold valid ones of one of them alone, where at least two hold of both:
     nothing can be compared with them."""
-    named = [np.array([one.recordings[index].session for index in one.recording]) for one in (policy, reference)]
-    common = set(named[0]) & set(named[1])
-    if len(common) < 2:
+    named = [[one.recordings[index].session for index in one.recording] for one in (policy, reference)]
+    common = _common(*named)
+    if not common:
         return policy, reference
-    first, second = (
-        kept(one, np.isin(names, list(common))) for one, names in zip((policy, reference), named, strict=True)
-    )
+    first, second = (kept(one, np.isin(names, common)) for one, names in zip((policy, reference), named, strict=True))
     return first, second
 
 
 def mean_of_blocks(table: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Mean (Q,) of a table (S, Q) in which every block counts the same; block (S,): as in `Segments`."""
     return np.mean([table[block == number].mean(axis=0) for number in np.unique(block)], axis=0)
+
+
+def _common(first: Iterable[str], second: Iterable[str]) -> tuple[str, ...]:
+    """Sessions of both in the order of the first, each once; none of fewer than two, which nothing is compared over."""
+    known = set(second)
+    common = tuple(dict.fromkeys(name for name in first if name in known))
+    return common if len(common) > 1 else ()
 
 
 def _means(sessions: Sequence[Blocks], table: np.ndarray) -> np.ndarray:

@@ -72,10 +72,6 @@ class GroupedEnv(SplitStepEnv):
             if bool(part.any()):
                 group.start_episodes(part)
 
-    def first_mask(self) -> torch.Tensor:
-        """Where the first reset starts episodes, bool [P, N]."""
-        return torch.cat([group.first_mask() for group in self._groups])
-
     # ------------------------------------------------------------------------------------------------- the whole
 
     def full_state(self) -> TensorDict | None:

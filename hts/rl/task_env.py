@@ -153,10 +153,6 @@ class SplitStepEnv(TaskEnv):
         """Envs of consecutive candidates that make up this one and may be stepped side by side; itself, the default."""
         return [self]
 
-    def first_mask(self) -> torch.Tensor:
-        """Where a reset of all instances starts episodes, bool [P, N]: everywhere, the default."""
-        return torch.ones(self.batch_size, dtype=torch.bool, device=self.device)
-
     def launched_simulator(self) -> LaunchedSimulator | None:
         """The simulator, if its step can stand between captured graphs; None, the default: it cannot."""
         return None
@@ -177,10 +173,8 @@ class SplitStepEnv(TaskEnv):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = tensordict.get("_reset", None) if tensordict is not None else None
         if mask is None:
-            mask = self.first_mask()
-            if self._goes_on:
-                self._goes_on = False
-                mask = torch.zeros_like(mask)
+            mask = torch.full(self.batch_size, not self._goes_on, device=self.device)
+            self._goes_on = False
         else:
             mask = mask.view(self.batch_size)
         if any_or_tracing(mask):
