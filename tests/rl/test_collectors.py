@@ -270,7 +270,9 @@ def test_gradient_steps_taken_together_are_those_taken_apart(robot):
     data = trainer.collect()
     with torch.no_grad():
         samples, constant = trainer._samples(data, trainer._rewards(data)[0])
-    orders = [torch.stack([torch.randperm(72) for _ in range(2)]) for _ in range(3)]
+    # Of its own: in one order in twenty a gradient is so near zero that Adam's first step may go either way.
+    random = torch.Generator().manual_seed(0)
+    orders = [torch.stack([torch.randperm(72, generator=random) for _ in range(2)]) for _ in range(3)]
     results = []
     for make in (SeparateSteps, lambda *given: BatchedSteps(*given, capture=False)):
         population = Population.from_candidates(
