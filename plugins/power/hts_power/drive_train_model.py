@@ -179,11 +179,11 @@ class DriveTrain(TorchModel):
             if all(inputs is not None for inputs in computed):
                 sources["computed"] = [inputs for inputs in computed if inputs is not None]
             new = [new_readings(target) for target in targets]
-            kept = [target[skipped(len(target), self.longest) :] for target in targets]
-            if max(float(np.ptp(target)) for target in kept) == 0:
+            if not any(_tells(target, each, self.longest) for target, each in zip(targets, new, strict=True)):
                 raise RecordingError(
-                    f"'{name}' stays the same from {self.config.lag_seconds:g} s on in all {len(kept)} recordings. A "
-                    "model cannot be fitted to a constant: check that the sensor was read throughout, and record again."
+                    f"'{name}' has no two readings that differ in any of the {len(targets)} recordings, of each of "
+                    f"which the first {self.config.lag_seconds:g} s, at most half, are not used. A model cannot be "
+                    "fitted to that: check that the sensor was read throughout, and record again, for longer."
                 )
             if self.config.physics_steps is not False:
                 sources = self._with_physics_steps(sources, recordings)
@@ -354,6 +354,13 @@ def computed_inputs(signals: Signals, recording: Recording) -> Tensor | None:
 def _shown(values: np.ndarray, sensor: np.ndarray) -> np.ndarray:
     """Series (T, G) as the sensor shows them."""
     return np.stack([np.convolve(column, sensor)[: len(values)] for column in values.T], 1)
+
+
+def _tells(target: np.ndarray, new: np.ndarray, longest: int) -> bool:
+    """Whether what is used of a recording (T,) holds two new readings that differ."""
+    skip = skipped(len(target), longest)
+    read = target[skip:][new[skip:]]
+    return len(read) > 1 and float(np.ptp(read)) > 0
 
 
 def _sensor(
