@@ -18,7 +18,7 @@ from torchrl.envs import EnvBase
 from hts.rl.actor import PopulationActor, log_prob
 from hts.rl.capture import StaticBuffers, captured, explained, warm_up
 from hts.rl.population import Population
-from hts.rl.population_collector import FLAGS, Key, SplitStepCollector, decide
+from hts.rl.population_collector import FLAGS, Key, SplitStepCollector, check_flags, decide
 from hts.rl.precision import tf32
 from hts.rl.random import PopulationRandom, PrefetchedNoise
 from hts.rl.task_env import LaunchedSimulator, ReplacedState
@@ -96,6 +96,7 @@ class CapturedCollector(SplitStepCollector):
         """After the physics: reward, measurements, and at last new episodes where old ones have ended."""
         env = self.bare_env
         ended, flags = env.end_step(action)
+        check_flags(env, flags)
         reward = env.rewards([ended])[0]
         outcome = {("reward",): reward.unsqueeze(-1)} | {(name,): flags[name] for name in FLAGS}
         channels = env.channel_values() if self.transforms else {}

@@ -18,7 +18,8 @@ class RewardCentring(nn.Module):
     o_t = o_{t-1} + beta (1 - o_{t-1}), o_0 = 0: the first mean is the first batch's own. Kept slow (small beta): with
     early termination a fast centre would change the value of staying alive.
 
-    count: P, for rewards [P, ...] with a mean each; None: one mean of everything. rate: beta, per `update`.
+    count: P, for rewards [P, ...] with a mean each; None: one mean of everything. rate: beta, per `update`; 0: no
+    centring, the mean stays 0. Raises ValueError for a rate outside 0 to 1.
     """
 
     mean: torch.Tensor
@@ -26,6 +27,8 @@ class RewardCentring(nn.Module):
 
     def __init__(self, rate: float = 0.05, count: int | None = None, device: torch.device | str | None = None) -> None:
         super().__init__()
+        if not 0.0 <= rate <= 1.0:
+            raise ValueError(f"rate is {rate}, expected 0 (no centring) to 1 (the last batch's mean alone).")
         self.rate = rate
         self.register_buffer("mean", torch.zeros(() if count is None else (count,), device=device))
         self.register_buffer("trace", torch.zeros((), device=device))
@@ -33,6 +36,8 @@ class RewardCentring(nn.Module):
     @torch.no_grad()
     def update(self, reward: torch.Tensor) -> None:
         """Fold in a reward [P, ...] (any shape without `count`)."""
+        if self.rate == 0.0:
+            return
         mean = row_mean(reward) if self.mean.ndim else reward.mean()
         self.trace = self.trace + self.rate * (1.0 - self.trace)
         self.mean = self.mean + self.rate / self.trace * (mean - self.mean)

@@ -26,7 +26,11 @@ def project_to_kl_bound(
     """Shrink every candidate that ended beyond its bound towards its reference until it is inside; returns s [P].
 
     theta <- reference + s (theta - reference), the largest s in [0, 1] with KL <= c on these observations, by
-    bisection. The multiplier holds the mean over batches; a single last batch may end a little beyond.
+    bisection. The multiplier holds the mean over batches; a single last batch may end a little beyond. Who has an
+    infinite bound is left alone.
+
+    Raises ValueError, with the population as it was given, if the KL of a candidate with a finite bound is NaN or
+    whoever has to be shrunk has weights that are not finite.
     """
     ends = [vector.clone() for vector in population.vectors]
     scale = torch.ones_like(bounds)
@@ -37,7 +41,15 @@ def project_to_kl_bound(
         population.refresh()
         return mean_kl(population, reference, observation)
 
-    outside = place(scale) > bounds
+    kl = place(scale)
+    outside = kl > bounds
+    broken = kl.isnan() & bounds.isfinite()
+    broken |= outside & ~torch.stack([end.isfinite().all() for end in ends])
+    if bool(broken.any()):
+        raise ValueError(
+            f"kl is {kl.tolist()}: candidates {torch.nonzero(broken).flatten().tolist()} cannot be held to their "
+            "bounds, for their weights, their reference's or an observation is not finite. Leave them out."
+        )
     if not bool(outside.any()):
         return scale
     low, high = torch.zeros_like(scale), torch.ones_like(scale)

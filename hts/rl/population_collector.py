@@ -71,10 +71,11 @@ class SplitStepCollector(BaseCollector):
             )
         assert isinstance(bare, SplitStepEnv)
         per_step = bare.batch_size.numel()
-        if frames_per_batch % per_step:
+        if frames_per_batch <= 0 or frames_per_batch % per_step:
             raise ValueError(
                 f"frames_per_batch is {frames_per_batch}, expected a multiple of the {per_step} env instances."
             )
+        _check_policy(bare, policy)
         self.env, self.policy = env, policy
         self.bare_env = bare
         self.transforms: list[DeferrableTransform] = list(transforms)
@@ -259,6 +260,8 @@ class PopulationCollector(SplitStepCollector):
                 finally:
                     self._turn.acquire()
                 ended, flags = env.end_step(step["action",])
+                if not self._checked:
+                    check_flags(env, flags)
                 rewarded.append(ended)
                 if self.transforms:
                     channels = env.channel_values()
@@ -303,6 +306,36 @@ class _Said:
                 f"{type(env).__name__} gives other rewards for a step once later steps were taken, so batches would "
                 "hold wrong ones: what end_step() gives must be new tensors (.clone() of a state that is changed in "
                 "place), and rewards() the same for any number of steps."
+            )
+
+
+def _check_policy(env: SplitStepEnv, policy: PopulationActor) -> None:
+    """Raises TypeError for another kind of policy, ValueError for one with another number of candidates than env."""
+    if not isinstance(policy, PopulationActor):
+        raise TypeError(
+            f"policy is a {type(policy).__name__}, expected a PopulationActor, which acts for all candidates."
+        )
+    candidates = env.batch_size[0]
+    found = len(range(policy.population.count)[policy.members])
+    if found != candidates:
+        raise ValueError(f"policy has {found} candidates, env {candidates}: give both as many.")
+    if policy.random is not None and len(policy.random.generators) != candidates:
+        raise ValueError(
+            f"the policy's random has {len(policy.random.generators)} generators, expected one for each of the "
+            f"{candidates} candidates: PopulationRandom takes a seed for each."
+        )
+
+
+def check_flags(env: SplitStepEnv, flags: Mapping[str, torch.Tensor]) -> None:
+    """Raises ValueError unless `end_step` gave terminated, truncated and done, bool [P, N, 1]."""
+    expected = (*env.batch_size, 1)
+    for name in FLAGS:
+        flag = flags.get(name)
+        if flag is None or tuple(flag.shape) != expected or flag.dtype != torch.bool:
+            found = "nothing" if flag is None else f"{tuple(flag.shape)} of {flag.dtype}"
+            raise ValueError(
+                f"{type(env).__name__}.end_step() gave {found} as {name}, expected {expected} of torch.bool, one for "
+                "each instance."
             )
 
 

@@ -123,6 +123,24 @@ def test_a_candidate_that_ended_beyond_its_bound_is_pulled_back_onto_it_and_no_o
     assert torch.equal(population.vectors[1], before[1]) and torch.equal(population.vectors[2], before[2])
 
 
+@pytest.mark.parametrize("what", ["weights", "an observation", "infinite weights"])
+def test_a_candidate_whose_kl_is_not_a_number_is_not_called_inside(what):
+    population, anchor, seen = moved()
+    with torch.no_grad():
+        if what == "an observation":
+            seen[1, 0] = math.nan
+        else:
+            population.vectors[1].fill_(math.nan if what == "weights" else math.inf)
+    population.refresh()
+    before = [vector.detach().clone() for vector in population.vectors]
+    with pytest.raises(ValueError, match=r"candidates \[1\] cannot be held to their bounds"):
+        project_to_kl_bound(population, anchor, seen, torch.tensor([0.04, 0.04, math.inf]))
+    for now, then in zip(population.vectors, before, strict=True):
+        assert torch.equal(now.nan_to_num(7.0), then.nan_to_num(7.0))
+    project_to_kl_bound(population, anchor, seen, torch.tensor([0.04, math.inf, math.inf]))  # it is not held to one
+    assert 0.039 < mean_kl(population, anchor, seen)[0] <= 0.04
+
+
 # ------------------------------------------------------------------------------------------------ centring
 
 
@@ -138,6 +156,15 @@ def test_the_centre_follows_the_unbiased_formula():
     for reward, mean in ((1.0, 1.0), (4.0, 3.0), (0.0, 3.0 - 12.0 / 7.0)):
         centre.update(torch.full((1, 8), reward))
         assert float(centre.mean) == pytest.approx(mean, rel=1e-6)
+
+
+def test_a_rate_of_nothing_centres_nothing():
+    centre = RewardCentring(0.0)
+    centre.update(torch.ones(1, 8))
+    assert torch.equal(centre(torch.ones(1, 8)), torch.ones(1, 8))
+    for rate in (-0.1, 1.5, math.nan):
+        with pytest.raises(ValueError, match="expected 0"):
+            RewardCentring(rate)
 
 
 def test_a_constant_added_to_the_measured_reward_moves_the_centre_by_it():

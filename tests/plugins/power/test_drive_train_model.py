@@ -160,7 +160,7 @@ def test_a_gauge_that_is_read_five_times_a_second_says_as_much_as_it_reads():
     assert extra == pytest.approx(9 * COPPER[0], rel=0.1)
 
 
-@pytest.mark.parametrize("seconds, moves", [(40, 50), (1, 40)])
+@pytest.mark.parametrize(("seconds", "moves"), [(40, 50), (1, 40)])
 def test_a_gauge_that_stops_is_refused_in_one_line(seconds, moves):
     """After a second, or in half a second of which it is read once."""
     log = walk(0, seconds=seconds)
