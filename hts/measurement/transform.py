@@ -26,6 +26,7 @@ from hts.errors import SimulationError, unknown_name
 from hts.measurement.data import gather
 from hts.measurement.pessimism import pessimistic_reward
 from hts.measurement.physics_steps import in_physics_steps
+from hts.measurement.proxy import proxy_of
 from hts.rl.deferred import DeferrableTransform
 from hts.rl.task_env import ReplacedState
 
@@ -165,9 +166,11 @@ class ProxyTransform(Measured):
     def record(self, channels: Mapping[str, Tensor]) -> Tensor:
         """The proxy, (P·N, 1); its mean over the physics steps where it is asked in each."""
         given = dict(zip(self.objective.inputs, (channels[name] for name in self.inputs), strict=True))
-        proxy = self.objective.proxy(given)
-        if proxy is not None and self.objective.proxy_in_physics_steps:
-            proxy = proxy.mean(-1)
+        in_steps = self.objective.proxy_in_physics_steps
+        first = channels[self.inputs[0]]
+        proxy = proxy_of(self.objective, given, first.shape[: 3 if in_steps else 2])
+        if proxy is not None and in_steps:
+            proxy = proxy.reshape(first.shape[:3]).mean(-1)
         if proxy is None:
             raise SimulationError(
                 f"Objective '{self.objective.name}' has no analytic stand-in, so there is no baseline to train."

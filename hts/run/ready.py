@@ -36,15 +36,18 @@ FEW_ENVS = 2  # per candidate: enough to see that an env can be made and stepped
 def check_ready(config: RunConfig, registry: Registry, engine: str | None = None) -> None:
     """Raise the HtsError that a run of this configuration would end in, as far as that can be known before it runs.
 
-    Cheap things first: names and settings, inputs, λ, scores, measurement models, the policy's file, the world with
-    this robot and these objectives, last an env that takes a step. engine: what `auto` stands for here; None: the env
-    is not made.
+    Cheap things first: names and settings, inputs, proxies, λ, scores, measurement models, the policy's file, the world
+    with this robot and these objectives, last an env that takes a step. engine: what `auto` stands for here; None: the
+    env is not made.
     """
+    from hts.measurement.proxy import try_proxy
+
     check_names(config, registry)
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     for objective in objectives.values():
-        robot_signals(objective, robot)  # raises for an input that the robot does not give
+        signals = robot_signals(objective, robot)  # raises for an input that the robot does not give
+        try_proxy(objective, signals.inputs)
     proxy = config.reward_source == "proxy"
     if not combinations(own_weights(objectives, proxy), config.sweep.weights):
         raise ConfigError(
