@@ -149,16 +149,30 @@ def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
 def check_step(
     config: RunConfig, robot: Robot, engine: str, channels: tuple[str, ...], around: Callable[[], list[Transform]]
 ) -> None:
-    """The training env of a robot is made with these channels and transforms, and takes a step. Raises PluginError."""
+    """The training env of a robot is made with these channels and transforms, takes two steps and begins again; the
+    transforms also see several steps at once, as a collector shows them. Raises PluginError."""
+    import torch
+    from torchrl.envs.utils import step_mdp
+
+    from hts.rl.deferred import DeferrableTransform
     from hts.training.finetune import measured_env
 
     def step() -> None:
         bare = robot.make_env(engine, 1, FEW_ENVS, config.finetune.env, channels=channels, seeds=[config.seed])
-        env = measured_env(bare, around())
+        made = around()
+        env = measured_env(bare, made)
         try:
             state = env.reset()
-            state["action"] = env.action_spec.zero()
-            env.step(state)
+            for _ in range(2):
+                state["action"] = env.action_spec.zero()
+                state = step_mdp(env.step(state))
+            env.reset()
+            for one in made:
+                if isinstance(one, DeferrableTransform):
+                    recorded = one.record(state["channels"])
+                    ended = torch.zeros(2, FEW_ENVS, dtype=torch.bool, device=recorded.device)
+                    ended[0, 0] = True
+                    one.forward_sequence(torch.stack((recorded, recorded)), ended)
         finally:
             env.close()
 
