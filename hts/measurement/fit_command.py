@@ -25,6 +25,7 @@ from hts.measurement import files
 from hts.measurement.alike import check_alike
 from hts.measurement.candidates import Candidates, compared, context_of, table_rows
 from hts.measurement.checks import check
+from hts.measurement.data import recorded_signals
 from hts.measurement.fit_settings import FitSettings
 from hts.measurement.fitting import called, fit_model
 from hts.measurement.outliers import masked_split
@@ -206,7 +207,8 @@ def fit_store(
     else:
         objective = registry.make_objective(objective_name, settings["objectives"])
     recordings, left_out = _usable(store, objective, wanted.robot)
-    proxy_along(objective, recordings[0])  # what is wrong with it is told before anything is fitted
+    recorded_signals(objective, recordings[0])  # what is wrong with these two is told before anything is fitted
+    proxy_along(objective, recordings[0])
     dataset = store.dataset([one.id for one in recordings])
     parts, shared, untested = _split(objective, recordings, checks, config, wanted.robot)
     candidates = Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)
