@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from hts.measurement.transform import Measured
     from hts.policies.files import Policy
 
+HALF = 0.5  # standard deviations: a prediction like many others
 FEW_ENVS = 2  # per candidate: enough to see that an env can be made and stepped
 
 
@@ -124,16 +125,21 @@ def check_world(config: RunConfig, registry: Registry) -> None:
 
 
 def _check_reward(name: str, objective: Objective) -> None:
-    """An objective's reward of a batch has the batch's shape, whatever that is."""
+    """An objective's reward of a batch has the batch's shape, whatever that is, and is finite for a moderate one."""
     import torch
 
     for shape in ((1, FEW_ENVS, 1), (FEW_ENVS, 3)):
-        found = guarded(f"Objective '{name}': reward()", partial(objective.reward, torch.zeros(shape)))
+        found = guarded(f"Objective '{name}': reward()", partial(objective.reward, torch.full(shape, HALF)))
         if not isinstance(found, torch.Tensor) or tuple(found.shape) != shape:
             gave = f"shape {tuple(found.shape)}" if isinstance(found, torch.Tensor) else type(found).__name__
             raise PluginError(
                 f"Objective '{name}': reward() gave {gave} for a prediction of shape {shape}; expected the same shape, "
                 "one reward for each prediction."
+            )
+        if not bool(torch.isfinite(found).all()):
+            raise PluginError(
+                f"Objective '{name}': reward() is {float(found.flatten()[0]):g} for a prediction of {HALF:g} standard "
+                "deviations; expected a finite number."
             )
 
 

@@ -104,6 +104,7 @@ def test_an_objective_that_can_compare_is_left_alone():
     [
         (lambda prediction: -prediction.mean(), r"reward\(\) gave shape \(\) for a prediction of shape \(1, 2, 1\)"),
         (lambda prediction: absent, r"reward\(\) failed, NameError"),  # noqa: F821
+        (lambda prediction: prediction * float("nan"), r"reward\(\) is nan for a prediction of 0.5 standard"),
         (lambda prediction: 0.0, r"reward\(\) gave float"),
     ],
 )
