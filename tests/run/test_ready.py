@@ -244,19 +244,19 @@ def hts_objectives(register):
 def hts_instruments(register):
     register("odd_meter", lambda settings, robot: Meter())
 """
-OF_FOUR = "replace(TARGET, shape=(4,))"
+OF_ONE = "replace(TARGET, shape=(1,))"
 
 
 @pytest.mark.parametrize(
     ("channel", "target", "read", "said"),
     [
         (
-            *(OF_FOUR, OF_FOUR, "super().read()"),
-            "Instrument 'odd_meter': read() gives 'fake_level' in shape (3,) for 3 robots; its channel says (4,) each",
+            *(OF_ONE, OF_ONE, "super().read()"),
+            "Instrument 'odd_meter': read() gives 'fake_level' in shape (3,) for 3 robots; its channel says (1,) each",
         ),
         (
-            *("TARGET", OF_FOUR, "super().read()"),
-            "Objective 'broken' wants 'fake_level' in W, shape (4,); instrument 'odd_meter' measures it in W, shape ()",
+            *("TARGET", OF_ONE, "super().read()"),
+            "Objective 'broken' wants 'fake_level' in W, shape (1,); instrument 'odd_meter' measures it in W, shape ()",
         ),
         (
             *("TARGET", "TARGET", "{'fake_levl': self.level}"),
