@@ -277,9 +277,6 @@ def _origin(file: Path | None, written: Mapping[str, Any], sets: Sequence[Overri
         for one in sets:
             if named[: len(one.path)] == one.path or one.path[: len(named)] == named:
                 return f"--set {dotted(location)}" if one.text.startswith("--set") else dotted(location)
-        below: Any = written
-        for part in location[:1]:
-            below = below.get(part) if isinstance(below, Mapping) else None
-        return f"{file}: {dotted(location)}" if below is not None else dotted(location)
+        return f"{file}: {dotted(location)}" if location and location[0] in written else dotted(location)
 
     return origin

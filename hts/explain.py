@@ -74,8 +74,22 @@ def _fault(fault: Mapping[str, Any], model: type[BaseModel] | None, origin: Call
         return f"{fault['msg'].removeprefix('Value error, ')}."
     if fault["type"] == "value_error" and isinstance(fault["input"], Mapping):  # the rest of a section says nothing
         return f"{where}: {_expected(fault)}."
-    found = f"{_expected(fault)}, found {shortened(fault['input'])}."
+    found = f"{_expected(fault)}, found {shortened(fault['input'])}{_as_whole(fault)}."
+    if fault["input"] is None and fault["type"] in ("model_type", "dict_type"):  # all its keys are commented out
+        found = f"{_expected(fault)}, found nothing. Write a key below it, or take it away."
     return f"{where}: {found}" if where else found[:1].upper() + found[1:]
+
+
+def _as_whole(fault: Mapping[str, Any]) -> str:
+    """How a whole number is written that stands as 1e6, which YAML takes for text."""
+    given = fault["input"]
+    if fault["type"] != "int_parsing" or not isinstance(given, str):
+        return ""
+    try:
+        number = float(given)
+    except ValueError:
+        return ""
+    return f", write {int(number)}" if number.is_integer() and abs(number) < 2**63 else ""
 
 
 def _expected(fault: Mapping[str, Any]) -> str:

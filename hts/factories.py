@@ -24,8 +24,9 @@ CONTRACTS: Mapping[str, type] = {
 """Kind, as in `hts.plugins.KINDS` -> what its factories give."""
 
 
-def made_by(factory: Callable[..., Any], kind: str, who: str, package: str, *given: Any) -> Any:
-    """What the factory gives; who: "objective 'heat'"; given: its settings and what its kind gets beside them.
+def made_by(factory: Callable[..., Any], kind: str, who: str, name: str, package: str, *given: Any) -> Any:
+    """What the factory gives; who: "objective 'heat'"; name: as registered; given: its settings and what its kind gets
+    beside them.
 
     Raises ConfigError for settings that pydantic refuses, what the factory raises of hts.errors, and PluginError for
     anything else that goes wrong in it, or that is not what the kind's contract asks for.
@@ -53,7 +54,7 @@ def made_by(factory: Callable[..., Any], kind: str, who: str, package: str, *giv
             f"{remedy}."
         )
     if isinstance(made, Objective):
-        _check_parts(made, f"{_begun(who, package)}", remedy)
+        _check_parts(made, name, f"{_begun(who, package)}", remedy)
         _check_weights(made, _begun(who, package))
     return made
 
@@ -62,11 +63,25 @@ def _begun(who: str, package: str) -> str:
     return f"{who[:1].upper()}{who[1:]} (from {package})"
 
 
-def _check_parts(objective: Objective, who: str, remedy: str) -> None:
-    """Raise PluginError for an objective that lacks what every page and command reads of it."""
+def _check_parts(objective: Objective, name: str, who: str, remedy: str) -> None:
+    """Raise PluginError for an objective that lacks what every page and command reads of it, or has another name."""
     lacking = [part for part in ("name", "unit", "inputs", "target") if part not in dir(objective)]
     if lacking:
         raise PluginError(f"{who}: its class sets no {', '.join(lacking)}, which every objective has. {remedy}.")
+    if objective.name != name:  # its rewards would be looked for under the registered one
+        raise PluginError(f"{who}: calls itself {objective.name!r}, expected the registered name, '{name}'. {remedy}.")
+    inputs = objective.inputs
+    if not isinstance(inputs, (tuple, list)) or not inputs or not all(isinstance(one, str) for one in inputs):
+        raise PluginError(
+            f"{who}: inputs are {inputs!r}, expected names of channels, such as ('joint_torque',). {remedy}."
+        )
+    if len(set(inputs)) < len(inputs):
+        raise PluginError(f"{who}: inputs are {', '.join(inputs)}, expected each channel once. {remedy}.")
+    if not isinstance(objective.also_measured, (tuple, list)):
+        raise PluginError(
+            f"{who}: also_measured is a {type(objective.also_measured).__name__}, expected a tuple of "
+            f"hts.channels.Channel; of one it is (channel,). {remedy}."
+        )
     for channel in objective.real_channels:
         if not isinstance(channel, Channel):
             raise PluginError(f"{who}: measures {channel!r}, expected a hts.channels.Channel. {remedy}.")

@@ -141,7 +141,7 @@ class Registry:
         from hts.factories import made_by
 
         entry = self.entry(kind, name)
-        return made_by(entry.factory, kind, f"{KINDS[kind]} '{name}'", entry.package, settings, *context)
+        return made_by(entry.factory, kind, f"{KINDS[kind]} '{name}'", name, entry.package, settings, *context)
 
 
 def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) -> Registry:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,31 @@ class _StrictLoader(yaml.SafeLoader):
             first[key.tag, key.value] = key.start_mark.line + 1
         return super().construct_mapping(node, deep)
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        """Whole numbers as people count: what YAML 1.1 reads to the base 8 or 60 is refused."""
+        if re.fullmatch(r"[-+]?0[0-7_]+", node.value) or ":" in node.value:
+            raise _other_base(node, int(super().construct_yaml_int(node)))
+        return int(super().construct_yaml_int(node))
+
+    def construct_yaml_float(self, node: yaml.ScalarNode) -> float:
+        """The same for what has a point."""
+        if ":" in node.value:
+            raise _other_base(node, float(super().construct_yaml_float(node)))
+        return float(super().construct_yaml_float(node))
+
+
+_StrictLoader.add_constructor("tag:yaml.org,2002:int", _StrictLoader.construct_yaml_int)
+_StrictLoader.add_constructor("tag:yaml.org,2002:float", _StrictLoader.construct_yaml_float)
+
+
+def _other_base(node: yaml.ScalarNode, read: float) -> yaml.MarkedYAMLError:
+    base = "60" if ":" in node.value else "8"
+    problem = (
+        f"{node.value} counts to the base {base} there and would be {read:g}; write the number that is meant without a "
+        f'0 in front or a colon, or "{node.value}" for text'
+    )
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+
 
 def _twice(key: yaml.ScalarNode, earlier: int) -> yaml.MarkedYAMLError:
     problem = f"the key '{key.value}' was written before, in line {earlier}; write it once"
@@ -36,8 +62,8 @@ def _twice(key: yaml.ScalarNode, earlier: int) -> yaml.MarkedYAMLError:
 def load_text(text: str, where: str) -> Any:
     """The value of a YAML text. Raises ConfigError, one line that begins with `where` and the line's number.
 
-    Refused beside what is no YAML: a key that stands twice in one mapping, more than `MAX_DEPTH` levels, a value that
-    holds itself by an alias, keys that are not text or numbers.
+    Refused beside what is no YAML: a key that stands twice in one mapping, numbers to the base 8 or 60, more than
+    `MAX_DEPTH` levels, a value that holds itself by an alias, keys that are not text or numbers.
     """
     try:
         value = yaml.load(text, _StrictLoader)

@@ -22,6 +22,14 @@ RAISES = ("plugin.py", "    return objective.Heat(", "    settings['no_such_key'
 GIVES_NONE = ("plugin.py", "    return objective.Heat(", "    objective.Heat(")
 GIVES_A_CLASS = ("plugin.py", "objective.Heat(objective.Settings(**settings))", "objective.Heat")
 NO_METHOD = ("objective.py", "    def compare(self", "    def compar(self")
+OTHER_NAME = ("objective.py", '    name = "heat"', '    name = "warmth"')
+INPUT_TWICE = (
+    "objective.py",
+    "    target = TARGET\n",
+    "    target = TARGET\n    inputs = ('joint_torque', 'joint_torque')\n",
+)
+ONE_INPUT = ("objective.py", "    target = TARGET\n", "    target = TARGET\n    inputs = 'joint_torque'\n")
+NO_TUPLE = ("objective.py", "    target = TARGET\n", "    target = TARGET\n    also_measured = TARGET\n")
 NO_TARGET = ("objective.py", "    target = TARGET\n", "")
 FAULTS = {
     "a misspelt import": (NO_IMPORT, "ImportError: cannot import name 'Feld' from 'pydantic'"),
@@ -29,6 +37,13 @@ FAULTS = {
     "a factory that gives None": (GIVES_NONE, "its factory gives a NoneType, not a hts.contracts.Objective"),
     "a factory that gives a class": (GIVES_A_CLASS, "its factory gives the class Heat itself"),
     "a method that is missing": (NO_METHOD, "abstract class Heat"),
+    "a name that is not the registered one": (
+        OTHER_NAME,
+        "calls itself 'warmth', expected the registered name, 'heat'",
+    ),
+    "an input twice": (INPUT_TWICE, "inputs are joint_torque, joint_torque, expected each channel once"),
+    "an input that is no tuple": (ONE_INPUT, "inputs are 'joint_torque', expected names of channels, such as"),
+    "a channel that is no tuple": (NO_TUPLE, "also_measured is a Channel, expected a tuple of hts.channels.Channel"),
     "a target that is missing": (NO_TARGET, "its class sets no target"),
 }
 

@@ -96,8 +96,8 @@ BROKEN = {
     "wrong shape of a spec": (
         "robot",
         "robot.py",
-        "kp=(5.0, 5.0)",
-        "kp=(5.0,)",
+        "kp=(0.1, 0.1)",
+        "kp=(0.1,)",
         "robot 'hopper': spec.kp has 1 entries for 2 joints",
     ),
     "unit that nobody knows": ("objective", "objective.py", '"W", ()', '"wattage", ()', "No unit named 'wattage'"),

@@ -33,6 +33,8 @@ MISTAKES: dict[str, str] = {
     "an endless length": WHOLE + "gate: {seconds: .inf}\n",
     "one number for two": WHOLE + "finetune: {env: {commands: {vx: 1.0}}}\n",
     "a value for a section": WHOLE + "measurement: 40\n",
+    "a section without keys": WHOLE + "finetune:\n",
+    "a number to the base 8": WHOLE + "seed: 010\n",
     "two mistakes": WHOLE + "sead: 3\niterations: many\n",
     "a key twice": WHOLE + "seed: 1\niterations: 2\nseed: 3\n",
     "a colon too many": WHOLE + "seed: 1: 2\n",

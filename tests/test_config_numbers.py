@@ -77,6 +77,9 @@ def value_of(key: str) -> Any:
     [
         ("gate.joint_margin=-0.1", "--set gate.joint_margin: expected at least 0, found -0.1."),
         ("gate.seconds=.inf", "--set gate.seconds: expected a finite number, found inf."),
+        ("iterations=true", "--set iterations: expected a number, found True."),
+        ("sweep.kl_bounds=[true, 1.0]", "--set sweep.kl_bounds: expected a number, found [True, 1.0]."),
+        ("finetune.steps=1e6", "--set finetune.steps: expected a whole number, found '1e6', write 1000000."),
         (f"seed={2**63}", f"--set seed: expected less than 9.22337e+18, found {2**63}."),
         (f"measurement.seed={2**63}", "--set measurement.seed: expected less than"),
         ("finetune.env.commands.heading_gain=-1", "heading_gain: expected at least 0, found -1."),

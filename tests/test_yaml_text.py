@@ -73,3 +73,27 @@ def test_set_reads_its_value_by_the_same_rules():
         Override.parse("a=" + "[" * 20_000)
     with pytest.raises(ConfigError, match="the key 'b' was written before"):
         Override.parse("a={b: 1, b: 2}")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "seed: 010",
+            "mine.yaml:1: not YAML: 010 counts to the base 8 there and would be 8; write the number that is meant",
+        ),
+        ("a: 1\nseed: 1:30", "mine.yaml:2: not YAML: 1:30 counts to the base 60 there and would be 90"),
+        (
+            "seconds: 1:30.5",
+            'would be 90.5; write the number that is meant without a 0 in front or a colon, or "1:30.5" for text',
+        ),
+        ("- -07", "would be -7"),
+    ],
+)
+def test_numbers_that_yaml_counts_to_another_base_are_refused(text, said):
+    assert said in refusal(text)
+
+
+def test_plain_numbers_and_quoted_ones_are_read():
+    given = load_text("[0, -1, 10, 0.5, 1.0e+6, 0x1f, '010', '1:30', .inf]", "here")
+    assert given == [0, -1, 10, 0.5, 1e6, 31, "010", "1:30", float("inf")]

@@ -47,12 +47,27 @@ class Signals:
     F, below, is the count of numbers per sample over all inputs, side by side in this order.
 
     units_known: False for a file of format 1, which holds no units: all of them are then "1".
+
+    Raises ConfigError for a target of more than one number per sample, or one that is an input too.
     """
 
     inputs: tuple[Channel, ...]
     target: Channel
     rate_hz: float
     units_known: bool = True
+
+    def __post_init__(self) -> None:
+        target = self.target
+        if math.prod(target.shape) != 1:
+            raise ConfigError(
+                f"Target '{target.name}' has shape {tuple(target.shape)}, {math.prod(target.shape)} numbers a sample; "
+                "a model predicts one. Name another channel, or import the sum of its columns (`sum: true`)."
+            )
+        if target.name in self.names:
+            raise ConfigError(
+                f"Target '{target.name}' is among the inputs ({', '.join(self.names)}), so nothing is left to predict. "
+                "Leave it out of the inputs, or name another target."
+            )
 
     @property
     def names(self) -> tuple[str, ...]:

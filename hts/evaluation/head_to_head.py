@@ -28,6 +28,7 @@ from hts.evaluation.held import (
     mean_speeds,
     refusal,
 )
+from hts.evaluation.scoring import check_finite, compared, scored
 from hts.evaluation.segments import Segments, cut
 from hts.evaluation.sessions import interval_of
 
@@ -226,28 +227,12 @@ class _Measured:
     def compared(self, policy: np.ndarray, reference: np.ndarray) -> Comparison:
         """Of two means, each (Q,)."""
         one, other = _named(self.names, policy), _named(self.names, reference)
-        try:
-            found = self.objective.compare(one, other)
-            if not isinstance(found, Comparison):
-                raise TypeError(f"it gave {type(found).__name__}, expected Comparison")
-            return found
-        except HtsError:
-            raise
-        except ArithmeticError as error:
-            raise EvaluationError(
-                f"Objective '{self.objective.name}' cannot compare {one} with {other}: {error}. "
-                "Check the idle level and the recordings."
-            ) from error
-        except Exception as error:
-            raise PluginError(
-                f"Objective '{self.objective.name}': compare() failed, {type(error).__name__}: {error} (HTS_DEBUG=1 "
-                "shows where)."
-            ) from error
+        return compared(self.objective, one, other)
 
     def comparison(self) -> Comparison:
         """Of the means over the valid segments, every block and every session counting the same."""
         found = self.compared(*self._balance.means(*(_table(self.scores[role]) for role in ROLES)))
-        _check_finite(self.objective, found)
+        check_finite(self.objective, found)
         return found
 
     def interval(
@@ -298,7 +283,7 @@ def _measure(
         _check_enough(segments[role], role, speed, config, task)
     if sent is not None:
         check_apart(segments, speed, sent, config, seed)
-    scores = {role: _scores(objective, segments[role], role) for role in ROLES}
+    scores = {role: scored(objective, segments[role], role) for role in ROLES}
     names = list(scores["policy"])
     if names != list(scores["reference"]):
         raise EvaluationError(
@@ -351,39 +336,6 @@ def _check_enough(segments: Segments, role: str, speed: float, config: Evaluatio
         role,
         refusal(segments, speed),
     )
-
-
-def _scores(objective: Objective, segments: Segments, role: str) -> dict[str, np.ndarray]:
-    scores = {name: np.asarray(values, dtype=float) for name, values in objective.score(segments).items()}
-    if not scores:
-        raise EvaluationError(f"Objective '{objective.name}' scored no quantity of the segments.")
-    for name, values in scores.items():
-        if values.shape != (len(segments),):
-            raise EvaluationError(
-                f"Objective '{objective.name}': '{name}' has shape {values.shape} for {len(segments)} segments; "
-                "expected one number per segment."
-            )
-        bad = int((~np.isfinite(values)).sum())
-        if bad:
-            raise EvaluationError(
-                f"Objective '{objective.name}': '{name}' is not a finite number in {bad} of {len(values)} segments of "
-                f"the {role}. Look at channel '{objective.target.name}' in its recordings."
-            )
-    return scores
-
-
-def _check_finite(objective: Objective, comparison: Comparison) -> None:
-    numbers = {
-        "improvement": comparison.improvement,
-        "selection_score": comparison.selection_score,
-        **comparison.metrics,
-    }
-    for name, value in numbers.items():
-        if not math.isfinite(value):
-            raise EvaluationError(
-                f"Objective '{objective.name}': '{name}' of the comparison is {value}. The reference's mean is "
-                "probably zero: check the idle level and the recordings."
-            )
 
 
 def _table(scores: Mapping[str, np.ndarray]) -> np.ndarray:

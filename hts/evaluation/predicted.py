@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.contracts import VELOCITY, Comparison, Task
-from hts.errors import EvaluationError, PluginError, unknown_name
+from hts.errors import EvaluationError, unknown_name
+from hts.evaluation.scoring import plain
+from hts.guarded import guarded
 
 if TYPE_CHECKING:
     from hts.contracts import Objective
@@ -89,14 +91,19 @@ def predicted_comparison(
     objective asks for a channel that nobody predicts, or where the comparison is no finite number."""
     if not len(policy) or not len(reference):
         return None
-    try:
-        means = [
-            {name: float(np.mean(values)) for name, values in objective.score(each).items()}  # type: ignore[arg-type]
-            for each in (policy, reference)
-        ]
-        found = objective.compare(*means)
-    except (EvaluationError, ArithmeticError, AttributeError):  # it looks at more than can be predicted
+
+    def ask() -> Comparison | None:
+        try:
+            means = [
+                {name: float(np.mean(values)) for name, values in objective.score(each).items()}  # type: ignore[arg-type]
+                for each in (policy, reference)
+            ]
+            return objective.compare(*means)
+        except (EvaluationError, ArithmeticError, AttributeError):  # it looks at more than can be predicted
+            return None
+
+    given = guarded(f"Objective '{objective.name}': score() and compare() of what is predicted", ask)
+    if given is None:
         return None
-    if not isinstance(found, Comparison):
-        raise PluginError(f"Objective '{objective.name}': compare() gives {type(found).__name__}, expected Comparison.")
+    found = plain(objective, given)
     return found if math.isfinite(found.improvement) and math.isfinite(found.selection_score) else None

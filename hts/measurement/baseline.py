@@ -13,8 +13,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
+from hts.measurement.proxy import has_proxy, proxy_along, proxy_series
 from hts.measurement.scoring import Trace, scores, unscored, varies
 
 if TYPE_CHECKING:
@@ -55,10 +55,9 @@ def stand_ins(objective: Objective, signals: Signals) -> dict[str, StandIn]:
     inputs there are: sums over components of |x|, x², and |x·y| and max(x·y, 0) of two channels of one size."""
 
     def own(channels: Mapping[str, np.ndarray]) -> np.ndarray | None:
-        found = objective.proxy({name: torch.from_numpy(np.array(channels[name])) for name in objective.inputs})
-        return None if found is None else found.reshape(-1).double().numpy()
+        return proxy_series(objective, channels, "a recording")
 
-    if own({channel.name: np.zeros((1, *channel.shape), np.float32) for channel in signals.inputs}) is not None:
+    if has_proxy(objective, signals.inputs):
         return {"its own": own}  # type: ignore[dict-item]
     sizes = dict(zip(signals.names, signals.sizes, strict=True))
     found: dict[str, StandIn] = {}
@@ -100,13 +99,6 @@ def fit_best(
         fits[name] = _fit_line(pairs, windows)
     best = min(fits, key=lambda name: fits[name][1])
     return best, fits[best][0]
-
-
-def proxy_along(objective: Objective, recording: Recording) -> np.ndarray | None:
-    """The stand-in at each sample of a recording, (T,); None if the objective has none."""
-    channels = {name: torch.from_numpy(np.array(recording.values(name))) for name in objective.inputs}
-    proxy = objective.proxy(channels)
-    return None if proxy is None else proxy.reshape(-1).double().numpy()
 
 
 def fit_proxy(

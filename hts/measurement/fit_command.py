@@ -25,11 +25,13 @@ from hts.measurement import files
 from hts.measurement.alike import check_alike
 from hts.measurement.candidates import Candidates, compared, context_of, table_rows
 from hts.measurement.checks import check
+from hts.measurement.data import recorded_signals
 from hts.measurement.fit_settings import FitSettings
 from hts.measurement.fitting import called, fit_model
 from hts.measurement.outliers import masked_split
 from hts.measurement.physics_steps import NEEDED
 from hts.measurement.plain import Plain
+from hts.measurement.proxy import proxy_along
 from hts.measurement.shared import Shared, shared_samples, without_shared
 from hts.measurement.split import split
 from hts.measurement.splits import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
@@ -205,6 +207,8 @@ def fit_store(
     else:
         objective = registry.make_objective(objective_name, settings["objectives"])
     recordings, left_out = _usable(store, objective, wanted.robot)
+    recorded_signals(objective, recordings[0])  # what is wrong with these two is told before anything is fitted
+    proxy_along(objective, recordings[0])
     dataset = store.dataset([one.id for one in recordings])
     parts, shared, untested = _split(objective, recordings, checks, config, wanted.robot)
     candidates = Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)

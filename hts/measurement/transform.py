@@ -13,6 +13,7 @@ env's reward: `hts.rl.MeasuredReward` adds λ·dt·(r_real − centre) to r_sim.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -22,10 +23,12 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from hts.contracts import MeasurementModel, Prediction
-from hts.errors import SimulationError, unknown_name
+from hts.errors import PluginError, SimulationError, unknown_name
+from hts.guarded import guarded
 from hts.measurement.data import gather
 from hts.measurement.pessimism import pessimistic_reward
 from hts.measurement.physics_steps import in_physics_steps
+from hts.measurement.proxy import proxy_of
 from hts.rl.deferred import DeferrableTransform
 from hts.rl.task_env import ReplacedState
 
@@ -97,7 +100,8 @@ class MeasurementTransform(Measured):
         if model.device != device:
             model.to(device)
         if self.memory is None:
-            self.memory = model.initial_state(instances)
+            begun = guarded(f"{self._who}: initial_state()", partial(model.initial_state, instances))
+            self.memory = self._as_memory("initial_state", begun, None)
         elif self.memory.device != device:
             self.memory = self.memory.to(device)
 
@@ -112,22 +116,67 @@ class MeasurementTransform(Measured):
         if self._in_steps:
             steps = recorded.unflatten(-1, (len(self.inputs), -1, self._model[0].signals.sizes[0]))
             inputs = steps.movedim(-2, -3).flatten(-2)  # (P·N, K, F)
-            return self._entries(self._model[0].settled_over(inputs), inputs[..., -1, :])
+            last = inputs[..., -1, :]
+            return self._entries(self._told("settled_over", last, self._model[0].settled_over, inputs), last)
         if self._model[0].settles:
-            return self._entries(self._model[0].settled(recorded), recorded)
-        prediction, self.memory = self._model[0].step(recorded, self.memory)
-        return self._entries(prediction, recorded)
+            return self._entries(self._told("settled", recorded, self._model[0].settled, recorded), recorded)
+        return self._stepped("step", recorded, self._model[0].step, recorded, self.memory)
 
     def forget(self, ended: Tensor) -> None:
         if self.memory is not None:
             self.prepare(len(ended), ended.device)
-            self.memory = self._model[0].reset(self.memory, ended)
+            after = guarded(f"{self._who}: reset()", partial(self._model[0].reset, self.memory, ended))
+            self.memory = self._as_memory("reset", after, self.memory)
 
     def forward_sequence(self, recorded: Tensor, ended: Tensor) -> dict[NestedKey, Tensor]:
         if self._model[0].settles:
             return super().forward_sequence(recorded, ended)
-        prediction, self.memory = self._model[0].steps(recorded, self.memory, ended)
-        return self._entries(prediction, recorded)
+        return self._stepped("steps", recorded, self._model[0].steps, recorded, self.memory, ended)
+
+    # Shapes and types alone are looked at below, never numbers: a GPU would be waited for.
+
+    @property
+    def _who(self) -> str:
+        return f"Measurement model '{self.model.name or type(self.model).__name__}'"
+
+    def _stepped(self, name: str, inputs: Tensor, call: Callable[..., Any], *given: Any) -> dict[NestedKey, Tensor]:
+        """What a call gives that goes on from the memory, which it renews."""
+        found = guarded(f"{self._who}: {name}()", partial(call, *given))
+        if not isinstance(found, tuple) or len(found) != 2 or not isinstance(found[0], Prediction):
+            kinds = " and ".join(type(one).__name__ for one in found) if type(found) is tuple else type(found).__name__
+            raise PluginError(f"{self._who}: {name}() gave {kinds}, expected a Prediction and the new state.")
+        prediction = self._as_prediction(name, inputs, found[0])
+        self.memory = self._as_memory(name, found[1], self.memory)
+        return self._entries(prediction, inputs)
+
+    def _told(self, name: str, inputs: Tensor, call: Callable[[Tensor], Prediction], given: Tensor) -> Prediction:
+        return self._as_prediction(name, inputs, guarded(f"{self._who}: {name}()", partial(call, given)))
+
+    def _as_prediction(self, name: str, inputs: Tensor, found: Any) -> Prediction:
+        if not isinstance(found, Prediction):
+            raise PluginError(f"{self._who}: {name}() gave {type(found).__name__}, expected a Prediction.")
+        wanted = inputs.shape[:-1]
+        for part, values in (("mean", found.mean), ("std", found.std)):
+            if part == "std" and values is None:
+                continue
+            if not isinstance(values, Tensor) or values.shape != wanted:
+                shown = tuple(values.shape) if isinstance(values, Tensor) else type(values).__name__
+                raise PluginError(
+                    f"{self._who}: {name}() gave a prediction whose {part} is {shown} for inputs of "
+                    f"{tuple(inputs.shape)}; expected {tuple(wanted)}, one number for each world."
+                )
+        return found
+
+    def _as_memory(self, name: str, found: Any, before: Tensor | None) -> Tensor:
+        if not isinstance(found, Tensor):
+            raise PluginError(
+                f"{self._who}: {name}() gave {type(found).__name__} as state, expected a tensor with worlds first; "
+                "(W, 0) where nothing is remembered."
+            )
+        if before is not None and (found.shape != before.shape or found.dtype != before.dtype):
+            told = (f"{str(one.dtype).removeprefix('torch.')} {tuple(one.shape)}" for one in (found, before))
+            raise PluginError(f"{self._who}: {name}() gave a state of {next(told)}, expected {next(told)}, as before.")
+        return found
 
     def _entries(self, prediction: Prediction, inputs: Tensor) -> dict[NestedKey, Tensor]:
         model = self._model[0]
@@ -165,9 +214,11 @@ class ProxyTransform(Measured):
     def record(self, channels: Mapping[str, Tensor]) -> Tensor:
         """The proxy, (P·N, 1); its mean over the physics steps where it is asked in each."""
         given = dict(zip(self.objective.inputs, (channels[name] for name in self.inputs), strict=True))
-        proxy = self.objective.proxy(given)
-        if proxy is not None and self.objective.proxy_in_physics_steps:
-            proxy = proxy.mean(-1)
+        in_steps = self.objective.proxy_in_physics_steps
+        first = channels[self.inputs[0]]
+        proxy = proxy_of(self.objective, given, first.shape[: 3 if in_steps else 2])
+        if proxy is not None and in_steps:
+            proxy = proxy.reshape(first.shape[:3]).mean(-1)
         if proxy is None:
             raise SimulationError(
                 f"Objective '{self.objective.name}' has no analytic stand-in, so there is no baseline to train."

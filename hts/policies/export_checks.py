@@ -15,6 +15,7 @@ from hts.rl.population import Population
 
 TOLERANCE = 1e-5
 """Largest difference of an action, action units, relative where actions are larger than 1."""
+ROUNDINGS = 10.0  # two ways to round differ by no more than so often what one of them is off
 RANDOM = 512  # observations
 RECORDED = 5000  # rows at most
 
@@ -63,7 +64,7 @@ def check_export(
     held: HeldCommands | None = None,
 ) -> float:
     """The largest difference between the actions of the file and of the policy, which sees the `held` commands in the
-    place of the wanted speeds. Raises PolicyError above 1e-5."""
+    place of the wanted speeds. Raises PolicyError above 1e-5, which says whether 32 bits are too few for the policy."""
     given = np.concatenate([one for one in observations if len(one)])
     seen = given.copy()
     if held is not None:
@@ -72,14 +73,27 @@ def check_export(
     with torch.no_grad():
         population = Population.from_candidates(policy.card.sizes(), [policy.tensors])
         wanted = population.mean(torch.from_numpy(seen)[None])[0].numpy().astype(np.float64)
-    found = _actions(path, format, given).astype(np.float64)
-    off = float((np.abs(found - wanted) / np.maximum(np.abs(wanted), 1.0)).max())
+    off = _off(_actions(path, format, given).astype(np.float64), wanted)
     if not off <= TOLERANCE:
-        raise PolicyError(
-            f"{path}: the exported policy's actions are off by up to {off:.2g} on {len(given)} observations. This is a "
-            "fault of hts or of its runtime; nothing was written."
-        )
+        with torch.no_grad():
+            exact = population.double().mean(torch.from_numpy(seen.astype(np.float64))[None])[0].numpy()
+        begun = f"{path}: the exported policy's actions are off by up to {off:.2g} on {len(given)} observations"
+        rounding = _off(wanted, exact)
+        if off <= ROUNDINGS * rounding:
+            last = max(key for key in policy.tensors if key.startswith("actor.") and key.endswith(".weight"))
+            raise PolicyError(
+                f"{begun}, the policy's own by {rounding:.2g} for 32 bits alone: weights of up to "
+                f"{float(policy.tensors[last].abs().max()):.2g} in '{last}' cancel each other. Expected {TOLERANCE:g} "
+                "at most; nothing was written. Make a policy with smaller weights, such as one trained by `hts "
+                "pretrain`."
+            )
+        raise PolicyError(f"{begun}. This is a fault of hts or of its runtime; nothing was written.")
     return off
+
+
+def _off(found: np.ndarray, wanted: np.ndarray) -> float:
+    """The largest difference, relative where actions are larger than 1."""
+    return float((np.abs(found - wanted) / np.maximum(np.abs(wanted), 1.0)).max())
 
 
 def _actions(path: Path, format: str, observations: np.ndarray) -> np.ndarray:

@@ -249,7 +249,7 @@ def column_names(
 ) -> tuple[ColumnName, ...]:
     """Columns of a channel, one per component; those that follow the joints come in the robot's order.
 
-    Raises ConfigError where the mapping does not say enough.
+    Raises ConfigError where the mapping does not say enough, or one column twice.
     """
     columns = channel.columns
     per_joint = follows_joints(name, channel)
@@ -259,11 +259,13 @@ def column_names(
                 f"Mapping: '{name}' uses {{joint}}; give `joints`: the robot's joint -> its name in the log."
             )
         _same_joints("joints", mapping.joints, joint_names)
+        _once("joints", [mapping.joints[joint] for joint in joint_names], "joint")
         return tuple(columns.replace("{joint}", mapping.joints[joint]) for joint in joint_names)
     if isinstance(columns, str) and ".." in columns:
         listed = _range(name, columns)
     else:
         listed = columns if isinstance(columns, tuple) else (columns,)
+        _once(f"columns of '{name}'", listed, "component")
     if per_joint and len(listed) != len(joint_names):
         raise ConfigError(
             f"Mapping: '{name}' has {len(listed)} columns for {len(joint_names)} joints. "
@@ -334,6 +336,17 @@ def _range(name: str, columns: str) -> tuple[ColumnName, ...]:
     if not found["list"]:
         return tuple(numbers)
     return tuple(f"{found['list']}[{number}]{found['rest']}" for number in numbers)
+
+
+def _once(key: str, given: Sequence[ColumnName], what: str) -> None:
+    """Raise ConfigError where one thing of the log stands for two: a copied line would be data that nobody measured."""
+    twice = [one for one in dict.fromkeys(given) if given.count(one) > 1]
+    if twice:
+        where = ", ".join(str(number) for number, one in enumerate(given, 1) if one == twice[0])
+        raise ConfigError(
+            f"Mapping: {key}: '{twice[0]}' is named {given.count(twice[0])} times (entries {where}). "
+            f"Name another column of the log for each {what}."
+        )
 
 
 def _same_joints(key: str, given: Any, joint_names: tuple[str, ...]) -> None:

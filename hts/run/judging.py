@@ -17,7 +17,8 @@ from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement import files
-from hts.measurement.baseline import fit_proxy, proxy_along
+from hts.measurement.baseline import fit_proxy
+from hts.measurement.proxy import proxy_along
 from hts.policies.files import Policy
 from hts.recordings.recording import Recording
 from hts.rl.kl_bound import mean_kl

@@ -30,21 +30,25 @@ if TYPE_CHECKING:
     from hts.measurement.transform import Measured
     from hts.policies.files import Policy
 
+HALF = 0.5  # standard deviations: a prediction like many others
 FEW_ENVS = 2  # per candidate: enough to see that an env can be made and stepped
 
 
 def check_ready(config: RunConfig, registry: Registry, engine: str | None = None) -> None:
     """Raise the HtsError that a run of this configuration would end in, as far as that can be known before it runs.
 
-    Cheap things first: names and settings, inputs, λ, scores, measurement models, the policy's file, the world with
-    this robot and these objectives, last an env that takes a step. engine: what `auto` stands for here; None: the env
-    is not made.
+    Cheap things first: names and settings, inputs, proxies, λ, scores, measurement models, the policy's file, the world
+    with this robot and these objectives, last an env that takes a step. engine: what `auto` stands for here; None: the
+    env is not made.
     """
+    from hts.measurement.proxy import try_proxy
+
     check_names(config, registry)
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     for objective in objectives.values():
-        robot_signals(objective, robot)  # raises for an input that the robot does not give
+        signals = robot_signals(objective, robot)  # raises for an input that the robot does not give
+        try_proxy(objective, signals.inputs)
     proxy = config.reward_source == "proxy"
     if not combinations(own_weights(objectives, proxy), config.sweep.weights):
         raise ConfigError(
@@ -121,16 +125,21 @@ def check_world(config: RunConfig, registry: Registry) -> None:
 
 
 def _check_reward(name: str, objective: Objective) -> None:
-    """An objective's reward of a batch has the batch's shape, whatever that is."""
+    """An objective's reward of a batch has the batch's shape, whatever that is, and is finite for a moderate one."""
     import torch
 
     for shape in ((1, FEW_ENVS, 1), (FEW_ENVS, 3)):
-        found = guarded(f"Objective '{name}': reward()", partial(objective.reward, torch.zeros(shape)))
+        found = guarded(f"Objective '{name}': reward()", partial(objective.reward, torch.full(shape, HALF)))
         if not isinstance(found, torch.Tensor) or tuple(found.shape) != shape:
             gave = f"shape {tuple(found.shape)}" if isinstance(found, torch.Tensor) else type(found).__name__
             raise PluginError(
                 f"Objective '{name}': reward() gave {gave} for a prediction of shape {shape}; expected the same shape, "
                 "one reward for each prediction."
+            )
+        if not bool(torch.isfinite(found).all()):
+            raise PluginError(
+                f"Objective '{name}': reward() is {float(found.flatten()[0]):g} for a prediction of {HALF:g} standard "
+                "deviations; expected a finite number."
             )
 
 
@@ -146,16 +155,30 @@ def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
 def check_step(
     config: RunConfig, robot: Robot, engine: str, channels: tuple[str, ...], around: Callable[[], list[Transform]]
 ) -> None:
-    """The training env of a robot is made with these channels and transforms, and takes a step. Raises PluginError."""
+    """The training env of a robot is made with these channels and transforms, takes two steps and begins again; the
+    transforms also see several steps at once, as a collector shows them. Raises PluginError."""
+    import torch
+    from torchrl.envs.utils import step_mdp
+
+    from hts.rl.deferred import DeferrableTransform
     from hts.training.finetune import measured_env
 
     def step() -> None:
         bare = robot.make_env(engine, 1, FEW_ENVS, config.finetune.env, channels=channels, seeds=[config.seed])
-        env = measured_env(bare, around())
+        made = around()
+        env = measured_env(bare, made)
         try:
             state = env.reset()
-            state["action"] = env.action_spec.zero()
-            env.step(state)
+            for _ in range(2):
+                state["action"] = env.action_spec.zero()
+                state = step_mdp(env.step(state))
+            env.reset()
+            for one in made:
+                if isinstance(one, DeferrableTransform):
+                    recorded = one.record(state["channels"])
+                    ended = torch.zeros(2, FEW_ENVS, dtype=torch.bool, device=recorded.device)
+                    ended[0, 0] = True
+                    one.forward_sequence(torch.stack((recorded, recorded)), ended)
         finally:
             env.close()
 

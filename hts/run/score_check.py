@@ -1,8 +1,11 @@
-"""The score of an objective, tried on made-up numbers before anything is spent: a misspelt channel shows at once."""
+"""The score and the comparison of an objective, tried on made-up numbers before anything is spent: a misspelt channel
+shows at once."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,38 +13,48 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Objective, Robot
 from hts.errors import PluginError, RecordingError
+from hts.evaluation.scoring import as_scores, plain
 from hts.evaluation.segments import Segments
 from hts.recordings.recording import Recording, Series
 
 SEGMENTS = 3
 MISTAKES = (RecordingError, LookupError, AttributeError, NameError, TypeError, ImportError)
 """What wrong names and types raise. Anything else may be the score's opinion of numbers that nobody measured."""
+SHAPES = re.compile(r"broadcast|shape|dimension|reshape|not aligned|inhomogeneous|setting an array element")
+"""Of what numpy says in a ValueError where arrays do not fit each other, whatever their numbers."""
 
 
 def check_score(objective: Objective, robot: Robot, package: str) -> None:
     """Raise PluginError for a score that reads a channel that no recording of this robot has, fails on a recording, or
-    is not one number per segment."""
-    what = f"Objective '{objective.name}' (from {package}): score"
+    is not one number per segment, and for a comparison of such scores that fails or is no numbers."""
+    who = f"Objective '{objective.name}' (from {package})"
+    kind = f"on a recording of '{robot.spec.name}' with all that the robot and the objective name"
+    segments = made_up_segments(robot, objective.real_channels)
+    found, opinion = _tried(lambda: objective.score(segments), f"{who}: score fails {kind}")
+    if opinion:
+        return
+    means = {name: float(values.mean()) for name, values in as_scores(who, found, SEGMENTS).items()}
+    found, opinion = _tried(
+        lambda: objective.compare(dict(means), dict(means)), f"{who}: compare fails on what score gives, {means}"
+    )
+    if not opinion:
+        plain(objective, found)
+
+
+def _tried(work: Callable[[], Any], what: str) -> tuple[Any, bool]:
+    """What it gives, and whether it gave none, as it may with reason. Raises PluginError, beginning with `what`, for a
+    mistake, which other numbers would not mend."""
     try:
         with np.errstate(all="ignore"):
-            scores = objective.score(made_up_segments(robot, objective.real_channels))
-    except MISTAKES as error:
+            return work(), False
+    except Exception as error:
         text = " ".join(str(error).split()).rstrip(".")
+        mistaken = isinstance(error, MISTAKES) or (isinstance(error, ValueError) and SHAPES.search(text))
+        if not mistaken:
+            return None, True
         raise PluginError(
-            f"{what} fails on a recording of '{robot.spec.name}' with all that the robot and the objective name, "
-            f"{type(error).__name__}: {text}. Correct it, or name the channel in `also_measured`."
+            f"{what}, {type(error).__name__}: {text}. Correct it, or name the channel in `also_measured`."
         ) from error
-    except Exception:  # noqa: BLE001 - it may refuse these numbers with reason
-        return
-    if not isinstance(scores, Mapping):
-        raise PluginError(
-            f"{what} gives a {type(scores).__name__}, expected names with arrays, one number per segment."
-        )
-    for name, values in scores.items():
-        if np.shape(values) != (SEGMENTS,):
-            raise PluginError(
-                f"{what} '{name}' has shape {np.shape(values)} for {SEGMENTS} segments, expected one number for each."
-            )
 
 
 def made_up_segments(robot: Robot, measured: Sequence[Channel]) -> Segments:

@@ -200,6 +200,7 @@ class PopulationTrainer:
         strength = torch.ones_like(self.kl)
         for name, measured in self.measured.items():
             real = data["next", "real_reward", name].squeeze(-1)
+            self._refuse_all_bad(name, real)
             self._stop_if_bad({f"r_real of {name}": real})
             measured.centring.update(real)
             total = total + measured.added(real)
@@ -221,6 +222,20 @@ class PopulationTrainer:
             stats |= {f"held/{name}": mean, f"held/{name}_multiplier": multiplier.update(mean, strength)}
             total = total + self.dt * multiplier(error)
         return total, stats
+
+    def _refuse_all_bad(self, name: str, real: torch.Tensor) -> None:
+        """Raise SimulationError for an r_real that is no number for anybody before anybody has learned: it is not the
+        training's doing, so smaller steps or λ would not help."""
+        if self.batches > 0:
+            return
+        bad = ~torch.isfinite(real)
+        if bool(bad.flatten(1).any(1).all()):
+            step = int(bad.flatten(0, 1).any(0).nonzero()[0])
+            raise SimulationError(
+                f"Training stopped: r_real of {name} is not finite at control step {step}, in all candidates, before "
+                f"any has learned. Look at reward() of objective '{name}' and at step() of its measurement model (or "
+                "at its proxy()), which gave it."
+            )
 
     def _stop_if_bad(self, parts: Mapping[str, torch.Tensor]) -> None:
         """Stop candidates with a non-finite value; parts: name -> [P, N, T]."""

@@ -16,7 +16,7 @@ RATE = 50
 class Effort:
     """Scores a level above idle, and per metre."""
 
-    target = SimpleNamespace(name="effort")
+    name, target = "effort", SimpleNamespace(name="effort")
 
     def predicted_channels(self, target, known):
         return {"effort": target}

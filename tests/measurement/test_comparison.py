@@ -180,6 +180,8 @@ def test_a_target_can_be_fitted_without_an_objective(tmp_path, run):
         ("cool", Wanted("heat", INPUTS), "leave them out"),
         (None, Wanted("heap", INPUTS), "No channel named 'heap'. Did you mean 'heat'"),
         (None, Wanted("heat", ("efort",)), "has no channel 'efort'"),
+        (None, Wanted("effort", ("rate",)), r"Target 'effort' has shape \(3,\), 3 numbers a sample"),
+        (None, Wanted("heat", ("effort", "heat")), r"Target 'heat' is among the inputs \(effort, heat\)"),
     ],
 )
 def test_what_cannot_be_fitted_is_one_line(tmp_path, run, name, wanted, said):

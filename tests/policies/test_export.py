@@ -134,6 +134,17 @@ def test_an_export_that_acts_otherwise_is_not_written(policy, tmp_path, monkeypa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.json", "mine.safetensors"]
 
 
+def test_a_policy_whose_weights_cancel_is_told_so_and_no_fault_of_ours(policy, tmp_path):
+    """1e5 h + a - 1e5 h in the last layer: 32 bits leave two digits of a after the point."""
+    tensors = {key: value.clone() for key, value in policy.tensors.items()}
+    tensors["actor.1.weight"][1], tensors["actor.1.bias"][1] = tensors["actor.1.weight"][0], 1.0
+    tensors["actor.1.bias"][0] = 1.0
+    tensors["actor.2.weight"][:, :2] += torch.tensor([1e5, -1e5])
+    file = save_policy(tmp_path / "mine", Policy(tensors, make_card(SPEC, tensors, observation_layout(2), SIZES)))
+    with pytest.raises(PolicyError, match=r"for 32 bits alone: weights of up to 1e\+05 in 'actor.2.weight' cancel"):
+        export_policy(None, str(file), "onnx", tmp_path / "mine.onnx")
+
+
 @pytest.mark.parametrize("format", ["onnx", "torchscript"])
 def test_exports_act_as_the_policy_on_random_and_recorded_observations(policy, tmp_path, format):
     from hts.channels import standard_channels

@@ -27,6 +27,12 @@ mappings("misspelt_key", lambda g: g.update(rate_htz=50), lambda g: g.pop("time"
 mappings("unit_nobody_knows", *(channel("draw", unit=one) for one in ("Nm", "ampère?", "9**9**9", "", "A" * 100)))
 mappings("unit_of_another_quantity", channel("joint_torque", unit="A"), channel("joint_torque", unit="rad/s"))
 mappings("joint_nobody_has", lambda g: g["joints"].update(ankle="A"), lambda g: g["joints"].pop("hip"))
+mappings(
+    "one_column_for_two",
+    lambda g: g["joints"].update(knee="H"),
+    channel("joint_torque", columns=["H_tau", "H_tau"]),
+    channel("draw", columns=["amps", "amps"], sum=True),
+)
 mappings("no_idle_level", lambda g: g["channels"]["draw"].pop("idle"), channel("draw", idle="CHECK"))
 mappings("no_channel", lambda g: g.update(channels={}), lambda g: g.pop("channels"), lambda g: g.update(channels=3))
 mappings(

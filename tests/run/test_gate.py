@@ -283,7 +283,7 @@ def test_who_ended_as_the_same_policy_does_not_move_up(tmp_path, monkeypatch):
     for module in (judging, gate):
         monkeypatch.setattr(module, "same_policies", first_two)
     asked = outcomes(monkeypatch, lambda name: name == asked[0][1])
-    run(tmp_path / "run", **{"sweep.kl_bounds": [0.5, 1.0, 2.0, 3.0], "selection.elites": 2})
+    run(tmp_path / "run", **{"sweep.kl_bounds": [0.1, 0.2, 0.5, 1.0], "selection.elites": 2})
     result = json.loads((tmp_path / "run/iterations/00/gate.json").read_text())
     assert result["kept_out"] == {"00-01": "ended as the same policy as an earlier candidate"}
     assert len(result["elites"]) == 2 and "00-01" not in {*result["proposed"], *result["elites"]}

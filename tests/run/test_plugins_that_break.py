@@ -84,7 +84,7 @@ class Broken:
     ("compare", "error", "said"),
     [
         (lambda one, other: one["absent"], PluginError, r"Objective 'heat': compare\(\) failed, KeyError"),
-        (lambda one, other: {"improvement": 0.1}, PluginError, "it gave dict, expected Comparison"),
+        (lambda one, other: {"improvement": 0.1}, PluginError, r"compare\(\) gave dict, expected Comparison"),
         (lambda one, other: 1 / 0, EvaluationError, "Check the idle level and the recordings"),
     ],
 )
@@ -104,6 +104,7 @@ def test_an_objective_that_can_compare_is_left_alone():
     [
         (lambda prediction: -prediction.mean(), r"reward\(\) gave shape \(\) for a prediction of shape \(1, 2, 1\)"),
         (lambda prediction: absent, r"reward\(\) failed, NameError"),  # noqa: F821
+        (lambda prediction: prediction * float("nan"), r"reward\(\) is nan for a prediction of 0.5 standard"),
         (lambda prediction: 0.0, r"reward\(\) gave float"),
     ],
 )
@@ -112,3 +113,18 @@ def test_an_objective_whose_reward_is_none_for_each_prediction_is_named_before_a
     objective.reward = reward
     with pytest.raises(PluginError, match=rf"Objective 'heat': {said}"):
         _check_reward("heat", objective)
+
+
+def test_an_objective_that_cannot_score_is_named(tmp_path, monkeypatch):
+    """On the robot's own numbers, after what was made up passed."""
+    from hts.testing.examples.objective.objective import Fake
+
+    def score(self, segments):
+        if len(segments) == 3:  # the made-up ones
+            return {"net": segments.values("fake_level").mean(axis=1)}
+        raise ValueError("boom")
+
+    monkeypatch.setattr(Fake, "score", score)
+    monkeypatch.setattr(Fake, "compare", lambda self, one, other: Comparison(0.0, 0.0))
+    with kit_installed(), pytest.raises(PluginError, match=r"Objective 'fake': score\(\).* failed, ValueError: boom"):
+        tiny_run(tmp_path / "run", settings={"selection.block_seconds": 10.0})

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hts.measurement.baseline import fit_proxy, proxy_along
+from hts.measurement.baseline import fit_proxy
+from hts.measurement.proxy import proxy_along
 from hts.run.judging import _in_unit
 from hts.testing.known_signals import KnownHeat
 from hts.testing.known_signals import known_heat as recording

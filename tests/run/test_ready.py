@@ -163,12 +163,50 @@ def test_what_only_another_world_can_cure_does_not_send_anybody_to_resume(tmp_pa
         ("{'net': segments.valeus('fake_level')}", "AttributeError: 'Segments' object has no attribute 'valeus'"),
         ("{'net': segments.values('fake_level').mean()}", "score 'net' has shape () for 3 segments"),
         ("segments.values('fake_level').mean(axis=1)", "gives a ndarray, expected names with arrays"),
+        ("{'net': segments.values('fake_level') - segments.idle('fake_level')}", "ValueError: operands could not be"),
+        ("{}", "score gives no quantity of the segments"),
+        ("{'net': ['a', 'b', 'c']}", "score 'net' holds a list that is no array of numbers"),
     ],
 )
 def test_a_score_that_cannot_be_made_is_found_before_anything_is_recorded(broken, score, said):
     broken(f"def score(self, segments):\n    return {score}")
     found = refusal(PluginError, "broken")
     assert said in found and "Objective 'broken' (from stranger): score" in found
+
+
+@pytest.mark.parametrize(
+    ("compare", "said"),
+    [
+        ("policy['nett']", r"compare fails on what score gives, {.*}, KeyError: 'nett'"),
+        ("Comparison(None, 0.0)", r"compare() gave 'improvement' as None, a NoneType; expected one number"),
+        ("Comparison(0.0, 0.0, {'x': 'much'})", "compare() gave 'x' as 'much', a str; expected one number"),
+        ("Comparison(0.0, 0.0, {'x': np.ones(2)})", "compare() gave 'x' as array([1., 1.]), a ndarray; expected one"),
+        ("Comparison(0.0, 0.0, 3)", "metrics that are a int, expected names with numbers"),
+        ("{'improvement': 1.0}", "compare() gave dict, expected Comparison"),
+    ],
+)
+def test_a_comparison_that_is_no_numbers_is_found_before_anything_is_recorded(broken, compare, said):
+    broken(
+        "def compare(self, policy, reference):\n    import numpy as np\n    from hts.contracts import Comparison\n"
+        f"    return {compare}"
+    )
+    found = refusal(PluginError, "broken")
+    assert re.search(said, found) or said in found
+    assert found.startswith("Objective 'broken'")
+
+
+def test_numbers_of_numpy_and_torch_become_plain_ones():
+    import json
+
+    import numpy as np
+    import torch
+
+    from hts.contracts import Comparison
+    from hts.evaluation.scoring import plain
+    from hts.testing.examples.objective.objective import Fake
+
+    found = plain(Fake(), Comparison(np.float32(0.5), torch.tensor(0.25), {"x": np.int64(3), "y": np.array(1.5)}))
+    assert json.dumps(vars(found)) == '{"improvement": 0.5, "selection_score": 0.25, "metrics": {"x": 3.0, "y": 1.5}}'
 
 
 def test_a_score_may_refuse_numbers_that_nobody_measured(broken):
@@ -206,19 +244,19 @@ def hts_objectives(register):
 def hts_instruments(register):
     register("odd_meter", lambda settings, robot: Meter())
 """
-OF_FOUR = "replace(TARGET, shape=(4,))"
+OF_ONE = "replace(TARGET, shape=(1,))"
 
 
 @pytest.mark.parametrize(
     ("channel", "target", "read", "said"),
     [
         (
-            *(OF_FOUR, OF_FOUR, "super().read()"),
-            "Instrument 'odd_meter': read() gives 'fake_level' in shape (3,) for 3 robots; its channel says (4,) each",
+            *(OF_ONE, OF_ONE, "super().read()"),
+            "Instrument 'odd_meter': read() gives 'fake_level' in shape (3,) for 3 robots; its channel says (1,) each",
         ),
         (
-            *("TARGET", OF_FOUR, "super().read()"),
-            "Objective 'broken' wants 'fake_level' in W, shape (4,); instrument 'odd_meter' measures it in W, shape ()",
+            *("TARGET", OF_ONE, "super().read()"),
+            "Objective 'broken' wants 'fake_level' in W, shape (1,); instrument 'odd_meter' measures it in W, shape ()",
         ),
         (
             *("TARGET", "TARGET", "{'fake_levl': self.level}"),

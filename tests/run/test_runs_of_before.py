@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,13 +15,16 @@ import pytest
 from hts import api
 from hts.cli.main import main
 from hts.recordings.store import RecordingStore
+from hts.testing.examples.robot.robot import SPEC, Tiny
 
 KEPT = Path(__file__).parents[1] / "data" / "run-v1.zip"
 """Robot `tiny`, objective `fake`, world `known`: one iteration, one candidate, no figures."""
 
 
 @pytest.fixture
-def folder(tmp_path: Path, hts_kit: None) -> Path:
+def folder(tmp_path: Path, hts_kit: None, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The run, and the robot with the gains that it had then: policies are for those."""
+    monkeypatch.setattr(Tiny, "spec", replace(SPEC, kp=(5.0, 5.0), action_scale=(0.25, 0.25)))
     with zipfile.ZipFile(KEPT) as kept:
         kept.extractall(tmp_path / "run")
     return tmp_path / "run"

@@ -176,6 +176,31 @@ def test_the_shipped_policy_is_the_one_that_is_written_down(tmp_path):
         assert torch.allclose(value, written.tensors[name], rtol=1e-5, atol=1e-6), name
 
 
+def test_the_shipped_policy_is_exported_and_has_room_to_learn(tmp_path):
+    """A step of 1e-3 in every weight, a few of the optimiser's, moves actions by less than the exploration noise."""
+    import numpy as np
+    import torch
+
+    from hts.policies.export_checks import random_observations
+    from hts.policies.export_command import export_policy
+    from hts.policies.files import load_policy
+    from hts.rl.population import Population
+    from hts.testing.examples.robot.robot import POLICY
+
+    for kind in ("onnx", "torchscript"):
+        export_policy(None, str(POLICY), kind, tmp_path / kind)  # raises for actions that are off by 1e-5
+    policy = load_policy(POLICY)
+    seen = torch.from_numpy(np.clip(random_observations(policy), -3.0, 3.0))[None]
+    population = Population.from_candidates(policy.card.sizes(), [policy.tensors])
+    with torch.no_grad():
+        before = population.mean(seen)
+        population.vectors[0] += 1e-3 * torch.sign(
+            torch.randn(population.vectors[0].shape, generator=torch.Generator().manual_seed(0))
+        )
+        population.refresh()
+        assert float((population.mean(seen) - before).abs().mean()) < 0.5
+
+
 def test_nothing_is_overwritten(tmp_path):
     write_starter("selector", "steady", tmp_path)
     with pytest.raises(RunError, match="exists already"):

@@ -15,7 +15,7 @@ from dm_control import mjcf
 RADIUS, TRACK, TRUNK_MASS, WHEEL_MASS = 0.08, 0.30, 3.0, 0.3  # m, m between the wheels, kg, kg
 CASTER_RADIUS, CASTER_X = 0.03, 0.2  # m, m from the axle
 WHEELS = {"left": TRACK / 2, "right": -TRACK / 2}  # joint -> y of the wheel, m
-KP, KD, TORQUE_LIMIT, PHYSICS_DT = 5.0, 1.0, 1.0, 0.005  # as in robot.SPEC
+KP, KD, TORQUE_LIMIT, PHYSICS_DT = 0.1, 1.0, 1.0, 0.005  # as in robot.SPEC
 
 
 def build() -> mjcf.RootElement:
