@@ -14,7 +14,7 @@ import numpy as np
 
 from hts_go1_runtime import machine
 from hts_go1_runtime.errors import RuntimeFault
-from hts_go1_runtime.gated import check_gate
+from hts_go1_runtime.gated import check_gate, check_whose
 from hts_go1_runtime.policy import PARTS, Policy
 
 SCHEMA, VERSION = "hts deploy bundle", 1
@@ -82,7 +82,7 @@ def load_bundle(folder: Path) -> Bundle:
             check_gate(entry["gate"], f"{where}: policy {entry['file']}")
             content = _read(folder, str(entry["file"]), sums)
             policies[str(entry["file"])] = policy = Policy(entry, content, str(folder / entry["file"]))
-            _check_card(policy)
+            check_whose(entry["gate"], _checked_card(policy), f"{where}: policy {entry['file']}")
         rows = [_row(row, policies, where) for row in manifest["rows"]]
         hold = _hold(manifest["hold"], where)
         _check_visit(manifest, where)
@@ -203,8 +203,8 @@ def _check_entry(entry: Mapping[str, Any], rate: float, where: str) -> None:
         raise RuntimeFault(f"{where}: history {entry['history']}, expected 1 to 1000 observations.")
 
 
-def _check_card(policy: Policy) -> None:
-    """What the graph carries itself agrees with the manifest."""
+def _checked_card(policy: Policy) -> Mapping[str, Any]:
+    """What the graph carries itself, which agrees with the manifest."""
     try:
         card = json.loads(policy.metadata["hts"])
     except (KeyError, ValueError) as error:
@@ -219,6 +219,7 @@ def _check_card(policy: Policy) -> None:
         raise RuntimeFault(
             f"{policy.where}: manifest and graph disagree about exploration noise. Make the bundle again."
         )
+    return card  # type: ignore[no-any-return]
 
 
 def _row(row: Mapping[str, Any], policies: Mapping[str, Policy], where: str) -> Row:
