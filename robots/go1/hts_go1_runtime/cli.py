@@ -14,10 +14,10 @@ from typing import NoReturn
 
 from hts_go1_runtime.bundle import LONGEST_ROW, Bundle, load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
+from hts_go1_runtime.events import Events, aloud
 from hts_go1_runtime.figures import figures
 from hts_go1_runtime.gated import LEAST_DIGITS, gate_in_words, vouched_for
 from hts_go1_runtime.lock import alone
-from hts_go1_runtime.log import Events
 from hts_go1_runtime.loop import Loop, without_collection
 from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.operator_key import StopFile, ask, listen, signals
@@ -40,15 +40,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return bench(options.bundle, options.seconds, options.stops)
         bundle = load_bundle(options.bundle)
         if options.command == "check":
-            print(_described(bundle))
+            aloud(_described(bundle))
             vouched_for(bundle.policies, bundle.policies, options.vouch)
             return DONE
         return _run(bundle, options)
     except RuntimeFault as fault:
-        print(f"refused: {fault}", file=sys.stderr)
+        aloud(f"refused: {fault}", sys.stderr)
         return REFUSED
     except Stopped as stopped:
-        print(f"stopped: {stopped}. The robot is damped; look at it before you go on.", file=sys.stderr)
+        aloud(f"stopped: {stopped}. The robot is damped; look at it before you go on.", sys.stderr)
         return STOPPED
 
 
@@ -94,7 +94,7 @@ def _unexpected(error: Exception, moved: bool, events: Events) -> RuntimeFault:
 def _confirm(text: str, yes: bool, loop: Loop) -> None:
     """A person says that the robot may move; from then on the same key stops it."""
     if yes:
-        print(text, flush=True)
+        aloud(text)
     else:
         loop.pause()
         ask(f"{text}\nEnter begins; after that, Enter stops. Anything else that is typed now ends this.", loop.heed)

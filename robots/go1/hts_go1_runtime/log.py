@@ -7,20 +7,18 @@ its name once it is whole. If the disk refuses (full), rows wait in memory and a
 
 from __future__ import annotations
 
-import contextlib
+import itertools
 import json
 import os
 import queue
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hts_go1_runtime.errors import Stopped
 from hts_go1_runtime.link import Command, State
 from hts_go1_runtime.machine import JOINTS
 
@@ -197,8 +195,8 @@ class RowLog:
         if self._described:
             write_whole(self._mapping, self._described)
         if self._partial.exists():
-            left = len(list(self._partial.parent.glob(f"{self._partial.name}-*")))
-            self._partial.replace(self._partial.with_name(f"{self._partial.name}-{left}"))
+            names = (self._partial.with_name(f"{self._partial.name}-{number}") for number in itertools.count())
+            self._partial.replace(next(name for name in names if not name.exists()))  # one may have been taken away
         return os.open(self._partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
 
     def _name(self) -> None:
@@ -227,77 +225,3 @@ def write_whole(path: Path, text: str) -> None:
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)
-
-
-def append_whole(path: Path, line: str) -> None:
-    """A line at the end of a file, or nothing. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    try:
-        size, left = os.fstat(handle).st_size, line.encode()
-        try:
-            while left:
-                left = left[os.write(handle, left) :]
-        except OSError:
-            os.ftruncate(handle, size)  # of a full disk: half a line is worse than none
-            raise
-    finally:
-        os.close(handle)
-
-
-class Events:
-    """What happened in a session, one JSON line each, in logs/events.jsonl; said aloud too. By a thread: neither a disk
-    nor a terminal makes a step late. What a full disk refuses waits, in order, and is written once there is space; what
-    is said aloud does not wait for it."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._queue: queue.SimpleQueue[tuple[str, Callable[[], None]] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
-
-    def say(self, what: str, **numbers: Any) -> None:
-        """Note something."""
-        line = json.dumps({"at": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "what": what, **numbers}) + "\n"
-        shown = " ".join([what, *(f"{key}={value}" for key, value in numbers.items())])
-        self._queue.put((shown, lambda: append_whole(self._path, line)))
-
-    @contextlib.contextmanager
-    def stops(self) -> Iterator[None]:
-        """Note what stops the robot while inside."""
-        try:
-            yield
-        except Stopped as stopped:
-            self.say("stopped", reason=stopped.reason, detail=stopped.detail)
-            raise
-
-    def keep(self, path: Path, text: str) -> None:
-        """Write a small file."""
-        self._queue.put(("", lambda: write_whole(path, text)))
-
-    def close(self, seconds: float = 10.0) -> None:
-        """Wait until all is written, at most so long."""
-        self._queue.put(None)
-        self._thread.join(seconds)
-
-    def _work(self) -> None:
-        waiting: deque[Callable[[], None]] = deque()
-        over = said = False
-        while not over or waiting:
-            try:
-                item = self._queue.get(timeout=TRY_AGAIN_SECONDS if waiting else None)
-                over = over or item is None
-                if item is not None:
-                    if item[0]:
-                        print(item[0], flush=True)
-                    waiting.append(item[1])
-            except queue.Empty:
-                pass
-            try:
-                while waiting:
-                    waiting[0]()
-                    waiting.popleft()
-            except OSError as error:
-                if not said:
-                    print(f"{error.filename or self._path}: cannot be written yet ({error.strerror})", flush=True)
-                said = True

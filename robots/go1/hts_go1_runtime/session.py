@@ -12,11 +12,12 @@ import numpy as np
 
 from hts_go1_runtime.bundle import Bundle, Row
 from hts_go1_runtime.errors import RuntimeFault, Stopped
+from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.link import DAMPING, NOTHING, Command, Link, State
-from hts_go1_runtime.log import REAL, Events, RowLog, mapping, measured, samples
+from hts_go1_runtime.log import REAL, RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT
 from hts_go1_runtime.meeting import check_lies, meet
