@@ -161,6 +161,16 @@ def test_an_empty_mass_of_the_runs_own_mapping_is_asked_for_beside_a_log_that_do
     assert self_described().mass_kg == 13.2
 
 
+def test_a_level_that_was_measured_by_hand_wins_over_one_that_is_no_number(run, self_described):
+    def spoil(mapping):
+        mapping["channels"]["battery_current"]["idle"] = "NaN"
+
+    with pytest.raises(RecordingError, match=r"00.yaml: channels.battery_current.idle: expected a number"):
+        self_described(spoil)
+    fill_in(run)
+    assert self_described(spoil).idle["battery_current"] == 1.3
+
+
 @pytest.mark.parametrize("key", ["files", "level"])
 def test_another_sensor_in_the_runs_own_mapping_is_refused_rather_than_passed_over(run, self_described, key):
     path = run / "field" / "mapping.yaml"

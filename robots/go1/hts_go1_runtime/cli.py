@@ -26,6 +26,7 @@ from hts_go1_runtime.udp import UdpLink
 
 DONE, REFUSED, STOPPED = 0, 2, 3
 VOUCH = f"{LEAST_DIGITS} digits or more of the hash of a policy that failed the gate and that you want walked"
+EXTERNAL = "a measured channel that the robot does not give, and that a sensor of its own logs meanwhile"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -53,8 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(bundle: Bundle, options: argparse.Namespace) -> int:
-    rows, vouched = tuple(options.rows.split(",")) if options.rows else (), tuple(options.vouch)
-    asked = Options(rows, options.idle_seconds, options.warmup, options.first_run, options.mass, vouched)
+    rows = tuple(options.rows.split(",")) if options.rows else ()
+    vouched, external = tuple(options.vouch), tuple(options.external)
+    asked = Options(rows, options.idle_seconds, options.warmup, options.first_run, options.mass, vouched, external)
     stop = bundle.folder / "STOP"
     if stop.exists():
         raise RuntimeFault(f"{stop}: is there and means stop. Remove it to begin.")
@@ -168,6 +170,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--warmup", type=most_warmup, help="s of walking before a head-to-head (default: the bundle's)")
     run.add_argument("--first-run", action="store_true", help="walk each policy slowly and weakly, record nothing")
     run.add_argument("--mass", type=_number(1, 100), help="kg of the robot as it walks, for the log")
+    run.add_argument("--external", action="append", default=[], metavar="CHANNEL", help=f"{EXTERNAL}; repeatable")
     current, temperature = Limits.current, Limits.temperature
     run.add_argument("--most-current", type=_number(1, 100), default=current, help="A from the pack, beyond: stop")
     run.add_argument(

@@ -13,7 +13,7 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,17 +48,24 @@ def columns_of(channel: str) -> list[str]:
     return [f"{channel}_{number}" for number in range(size)] if size else [channel]
 
 
-def measured(state: State) -> list[str]:
-    """Channels that the robot gives, judged by one state: all but those that hold what is not measured."""
-    values: dict[str, Any] = {
-        "base_velocity": state.velocity,
-        "foot_force": state.foot_force,
-        "battery_current": state.current,
-        "battery_voltage": state.voltage,
-        "state_of_charge": state.charge,
-        "motor_temperature": state.temperature,
-    }
-    return [name for name in CHANNELS if name not in values or np.isfinite(values[name]).all()]
+def measured(states: Sequence[State]) -> list[str]:
+    """Channels that the robot gives, judged by its first states: one that holds numbers in none of them is not
+    measured. A single state would not do, since a sensor's first readings may be missing."""
+
+    def seen(name: str) -> bool:
+        return any(np.isfinite(_MAY_BE_MISSING[name](state)).all() for state in states)
+
+    return [name for name in CHANNELS if name not in _MAY_BE_MISSING or seen(name)]
+
+
+_MAY_BE_MISSING: Mapping[str, Callable[[State], Any]] = {
+    "base_velocity": lambda state: state.velocity,
+    "foot_force": lambda state: state.foot_force,
+    "battery_current": lambda state: state.current,
+    "battery_voltage": lambda state: state.voltage,
+    "state_of_charge": lambda state: state.charge,
+    "motor_temperature": lambda state: state.temperature,
+}
 
 
 def samples(state: State, sent: np.ndarray, command: Command) -> dict[str, Any]:

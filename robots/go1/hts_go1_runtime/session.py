@@ -16,11 +16,12 @@ from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
-from hts_go1_runtime.link import DAMPING, NOTHING, Command, Link, State
-from hts_go1_runtime.log import REAL, RowLog, mapping, measured, samples
+from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
+from hts_go1_runtime.link import DAMPING, Command, Link, State
+from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT
-from hts_go1_runtime.meeting import check_lies, meet
+from hts_go1_runtime.meeting import check_channels, check_lies, meet
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.trimming import Trimming
 
@@ -29,14 +30,14 @@ STAND_KP, STAND_KD = np.full(12, 40.0), np.full(12, 1.0)
 FAR = 0.6  # rad: from further away the robot folds its legs before it stands up
 UP_SECONDS, DOWN_SECONDS, STAND_SECONDS, LETTING_GO = 2.0, 2.0, 1.0, 1.0
 DAMP_SECONDS = 1.0  # of repeated damping commands after a stop, in case some are lost
-IDLE_AGREES = 0.03  # of the level: a larger difference before and after a visit is something else that draws
 
 
 @dataclass(frozen=True)
 class Options:
     """rows: names of those to record, none: all that have no log yet; idle_seconds: to measure the idle levels before
     standing up, 0: not; warmup_seconds: None: the bundle's; first_run: walk each policy slowly and weakly, record
-    nothing; mass_kg: for the mapping; vouched: hashes of policies that failed the gate and are to be walked."""
+    nothing; mass_kg: for the mapping; vouched: hashes of policies that failed the gate and are to be walked; external:
+    channels that a sensor of its own logs."""
 
     rows: tuple[str, ...] = ()
     idle_seconds: float = 10.0
@@ -44,6 +45,7 @@ class Options:
     first_run: bool = False
     mass_kg: float | None = None
     vouched: tuple[str, ...] = ()
+    external: tuple[str, ...] = ()
 
 
 class Session:
@@ -85,7 +87,8 @@ class Session:
 
     def _visit(self, rows: Sequence[Row]) -> None:
         """From lying to lying."""
-        self._idle = self._measure_idle("idle")
+        seen, self._idle = self._measure_idle("idle")
+        check_read(seen)
         self._stand_up()
         try:
             self._walk_rows(rows)
@@ -121,13 +124,14 @@ class Session:
         """First words with the robot: what it measures, and whether that is enough."""
         self.events.say("waiting for the robot's first state", at_most_s=FIRST_STATE)
         self._channels = measured(meet(self.loop))
+        if not self.options.first_run:
+            check_channels(self.bundle.manifest["channels"], self._channels, self.options.external)
         if self.bundle.hold and any(row.trim for row in rows) and "base_velocity" not in self._channels:
             raise RuntimeFault(
                 "The speed is to be held, but the link gives no speed of the trunk. Connect the speed sensor (motion "
                 "capture or a camera)."
             )
-        wanted = self.bundle.manifest["channels"]
-        missing = [name for name in wanted if name not in self._channels]
+        missing = [name for name in self.bundle.manifest["channels"] if name not in self._channels]
         if missing:
             self.events.say("not measured by this link", channels=missing)
 
@@ -141,30 +145,24 @@ class Session:
             + "The robot will stand up and walk. Is everybody clear?"
         )
 
-    def _measure_idle(self, what: str) -> dict[str, float]:
-        """Idle levels: electronics on, motors idle."""
-        seen: dict[str, list[float]] = {name: [] for name in REAL if name in self._channels}
-        for _ in range(round(self.options.idle_seconds / self.loop.period)):
-            state = self.loop.tick(lambda _: NOTHING)
-            for name, value in (("battery_current", state.current), ("battery_voltage", state.voltage)):
-                if name in seen:
-                    seen[name].append(value)
-        levels = {name: float(np.mean(values)) for name, values in seen.items() if values}
-        if levels:
-            self.events.say(what, **{name: round(level, 3) for name, level in levels.items()})
-        return levels
+    def _measure_idle(self, what: str) -> tuple[Readings, dict[str, float]]:
+        """What the battery monitor shows, and the levels."""
+        seen = readings(self.loop, self._channels, self.options.idle_seconds)
+        found = levels(seen)
+        if found:
+            self.events.say(what, **{name: round(level, 3) for name, level in found.items()})
+        return seen, found
 
     def _idle_again(self) -> None:
-        """The levels once more after a visit that recorded something: the logs state those of before it. The voltage
-        sinks by itself as the pack is used, so the current tells."""
+        """The levels once more after a visit that recorded something: the logs state those of before it."""
         if self.options.first_run:
             return
-        before, after = (one.get("battery_current") for one in (self._idle, self._measure_idle("idle after")))
-        if before is not None and after is not None and abs(after - before) > IDLE_AGREES * abs(before):
+        _, after = self._measure_idle("idle after")
+        if changed(self._idle, after):
             self.events.say(
                 "the idle current has changed: something else draws, find it and record again",
-                before=round(before, 3),
-                after=round(after, 3),
+                before=round(self._idle["battery_current"], 3),
+                after=round(after["battery_current"], 3),
             )
 
     def _stand_up(self) -> None:
