@@ -50,9 +50,9 @@ def read(bundle, name):
 
 @pytest.mark.parametrize(
     "when",
-    [lambda number: number < 4, lambda number: 30 <= number < 40, lambda number: number % 5 == 0, lambda number: number == 1500],
+    [lambda at: at < 4, lambda at: 30 <= at < 40, lambda at: at % 5 == 0, lambda at: at == 1500],
     ids=["first states", "while idle", "every fifth", "while walking"],
-)  # fmt: skip
+)
 def test_a_reading_that_is_missing_spoils_no_visit(change, visit, when):
     bundle = change(real)
     assert visit("--yes", link=missing(when)) == 0
