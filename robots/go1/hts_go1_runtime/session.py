@@ -14,13 +14,14 @@ from hts_go1_runtime.bundle import Bundle, Row
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
+from hts_go1_runtime.first_run import FirstRun
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
 from hts_go1_runtime.link import DAMPING, Command, Link, State
 from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
-from hts_go1_runtime.machine import SIT, STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT
+from hts_go1_runtime.machine import SIT, STAND
 from hts_go1_runtime.meeting import check_channels, check_lies, meet
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.trimming import Trimming
@@ -29,6 +30,7 @@ HEADING_GAIN, LARGEST_YAW_RATE = 0.5, 1.0  # rad/s per rad, rad/s: as the polici
 STAND_KP, STAND_KD = np.full(12, 40.0), np.full(12, 1.0)
 FAR = 0.6  # rad: from further away the robot folds its legs before it stands up
 UP_SECONDS, DOWN_SECONDS, STAND_SECONDS, LETTING_GO = 2.0, 2.0, 1.0, 1.0
+STILL = [(LETTING_GO, 0.0, 0.0, 0.0)]
 DAMP_SECONDS = 1.0  # of repeated damping commands after a stop, in case some are lost
 
 
@@ -60,7 +62,7 @@ class Session:
         self._unnamed: list[RowLog] = []  # rows whose name was taken meanwhile
         self._channels: list[str] = []
         self._idle: dict[str, float] = {}
-        self._torque = TORQUE_LIMIT
+        self._torque_share = 1.0  # of what the joints may be told
         self._wanted_heading: float | None = None
         self._held = read_held(bundle.logs, bundle.hold)
         self._vouched: dict[str, str] = {}
@@ -189,7 +191,7 @@ class Session:
         for number in range(1, steps + 1):
             share = 0.5 - 0.5 * math.cos(math.pi * number / steps)
             strength = 1.0 if rising is None else share if rising else 1.0 - share
-            pose = np.clip(begin + share * (end - begin), TARGET_LOW, TARGET_HIGH)
+            pose = self.bundle.reach.inside(begin + share * (end - begin))
             braking = DAMPING.kd - strength * (DAMPING.kd - STAND_KD) if rising is False else strength * STAND_KD
             command = Command(pose, strength * STAND_KP, braking)
             self.loop.tick(lambda _, sent=command: sent)  # type: ignore[misc]
@@ -203,17 +205,17 @@ class Session:
         self._warm_up(rows[0])
         for row in rows:
             self._row(row)
-        self._stroll(self.bundle.policies[rows[-1].policy], (0.0, 0.0, 0.0), LETTING_GO)
+        self._stroll(self.bundle.policies[rows[-1].policy], STILL)
 
     def _first_runs(self, rows: Sequence[Row]) -> None:
         """Each policy once, slowly and weakly, recording nothing."""
-        how = self.bundle.manifest["first_runs"]
-        self._torque = float(how["torque_scale"]) * TORQUE_LIMIT
+        first = FirstRun.of(self.bundle.manifest)
+        self._torque_share = first.torque_scale
         for file in dict.fromkeys(row.policy for row in rows):
-            speed = float(how["speed_scale"]) * next(row for row in rows if row.policy == file).commands[0][1]
-            self.events.say("first run", policy=file, speed=speed)
-            self._stroll(self.bundle.policies[file], (speed, 0.0, 0.0), float(how["seconds"]))
-        self._stroll(self.bundle.policies[rows[-1].policy], (0.0, 0.0, 0.0), LETTING_GO)
+            commands = first.commands(rows, file)
+            self.events.say("first run", policy=file, commands=[[round(v, 3) for v in one[1:]] for one in commands])
+            self._stroll(self.bundle.policies[file], commands)
+        self._stroll(self.bundle.policies[rows[-1].policy], STILL)
 
     def _warm_up(self, row: Row) -> None:
         """Walk before the first head-to-head, so that the motors are warm; the others follow without a pause."""
@@ -221,7 +223,7 @@ class Session:
         seconds = float(self.bundle.manifest["warmup_seconds"]) if asked is None else asked
         if row.role != "collection" and seconds > 0:
             self.events.say("warming up", seconds=seconds)
-            self._stroll(self.bundle.policies[row.policy], row.commands[0][1:], seconds)
+            self._stroll(self.bundle.policies[row.policy], [(seconds, *row.commands[0][1:])])
 
     def _row(self, row: Row) -> None:
         """Record one row, trimmed first where the bundle says so."""
@@ -278,23 +280,24 @@ class Session:
         self._open.append((log, row))
         self.events.say("fell: kept as this row's log; to walk the row again, move the log away", log=row.log)
 
-    def _stroll(self, policy: Policy, command: Sequence[float], seconds: float) -> None:
+    def _stroll(self, policy: Policy, commands: Sequence[tuple[float, float, float, float]]) -> None:
         """Walk without recording."""
         self._wanted_heading = None
         policy.start()
-        for _ in range(round(seconds / self.loop.period)):
-            self._step(policy, np.array(command, float), None)
+        for command in steps_of(commands, self.bundle.rate_hz):
+            self._step(policy, command, None)
 
     def _step(self, policy: Policy, asked: np.ndarray, log: RowLog | Walked | None) -> State:
         """One control step of a policy; recorded if there is a log."""
         given: dict[str, Any] = {}
+        reach = self.bundle.reach
 
         def make(state: State) -> Command:
             given["sent"] = sent = self._steered(asked, state)
             targets = policy.targets(state, sent)
-            if self._torque is not TORQUE_LIMIT:
-                targets = self._weakened(targets, policy, state)
-            kept = np.minimum(np.maximum(targets, TARGET_LOW), TARGET_HIGH)
+            if self._torque_share < 1 or reach.weaker:
+                targets = reach.weakened(targets, policy.kp, policy.kd, state, self._torque_share)
+            kept = reach.inside(targets)
             self.limited_targets += int(np.count_nonzero(kept != targets))
             given["command"] = command = Command(kept if np.isfinite(targets).all() else targets, policy.kp, policy.kd)
             return command
@@ -321,13 +324,6 @@ class Session:
         error = (self._wanted_heading - state.heading + math.pi) % (2 * math.pi) - math.pi
         turn = min(max(HEADING_GAIN * error, -LARGEST_YAW_RATE), LARGEST_YAW_RATE)
         return np.array([asked[0], asked[1], turn])
-
-    def _weakened(self, targets: np.ndarray, policy: Policy, state: State) -> np.ndarray:
-        """Targets moved so near that no more than the torque limit is asked for now."""
-        braking = policy.kd * state.dq
-        kp = np.maximum(policy.kp, 1e-6)
-        low, high = state.q + (braking - self._torque) / kp, state.q + (braking + self._torque) / kp
-        return np.minimum(np.maximum(targets, low), high)
 
     # ------------------------------------------------------------------------------------------ the log
 

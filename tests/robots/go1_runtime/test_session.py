@@ -29,7 +29,7 @@ from hts_go1_runtime.fake import failing, standing
 from hts_go1_runtime.link import DAMPING, NOTHING, Command
 from hts_go1_runtime.log import CHANNELS, RowLog, samples
 from hts_go1_runtime.loop import Loop
-from hts_go1_runtime.machine import STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT, Limits
+from hts_go1_runtime.machine import STAND, TARGET_HIGH, TARGET_LOW, Limits
 from hts_go1_runtime.session import Options, Session, steps_of
 from hts_go1_runtime.trimming import Trimming
 
@@ -119,20 +119,6 @@ def test_holding_the_speed_needs_a_speed_sensor(bundle):
     link = scripted.ScriptedLink(lambda state: dataclasses.replace(state, velocity=np.full(3, np.nan)))
     with pytest.raises(RuntimeFault, match="Connect the speed sensor"):
         session(bundle, link).run()
-
-
-def test_a_first_run_is_slow_and_weak_and_records_nothing(bundle):
-    link = scripted.ScriptedLink()
-    found = session(bundle, link, Options(idle_seconds=0.0, first_run=True))
-    found._torque = 0.6 * TORQUE_LIMIT
-    policy = found.bundle.policies["policies/00-walk.onnx"]
-    state = standing(0, 0.0)
-    wild = state.q + 5.0
-    asked = policy.kp * (found._weakened(wild, policy, state) - state.q) - policy.kd * state.dq
-    assert asked == pytest.approx(0.6 * TORQUE_LIMIT)
-    assert found.run() == []
-    assert not list((bundle / "logs").glob("*.csv"))
-    assert [one["speed"] for one in events(bundle, found) if one["what"] == "first run"] == pytest.approx([0.3, 0.3])
 
 
 def test_trimming_is_the_twins():
