@@ -119,16 +119,19 @@ class RowLog:
     """
 
     def __init__(self, folder: Path, name: str, channels: Sequence[str], described: str = "") -> None:
+        self._stem, self.elsewhere = name, ""  # elsewhere: the file that was written in place of a refused one
         self._target, self._partial = folder / f"{name}.csv", folder / f".{name}.csv.partial"
         self._mapping, self._described = folder / "mappings" / f"{name}.yaml", described
         self._channels, self.rows, self.fault = list(channels), 0, ""
         self.unnamed = ""  # why a whole log on the disk did not get its name
         self._waiting = b""
+        self._other: Path | None = None
         columns = ["time", *(column for name in channels for column in columns_of(name)), *NOTED]
         # Stamps to the microsecond; values to seven digits, what a float32 holds.
         self._format = ",".join(["%.6f"] + ["%.7g"] * (len(columns) - 1 - len(NOTED)) + ["%.6f"] + ["%.6g"] * 5) + "\n"
         self._queue: queue.SimpleQueue[list[float] | str | None] = queue.SimpleQueue()
-        self._queue.put(",".join(columns) + "\n")
+        self._header = ",".join(columns) + "\n"
+        self._queue.put(self._header)
         self._done = threading.Event()
         self._closed = False
         threading.Thread(target=self._work, daemon=True).start()
@@ -149,6 +152,11 @@ class RowLog:
             self._closed, self._whole, self._at_last = True, whole, described
             self._queue.put(None)
         return self._done
+
+    def write_elsewhere(self, folder: Path) -> None:
+        """Should the disk still refuse: all of it into this folder instead, with its mapping, where `elsewhere` says.
+        After `closing`."""
+        self._other = folder
 
     def _work(self) -> None:
         """The writing thread."""
@@ -173,12 +181,30 @@ class RowLog:
                 self.fault = ""
             except OSError as error:
                 self.fault = f"{error.filename or self._partial}: cannot be written ({error.strerror})"
-                time.sleep(TRY_AGAIN_SECONDS)
-                continue
+                if not (over and self._other is not None and self._rescued(handle, self._other)):
+                    time.sleep(TRY_AGAIN_SECONDS)
+                    continue
             if over:
                 break
-        os.close(handle)
+        if handle >= 0:
+            os.close(handle)
         self._done.set()
+
+    def _rescued(self, handle: int, folder: Path) -> bool:
+        """Write what is on the disk and what waits into another folder; False if that does not work either."""
+        try:
+            written = os.pread(handle, os.fstat(handle).st_size, 0) if handle >= 0 else b""
+        except OSError:  # what is in memory at least
+            written = b"" if self._waiting.startswith(self._header.encode()) else self._header.encode()
+        file = folder / (f"{self._stem}.csv" if self._whole else f"{self._stem}.csv.partial")
+        try:
+            write_whole(file, (written + self._waiting).decode())
+            write_whole(folder / "mappings" / f"{self._stem}.yaml", self._at_last or self._described)
+        except OSError as error:
+            self.fault = f"{error.filename or file}: cannot be written ({error.strerror})"
+            return False
+        self.elsewhere = str(file)
+        return True
 
     def _pour(self, handle: int) -> None:
         """What waits, onto the disk, in whole lines: a disk that fills up within one gets none of that one."""
@@ -204,7 +230,7 @@ class RowLog:
         if self._partial.exists():
             names = (self._partial.with_name(f"{self._partial.name}-{number}") for number in itertools.count())
             self._partial.replace(next(name for name in names if not name.exists()))  # one may have been taken away
-        return os.open(self._partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        return os.open(self._partial, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
 
     def _name(self) -> None:
         """The mapping is there already, so whoever sees the log sees what it is."""

@@ -18,6 +18,7 @@ from hts_go1_runtime.first_run import FirstRun
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
+from hts_go1_runtime.keeping import Keeper
 from hts_go1_runtime.link import DAMPING, Command, Link, State
 from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
@@ -56,16 +57,18 @@ class Session:
     def __init__(self, bundle: Bundle, link: Link, loop: Loop, options: Options, events: Events) -> None:
         self.bundle, self.link, self.loop, self.options, self.events = bundle, link, loop, options, events
         self.limited_targets = 0  # joint targets that left the joint's range and were sent as its end
-        self.done: list[str] = []
-        self._left: list[RowLog] = []  # rows that were broken off
-        self._open: list[tuple[RowLog, Row]] = []  # rows that are walked but not whole on the disk yet
-        self._unnamed: list[RowLog] = []  # rows whose name was taken meanwhile
+        self._keeper = Keeper(events)
         self._channels: list[str] = []
         self._idle: dict[str, float] = {}
         self._torque_share = 1.0  # of what the joints may be told
         self._wanted_heading: float | None = None
         self._held = read_held(bundle.logs, bundle.hold)
         self._vouched: dict[str, str] = {}
+
+    @property
+    def done(self) -> list[str]:
+        """Names of the logs that were recorded."""
+        return self._keeper.done
 
     def run(self, confirm: Callable[[str], None] = lambda text: None) -> list[str]:
         """Names of the logs that were recorded. confirm: asked before the robot moves. Raises Stopped, RuntimeFault."""
@@ -82,9 +85,8 @@ class Session:
                 self._visit(rows)
         finally:
             self.loop.damp(DAMP_SECONDS)
-            self._wait_for_disk()
-        if self._unnamed:
-            raise RuntimeFault(f"{self._unnamed[0].unnamed}. Look at both, and move away the one that is none.")
+            self._keeper.wait()
+        self._keeper.check_kept()
         return self.done
 
     def _visit(self, rows: Sequence[Row]) -> None:
@@ -242,16 +244,15 @@ class Session:
         try:
             for command in commands:
                 self._step(policy, command, log)
-                self._complain([log, *(one for one, _ in self._open)])
+                self._keeper.check(log)
         except Exception as ended:
             if fell(ended, row, log.rows):
                 self._fallen(log, row)
             else:
-                self._left.append(log)
+                self._keeper.broken_off(log)
             raise
         log.closing()
-        self._open.append((log, row))
-        self._recorded()
+        self._keeper.walked(log, row)
 
     def _trim(self, policy: Policy, row: Row) -> tuple[float, bool]:
         hold = self.bundle.hold
@@ -277,7 +278,7 @@ class Session:
     def _fallen(self, log: RowLog, row: Row, **notes: str) -> None:
         """Keep what was walked until a fall as the row's log."""
         log.closing(described=self._described(row, fell=True, **notes))
-        self._open.append((log, row))
+        self._keeper.walked(log, row)
         self.events.say("fell: kept as this row's log; to walk the row again, move the log away", log=row.log)
 
     def _stroll(self, policy: Policy, commands: Sequence[tuple[float, float, float, float]]) -> None:
@@ -293,6 +294,7 @@ class Session:
         reach = self.bundle.reach
 
         def make(state: State) -> Command:
+            given["began"] = time.perf_counter()
             given["sent"] = sent = self._steered(asked, state)
             targets = policy.targets(state, sent)
             if self._torque_share < 1 or reach.weaker:
@@ -304,13 +306,8 @@ class Session:
 
         state = self.loop.tick(make)
         if log is not None:
-            loop, counts, now = self.loop, self.link.counts, self.link.now()
-            noted = (
-                state.stamp,
-                1e3 * (now - state.received),
-                1e3 * loop.late_seconds[-1],
-                1e3 * loop.step_seconds[-1],
-            )
+            counts, now, took = self.link.counts, self.link.now(), time.perf_counter() - given["began"]
+            noted = (state.stamp, 1e3 * (now - state.received), 1e3 * (now - self.loop.due), 1e3 * took)
             log.write(now, samples(state, given["sent"], given["command"]), (*noted, counts.lost, counts.late))
         return state
 
@@ -350,35 +347,6 @@ class Session:
         if self.options.mass_kg is not None:
             facts["mass_kg"] = self.options.mass_kg
         return mapping(self._channels, self._idle, self.bundle.rate_hz, facts)
-
-    @staticmethod
-    def _complain(logs: Sequence[RowLog]) -> None:
-        for log in logs:
-            if log.fault:
-                raise RuntimeFault(f"{log.fault}. The robot sits; free space, then run the same again.")
-
-    def _recorded(self) -> None:
-        """Notes which logs are whole on the disk now."""
-        for log, row in list(self._open):
-            if log.closing().is_set():
-                self._open.remove((log, row))
-                if log.unnamed:
-                    self._unnamed.append(log)
-                    self.events.say("not recorded", log=row.log, why=log.unnamed)
-                    continue
-                self.done.append(row.log)
-                self.events.say("recorded", log=row.log, samples=log.rows)
-
-    def _wait_for_disk(self) -> None:
-        """The robot is damped. What is not on the disk yet waits in memory until there is space."""
-        said = False
-        while self._open or any(not log.closing(whole=False).is_set() for log in self._left):
-            self._recorded()
-            why = next((log.fault for log in [*self._left, *(one for one, _ in self._open)] if log.fault), "")
-            if why and not said:
-                self.events.say("waiting for the disk: free space, what was recorded is in memory", why=why)
-                said = True
-            time.sleep(0.02)
 
 
 def steps_of(commands: Sequence[tuple[float, float, float, float]], rate_hz: float) -> np.ndarray:
