@@ -61,10 +61,14 @@ def command(
     chosen = run_or_policy_file(folder, policy)
     from hts.plugins import load
     from hts.policies.export_command import export_policy
+    from hts.policies.gate_notes import refused_beside
 
     spec = None if robot is None else load().make_robot(robot).spec
     if held_speed and folder is not None:
         from hts.policies.held_commands import held_commands_of
 
         typer.echo(held_commands_of(folder, chosen).said(), err=True)
-    typer.echo(str(export_policy(folder, policy=chosen, format=format_, to=to, robot=spec, held_speed=held_speed)))
+    written = export_policy(folder, policy=chosen, format=format_, to=to, robot=spec, held_speed=held_speed)
+    if refused := refused_beside(written):
+        typer.echo(f"{refused}. It is not bundled for a machine (docs/safety.md).", err=True)
+    typer.echo(str(written))

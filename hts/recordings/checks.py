@@ -31,7 +31,7 @@ def check(recording: Recording, where: str = "Recording") -> None:
                 f"{where}: an idle level is given, but: " + unknown_name("channel", name, recording.channels)
             )
         channel = recording.channels[name].channel
-        if not channel.may_be_constant:
+        if not channel.may_be_constant and not recording.fell:  # a quick fall is over before a slow gauge moves
             check_moves(name, channel.unit, recording.channels[name].values, where)
 
 
@@ -43,7 +43,7 @@ def check_moves(name: str, unit: str, values: np.ndarray, where: str) -> None:
             part = f"'{name}'" if flat.shape[1] == 1 else f"'{name}' column {column}"
             raise RecordingError(
                 f"{where}: {part} is {flat[0, column]:g} {unit} in all {len(flat)} samples. The sensor was probably "
-                f"not being read. Record again, or import without it: --drop {name}"
+                f"not being read. Record again, or leave it out, where it is imported: hts import --drop {name}"
             )
 
 

@@ -134,8 +134,10 @@ class Job:
         return self.world.simulated is not True if strict is None else strict
 
     def note_gate(self, name: str, found: Mapping[str, Any]) -> None:
-        """What the gate found of a policy, beside its ONNX file: worlds that are machines pass it on."""
-        write_json(self.exported(name).with_suffix(".gate.json"), found)
+        """What the gate found of a policy, and whose hash it is, beside its ONNX file: worlds that are machines pass it
+        on."""
+        whose = {} if "policy_hash" in found else {"policy_hash": self.policy(name).card.policy_hash}
+        write_json(self.exported(name).with_suffix(".gate.json"), {**whose, **found})
 
     # ---------------------------------------------------------------------------------------- world and recordings
 

@@ -283,7 +283,7 @@ class FieldWorld(World):
         """What a bundle says of the robot and the run."""
         robot, run = self._robot, self._run_folder()
         hold = self._hold if held else None
-        return Facts(robot.spec, request, hold, robot.channels(), self._real_channels(), run_configuration(run))
+        return Facts(robot.spec, request, hold, robot.channels(), self._real_channels(), run_configuration(run), run)
 
     @staticmethod
     def _idle_levels(mapping: Mapping[str, Any]) -> dict[str, float | None]:

@@ -19,7 +19,7 @@ from hts.errors import WorldError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
 from hts.policies.proof import unproven
-from hts.worlds.field_manifest import Facts, check_gate, first_runs, manifest, policy_entry
+from hts.worlds.field_manifest import Facts, first_runs, gate_of, manifest, policy_entry
 
 UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
 CHECKSUMS = "SHA256SUMS"
@@ -244,7 +244,7 @@ def _write_policies(folder: Path, orders: Sequence[Order], facts: Facts) -> tupl
                 f"{', '.join(still_open)}. It is not bundled for a machine: import it with a log that shows them "
                 "(hts policy import … --log LOG), or put your name to them (--accept ITEM --by NAME), and begin anew."
             )
-        check_gate(order.policy, facts)
+        gate = gate_of(order.policy, card, facts)
         explores = bool(card.exploration_std)
         key = (order.policy, order.name if explores else "")
         if key not in named:
@@ -261,7 +261,7 @@ def _write_policies(folder: Path, orders: Sequence[Order], facts: Facts) -> tupl
                 target.with_suffix(".json"), {**vars(card), **({"exploration": "in the graph"} if explores else {})}
             )
             inside = [None if path is None else path.relative_to(folder).as_posix() for path in (target, mean)]
-            entries.append(policy_entry(card, str(inside[0]), inside[1], seed, order.policy, facts))
+            entries.append(policy_entry(card, str(inside[0]), inside[1], seed, gate, facts))
         shown.append(replace(order, policy=named[key]))
     return shown, entries
 

@@ -36,17 +36,26 @@ def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> 
     check_sections(own_path, own)
     if not path.is_file():
         return dict(own), own_path
-    mapping = load_mapping(path)
+    mapping = _with_levels(load_mapping(path), own)
     check_sections(path, mapping)
-    channels = dict(mapping.get("channels") or {})
     _check_one_file(path, mapping, own, own_path)
-    for channel, one in dict(own.get("channels") or {}).items():
+    facts, stated = dict(mapping.get("recording") or {}), dict(own.get("recording") or {})
+    facts |= {key: value for key, value in stated.items() if value is not None or key not in facts}
+    return {**mapping, "channels": dict(mapping.get("channels") or {}), "recording": facts}, path
+
+
+def _with_levels(mapping: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """A mapping with the idle levels of the run's own in place of its own, whatever those are: before it is checked,
+    since a level that nobody could measure there is mended so."""
+    found, stated = mapping.get("channels"), own.get("channels") or {}
+    if not isinstance(found, Mapping):
+        return dict(mapping)
+    channels = dict(found)
+    for channel, one in stated.items():
         level = one.get("idle") if isinstance(one, Mapping) else None
         if level is not None and isinstance(channels.get(channel), Mapping):
             channels[channel] = {**channels[channel], "idle": level}
-    facts, stated = dict(mapping.get("recording") or {}), dict(own.get("recording") or {})
-    facts |= {key: value for key, value in stated.items() if value is not None or key not in facts}
-    return {**mapping, "channels": channels, "recording": facts}, path
+    return {**mapping, "channels": channels}
 
 
 def check_sections(path: Path, mapping: Mapping[str, Any]) -> None:

@@ -18,7 +18,6 @@ Version 1. A reader refuses a higher `schema_version`; keys are added, never ren
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -31,8 +30,9 @@ import hts
 from hts.channels import Channel
 from hts.config_gate import FirstRunConfig
 from hts.contracts import HoldSpeed, RobotSpec
-from hts.errors import WorldError
+from hts.errors import PolicyError, WorldError
 from hts.policies.export import CLIP
+from hts.policies.gate_notes import note_of, refusal
 
 SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
 WARMUP_SECONDS = 600.0  # of walking before a head-to-head: windings take about that long
@@ -58,7 +58,8 @@ class Trained:
 
 @dataclass(frozen=True)
 class Facts:
-    """What a bundle says of the robot and the run. run: its resolved configuration, {} where there is none."""
+    """What a bundle says of the robot and the run. run: its resolved configuration, {} where there is none; folder: of
+    the run, None where there is none."""
 
     spec: RobotSpec
     request: str = ""
@@ -66,6 +67,7 @@ class Facts:
     sim: Mapping[str, Channel] = field(default_factory=dict)
     real: Sequence[Channel] = ()
     run: Mapping[str, Any] = field(default_factory=dict)
+    folder: Path | None = None
 
 
 def run_configuration(folder: Path) -> Mapping[str, Any]:
@@ -131,12 +133,11 @@ def policy_entry(
     file: str,
     mean_file: str | None,
     seed: int | None,
-    source: Path,
+    gate: Mapping[str, Any] | None,
     facts: Facts,
 ) -> dict[str, Any]:
-    """What the manifest says of one graph. card: of the policy; seed: of the noise in its graph, None without;
-    source: the exported policy that it was made of, beside which `NAME.gate.json` may lie: what the gate before
-    hardware found."""
+    """What the manifest says of one graph. card: of the policy; seed: of the noise in its graph, None without; gate:
+    what the gate before hardware found of it."""
     exploration = None
     if seed is not None:
         exploration = {"where": "graph", "sigma": list(card.exploration_std), "seed": seed}
@@ -151,7 +152,7 @@ def policy_entry(
         "normaliser": {"where": "graph", "formula": "clip((observation - mean) / std)", "clip": CLIP},
         "exploration": exploration,
         "trained": _trained(card, facts),
-        "gate": _gate(source),
+        "gate": gate,
     }
 
 
@@ -186,31 +187,18 @@ def _inside(content: Any, *path: str) -> Any:
     return content
 
 
-def check_gate(source: Path, facts: Facts) -> None:
-    """Raise WorldError for a policy that the gate before hardware refused, unless the run's `gate.strict: false` says
-    that a machine may have it, or of which nobody can read what the gate found. source: of an exported policy."""
-    found = _gate(source)
-    if not isinstance(found, Mapping) or found.get("passed") is not False:
-        return
-    if _inside(facts.run, "gate", "strict") is False:
-        return
-    refused = found.get("refused") or f"{source.name} is refused by the gate"
-    raise WorldError(
-        f"{source}: {refused}. It is not bundled for a machine: give a policy that passed. A run that lets a machine "
-        "have who fails the gate is begun with --set gate.strict=false (docs/safety.md)."
-    )
-
-
-def _gate(source: Path) -> Any:
-    """What the gate before hardware wrote of a policy; None where it was not tried. Raises WorldError where it wrote
-    what cannot be read."""
-    path = source.with_suffix(".gate.json")
+def gate_of(source: Path, card: SimpleNamespace, facts: Facts) -> Mapping[str, Any] | None:
+    """What the gate before hardware found of an exported policy, None where it was not tried. Raises WorldError for one
+    that it refused, unless the run's `gate.strict: false` says that a machine may have it, and where nobody can tell
+    what it found."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
+        found = note_of(source, vars(card), facts.folder)
+    except PolicyError as error:
+        raise WorldError(str(error)) from error
+    refused = refusal(found, source.name)
+    if refused and _inside(facts.run, "gate", "strict") is not False:
         raise WorldError(
-            f"{path}: cannot be read as JSON ({error}), so nobody knows whether the gate refused {source.name}. "
-            "Restore the file, or take a policy that passed."
-        ) from error
+            f"{source}: {refused}. It is not bundled for a machine: give a policy that passed. A run that lets a "
+            "machine have who fails the gate is begun with --set gate.strict=false (docs/safety.md)."
+        )
+    return found

@@ -182,6 +182,13 @@ def test_simulated_channels_and_honest_constants_may_stand_still() -> None:
     check(with_channel(a_recording(), "joint_torque", "N*m", np.zeros((50, 2)), (2,)))
 
 
+def test_a_quick_fall_may_be_over_before_a_slow_gauge_moves(store: RecordingStore) -> None:
+    still = with_channel(a_recording(), "draw", "A", np.full(50, 58.0))
+    with pytest.raises(RecordingError, match=r"Record again, or leave it out, where it is imported: hts import --drop"):
+        check(still)
+    assert store.read(store.write(still.replace(fell=True))).fell
+
+
 def test_values_that_are_no_numbers_are_refused() -> None:
     with pytest.raises(RecordingError, match="'draw' does not hold an array of numbers"):
         Series(Channel("draw", "A"), np.array(["one", "two"]))

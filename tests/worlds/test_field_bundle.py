@@ -45,11 +45,12 @@ def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, p
         "finetune: {env: {randomisation: {delay_steps: [1, 2]}, commands: {vx: [0.2, 1.5]}}}\n"
         "gate: {first_run: {speed_scale: 0.4}}\n"
     )
-    policy.with_suffix(".gate.json").write_text('{"passed": true}')
+    found = {"passed": True, "policy_hash": DeployedPolicy(policy).card.policy_hash}
+    policy.with_suffix(".gate.json").write_text(json.dumps(found))
     with pytest.raises(WaitingForRobot):
         holding(run).head_to_head(policy, policy, [0.8])
     manifest = json.loads((bundle(run) / "manifest.json").read_text())
-    assert manifest["policies"][0]["gate"] == {"passed": True}
+    assert manifest["policies"][0]["gate"] == found
     assert manifest["policies"][0]["trained"]["source"] == "card of the policy"  # what it says of itself comes first
     assert manifest["hold"] == {"commands": [0.4, 1.2], "seconds": 12.0, "tolerance": 0.01}
     assert manifest["warmup_seconds"] == 600.0
@@ -160,6 +161,16 @@ def test_an_empty_mass_of_the_runs_own_mapping_is_asked_for_beside_a_log_that_do
     assert self_described().mass_kg == 13.2
 
 
+def test_a_level_that_was_measured_by_hand_wins_over_one_that_is_no_number(run, self_described):
+    def spoil(mapping):
+        mapping["channels"]["battery_current"]["idle"] = "NaN"
+
+    with pytest.raises(RecordingError, match=r"00.yaml: channels.battery_current.idle: expected a number"):
+        self_described(spoil)
+    fill_in(run)
+    assert self_described(spoil).idle["battery_current"] == 1.3
+
+
 @pytest.mark.parametrize("key", ["files", "level"])
 def test_another_sensor_in_the_runs_own_mapping_is_refused_rather_than_passed_over(run, self_described, key):
     path = run / "field" / "mapping.yaml"
@@ -181,32 +192,6 @@ def test_a_log_that_ends_in_a_fall_may_be_shorter_than_its_row(self_described):
     assert found.fell and found.seconds == pytest.approx(1.0, abs=0.05)
     with pytest.raises(RecordingError, match=r"5.0 s long, but 3 s were to be recorded"):
         self_described(seconds=5.0)
-
-
-REFUSED = '{"passed": false, "refused": "00-00 is refused by the gate: the trunk tilts by 31 degrees (allowed: 25)"}'
-
-
-def test_a_policy_that_the_gate_refused_is_not_bundled_unless_the_run_lets_a_machine_have_it(run, policy):
-    policy.with_suffix(".gate.json").write_text(REFUSED)
-    refused = r"walk.onnx: 00-00 is refused by the gate: .*\(allowed: 25\)\. It is not bundled.*gate\.strict=false"
-    for strict in ("", "gate: {strict: null}\n", "gate: {strict: true}\n"):
-        (run / "config.yaml").write_text(f"preset: smoke\n{strict}")
-        with pytest.raises(WorldError, match=refused) as caught:
-            field(run).head_to_head(policy, policy, [0.8])
-        assert "\n" not in str(caught.value)
-        assert not list(run.rglob("policies"))  # nor half of it
-    (run / "config.yaml").write_text("gate: {strict: false}\n")
-    with pytest.raises(WaitingForRobot):
-        field(run).head_to_head(policy, policy, [0.8])
-    assert json.loads((bundle(run) / "manifest.json").read_text())["policies"][0]["gate"]["passed"] is False
-
-
-def test_a_policy_of_which_nobody_can_read_what_the_gate_found_is_not_bundled(run, policy):
-    policy.with_suffix(".gate.json").write_text(REFUSED[:20])
-    with pytest.raises(
-        WorldError, match=r"walk.gate.json: cannot be read as JSON .*whether the gate refused walk.onnx"
-    ):
-        field(run).head_to_head(policy, policy, [0.8])
 
 
 @pytest.mark.parametrize(

@@ -14,14 +14,17 @@ import numpy as np
 
 from hts_go1_runtime import machine
 from hts_go1_runtime.errors import RuntimeFault
-from hts_go1_runtime.gated import check_gate
+from hts_go1_runtime.gated import check_gate, check_whose
 from hts_go1_runtime.policy import PARTS, Policy
+from hts_go1_runtime.reach import Reach, reach_of
 
 SCHEMA, VERSION = "hts deploy bundle", 1
 CHECKSUMS = "SHA256SUMS"
 LARGEST_FILE = 64 * 2**20  # bytes
 LONGEST_ROW = 3600.0  # s
 FASTEST, FASTEST_TURN = 3.0, 3.0  # m/s, rad/s: no command for this robot
+FIRST_RUNS = {"speed_scale": (0.1, 1.0), "torque_scale": (0.1, 1.0), "seconds": (1.0, 600.0)}
+"""From, to; hts refuses the same in `gate.first_run`."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class Hold:
 
 @dataclass(frozen=True)
 class Bundle:
-    """A bundle that was checked. policies: file -> policy, ready to run."""
+    """A bundle that was checked. policies: file -> policy, ready to run; reach: what the joints may be told."""
 
     folder: Path
     manifest: Mapping[str, Any]
@@ -60,6 +63,7 @@ class Bundle:
     rows: Sequence[Row]
     hold: Hold | None
     rate_hz: float
+    reach: Reach
 
     @property
     def logs(self) -> Path:
@@ -72,17 +76,17 @@ def load_bundle(folder: Path) -> Bundle:
     manifest = _manifest(folder / "manifest.json", sums)
     where = str(folder / "manifest.json")
     try:
-        _check_robot(manifest["robot"], where)
+        reach = _reach(manifest["robot"], where)
         rate = float(manifest["control"]["rate_hz"])
         if not 1 <= rate <= 500:
             raise RuntimeFault(f"{where}: control rate {rate:g} Hz, expected 1 to 500.")
         policies = {}
         for entry in manifest["policies"]:
-            _check_entry(entry, rate, f"{where}: policy {entry['file']}")
+            _check_entry(entry, rate, reach, f"{where}: policy {entry['file']}")
             check_gate(entry["gate"], f"{where}: policy {entry['file']}")
             content = _read(folder, str(entry["file"]), sums)
             policies[str(entry["file"])] = policy = Policy(entry, content, str(folder / entry["file"]))
-            _check_card(policy)
+            check_whose(entry["gate"], _checked_card(policy), f"{where}: policy {entry['file']}")
         rows = [_row(row, policies, where) for row in manifest["rows"]]
         hold = _hold(manifest["hold"], where)
         _check_visit(manifest, where)
@@ -93,7 +97,7 @@ def load_bundle(folder: Path) -> Bundle:
         raise RuntimeFault(f"{where}: rows {[row.log for row in rows][:8]}, expected names, each once.")
     if hold is None and any(row.trim for row in rows):
         raise RuntimeFault(f"{where}: a row is to be trimmed, but nothing says how (`hold`). Make the bundle again.")
-    return Bundle(folder, manifest, policies, rows, hold, rate)
+    return Bundle(folder, manifest, policies, rows, hold, rate, reach)
 
 
 def _checksums(folder: Path) -> dict[str, str]:
@@ -147,26 +151,16 @@ def _manifest(path: Path, sums: Mapping[str, str]) -> Mapping[str, Any]:
     return found
 
 
-def _check_robot(robot: Mapping[str, Any], where: str) -> None:
-    """The manifest's robot is this one, and its limits allow no more than ours."""
+def _reach(robot: Mapping[str, Any], where: str) -> Reach:
+    """The manifest's robot is this one; what its joints may be told."""
     if list(robot["joint_names"]) != list(machine.JOINTS):
         raise RuntimeFault(
             f"{where}: joints {robot['joint_names']}, this robot's are {list(machine.JOINTS)}, in that order."
         )
-    low, high = np.array(robot["position_limit"], float).T
-    for what, wider in (
-        ("position_limit", (low < machine.POSITION_LOW - 1e-9) | (high > machine.POSITION_HIGH + 1e-9)),
-        ("velocity_limit", _numbers(robot, "velocity_limit", where) > machine.VELOCITY_LIMIT + 1e-9),
-        ("torque_limit", _numbers(robot, "torque_limit", where) > machine.TORQUE_LIMIT + 1e-9),
-    ):
-        if wider.any():
-            joint = machine.JOINTS[int(np.flatnonzero(wider)[0])]
-            raise RuntimeFault(
-                f"{where}: {what} of {joint} is wider than the robot's own. Make the bundle for this robot."
-            )
+    return reach_of(robot, where)
 
 
-def _check_entry(entry: Mapping[str, Any], rate: float, where: str) -> None:
+def _check_entry(entry: Mapping[str, Any], rate: float, reach: Reach, where: str) -> None:
     """Joint order, gains, scale, pose, rate and observation of a policy are such that this robot may run it."""
     if list(entry["joint_names"]) != list(machine.JOINTS):
         raise RuntimeFault(f"{where}: made for joints {entry['joint_names']}, expected {list(machine.JOINTS)}.")
@@ -185,12 +179,12 @@ def _check_entry(entry: Mapping[str, Any], rate: float, where: str) -> None:
                 f"{where}: {key} {values[joint]:g} of {machine.JOINTS[joint]}, this robot takes {low:g} to {high:g}."
             )
     pose = _numbers(entry, "default_pose", where)
-    outside = np.flatnonzero((pose < machine.TARGET_LOW) | (pose > machine.TARGET_HIGH))
+    outside = np.flatnonzero((pose < reach.low) | (pose > reach.high))
     if outside.size:
         joint = int(outside[0])
         raise RuntimeFault(
             f"{where}: default_pose {pose[joint]:g} rad of {machine.JOINTS[joint]}, its range is "
-            f"{machine.TARGET_LOW[joint]:g} to {machine.TARGET_HIGH[joint]:g}."
+            f"{reach.low[joint]:g} to {reach.high[joint]:g}."
         )
     for part in entry["observation"]:
         if PARTS.get(part["name"]) != part["size"]:
@@ -203,8 +197,8 @@ def _check_entry(entry: Mapping[str, Any], rate: float, where: str) -> None:
         raise RuntimeFault(f"{where}: history {entry['history']}, expected 1 to 1000 observations.")
 
 
-def _check_card(policy: Policy) -> None:
-    """What the graph carries itself agrees with the manifest."""
+def _checked_card(policy: Policy) -> Mapping[str, Any]:
+    """What the graph carries itself, which agrees with the manifest."""
     try:
         card = json.loads(policy.metadata["hts"])
     except (KeyError, ValueError) as error:
@@ -219,6 +213,7 @@ def _check_card(policy: Policy) -> None:
         raise RuntimeFault(
             f"{policy.where}: manifest and graph disagree about exploration noise. Make the bundle again."
         )
+    return card  # type: ignore[no-any-return]
 
 
 def _row(row: Mapping[str, Any], policies: Mapping[str, Policy], where: str) -> Row:
@@ -263,9 +258,7 @@ def _check_visit(manifest: Mapping[str, Any], where: str) -> None:
     for content, key, low, high in (
         (manifest, "warmup_seconds", 0.0, LONGEST_ROW),
         (manifest["control"], "unsteady_seconds", 0.0, 60.0),
-        (first, "speed_scale", 0.0, 1.0),
-        (first, "torque_scale", 0.1, 1.0),
-        (first, "seconds", 0.0, 600.0),
+        *((first, key, low, high) for key, (low, high) in FIRST_RUNS.items()),
     ):
         value = float(content[key])
         if not low <= value <= high:

@@ -14,10 +14,10 @@ from typing import NoReturn
 
 from hts_go1_runtime.bundle import LONGEST_ROW, Bundle, load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
+from hts_go1_runtime.events import Events, aloud
 from hts_go1_runtime.figures import figures
 from hts_go1_runtime.gated import LEAST_DIGITS, gate_in_words, vouched_for
 from hts_go1_runtime.lock import alone
-from hts_go1_runtime.log import Events
 from hts_go1_runtime.loop import Loop, without_collection
 from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.operator_key import StopFile, ask, listen, signals
@@ -26,6 +26,7 @@ from hts_go1_runtime.udp import UdpLink
 
 DONE, REFUSED, STOPPED = 0, 2, 3
 VOUCH = f"{LEAST_DIGITS} digits or more of the hash of a policy that failed the gate and that you want walked"
+EXTERNAL = "a measured channel that the robot does not give, and that a sensor of its own logs meanwhile"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,21 +41,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return bench(options.bundle, options.seconds, options.stops)
         bundle = load_bundle(options.bundle)
         if options.command == "check":
-            print(_described(bundle))
+            aloud(_described(bundle))
             vouched_for(bundle.policies, bundle.policies, options.vouch)
             return DONE
         return _run(bundle, options)
     except RuntimeFault as fault:
-        print(f"refused: {fault}", file=sys.stderr)
+        aloud(f"refused: {fault}", sys.stderr)
         return REFUSED
     except Stopped as stopped:
-        print(f"stopped: {stopped}. The robot is damped; look at it before you go on.", file=sys.stderr)
+        aloud(f"stopped: {stopped}. The robot is damped; look at it before you go on.", sys.stderr)
         return STOPPED
 
 
 def _run(bundle: Bundle, options: argparse.Namespace) -> int:
-    rows, vouched = tuple(options.rows.split(",")) if options.rows else (), tuple(options.vouch)
-    asked = Options(rows, options.idle_seconds, options.warmup, options.first_run, options.mass, vouched)
+    rows = tuple(options.rows.split(",")) if options.rows else ()
+    vouched, external = tuple(options.vouch), tuple(options.external)
+    asked = Options(rows, options.idle_seconds, options.warmup, options.first_run, options.mass, vouched, external)
     stop = bundle.folder / "STOP"
     if stop.exists():
         raise RuntimeFault(f"{stop}: is there and means stop. Remove it to begin.")
@@ -94,7 +96,7 @@ def _unexpected(error: Exception, moved: bool, events: Events) -> RuntimeFault:
 def _confirm(text: str, yes: bool, loop: Loop) -> None:
     """A person says that the robot may move; from then on the same key stops it."""
     if yes:
-        print(text, flush=True)
+        aloud(text)
     else:
         loop.pause()
         ask(f"{text}\nEnter begins; after that, Enter stops. Anything else that is typed now ends this.", loop.heed)
@@ -168,6 +170,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--warmup", type=most_warmup, help="s of walking before a head-to-head (default: the bundle's)")
     run.add_argument("--first-run", action="store_true", help="walk each policy slowly and weakly, record nothing")
     run.add_argument("--mass", type=_number(1, 100), help="kg of the robot as it walks, for the log")
+    run.add_argument("--external", action="append", default=[], metavar="CHANNEL", help=f"{EXTERNAL}; repeatable")
     current, temperature = Limits.current, Limits.temperature
     run.add_argument("--most-current", type=_number(1, 100), default=current, help="A from the pack, beyond: stop")
     run.add_argument(

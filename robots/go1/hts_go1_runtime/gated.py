@@ -23,6 +23,24 @@ def check_gate(gate: object, where: str) -> None:
         )
 
 
+def check_whose(gate: Mapping[str, Any] | None, card: Mapping[str, Any], where: str) -> None:
+    """Raise RuntimeFault for a result that is another policy's. card: which the graph carries; commands of held speeds
+    in front of a policy have a hash of their own, and what was found of the policy inside holds for both."""
+    if gate is None:
+        return
+    made = card.get("made")
+    held = made.get("held") if isinstance(made, Mapping) else None
+    hashes = [card.get("policy_hash"), held.get("policy_hash") if isinstance(held, Mapping) else None]
+    found = gate.get("policy_hash")
+    if found is None and not gate["passed"]:
+        return  # a refusal need not say whom: nothing is gained by believing it
+    if found is None or found not in hashes:
+        whose = "does not say of which policy it is" if found is None else f"is of policy {str(found)[:LEAST_DIGITS]}…"
+        raise RuntimeFault(
+            f"{where}: its gate result {whose}, the graph is {str(hashes[0])[:LEAST_DIGITS]}…. Make the bundle again."
+        )
+
+
 def gate_in_words(gate: Mapping[str, Any] | None) -> str:
     """A few words for a list."""
     if gate is None:

@@ -7,20 +7,18 @@ its name once it is whole. If the disk refuses (full), rows wait in memory and a
 
 from __future__ import annotations
 
-import contextlib
+import itertools
 import json
 import os
 import queue
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hts_go1_runtime.errors import Stopped
 from hts_go1_runtime.link import Command, State
 from hts_go1_runtime.machine import JOINTS
 
@@ -50,17 +48,24 @@ def columns_of(channel: str) -> list[str]:
     return [f"{channel}_{number}" for number in range(size)] if size else [channel]
 
 
-def measured(state: State) -> list[str]:
-    """Channels that the robot gives, judged by one state: all but those that hold what is not measured."""
-    values: dict[str, Any] = {
-        "base_velocity": state.velocity,
-        "foot_force": state.foot_force,
-        "battery_current": state.current,
-        "battery_voltage": state.voltage,
-        "state_of_charge": state.charge,
-        "motor_temperature": state.temperature,
-    }
-    return [name for name in CHANNELS if name not in values or np.isfinite(values[name]).all()]
+def measured(states: Sequence[State]) -> list[str]:
+    """Channels that the robot gives, judged by its first states: one that holds numbers in none of them is not
+    measured. A single state would not do, since a sensor's first readings may be missing."""
+
+    def seen(name: str) -> bool:
+        return any(np.isfinite(_MAY_BE_MISSING[name](state)).all() for state in states)
+
+    return [name for name in CHANNELS if name not in _MAY_BE_MISSING or seen(name)]
+
+
+_MAY_BE_MISSING: Mapping[str, Callable[[State], Any]] = {
+    "base_velocity": lambda state: state.velocity,
+    "foot_force": lambda state: state.foot_force,
+    "battery_current": lambda state: state.current,
+    "battery_voltage": lambda state: state.voltage,
+    "state_of_charge": lambda state: state.charge,
+    "motor_temperature": lambda state: state.temperature,
+}
 
 
 def samples(state: State, sent: np.ndarray, command: Command) -> dict[str, Any]:
@@ -114,16 +119,19 @@ class RowLog:
     """
 
     def __init__(self, folder: Path, name: str, channels: Sequence[str], described: str = "") -> None:
+        self._stem, self.elsewhere = name, ""  # elsewhere: the file that was written in place of a refused one
         self._target, self._partial = folder / f"{name}.csv", folder / f".{name}.csv.partial"
         self._mapping, self._described = folder / "mappings" / f"{name}.yaml", described
         self._channels, self.rows, self.fault = list(channels), 0, ""
         self.unnamed = ""  # why a whole log on the disk did not get its name
         self._waiting = b""
+        self._other: Path | None = None
         columns = ["time", *(column for name in channels for column in columns_of(name)), *NOTED]
         # Stamps to the microsecond; values to seven digits, what a float32 holds.
         self._format = ",".join(["%.6f"] + ["%.7g"] * (len(columns) - 1 - len(NOTED)) + ["%.6f"] + ["%.6g"] * 5) + "\n"
         self._queue: queue.SimpleQueue[list[float] | str | None] = queue.SimpleQueue()
-        self._queue.put(",".join(columns) + "\n")
+        self._header = ",".join(columns) + "\n"
+        self._queue.put(self._header)
         self._done = threading.Event()
         self._closed = False
         threading.Thread(target=self._work, daemon=True).start()
@@ -144,6 +152,11 @@ class RowLog:
             self._closed, self._whole, self._at_last = True, whole, described
             self._queue.put(None)
         return self._done
+
+    def write_elsewhere(self, folder: Path) -> None:
+        """Should the disk still refuse: all of it into this folder instead, with its mapping, where `elsewhere` says.
+        After `closing`."""
+        self._other = folder
 
     def _work(self) -> None:
         """The writing thread."""
@@ -168,12 +181,30 @@ class RowLog:
                 self.fault = ""
             except OSError as error:
                 self.fault = f"{error.filename or self._partial}: cannot be written ({error.strerror})"
-                time.sleep(TRY_AGAIN_SECONDS)
-                continue
+                if not (over and self._other is not None and self._rescued(handle, self._other)):
+                    time.sleep(TRY_AGAIN_SECONDS)
+                    continue
             if over:
                 break
-        os.close(handle)
+        if handle >= 0:
+            os.close(handle)
         self._done.set()
+
+    def _rescued(self, handle: int, folder: Path) -> bool:
+        """Write what is on the disk and what waits into another folder; False if that does not work either."""
+        try:
+            written = os.pread(handle, os.fstat(handle).st_size, 0) if handle >= 0 else b""
+        except OSError:  # what is in memory at least
+            written = b"" if self._waiting.startswith(self._header.encode()) else self._header.encode()
+        file = folder / (f"{self._stem}.csv" if self._whole else f"{self._stem}.csv.partial")
+        try:
+            write_whole(file, (written + self._waiting).decode())
+            write_whole(folder / "mappings" / f"{self._stem}.yaml", self._at_last or self._described)
+        except OSError as error:
+            self.fault = f"{error.filename or file}: cannot be written ({error.strerror})"
+            return False
+        self.elsewhere = str(file)
+        return True
 
     def _pour(self, handle: int) -> None:
         """What waits, onto the disk, in whole lines: a disk that fills up within one gets none of that one."""
@@ -197,9 +228,9 @@ class RowLog:
         if self._described:
             write_whole(self._mapping, self._described)
         if self._partial.exists():
-            left = len(list(self._partial.parent.glob(f"{self._partial.name}-*")))
-            self._partial.replace(self._partial.with_name(f"{self._partial.name}-{left}"))
-        return os.open(self._partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+            names = (self._partial.with_name(f"{self._partial.name}-{number}") for number in itertools.count())
+            self._partial.replace(next(name for name in names if not name.exists()))  # one may have been taken away
+        return os.open(self._partial, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
 
     def _name(self) -> None:
         """The mapping is there already, so whoever sees the log sees what it is."""
@@ -227,77 +258,3 @@ def write_whole(path: Path, text: str) -> None:
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)
-
-
-def append_whole(path: Path, line: str) -> None:
-    """A line at the end of a file, or nothing. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    try:
-        size, left = os.fstat(handle).st_size, line.encode()
-        try:
-            while left:
-                left = left[os.write(handle, left) :]
-        except OSError:
-            os.ftruncate(handle, size)  # of a full disk: half a line is worse than none
-            raise
-    finally:
-        os.close(handle)
-
-
-class Events:
-    """What happened in a session, one JSON line each, in logs/events.jsonl; said aloud too. By a thread: neither a disk
-    nor a terminal makes a step late. What a full disk refuses waits, in order, and is written once there is space; what
-    is said aloud does not wait for it."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._queue: queue.SimpleQueue[tuple[str, Callable[[], None]] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
-
-    def say(self, what: str, **numbers: Any) -> None:
-        """Note something."""
-        line = json.dumps({"at": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "what": what, **numbers}) + "\n"
-        shown = " ".join([what, *(f"{key}={value}" for key, value in numbers.items())])
-        self._queue.put((shown, lambda: append_whole(self._path, line)))
-
-    @contextlib.contextmanager
-    def stops(self) -> Iterator[None]:
-        """Note what stops the robot while inside."""
-        try:
-            yield
-        except Stopped as stopped:
-            self.say("stopped", reason=stopped.reason, detail=stopped.detail)
-            raise
-
-    def keep(self, path: Path, text: str) -> None:
-        """Write a small file."""
-        self._queue.put(("", lambda: write_whole(path, text)))
-
-    def close(self, seconds: float = 10.0) -> None:
-        """Wait until all is written, at most so long."""
-        self._queue.put(None)
-        self._thread.join(seconds)
-
-    def _work(self) -> None:
-        waiting: deque[Callable[[], None]] = deque()
-        over = said = False
-        while not over or waiting:
-            try:
-                item = self._queue.get(timeout=TRY_AGAIN_SECONDS if waiting else None)
-                over = over or item is None
-                if item is not None:
-                    if item[0]:
-                        print(item[0], flush=True)
-                    waiting.append(item[1])
-            except queue.Empty:
-                pass
-            try:
-                while waiting:
-                    waiting[0]()
-                    waiting.popleft()
-            except OSError as error:
-                if not said:
-                    print(f"{error.filename or self._path}: cannot be written yet ({error.strerror})", flush=True)
-                said = True

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.link import State
@@ -12,8 +13,9 @@ from hts_go1_runtime.posture import carried
 WATCHED = 0.1  # s: of states for the mean torque of a joint
 
 
-def meet(loop: Loop) -> State:
-    """The robot's first state, with nothing wrong with it; the robot lies or hangs. Raises RuntimeFault, Stopped."""
+def meet(loop: Loop) -> list[State]:
+    """The robot's first states, the first with nothing wrong with it; the robot lies or hangs. Raises RuntimeFault,
+    Stopped."""
     state = loop.start()
     if state.voltage == 0 and state.current == 0:  # before an empty pack is seen in it
         raise RuntimeFault(
@@ -23,8 +25,28 @@ def meet(loop: Loop) -> State:
     fault = loop.look_over(state)
     if fault:
         raise RuntimeFault(f"The robot is not fit to start: {fault[0]}, {fault[1]}.")
-    check_lies([state, *loop.watch(WATCHED)])
-    return state
+    states = [state, *loop.watch(WATCHED)]
+    check_lies(states)
+    return states
+
+
+def check_channels(wanted: Mapping[str, Any], measured: Sequence[str], external: Sequence[str]) -> None:
+    """Raise RuntimeFault for a channel that only a robot gives and that this one does not: rows without it would be
+    walked in vain. wanted: the manifest's; external: those that a sensor of its own logs."""
+    for name in external:
+        if name not in wanted:
+            raise RuntimeFault(f"--external {name}: the bundle's channels are {', '.join(wanted)}.")
+    missing = [
+        name
+        for name, one in wanted.items()
+        if isinstance(one, Mapping) and one.get("real") and name not in measured and name not in external
+    ]
+    if missing:
+        options = " ".join(f"--external {name}" for name in missing)
+        raise RuntimeFault(
+            f"The link gives no {', '.join(missing)}, for which the rows are walked. Start what reads it on the robot, "
+            f"or, if a sensor of its own logs it beside: {options}."
+        )
 
 
 def check_lies(states: Sequence[State]) -> None:

@@ -12,14 +12,18 @@ import numpy as np
 
 from hts_go1_runtime.bundle import Bundle, Row
 from hts_go1_runtime.errors import RuntimeFault, Stopped
+from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
+from hts_go1_runtime.first_run import FirstRun
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
-from hts_go1_runtime.link import DAMPING, NOTHING, Command, Link, State
-from hts_go1_runtime.log import REAL, Events, RowLog, mapping, measured, samples
+from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
+from hts_go1_runtime.keeping import Keeper
+from hts_go1_runtime.link import DAMPING, Command, Link, State
+from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
-from hts_go1_runtime.machine import SIT, STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT
-from hts_go1_runtime.meeting import check_lies, meet
+from hts_go1_runtime.machine import SIT, STAND
+from hts_go1_runtime.meeting import check_channels, check_lies, meet
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.trimming import Trimming
 
@@ -27,15 +31,16 @@ HEADING_GAIN, LARGEST_YAW_RATE = 0.5, 1.0  # rad/s per rad, rad/s: as the polici
 STAND_KP, STAND_KD = np.full(12, 40.0), np.full(12, 1.0)
 FAR = 0.6  # rad: from further away the robot folds its legs before it stands up
 UP_SECONDS, DOWN_SECONDS, STAND_SECONDS, LETTING_GO = 2.0, 2.0, 1.0, 1.0
+STILL = [(LETTING_GO, 0.0, 0.0, 0.0)]
 DAMP_SECONDS = 1.0  # of repeated damping commands after a stop, in case some are lost
-IDLE_AGREES = 0.03  # of the level: a larger difference before and after a visit is something else that draws
 
 
 @dataclass(frozen=True)
 class Options:
     """rows: names of those to record, none: all that have no log yet; idle_seconds: to measure the idle levels before
     standing up, 0: not; warmup_seconds: None: the bundle's; first_run: walk each policy slowly and weakly, record
-    nothing; mass_kg: for the mapping; vouched: hashes of policies that failed the gate and are to be walked."""
+    nothing; mass_kg: for the mapping; vouched: hashes of policies that failed the gate and are to be walked; external:
+    channels that a sensor of its own logs."""
 
     rows: tuple[str, ...] = ()
     idle_seconds: float = 10.0
@@ -43,6 +48,7 @@ class Options:
     first_run: bool = False
     mass_kg: float | None = None
     vouched: tuple[str, ...] = ()
+    external: tuple[str, ...] = ()
 
 
 class Session:
@@ -51,16 +57,18 @@ class Session:
     def __init__(self, bundle: Bundle, link: Link, loop: Loop, options: Options, events: Events) -> None:
         self.bundle, self.link, self.loop, self.options, self.events = bundle, link, loop, options, events
         self.limited_targets = 0  # joint targets that left the joint's range and were sent as its end
-        self.done: list[str] = []
-        self._left: list[RowLog] = []  # rows that were broken off
-        self._open: list[tuple[RowLog, Row]] = []  # rows that are walked but not whole on the disk yet
-        self._unnamed: list[RowLog] = []  # rows whose name was taken meanwhile
+        self._keeper = Keeper(events)
         self._channels: list[str] = []
         self._idle: dict[str, float] = {}
-        self._torque = TORQUE_LIMIT
+        self._torque_share = 1.0  # of what the joints may be told
         self._wanted_heading: float | None = None
         self._held = read_held(bundle.logs, bundle.hold)
         self._vouched: dict[str, str] = {}
+
+    @property
+    def done(self) -> list[str]:
+        """Names of the logs that were recorded."""
+        return self._keeper.done
 
     def run(self, confirm: Callable[[str], None] = lambda text: None) -> list[str]:
         """Names of the logs that were recorded. confirm: asked before the robot moves. Raises Stopped, RuntimeFault."""
@@ -77,14 +85,14 @@ class Session:
                 self._visit(rows)
         finally:
             self.loop.damp(DAMP_SECONDS)
-            self._wait_for_disk()
-        if self._unnamed:
-            raise RuntimeFault(f"{self._unnamed[0].unnamed}. Look at both, and move away the one that is none.")
+            self._keeper.wait()
+        self._keeper.check_kept()
         return self.done
 
     def _visit(self, rows: Sequence[Row]) -> None:
         """From lying to lying."""
-        self._idle = self._measure_idle("idle")
+        seen, self._idle = self._measure_idle("idle")
+        check_read(seen)
         self._stand_up()
         try:
             self._walk_rows(rows)
@@ -120,13 +128,14 @@ class Session:
         """First words with the robot: what it measures, and whether that is enough."""
         self.events.say("waiting for the robot's first state", at_most_s=FIRST_STATE)
         self._channels = measured(meet(self.loop))
+        if not self.options.first_run:
+            check_channels(self.bundle.manifest["channels"], self._channels, self.options.external)
         if self.bundle.hold and any(row.trim for row in rows) and "base_velocity" not in self._channels:
             raise RuntimeFault(
                 "The speed is to be held, but the link gives no speed of the trunk. Connect the speed sensor (motion "
                 "capture or a camera)."
             )
-        wanted = self.bundle.manifest["channels"]
-        missing = [name for name in wanted if name not in self._channels]
+        missing = [name for name in self.bundle.manifest["channels"] if name not in self._channels]
         if missing:
             self.events.say("not measured by this link", channels=missing)
 
@@ -140,30 +149,24 @@ class Session:
             + "The robot will stand up and walk. Is everybody clear?"
         )
 
-    def _measure_idle(self, what: str) -> dict[str, float]:
-        """Idle levels: electronics on, motors idle."""
-        seen: dict[str, list[float]] = {name: [] for name in REAL if name in self._channels}
-        for _ in range(round(self.options.idle_seconds / self.loop.period)):
-            state = self.loop.tick(lambda _: NOTHING)
-            for name, value in (("battery_current", state.current), ("battery_voltage", state.voltage)):
-                if name in seen:
-                    seen[name].append(value)
-        levels = {name: float(np.mean(values)) for name, values in seen.items() if values}
-        if levels:
-            self.events.say(what, **{name: round(level, 3) for name, level in levels.items()})
-        return levels
+    def _measure_idle(self, what: str) -> tuple[Readings, dict[str, float]]:
+        """What the battery monitor shows, and the levels."""
+        seen = readings(self.loop, self._channels, self.options.idle_seconds)
+        found = levels(seen)
+        if found:
+            self.events.say(what, **{name: round(level, 3) for name, level in found.items()})
+        return seen, found
 
     def _idle_again(self) -> None:
-        """The levels once more after a visit that recorded something: the logs state those of before it. The voltage
-        sinks by itself as the pack is used, so the current tells."""
+        """The levels once more after a visit that recorded something: the logs state those of before it."""
         if self.options.first_run:
             return
-        before, after = (one.get("battery_current") for one in (self._idle, self._measure_idle("idle after")))
-        if before is not None and after is not None and abs(after - before) > IDLE_AGREES * abs(before):
+        _, after = self._measure_idle("idle after")
+        if changed(self._idle, after):
             self.events.say(
                 "the idle current has changed: something else draws, find it and record again",
-                before=round(before, 3),
-                after=round(after, 3),
+                before=round(self._idle["battery_current"], 3),
+                after=round(after["battery_current"], 3),
             )
 
     def _stand_up(self) -> None:
@@ -190,7 +193,7 @@ class Session:
         for number in range(1, steps + 1):
             share = 0.5 - 0.5 * math.cos(math.pi * number / steps)
             strength = 1.0 if rising is None else share if rising else 1.0 - share
-            pose = np.clip(begin + share * (end - begin), TARGET_LOW, TARGET_HIGH)
+            pose = self.bundle.reach.inside(begin + share * (end - begin))
             braking = DAMPING.kd - strength * (DAMPING.kd - STAND_KD) if rising is False else strength * STAND_KD
             command = Command(pose, strength * STAND_KP, braking)
             self.loop.tick(lambda _, sent=command: sent)  # type: ignore[misc]
@@ -204,17 +207,17 @@ class Session:
         self._warm_up(rows[0])
         for row in rows:
             self._row(row)
-        self._stroll(self.bundle.policies[rows[-1].policy], (0.0, 0.0, 0.0), LETTING_GO)
+        self._stroll(self.bundle.policies[rows[-1].policy], STILL)
 
     def _first_runs(self, rows: Sequence[Row]) -> None:
         """Each policy once, slowly and weakly, recording nothing."""
-        how = self.bundle.manifest["first_runs"]
-        self._torque = float(how["torque_scale"]) * TORQUE_LIMIT
+        first = FirstRun.of(self.bundle.manifest)
+        self._torque_share = first.torque_scale
         for file in dict.fromkeys(row.policy for row in rows):
-            speed = float(how["speed_scale"]) * next(row for row in rows if row.policy == file).commands[0][1]
-            self.events.say("first run", policy=file, speed=speed)
-            self._stroll(self.bundle.policies[file], (speed, 0.0, 0.0), float(how["seconds"]))
-        self._stroll(self.bundle.policies[rows[-1].policy], (0.0, 0.0, 0.0), LETTING_GO)
+            commands = first.commands(rows, file)
+            self.events.say("first run", policy=file, commands=[[round(v, 3) for v in one[1:]] for one in commands])
+            self._stroll(self.bundle.policies[file], commands)
+        self._stroll(self.bundle.policies[rows[-1].policy], STILL)
 
     def _warm_up(self, row: Row) -> None:
         """Walk before the first head-to-head, so that the motors are warm; the others follow without a pause."""
@@ -222,7 +225,7 @@ class Session:
         seconds = float(self.bundle.manifest["warmup_seconds"]) if asked is None else asked
         if row.role != "collection" and seconds > 0:
             self.events.say("warming up", seconds=seconds)
-            self._stroll(self.bundle.policies[row.policy], row.commands[0][1:], seconds)
+            self._stroll(self.bundle.policies[row.policy], [(seconds, *row.commands[0][1:])])
 
     def _row(self, row: Row) -> None:
         """Record one row, trimmed first where the bundle says so."""
@@ -241,16 +244,15 @@ class Session:
         try:
             for command in commands:
                 self._step(policy, command, log)
-                self._complain([log, *(one for one, _ in self._open)])
+                self._keeper.check(log)
         except Exception as ended:
             if fell(ended, row, log.rows):
                 self._fallen(log, row)
             else:
-                self._left.append(log)
+                self._keeper.broken_off(log)
             raise
         log.closing()
-        self._open.append((log, row))
-        self._recorded()
+        self._keeper.walked(log, row)
 
     def _trim(self, policy: Policy, row: Row) -> tuple[float, bool]:
         hold = self.bundle.hold
@@ -276,39 +278,36 @@ class Session:
     def _fallen(self, log: RowLog, row: Row, **notes: str) -> None:
         """Keep what was walked until a fall as the row's log."""
         log.closing(described=self._described(row, fell=True, **notes))
-        self._open.append((log, row))
+        self._keeper.walked(log, row)
         self.events.say("fell: kept as this row's log; to walk the row again, move the log away", log=row.log)
 
-    def _stroll(self, policy: Policy, command: Sequence[float], seconds: float) -> None:
+    def _stroll(self, policy: Policy, commands: Sequence[tuple[float, float, float, float]]) -> None:
         """Walk without recording."""
         self._wanted_heading = None
         policy.start()
-        for _ in range(round(seconds / self.loop.period)):
-            self._step(policy, np.array(command, float), None)
+        for command in steps_of(commands, self.bundle.rate_hz):
+            self._step(policy, command, None)
 
     def _step(self, policy: Policy, asked: np.ndarray, log: RowLog | Walked | None) -> State:
         """One control step of a policy; recorded if there is a log."""
         given: dict[str, Any] = {}
+        reach = self.bundle.reach
 
         def make(state: State) -> Command:
+            given["began"] = time.perf_counter()
             given["sent"] = sent = self._steered(asked, state)
             targets = policy.targets(state, sent)
-            if self._torque is not TORQUE_LIMIT:
-                targets = self._weakened(targets, policy, state)
-            kept = np.minimum(np.maximum(targets, TARGET_LOW), TARGET_HIGH)
+            if self._torque_share < 1 or reach.weaker:
+                targets = reach.weakened(targets, policy.kp, policy.kd, state, self._torque_share)
+            kept = reach.inside(targets)
             self.limited_targets += int(np.count_nonzero(kept != targets))
             given["command"] = command = Command(kept if np.isfinite(targets).all() else targets, policy.kp, policy.kd)
             return command
 
         state = self.loop.tick(make)
         if log is not None:
-            loop, counts, now = self.loop, self.link.counts, self.link.now()
-            noted = (
-                state.stamp,
-                1e3 * (now - state.received),
-                1e3 * loop.late_seconds[-1],
-                1e3 * loop.step_seconds[-1],
-            )
+            counts, now, took = self.link.counts, self.link.now(), time.perf_counter() - given["began"]
+            noted = (state.stamp, 1e3 * (now - state.received), 1e3 * (now - self.loop.due), 1e3 * took)
             log.write(now, samples(state, given["sent"], given["command"]), (*noted, counts.lost, counts.late))
         return state
 
@@ -322,13 +321,6 @@ class Session:
         error = (self._wanted_heading - state.heading + math.pi) % (2 * math.pi) - math.pi
         turn = min(max(HEADING_GAIN * error, -LARGEST_YAW_RATE), LARGEST_YAW_RATE)
         return np.array([asked[0], asked[1], turn])
-
-    def _weakened(self, targets: np.ndarray, policy: Policy, state: State) -> np.ndarray:
-        """Targets moved so near that no more than the torque limit is asked for now."""
-        braking = policy.kd * state.dq
-        kp = np.maximum(policy.kp, 1e-6)
-        low, high = state.q + (braking - self._torque) / kp, state.q + (braking + self._torque) / kp
-        return np.minimum(np.maximum(targets, low), high)
 
     # ------------------------------------------------------------------------------------------ the log
 
@@ -355,35 +347,6 @@ class Session:
         if self.options.mass_kg is not None:
             facts["mass_kg"] = self.options.mass_kg
         return mapping(self._channels, self._idle, self.bundle.rate_hz, facts)
-
-    @staticmethod
-    def _complain(logs: Sequence[RowLog]) -> None:
-        for log in logs:
-            if log.fault:
-                raise RuntimeFault(f"{log.fault}. The robot sits; free space, then run the same again.")
-
-    def _recorded(self) -> None:
-        """Notes which logs are whole on the disk now."""
-        for log, row in list(self._open):
-            if log.closing().is_set():
-                self._open.remove((log, row))
-                if log.unnamed:
-                    self._unnamed.append(log)
-                    self.events.say("not recorded", log=row.log, why=log.unnamed)
-                    continue
-                self.done.append(row.log)
-                self.events.say("recorded", log=row.log, samples=log.rows)
-
-    def _wait_for_disk(self) -> None:
-        """The robot is damped. What is not on the disk yet waits in memory until there is space."""
-        said = False
-        while self._open or any(not log.closing(whole=False).is_set() for log in self._left):
-            self._recorded()
-            why = next((log.fault for log in [*self._left, *(one for one, _ in self._open)] if log.fault), "")
-            if why and not said:
-                self.events.say("waiting for the disk: free space, what was recorded is in memory", why=why)
-                said = True
-            time.sleep(0.02)
 
 
 def steps_of(commands: Sequence[tuple[float, float, float, float]], rate_hz: float) -> np.ndarray:

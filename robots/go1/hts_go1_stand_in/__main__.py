@@ -6,7 +6,9 @@ import argparse
 import signal
 import sys
 from collections.abc import Sequence
+from typing import NoReturn
 
+from hts.errors import HtsError
 from hts_go1_runtime.cli import hurry
 from hts_go1_stand_in.body import STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
@@ -14,9 +16,9 @@ from hts_go1_stand_in.serve import serve
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Serve until nobody has spoken for a while. Exit code 0."""
-    parser = argparse.ArgumentParser(prog="hts_go1_stand_in", description="Play a Go1 over UDP.")
-    parser.add_argument("--port", type=int, required=True, help="on 127.0.0.1")
+    """Serve until nobody has spoken for a while. Exit code 0; 2 and one line for a mistake in what was asked for."""
+    parser = _Parser(prog="hts_go1_stand_in", description="Play a Go1 over UDP.")
+    parser.add_argument("--port", type=_port, required=True, help="on 127.0.0.1; 0: a free one")
     parser.add_argument("--reality", help="name or file of a reality; left out: the twin of the settings")
     parser.add_argument("--seed", type=int, default=0, help="of noise, of the session, of the line")
     parser.add_argument("--objective", action="append", help="whose instruments it carries (default: power)")
@@ -31,10 +33,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     states = round(given.tick_ms / 1e3 / STATE_SECONDS)
     if states < 1 or abs(given.tick_ms / 1e3 - states * STATE_SECONDS) > 1e-9:
         parser.error(f"--tick-ms {given.tick_ms:g}: expected a multiple of {1e3 * STATE_SECONDS:g}.")
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    body = Body(given.reality, given.objective or ["power"], given.seed)
     try:
-        line = Line(given.port, given.loss, given.late, given.delay_ms / 1e3, given.seed)
+        body = Body(given.reality, given.objective or ["power"], given.seed)
+    except HtsError as error:
+        parser.error(" ".join(str(error).split()))
+    try:
+        try:
+            line = Line(given.port, given.loss, given.late, given.delay_ms / 1e3, given.seed)
+        except OSError as error:
+            parser.error(f"--port {given.port}: {error.strerror}. Choose another; 0 takes a free one.")
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
         if given.priority:
             hurry(given.priority)
         print(f"ready on 127.0.0.1:{line.port}, {body.mass_kg:g} kg", flush=True)
@@ -45,6 +53,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         body.close()
     return 0
+
+
+class _Parser(argparse.ArgumentParser):
+    """Refuses in one line; `-h` shows the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"refused: {message}\n")
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"'{text}', expected a whole number from 0 to 65535")
+    return int(text)
 
 
 if __name__ == "__main__":

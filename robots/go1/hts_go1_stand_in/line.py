@@ -20,7 +20,11 @@ class Line:
 
     def __init__(self, port: int, loss: float, late: float, delay: float, seed: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind(("127.0.0.1", port))
+        try:
+            self._socket.bind(("127.0.0.1", port))
+        except OSError:
+            self._socket.close()
+            raise
         self._socket.setblocking(False)
         self.port = self._socket.getsockname()[1]
         self._loss, self._late, self._delay = loss, late, delay

@@ -16,8 +16,8 @@ from hts.recordings.reading import read_log
 from hts.worlds import field_holding
 from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.errors import Stopped
+from hts_go1_runtime.events import Events
 from hts_go1_runtime.fake import failing
-from hts_go1_runtime.log import Events
 from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.session import Options, Session

@@ -24,11 +24,12 @@ from hts.recordings.reading import read_log
 from hts.worlds.twin.trimming import Trimming as Twins
 from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
+from hts_go1_runtime.events import Events
 from hts_go1_runtime.fake import failing, standing
 from hts_go1_runtime.link import DAMPING, NOTHING, Command
-from hts_go1_runtime.log import CHANNELS, Events, RowLog, samples
+from hts_go1_runtime.log import CHANNELS, RowLog, samples
 from hts_go1_runtime.loop import Loop
-from hts_go1_runtime.machine import STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT, Limits
+from hts_go1_runtime.machine import STAND, TARGET_HIGH, TARGET_LOW, Limits
 from hts_go1_runtime.session import Options, Session, steps_of
 from hts_go1_runtime.trimming import Trimming
 
@@ -118,20 +119,6 @@ def test_holding_the_speed_needs_a_speed_sensor(bundle):
     link = scripted.ScriptedLink(lambda state: dataclasses.replace(state, velocity=np.full(3, np.nan)))
     with pytest.raises(RuntimeFault, match="Connect the speed sensor"):
         session(bundle, link).run()
-
-
-def test_a_first_run_is_slow_and_weak_and_records_nothing(bundle):
-    link = scripted.ScriptedLink()
-    found = session(bundle, link, Options(idle_seconds=0.0, first_run=True))
-    found._torque = 0.6 * TORQUE_LIMIT
-    policy = found.bundle.policies["policies/00-walk.onnx"]
-    state = standing(0, 0.0)
-    wild = state.q + 5.0
-    asked = policy.kp * (found._weakened(wild, policy, state) - state.q) - policy.kd * state.dq
-    assert asked == pytest.approx(0.6 * TORQUE_LIMIT)
-    assert found.run() == []
-    assert not list((bundle / "logs").glob("*.csv"))
-    assert [one["speed"] for one in events(bundle, found) if one["what"] == "first run"] == pytest.approx([0.3, 0.3])
 
 
 def test_trimming_is_the_twins():
@@ -238,34 +225,6 @@ def test_a_full_disk_is_said_and_nothing_is_lost(tmp_path, monkeypatch):
     assert (tmp_path / "mappings" / "00.yaml").read_text() == "the mapping"
 
 
-def test_events_of_a_full_disk_wait_in_order_and_are_said_at_once(tmp_path, monkeypatch, capsys):
-    real, full = os.write, threading.Event()
-    full.set()
-
-    def write(handle, data):
-        if full.is_set():
-            if len(data) > 20:
-                return real(handle, data[:20])  # some of it fits
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return real(handle, data)
-
-    monkeypatch.setattr("hts_go1_runtime.log.os.write", write)
-    events = Events(tmp_path / "events.jsonl")
-    for number in range(3):
-        events.say("row", number=number)
-    said, end = "", time.monotonic() + 10
-    while said.count("row number=") < 3 and time.monotonic() < end:
-        time.sleep(0.01)
-        said += capsys.readouterr().out
-    assert said.count("row number=") == 3  # aloud, whatever the disk does
-    assert said.count("cannot be written yet (No space left on device)") == 1
-    assert (tmp_path / "events.jsonl").read_text() == ""  # no half of a line
-    full.clear()
-    events.close()
-    kept = [json.loads(line)["number"] for line in (tmp_path / "events.jsonl").read_text().splitlines()]
-    assert kept == [0, 1, 2]
-
-
 def test_a_row_that_is_recorded_again_keeps_what_was_there(tmp_path):
     for _ in range(2):
         log = RowLog(tmp_path, "00", list(CHANNELS))
@@ -277,6 +236,16 @@ def test_a_row_that_is_recorded_again_keeps_what_was_there(tmp_path):
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == [".00.csv.partial-0", ".00.csv.partial-1", "00.csv"]
     assert len((tmp_path / "00.csv").read_text().splitlines()) == 8
+
+
+def test_what_is_kept_of_a_broken_row_takes_no_name_that_is_there(tmp_path):
+    (tmp_path / ".00.csv.partial-1").write_text("of before")  # the one before it, -0, was taken away
+    (tmp_path / ".00.csv.partial").write_text("of the last visit")
+    log = RowLog(tmp_path, "00", list(CHANNELS))
+    rows(log, 5)
+    assert log.closing().wait(20)
+    assert (tmp_path / ".00.csv.partial-0").read_text() == "of the last visit"
+    assert (tmp_path / ".00.csv.partial-1").read_text() == "of before"
 
 
 def test_a_process_that_is_killed_leaves_what_it_recorded(tmp_path):

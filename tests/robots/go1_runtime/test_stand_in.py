@@ -19,6 +19,7 @@ from hts.recordings.reading import read_log
 from hts_go1_runtime.link import NOTHING, Command
 from hts_go1_runtime.machine import STAND
 from hts_go1_runtime.udp import UdpLink
+from hts_go1_stand_in.__main__ import main
 from hts_go1_stand_in.body import FIRMWARE_PATIENCE, STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
 
@@ -148,3 +149,30 @@ def test_in_lockstep_two_visits_with_one_seed_give_one_log(bundle):
             path.unlink()
     assert len(tables[0]) == 50
     assert tables[0] == tables[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--port", "99999"], "argument --port: '99999', expected a whole number from 0 to 65535"),
+        (["--port", "0", "--reality", "nosuch"], "nosuch"),
+        (["--port", "0", "--objective", "nosuch"], "No objective named 'nosuch'"),
+    ],
+)
+def test_a_mistake_in_what_is_asked_for_is_one_line(words, said, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("refused: ") and said in line
+
+
+def test_a_port_that_is_in_use_is_one_line(capsys):
+    first = Line(0, 0.0, 0.0, 0.0, 0)
+    with pytest.raises(SystemExit) as ended:
+        main(["--port", str(first.port)])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == (
+        f"refused: --port {first.port}: Address already in use. Choose another; 0 takes a free one.\n"
+    )
+    first._socket.close()

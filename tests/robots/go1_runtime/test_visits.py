@@ -15,6 +15,7 @@ from hts_go1_runtime import cli, log, session
 from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.fake import standing
+from hts_go1_runtime.gated import check_whose
 from hts_go1_runtime.link import DAMPING, Command, State
 from hts_go1_runtime.lock import alone
 from hts_go1_runtime.machine import SIT, STAND
@@ -90,7 +91,8 @@ REFUSAL = "00-03 is refused by the gate: FL_calf_joint is at 90% of its 35.55 N�
 
 
 def failing_gate(manifest, passed=False):
-    manifest["policies"][1]["gate"] = {"passed": passed, "failed": ["torque"], "refused": REFUSAL, "worst": {}}
+    found = {"passed": passed, "failed": ["torque"], "refused": REFUSAL, "worst": {}}
+    manifest["policies"][1]["gate"] = {"policy_hash": "e" * 64, **found}
 
 
 def test_a_policy_that_failed_the_gate_is_not_walked(change, visit, capsys):
@@ -134,6 +136,24 @@ def test_a_policy_that_passed_the_gate_says_so(change, visit, capsys):
     assert cli.main(["check", str(bundle)]) == 0
     assert "explores, passed the gate" in capsys.readouterr().out
     assert visit("--yes") == 0
+
+
+@pytest.mark.parametrize(
+    ("whose", "said"),
+    [({"policy_hash": "a" * 64}, "is of policy aaaaaaaaaaaa…"), ({}, "does not say of which policy it is")],
+)
+def test_a_gate_result_of_another_policy_is_not_believed(change, whose, said):
+    folder = change(lambda manifest: manifest["policies"][1].__setitem__("gate", {"passed": True, **whose}))
+    with pytest.raises(RuntimeFault, match=f"01-noisy.onnx: its gate result {said}, the graph is eeeeeeeeeeee…"):
+        load_bundle(folder)
+
+
+def test_what_the_gate_found_of_a_policy_holds_with_commands_of_held_speeds_in_front():
+    card = {"policy_hash": "e" * 64, "made": {"held": {"policy_hash": "a" * 64}}}
+    for whose in ("e", "a"):
+        check_whose({"passed": True, "policy_hash": whose * 64}, card, "here")
+    with pytest.raises(RuntimeFault, match="here: its gate result is of policy bbbbbbbbbbbb…"):
+        check_whose({"passed": True, "policy_hash": "b" * 64}, card, "here")
 
 
 @pytest.mark.parametrize("gate", [{"passed": "false"}, {"passed": None}, {}, "passed", [True], {"passed": 0}])

@@ -1,0 +1,108 @@
+"""`NAME.gate.json` beside a policy: what the gate before hardware found of it, known by the policy's hash.
+
+A verdict goes with the policy, not with the file's name: an export, a copy or a renamed file of a policy that a run's
+gate refused is still that policy. So the notes of the whole run are looked at, and one whose hash is another policy's
+is not believed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hts.errors import PolicyError
+
+Note = Mapping[str, Any]
+
+
+def place(policy: Path) -> Path:
+    """Where the note of a policy's file lies."""
+    return policy.with_suffix(".gate.json")
+
+
+def hashes_of(card: Mapping[str, Any]) -> tuple[str, ...]:
+    """The policy's own hash, and that of the policy inside where commands of held speeds stand in front of it: what the
+    gate found of one holds for the other."""
+    made = card.get("made")
+    held = made.get("held") if isinstance(made, Mapping) else None
+    inside = held.get("policy_hash") if isinstance(held, Mapping) else None
+    return (str(card["policy_hash"]), *([str(inside)] if inside else []))
+
+
+def note_of(source: Path, card: Mapping[str, Any], run: Path | None = None) -> Note | None:
+    """What the gate found of a policy: the note beside its file, or one of the same hash in the run's folder; None
+    where nobody tried it. Of several, one that says that it failed.
+
+    card: the policy's. Raises PolicyError for a note beside it that is another policy's, and for one that cannot be
+    read, since nobody knows whom it refuses.
+    """
+    hashes, beside = hashes_of(card), _read(place(source))
+    if beside is not None:
+        _check_whose(place(source), beside, source, hashes)
+    found = [] if beside is None else [beside]
+    found += [note for path in notes(run) if (note := _read(path)) is not None and _hash_in(path, note) in hashes]
+    return next((note for note in found if note.get("passed") is not True), found[0] if found else None)
+
+
+def notes(run: Path | None) -> Sequence[Path]:
+    """All notes of a run."""
+    if run is None:
+        return ()
+    return sorted((run / "policies").glob("*.gate.json")) + sorted((run / "iterations").glob("*/**/*.gate.json"))
+
+
+def refusal(note: Note | None, name: str) -> str:
+    """Why the gate refused a policy; "" if it did not. name: of the policy, where the note says no more."""
+    if note is None or note.get("passed") is not False:
+        return ""
+    return str(note.get("refused") or f"{name} is refused by the gate")
+
+
+def refused_beside(policy: Path) -> str:
+    """Why the gate refused the policy of a file, as the note beside it says; "" if it did not."""
+    return refusal(_read(place(policy)), policy.name)
+
+
+def _check_whose(path: Path, note: Note, source: Path, hashes: Sequence[str]) -> None:
+    """A note that refuses need not say whom: nothing is gained by believing it."""
+    found = note.get("policy_hash")
+    if found in hashes or (found is None and note.get("passed") is False):
+        return
+    whose = "does not say of which policy it is" if found is None else f"is of policy {str(found)[:12]}…"
+    raise PolicyError(
+        f"{path}: {whose}, but {source.name} is {hashes[0][:12]}…. Move the file away if it is of another policy; "
+        "`hts export RUN` writes the right one beside a policy."
+    )
+
+
+def _hash_in(path: Path, note: Note) -> str | None:
+    """Whose note of a run it is. Notes of earlier versions that kept a policy out lack it: the card beside them says
+    it."""
+    if note.get("policy_hash") is not None:
+        return str(note["policy_hash"])
+    card = path.with_name(path.name.removesuffix(".gate.json") + ".json")
+    try:
+        found = json.loads(card.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return str(found.get("policy_hash")) if isinstance(found, Mapping) else None
+
+
+def _read(path: Path) -> Note | None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, RecursionError) as error:
+        raise PolicyError(
+            f"{path}: cannot be read as JSON ({' '.join(str(error).split())[:120]}), so nobody knows whether the gate "
+            "refused its policy. Restore the file, or take a policy that passed."
+        ) from error
+    if not isinstance(found, Mapping) or not isinstance(found.get("passed"), bool):
+        raise PolicyError(
+            f"{path}: found {str(found)[:60]}, expected `passed` true or false. Restore the file, or take a policy "
+            "that passed."
+        )
+    return found

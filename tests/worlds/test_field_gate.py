@@ -1,0 +1,122 @@
+"""A verdict of the gate goes with the policy: whoever it refused is not bundled under another name either."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from field_folder import bundle, field
+
+from hts.cli.main import main
+from hts.errors import PolicyError, RunError, WaitingForRobot, WorldError
+from hts.policies.export_command import export_policy
+from hts.policies.files import load_policy, save_policy
+from hts.policies.gate_notes import note_of
+
+REFUSED = '{"passed": false, "refused": "00-00 is refused by the gate: the trunk tilts by 31 degrees (allowed: 25)"}'
+
+
+def test_a_policy_that_the_gate_refused_is_not_bundled_unless_the_run_lets_a_machine_have_it(run, policy):
+    policy.with_suffix(".gate.json").write_text(REFUSED)
+    refused = r"walk.onnx: 00-00 is refused by the gate: .*\(allowed: 25\)\. It is not bundled.*gate\.strict=false"
+    for strict in ("", "gate: {strict: null}\n", "gate: {strict: true}\n"):
+        (run / "config.yaml").write_text(f"preset: smoke\n{strict}")
+        with pytest.raises(WorldError, match=refused) as caught:
+            field(run).head_to_head(policy, policy, [0.8])
+        assert "\n" not in str(caught.value)
+        assert not list(run.rglob("policies"))  # nor half of it
+    (run / "config.yaml").write_text("gate: {strict: false}\n")
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+    assert json.loads((bundle(run) / "manifest.json").read_text())["policies"][0]["gate"]["passed"] is False
+
+
+def test_a_policy_of_which_nobody_can_read_what_the_gate_found_is_not_bundled(run, policy):
+    policy.with_suffix(".gate.json").write_text(REFUSED[:20])
+    with pytest.raises(
+        WorldError, match=r"walk.gate.json: cannot be read as JSON .*whether the gate refused its policy"
+    ):
+        field(run).head_to_head(policy, policy, [0.8])
+
+
+@pytest.fixture
+def refused(run, robot) -> Path:
+    """The candidate 00-00 of a run, whom its gate refused."""
+    file = save_policy(run / "iterations" / "00" / "candidates" / "00-00", load_policy(robot.pretrained_policy()))
+    note = {**json.loads(REFUSED), "policy_hash": load_policy(file).card.policy_hash}
+    file.with_suffix(".gate.json").write_text(json.dumps(note))
+    return file
+
+
+@pytest.mark.parametrize("held", [False, True], ids=["as it is", "with commands of held speeds"])
+def test_a_refused_policy_is_not_bundled_under_another_name(run, refused, policy, held, tmp_path):
+    """`policy` holds the same parameters as the candidate, with no note beside it."""
+    from hts.policies.export import to_onnx
+    from hts.policies.held_commands import HeldCommands
+
+    other = to_onnx(load_policy(refused), tmp_path / "x.onnx", HeldCommands((0.5,), (0.6,)) if held else None)
+    with pytest.raises(WorldError, match=r"x.onnx: 00-00 is refused by the gate: .* It is not bundled"):
+        field(run).head_to_head(other, other, [0.8])
+
+
+def test_a_note_that_keeps_somebody_out_and_says_not_whom_is_known_by_the_card_beside_it(run, refused, policy):
+    refused.with_suffix(".gate.json").write_text(REFUSED)  # as earlier versions wrote it
+    with pytest.raises(WorldError, match=r"walk.onnx: 00-00 is refused by the gate"):
+        field(run).head_to_head(policy, policy, [0.8])
+
+
+@pytest.mark.parametrize(
+    ("whose", "said"),
+    [({"policy_hash": "a" * 64}, "is of policy aaaaaaaaaaaa…"), ({}, "does not say of which policy it is")],
+)
+def test_a_note_of_another_policy_is_not_believed(run, policy, whose, said):
+    policy.with_suffix(".gate.json").write_text(json.dumps({"passed": True, **whose}))
+    with pytest.raises(WorldError, match=rf"walk.gate.json: {said}, but walk.onnx is .*Move the file away") as caught:
+        field(run).head_to_head(policy, policy, [0.8])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_note_that_does_not_say_whether_it_passed_is_refused(run, policy):
+    policy.with_suffix(".gate.json").write_text('{"passed": "no"}')
+    with pytest.raises(WorldError, match=r"walk.gate.json: found .*expected `passed` true or false"):
+        field(run).head_to_head(policy, policy, [0.8])
+
+
+def test_an_export_takes_along_what_the_gate_found_and_says_that_it_refused(run, refused, tmp_path, capsys):
+    target = tmp_path / "out" / "x.onnx"
+    assert main(["export", str(run), "--policy", "00-00", "--to", str(target)]) == 0
+    assert "00-00 is refused by the gate: the trunk tilts by 31 degrees" in " ".join(capsys.readouterr().err.split())
+    assert json.loads(target.with_suffix(".gate.json").read_text()) == json.loads(
+        refused.with_suffix(".gate.json").read_text()
+    )
+    refused.with_suffix(".gate.json").unlink()
+    with pytest.raises(WorldError, match="x.onnx: 00-00 is refused by the gate"):
+        field(run).head_to_head(target, target, [0.8])
+
+
+def test_a_copied_policy_file_of_a_run_is_known_too(run, refused, tmp_path):
+    for suffix in (".safetensors", ".json"):
+        shutil.copyfile(refused.with_suffix(suffix), tmp_path / f"mine{suffix}")
+    export_policy(run, str(tmp_path / "mine.safetensors"), "onnx", tmp_path / "y.onnx")
+    assert json.loads((tmp_path / "y.gate.json").read_text())["passed"] is False
+
+
+def test_an_export_is_not_written_beside_what_the_gate_found_of_another_policy(run, refused, tmp_path):
+    target = tmp_path / "x.onnx"
+    target.with_suffix(".gate.json").write_text('{"passed": true}')
+    with pytest.raises(RunError, match=r"x.gate.json: exists already, and tells of another policy"):
+        export_policy(run, "00-00", "onnx", target)
+    assert not target.exists()
+
+
+def test_of_two_notes_the_one_that_refuses_counts(run, refused, tmp_path):
+    card = {"policy_hash": json.loads(refused.with_suffix(".gate.json").read_text())["policy_hash"]}
+    (tmp_path / "x.gate.json").write_text(json.dumps({"passed": True, **card}))
+    assert note_of(tmp_path / "x.onnx", card, run)["passed"] is False
+    assert note_of(tmp_path / "x.onnx", card)["passed"] is True
+    assert note_of(tmp_path / "y.onnx", {"policy_hash": "f" * 64}, run) is None
+    refused.with_suffix(".gate.json").write_text("{")
+    with pytest.raises(PolicyError, match=r"00-00.gate.json: cannot be read as JSON"):
+        note_of(tmp_path / "x.onnx", card, run)
