@@ -53,7 +53,7 @@ class Config(BaseModel):
         if any(isinstance(one, bool) for one in given) and info.field_name in cls.model_fields:
             kinds = _kinds(cls.model_fields[info.field_name].annotation)
             if kinds & {int, float} and not kinds & {bool, Any}:
-                raise ValueError("expected a number")
+                raise ValueError("expected a number" if float in kinds else "expected a whole number")
         return value
 
 
