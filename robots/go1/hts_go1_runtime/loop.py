@@ -187,6 +187,7 @@ class Loop:
                 raise self._stopped
             try:
                 self.link.send(command)
+                self._guard.sent(command, self.link.now())
             except OSError as error:
                 self.stop("lost link", f"a command could not be sent ({error.strerror or error})")
 
