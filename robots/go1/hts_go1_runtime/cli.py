@@ -22,6 +22,7 @@ from hts_go1_runtime.loop import Loop, without_collection
 from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.operator_key import StopFile, ask, listen, signals
 from hts_go1_runtime.session import Options, Session
+from hts_go1_runtime.terminal import that_may_go
 from hts_go1_runtime.udp import UdpLink
 
 DONE, REFUSED, STOPPED = 0, 2, 3
@@ -30,6 +31,11 @@ VOUCH = f"{LEAST_DIGITS} digits or more of the hash of a policy that failed the 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code: 0 done; 2 refused, nothing moved or the robot sits; 3 stopped, the robot is damped."""
+    with that_may_go():
+        return _command(arguments)
+
+
+def _command(arguments: Sequence[str] | None) -> int:
     options = _parser().parse_args(arguments)
     try:
         if options.command == "bench":
@@ -67,7 +73,7 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
                 events.say("no real-time priority", why=why)
             try:
                 with signals(loop.brake), without_collection():
-                    session.run(lambda text: _confirm(text, options.yes, loop))
+                    session.run(lambda text: _confirm(text, options.yes, loop, events))
             except (RuntimeFault, Stopped):
                 raise
             except Exception as error:  # of ours or of a library: by now the session has damped the robot
@@ -91,14 +97,14 @@ def _unexpected(error: Exception, moved: bool, events: Events) -> RuntimeFault:
     )
 
 
-def _confirm(text: str, yes: bool, loop: Loop) -> None:
+def _confirm(text: str, yes: bool, loop: Loop, events: Events) -> None:
     """A person says that the robot may move; from then on the same key stops it."""
     if yes:
         print(text, flush=True)
     else:
         loop.pause()
         ask(f"{text}\nEnter begins; after that, Enter stops. Anything else that is typed now ends this.", loop.heed)
-    listen(loop.brake)
+    listen(loop.brake, gone=events.say)
 
 
 def hurry(priority: int) -> str:
