@@ -60,7 +60,9 @@ def _command(arguments: Sequence[str] | None) -> int:
 
 def _run(bundle: Bundle, options: argparse.Namespace) -> int:
     rows, vouched = tuple(options.rows.split(",")) if options.rows else (), tuple(options.vouch)
-    asked = Options(rows, options.idle_seconds, options.warmup, options.first_run, options.mass, vouched)
+    asked = Options(
+        rows, options.idle_seconds, options.warmup, options.first_run, options.mass, vouched, options.at_limit
+    )
     stop = bundle.folder / "STOP"
     if stop.exists():
         raise RuntimeFault(f"{stop}: is there and means stop. Remove it to begin.")
@@ -173,6 +175,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--idle-seconds", type=most_idle, default=10.0, help="to measure the idle levels; 0: do not")
     run.add_argument("--warmup", type=most_warmup, help="s of walking before a head-to-head (default: the bundle's)")
     run.add_argument("--first-run", action="store_true", help="walk each policy slowly and weakly, record nothing")
+    run.add_argument("--at-limit", action="store_true", help="record rows whose trimmed command ended at a limit too")
     run.add_argument("--mass", type=_number(1, 100), help="kg of the robot as it walks, for the log")
     current, temperature = Limits.current, Limits.temperature
     run.add_argument("--most-current", type=_number(1, 100), default=current, help="A from the pack, beyond: stop")

@@ -65,7 +65,7 @@ class Guard:
         if fast.size:
             joint = int(fast[0])
             return "joint speed", f"{JOINTS[joint]} at {state.dq[joint]:.1f} rad/s, at most {self._speed[joint]:.1f}"
-        if state.current > limits.current:
+        if abs(state.current) > limits.current:  # of either sign: a link may count the other way
             return "over-current", f"{state.current:.1f} A drawn from the pack, at most {limits.current:g}"
         if state.voltage < limits.voltage:
             return "low voltage", f"{state.voltage:.2f} V at the pack, at least {limits.voltage:g}"

@@ -19,7 +19,7 @@ from hts_go1_runtime.link import DAMPING, NOTHING, Command, Link, State
 from hts_go1_runtime.log import REAL, Events, RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND, TARGET_HIGH, TARGET_LOW, TORQUE_LIMIT
-from hts_go1_runtime.meeting import check_lies, meet
+from hts_go1_runtime.meeting import check_draws, check_lies, meet
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.trimming import Trimming
 
@@ -33,9 +33,9 @@ IDLE_AGREES = 0.03  # of the level: a larger difference before and after a visit
 
 @dataclass(frozen=True)
 class Options:
-    """rows: names of those to record, none: all that have no log yet; idle_seconds: to measure the idle levels before
-    standing up, 0: not; warmup_seconds: None: the bundle's; first_run: walk each policy slowly and weakly, record
-    nothing; mass_kg: for the mapping; vouched: hashes of policies that failed the gate and are to be walked."""
+    """rows: names, none: all without a log; idle_seconds: to measure the idle levels, 0: not; warmup_seconds: None: the
+    bundle's; first_run: walk each policy slowly and weakly, record nothing; mass_kg: for the mapping; vouched: hashes
+    of policies that failed the gate and are to be walked; at_limit: record rows at a limit of the command too."""
 
     rows: tuple[str, ...] = ()
     idle_seconds: float = 10.0
@@ -43,6 +43,7 @@ class Options:
     first_run: bool = False
     mass_kg: float | None = None
     vouched: tuple[str, ...] = ()
+    at_limit: bool = False
 
 
 class Session:
@@ -85,6 +86,7 @@ class Session:
     def _visit(self, rows: Sequence[Row]) -> None:
         """From lying to lying."""
         self._idle = self._measure_idle("idle")
+        check_draws(self._idle.get("battery_current", self.loop.state.current))
         self._stand_up()
         try:
             self._walk_rows(rows)
@@ -271,6 +273,7 @@ class Session:
             raise
         command, saturated = trimming.found()
         self.events.say("trimmed", log=row.log, asked=row.commands[0][1], command=round(command, 4), at_limit=saturated)
+        trimming.check(self.options.at_limit)
         return command, saturated
 
     def _fallen(self, log: RowLog, row: Row, **notes: str) -> None:

@@ -26,7 +26,7 @@ class ScriptedLink(Link):
         self.counts, self.sent = Counts(), []
         self._spoil, self._clock, self._sequence = spoil, 0.0, 0
         self._command: Command | None = None
-        self.speed = 0.0
+        self.speed = 0.55
         self._pose: np.ndarray | None = None
         self._random = np.random.default_rng(0)
 
