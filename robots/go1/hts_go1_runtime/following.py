@@ -19,6 +19,7 @@ times in walking and standing, it was below `Limits.share` 0.13 to 0.32 s later.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -60,7 +61,7 @@ class Following:
         if share >= self._least:
             return ""
         return (
-            f"the joints give {100 * share:.0f} % of the torque that their targets ask for, at least "
+            f"the joints give {math.floor(100 * share)} % of the torque that their targets ask for, at least "
             f"{100 * self._least:.0f} %: commands do not reach the motors, or the robot damps itself. Look at the line "
             "to the robot and at the program beside its SDK"
         )

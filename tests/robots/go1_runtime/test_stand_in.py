@@ -21,6 +21,7 @@ from hts_go1_runtime.machine import STAND
 from hts_go1_runtime.udp import UdpLink
 from hts_go1_stand_in.body import PATIENCE, STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
+from hts_go1_stand_in.serve import _obey
 
 HOLD = Command(STAND, np.full(12, 40.0), np.full(12, 1.0))
 
@@ -92,6 +93,34 @@ def test_a_second_runtime_is_heard_from_its_first_command_on():
         link.close()
     line._socket.close()
     assert numbers == [[30.0] * 5, [40.0] * 5]
+
+
+def test_each_runtime_greets_the_robot_before_its_commands_count():
+    said: list[str] = []
+
+    class Ear:
+        clock = 0.0
+
+        def greet(self) -> None:
+            said.append("greeted")
+
+        def command(self, command: Command) -> None:
+            said.append("told")
+
+    line = Line(0, 0.0, 0.0, 0.0, 0)
+    for _ in range(2):
+        link = UdpLink(f"udp://127.0.0.1:{line.port}")
+        link.send(HOLD)
+        end = time.monotonic() + 5.0
+        while said.count("told") < 1 and time.monotonic() < end:
+            _obey(Ear(), line, 0.1)
+        assert said == ["greeted", "told"]
+        link.hello()  # the same runtime again
+        _obey(Ear(), line, 0.1)
+        assert said == ["greeted", "told"]
+        said.clear()
+        link.close()
+    line._socket.close()
 
 
 def visit(bundle: Path, *options: str) -> None:
