@@ -145,7 +145,17 @@ class Recorder:
                 if not ready.startswith("ready"):
                     raise CannotRecord(f"The robot's stand-in did not start: {tail(place / 'robot.txt')}")
                 mass = ready.split(", ")[1].split()[0]  # "ready on ..., 12.2 kg": as on a scale
-                asked = ["--rows", ",".join(rows), "--idle-seconds", "2", "--mass", mass, "--yes", *lockstep]
+                asked = [
+                    "--rows",
+                    ",".join(rows),
+                    "--idle-seconds",
+                    "2",
+                    "--mass",
+                    mass,
+                    "--yes",
+                    "--at-limit",
+                    *lockstep,
+                ]
                 asked += [] if line.warmup is None else ["--warmup", str(line.warmup)]
                 asked += [] if line.real_time else ["--priority", "0"]  # a simulation waits
                 link = f"udp://127.0.0.1:{port}"

@@ -66,7 +66,8 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
 
     idle: name -> level with electronics on and motors idle, in the channel's unit; 0 says nothing. where: begins the
     message. The median is compared: of the other sign it was counted the other way, a hundred times larger or smaller
-    it is in another unit.
+    it is in another unit. Amperes of which both are negative were counted the other way too: a machine that idles draws
+    some, and gives none back.
     """
     for name, level in idle.items():
         series = channels[name]
@@ -75,7 +76,9 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
         unit, median = series.channel.unit, float(np.median(series.values))
         ratio = median / level
         hint = ""
-        if ratio < -1 / IDLE_FACTOR:
+        if unit == "A" and level < 0 and median < 0:
+            hint = f"Both probably count the other way: say sign: -1 and idle: {-level:g}"
+        elif ratio < -1 / IDLE_FACTOR:
             hint = "The log probably counts the other way: say sign: -1"
         elif abs(ratio) > IDLE_FACTOR or abs(ratio) < 1 / IDLE_FACTOR:
             hint = "One of them is probably in another unit (mA are no A): correct unit or scale, or the idle level"

@@ -188,6 +188,17 @@ def test_an_idle_level_of_another_sign_or_unit_is_refused(median, expected):
         check_idle(current(median), {"draw": 1.9}, "log")
 
 
+def test_a_machine_that_gives_current_back_while_it_idles_is_counted_the_other_way():
+    with pytest.raises(
+        RecordingError, match=r"'draw' is -6 A at the median, its idle level -1.9 A. Both probably count"
+    ):
+        check_idle(current(-6.0), {"draw": -1.9}, "log")
+    with pytest.raises(RecordingError, match=r"say sign: -1 and idle: 1\.9; if it is right, say so with `limits`"):
+        check_idle(current(-6.0), {"draw": -1.9}, "log")
+    warm = {"warmth": Series(Channel("warmth", "degC"), np.array([-6.0, -5.0, -4.0]))}
+    check_idle(warm, {"warmth": -1.9}, "log")
+
+
 def test_milliamperes_in_a_csv_are_noticed_unless_limits_say_they_are_right(tmp_path, two_joints, mapping):
     log = json_log(tmp_path / "walk.jsonl")
     columns = json_columns(log)

@@ -22,6 +22,7 @@ from hts_go1_runtime.loop import Loop, without_collection
 from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.operator_key import StopFile, ask, listen, signals
 from hts_go1_runtime.session import Options, Session
+from hts_go1_runtime.terminal import that_may_go
 from hts_go1_runtime.udp import UdpLink
 
 DONE, REFUSED, STOPPED = 0, 2, 3
@@ -31,6 +32,11 @@ EXTERNAL = "a measured channel that the robot does not give, and that a sensor o
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code: 0 done; 2 refused, nothing moved or the robot sits; 3 stopped, the robot is damped."""
+    with that_may_go():
+        return _command(arguments)
+
+
+def _command(arguments: Sequence[str] | None) -> int:
     options = _parser().parse_args(arguments)
     try:
         if options.command == "bench":
@@ -54,9 +60,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(bundle: Bundle, options: argparse.Namespace) -> int:
-    rows = tuple(options.rows.split(",")) if options.rows else ()
-    vouched, external = tuple(options.vouch), tuple(options.external)
-    asked = Options(rows, options.idle_seconds, options.warmup, options.first_run, options.mass, vouched, external)
+    asked = Options(
+        rows=tuple(options.rows.split(",")) if options.rows else (),
+        idle_seconds=options.idle_seconds,
+        warmup_seconds=options.warmup,
+        first_run=options.first_run,
+        mass_kg=options.mass,
+        vouched=tuple(options.vouch),
+        external=tuple(options.external),
+        at_limit=options.at_limit,
+    )
     stop = bundle.folder / "STOP"
     if stop.exists():
         raise RuntimeFault(f"{stop}: is there and means stop. Remove it to begin.")
@@ -69,7 +82,7 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
                 events.say("no real-time priority", why=why)
             try:
                 with signals(loop.brake), without_collection():
-                    session.run(lambda text: _confirm(text, options.yes, loop))
+                    session.run(lambda text: _confirm(text, options.yes, loop, events))
             except (RuntimeFault, Stopped):
                 raise
             except Exception as error:  # of ours or of a library: by now the session has damped the robot
@@ -93,14 +106,14 @@ def _unexpected(error: Exception, moved: bool, events: Events) -> RuntimeFault:
     )
 
 
-def _confirm(text: str, yes: bool, loop: Loop) -> None:
+def _confirm(text: str, yes: bool, loop: Loop, events: Events) -> None:
     """A person says that the robot may move; from then on the same key stops it."""
     if yes:
         aloud(text)
     else:
         loop.pause()
         ask(f"{text}\nEnter begins; after that, Enter stops. Anything else that is typed now ends this.", loop.heed)
-    listen(loop.brake)
+    listen(loop.brake, gone=events.say)
 
 
 def hurry(priority: int) -> str:
@@ -169,6 +182,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--idle-seconds", type=most_idle, default=10.0, help="to measure the idle levels; 0: do not")
     run.add_argument("--warmup", type=most_warmup, help="s of walking before a head-to-head (default: the bundle's)")
     run.add_argument("--first-run", action="store_true", help="walk each policy slowly and weakly, record nothing")
+    run.add_argument("--at-limit", action="store_true", help="record rows whose trimmed command ended at a limit too")
     run.add_argument("--mass", type=_number(1, 100), help="kg of the robot as it walks, for the log")
     run.add_argument("--external", action="append", default=[], metavar="CHANNEL", help=f"{EXTERNAL}; repeatable")
     current, temperature = Limits.current, Limits.temperature

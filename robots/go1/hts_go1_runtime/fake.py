@@ -1,5 +1,5 @@
-"""`python -m hts_go1_runtime.fake`: a robot that hangs in the pose of standing, legs slack, says so 250 times a
-second, and then fails on purpose.
+"""`python -m hts_go1_runtime.fake`: a robot that hangs in the pose of standing, legs held fast, says so 250 times a
+second, and then fails on purpose. Its motors give the torque that they are asked for.
 
 For the bench and for tests: it notes when it failed and when the damping command came, on the clock that all processes
 of a computer share, and prints both as one line of JSON.
@@ -29,7 +29,7 @@ from hts_go1_runtime.packet import COMMAND, LARGEST, STATE, numbers_of_state, pa
 PERIOD = 0.004  # s
 FAULTS = (
     "none", "tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "lost link",
-    "stale states", "not finite", "orientation", "operator file", "operator signal", "operator key",
+    "stale states", "not finite", "orientation", "not following", "operator file", "operator signal", "operator key",
 )  # fmt: skip
 
 
@@ -54,6 +54,7 @@ def failing(state: State, fault: str) -> State:
         "temperature": {"temperature": np.where(np.arange(12) == 7, 85.0, 40.0)},
         "not finite": {"dq": np.full(12, np.nan)},
         "orientation": {"quaternion": np.zeros(4)},
+        "not following": {"tau": np.zeros(12)},
     }
     return dataclasses.replace(state, **changed.get(fault, {}))  # type: ignore[arg-type]
 
@@ -72,6 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     line.bind(("127.0.0.1", 0))
     print(line.getsockname()[1], flush=True)
     partner, begun, failed, damped = None, None, None, None
+    torque = np.zeros(12)
     sequence, due = 0, time.monotonic()
     while begun is None or time.monotonic() - begun < given.seconds:
         due += PERIOD
@@ -83,12 +85,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if packet is None or packet[0] != COMMAND:
                 continue
             begun = begun or time.monotonic()
-            _, kp, kd = np.split(packet[3], 3)
+            target, kp, kd = np.split(packet[3], 3)
+            torque = kp * (target - STAND)
             if not kp.any() and np.allclose(kd, DAMPING.kd) and damped is None:
                 damped = time.monotonic()
         if damped is not None:
             break
-        state = standing(sequence, time.monotonic())
+        state = dataclasses.replace(standing(sequence, time.monotonic()), tau=torque)
         if begun is not None and time.monotonic() - begun > given.at and given.fault != "none":
             if failed is None:
                 failed = time.monotonic()

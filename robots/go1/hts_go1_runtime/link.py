@@ -16,8 +16,9 @@
 
 Motors 0 to 11 of both are FR, FL, RR, RL, in each hip, thigh, calf: the order used here. Firmware expects a command
 about every 2 ms (500 Hz): a link to a real robot repeats the last command from a thread of its own, and sends the
-damping command by itself if it has not heard from the runtime for 50 ms. All fields of the battery can read 0 while the
-process that reads it is down, and so can the IMU's quaternion: the runtime refuses to start then.
+damping command by itself, and nothing else until a new session greets it, if it has not heard from the runtime for
+100 ms. All fields of the battery can read 0 while the process that reads it is down, and so can the IMU's quaternion:
+the runtime refuses to start then.
 """
 
 from __future__ import annotations

@@ -187,8 +187,18 @@ class Loop:
                 raise self._stopped
             try:
                 self.link.send(command)
+                self._guard.sent(command, self.link.now())
             except OSError as error:
                 self.stop("lost link", f"a command could not be sent ({error.strerror or error})")
+            self._damp_again()
+
+    def _damp_again(self) -> None:
+        """A signal's handler, which no lock of its own thread keeps out, may have stopped the robot while a command was
+        being sent: then that command came last. Raises Stopped."""
+        if self._stopped is not None:
+            with contextlib.suppress(OSError):
+                self.link.send(DAMPING)
+            raise self._stopped
 
     def _watchdog(self) -> None:
         """Brakes if a step is not done long after it was due."""

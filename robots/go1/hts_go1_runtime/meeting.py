@@ -49,6 +49,16 @@ def check_channels(wanted: Mapping[str, Any], measured: Sequence[str], external:
         )
 
 
+def check_draws(current: float) -> None:
+    """Raise RuntimeFault for a current of the pack, A, that no robot draws whose motors idle; NaN: not measured."""
+    if current <= 0:
+        raise RuntimeFault(
+            f"The pack's current is {current:.2f} A while the motors idle, expected above 0, which is drawn from it: "
+            "the link counts the other way, or does not read it. Correct it in the link, or leave NaN there if nobody "
+            "measures it; the robot has not stood up."
+        )
+
+
 def check_lies(states: Sequence[State]) -> None:
     """Raise RuntimeFault if the robot stands on its legs: a visit begins with motors that idle."""
     how = carried(states)

@@ -1,4 +1,5 @@
-"""The operator's key: Enter on the terminal, a file called STOP in the bundle, a signal (Ctrl-C, SIGTERM, SIGUSR1)."""
+"""The operator's key: Enter or Ctrl-D on the terminal, a file called STOP in the bundle, or any of SIGNALS: Ctrl-C,
+Ctrl-\\ and Ctrl-Z on the terminal, its end (a dropped ssh, also under nohup), SIGTERM, SIGUSR1."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from hts_go1_runtime.errors import RuntimeFault
 
 GLANCE = 0.1  # s: how often a question looks at whatever else could end the waiting
 Brake = Callable[[str, str], None]
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
+KEY_GONE = "the key Enter is gone, the input has ended: a file STOP in the bundle, Ctrl-C or SIGTERM stop the robot"
 
 
 class StopFile:
@@ -45,16 +47,24 @@ def signals(brake: Brake) -> Iterator[None]:
             signal.signal(one, handler)
 
 
-def listen(brake: Brake, keys: IO[str] | None = None) -> None:
-    """A thread brakes the robot as soon as a line comes from stdin (or `keys`). An end of it is no key."""
+def listen(brake: Brake, keys: IO[str] | None = None, gone: Callable[[str], None] = lambda line: None) -> None:
+    """A thread brakes the robot as soon as a line comes from stdin (or `keys`), or a terminal ends (Ctrl-D, or it is
+    gone). gone: told in a line where there is no key, or none any more."""
     stream = sys.stdin if keys is None else keys
     if stream is None:
+        gone(KEY_GONE)
         return
+    terminal = stream.isatty()
 
     def work() -> None:
-        with contextlib.suppress(OSError):  # a terminal that is gone
-            if stream.readline():
-                brake("operator", "a key on the terminal")
+        try:
+            key = "a key on the terminal" if stream.readline() else ""
+        except OSError:  # a terminal that is gone
+            key = ""
+        if key or terminal:
+            brake("operator", key or "the end of the input on the terminal")
+        else:
+            gone(KEY_GONE)
 
     threading.Thread(target=work, daemon=True).start()
 
@@ -77,7 +87,9 @@ def ask(question: str, look: Callable[[], None], keys: IO[str] | None = None) ->
     while not line.endswith(b"\n"):
         look()
         if select.select([handle], [], [], GLANCE)[0]:
-            sign = os.read(handle, 1)
+            sign = b""
+            with contextlib.suppress(OSError):  # a terminal that is gone
+                sign = os.read(handle, 1)
             if not sign:
                 raise RuntimeFault(_NOBODY)
             line += sign

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 
-from hts_go1_runtime.link import State
+from hts_go1_runtime.following import Following
+from hts_go1_runtime.link import Command, State
 from hts_go1_runtime.machine import JOINTS, POSITION_HIGH, POSITION_LOW, VELOCITY_LIMIT, Limits
 
 REASONS = (
     "tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "lost link", "late loop",
-    "operator", "not finite", "orientation",
+    "operator", "not finite", "orientation", "not following",
 )  # fmt: skip
 UNIT = 0.05  # of an IMU's quaternion from length 1: float32 and its firmware's rounding stay below a thousandth
 DRIFT = 2e-4  # of two clocks, s/s: quartz is ten times better
@@ -30,6 +31,11 @@ class Guard:
         self._upright = -math.cos(limits.tilt)
         self._offset, self._at = math.inf, 0.0  # smallest difference of the two clocks, and when it was seen
         self._seen = -1
+        self._following = Following(limits.share)
+
+    def sent(self, command: Command, now: float) -> None:
+        """A command has left: the joints are to follow it."""
+        self._following.sent(command, now)
 
     def state(self, state: State) -> Fault | None:
         """What is wrong with a state, or None. A number that is not measured (NaN) of the pack, of the feet or of the
@@ -59,7 +65,7 @@ class Guard:
         if fast.size:
             joint = int(fast[0])
             return "joint speed", f"{JOINTS[joint]} at {state.dq[joint]:.1f} rad/s, at most {self._speed[joint]:.1f}"
-        if state.current > limits.current:
+        if abs(state.current) > limits.current:  # of either sign: a link may count the other way
             return "over-current", f"{state.current:.1f} A drawn from the pack, at most {limits.current:g}"
         if state.voltage < limits.voltage:
             return "low voltage", f"{state.voltage:.2f} V at the pack, at least {limits.voltage:g}"
@@ -70,7 +76,8 @@ class Guard:
                 "temperature",
                 f"{JOINTS[joint]} at {state.temperature[joint]:.0f} degC, at most {limits.temperature:g}",
             )
-        return None
+        astray = self._following.state(state)
+        return ("not following", astray) if astray else None
 
     def silence(self, newest: State, now: float) -> Fault | None:
         """Whether the robot has been silent for too long, or the newest state took too long. (Older ones that came with

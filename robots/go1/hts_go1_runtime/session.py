@@ -23,7 +23,7 @@ from hts_go1_runtime.link import DAMPING, Command, Link, State
 from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND
-from hts_go1_runtime.meeting import check_channels, check_lies, meet
+from hts_go1_runtime.meeting import check_channels, check_draws, check_lies, meet
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.trimming import Trimming
 
@@ -37,10 +37,10 @@ DAMP_SECONDS = 1.0  # of repeated damping commands after a stop, in case some ar
 
 @dataclass(frozen=True)
 class Options:
-    """rows: names of those to record, none: all that have no log yet; idle_seconds: to measure the idle levels before
-    standing up, 0: not; warmup_seconds: None: the bundle's; first_run: walk each policy slowly and weakly, record
-    nothing; mass_kg: for the mapping; vouched: hashes of policies that failed the gate and are to be walked; external:
-    channels that a sensor of its own logs."""
+    """rows: names, none: all without a log; idle_seconds: to measure the idle levels, 0: not; warmup_seconds: None: the
+    bundle's; first_run: walk each policy slowly and weakly, record nothing; mass_kg: for the mapping; vouched: hashes
+    of policies that failed the gate and are to be walked; external: channels that a sensor of its own logs; at_limit:
+    record rows at a limit of the command too."""
 
     rows: tuple[str, ...] = ()
     idle_seconds: float = 10.0
@@ -49,6 +49,7 @@ class Options:
     mass_kg: float | None = None
     vouched: tuple[str, ...] = ()
     external: tuple[str, ...] = ()
+    at_limit: bool = False
 
 
 class Session:
@@ -93,6 +94,7 @@ class Session:
         """From lying to lying."""
         seen, self._idle = self._measure_idle("idle")
         check_read(seen)
+        check_draws(self._idle.get("battery_current", self.loop.state.current))
         self._stand_up()
         try:
             self._walk_rows(rows)
@@ -273,6 +275,7 @@ class Session:
             raise
         command, saturated = trimming.found()
         self.events.say("trimmed", log=row.log, asked=row.commands[0][1], command=round(command, 4), at_limit=saturated)
+        trimming.check(self.options.at_limit)
         return command, saturated
 
     def _fallen(self, log: RowLog, row: Row, **notes: str) -> None:

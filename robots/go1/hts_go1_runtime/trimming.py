@@ -3,7 +3,8 @@
 u <- clip(u + k (v* - v) dt, limits)        once the change of policy and speed has settled
 u* = mean(u) + (v* - mean(v))               over the last part: where the loop was heading when it was cut
 
-A step without a measured speed changes nothing; a sensor that is silent for longer ends the visit.
+A step without a measured speed changes nothing. A sensor that is silent for longer, or repeats one number to the last
+digit, ends the visit: the loop would drive the command to a limit.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from hts_go1_runtime.errors import RuntimeFault
 GAIN = 1.0  # k, 1/s
 SETTLING = 2.0  # s, at most a quarter of the stretch
 FINDING = 2.5  # s after settling until the loop has found its level
-BLIND = 0.5  # s without a measured speed: a command that is turned on after that is turned blindly
+BLIND = 0.5  # s without a new measured speed (a camera gives ten a second): what is turned after that is turned blindly
 
 
 class Trimming:
@@ -27,22 +28,25 @@ class Trimming:
         self._settling = min(SETTLING, seconds / 4)
         self._begin = min(self._settling + FINDING, seconds / 2)
         self._elapsed, self._sent, self._walked, self._count = 0.0, 0.0, 0.0, 0
-        self._blind = 0.0
+        self._blind, self._last = 0.0, math.nan
 
     def see(self, speed: float) -> None:
         """The measured speed forward of a step, m/s, NaN where the sensor missed it: changes `command`.
 
-        Raises RuntimeFault if nothing was measured for longer than BLIND.
+        Raises RuntimeFault if nothing new was measured for longer than BLIND.
         """
-        if not math.isfinite(speed):
-            self._elapsed, self._blind = self._elapsed + self._period, self._blind + self._period
-            if self._blind > BLIND:
-                raise RuntimeFault(
-                    f"The sensor of the trunk's speed has given nothing for {BLIND:g} s while a command was trimmed. "
-                    "See that it sees the robot all along the track, then run the same again."
-                )
+        measured = math.isfinite(speed)
+        self._blind = 0.0 if measured and speed != self._last else self._blind + self._period
+        if self._blind > BLIND:
+            given = f"nothing but {speed:g} m/s" if measured else "nothing"
+            raise RuntimeFault(
+                f"The sensor of the trunk's speed has given {given} for {BLIND:g} s while a command was trimmed. "
+                "See that it sees the robot all along the track, then run the same again."
+            )
+        if not measured:
+            self._elapsed += self._period
             return
-        self._blind = 0.0
+        self._last = speed
         if self._elapsed >= self._begin:
             self._sent, self._walked, self._count = self._sent + self.command, self._walked + speed, self._count + 1
         if self._elapsed >= self._settling:
@@ -57,3 +61,15 @@ class Trimming:
             command = (self._sent + self._asked * self._count - self._walked) / self._count
         held = min(max(command, self._low), self._high)
         return held, command <= self._low or command >= self._high
+
+    def check(self, vouched: bool) -> None:
+        """Raise RuntimeFault where a limit held the command back, unless a person vouches that it is an answer: `hts`
+        refuses what is recorded at it."""
+        command, at_limit = self.found()
+        if at_limit and not vouched:
+            shown = f"the sensor showed {self._walked / self._count:.2f} m/s" if self._count else "nothing was measured"
+            raise RuntimeFault(
+                f"Trimmed for {self._asked:g} m/s the command ended at {command:g} m/s, an end of what is allowed "
+                f"({self._low:g} to {self._high:g}), and {shown}: `hts` refuses this speed. See that the sensor is "
+                "right and run the same again; if the robot does walk so, it is an answer: record it with --at-limit."
+            )

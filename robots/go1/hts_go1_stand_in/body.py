@@ -20,7 +20,7 @@ from hts_go1_runtime.link import DAMPING, Command, State
 
 STATE_SECONDS = 0.004
 PER_READING = 5  # states between two readings of the pack's monitor, which is slow
-FIRMWARE_PATIENCE = 0.05  # s without a command until the robot damps itself
+PATIENCE = 0.1  # s without a command until the robot damps itself: five lost in a row (two, at 2 %, are one in 50 s)
 FALLEN_TILT = -0.5  # projected gravity z: 60 degrees
 
 
@@ -49,12 +49,16 @@ class Body:
         self._gains: Command | None = None
         self._target: np.ndarray | None = None
         self._shown: dict[str, Any] = {}
-        self._heard, self._count, self._down = 0.0, 0, False
+        self._heard: float | None = None  # when the session's newest command came
+        self._count, self._down = 0, False
         self.clock, self.falls = 0.0, 0
 
     def command(self, command: Command) -> None:
-        """Targets with gains; act after the robot's own delay."""
-        self._heard, self._damped = self.clock, False
+        """Targets with gains; act after the robot's own delay. A robot that damped itself obeys nobody until it is
+        greeted: it would spring up from wherever it has sunk to."""
+        if self._damped:
+            return
+        self._heard = self.clock
         if self._on_stool and not command.kp.any():
             self._set_gains(command)
             return
@@ -62,9 +66,13 @@ class Body:
         self._set_gains(command)
         self._target = command.q[None]
 
+    def greet(self) -> None:
+        """Another runtime has come. Its commands count; until the first, the gains stay as they are."""
+        self._heard, self._damped = None, False
+
     def advance(self) -> None:
         """STATE_SECONDS pass."""
-        if not self._on_stool and not self._damped and self.clock - self._heard > FIRMWARE_PATIENCE:
+        if not self._on_stool and self._heard is not None and self.clock - self._heard > PATIENCE:
             self._set_gains(DAMPING)
             self._damped = True
         if self._sags:

@@ -35,6 +35,7 @@ class Line:
         self._number, self._newest = 0, -1
         self.lost = self.delayed = 0
         self.heard = time.monotonic()
+        self.greeting = False  # another runtime has spoken; whoever greets it says False
 
     @property
     def greeted(self) -> bool:
@@ -91,7 +92,7 @@ class Line:
                 continue
             kind, sequence = packet[:2]
             if kind == DONE and sequence == HELLO and sender != self._partner:  # another runtime, which counts from 1
-                self._newest, self._in = -1, []
+                self._newest, self._in, self.greeting = -1, [], True
             self._partner, self.heard = sender, time.monotonic()
             if kind == DONE and sequence != HELLO:
                 self._finished = sequence

@@ -30,17 +30,22 @@ def serve(body: Body, line: Line, lockstep: bool, quiet: float, states_per_tick:
                 line.tick(sequence, body.clock)
                 if not line.done(sequence, body.clock, quiet):
                     return
-            _obey(body, line.commands(body.clock, 0.0))
+            _obey(body, line, 0.0)
         else:
             due = began + body.clock + STATE_SECONDS
             while (left := due - time.monotonic()) > 0:
-                _obey(body, line.commands(body.clock, left))
+                _obey(body, line, left)
             if left < -BEHIND:
                 began += -left
         body.advance()
         sequence += 1
 
 
-def _obey(body: Body, commands: list[np.ndarray]) -> None:
+def _obey(body: Body, line: Line, seconds: float) -> None:
+    """What comes within so many seconds."""
+    commands = line.commands(body.clock, seconds)
+    if line.greeting:
+        body.greet()
+        line.greeting = False
     for numbers in commands:
         body.command(Command(*np.split(numbers, 3)))

@@ -15,7 +15,7 @@ LAG = 0.05  # s
 
 
 class ScriptedLink(Link):
-    """The joints go where they are told to, within some LAG; the robot walks at 0.9 of the command of `speed`.
+    """The joints go where they are told to, within some LAG; their motors give what they are asked for.
 
     spoil(state) may change a state, or return None: it is lost.
     """
@@ -26,7 +26,7 @@ class ScriptedLink(Link):
         self.counts, self.sent = Counts(), []
         self._spoil, self._clock, self._sequence = spoil, 0.0, 0
         self._command: Command | None = None
-        self.speed = 0.0
+        self.speed = 0.55
         self._pose: np.ndarray | None = None
         self._random = np.random.default_rng(0)
 
@@ -37,15 +37,17 @@ class ScriptedLink(Link):
         self._clock += STATE_SECONDS
         self._sequence += 1
         state = standing(self._sequence, self._clock)
-        wanted = state.q if self._command is None or not self._command.kp.any() else self._command.q
-        pose = wanted if self._pose is None else self._pose
+        command = self._command
+        pose = state.q if self._pose is None else self._pose
+        wanted = pose if command is None or not command.kp.any() else command.q
         velocity = (wanted - pose) / LAG
+        torque = np.zeros(12) if command is None else command.kp * (command.q - pose) - command.kd * velocity
         self._pose = pose = pose + STATE_SECONDS * velocity
         state = dataclasses.replace(
             state,
             received=self._clock,
             q=pose + 1e-4 * self._random.standard_normal(12),
-            tau=self._random.standard_normal(12),
+            tau=torque + self._random.standard_normal(12),
             dq=velocity + 0.01 * self._random.standard_normal(12),
             velocity=np.array([self.speed, 0.0, 0.0]) + 1e-3 * self._random.standard_normal(3),
             current=3.0 + 0.1 * self._random.standard_normal(),

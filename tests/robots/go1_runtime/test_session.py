@@ -138,7 +138,7 @@ def test_trimming_is_the_twins():
 def test_a_speed_that_was_missed_for_a_moment_changes_no_command():
     trimming = Trimming(0.8, (0.2, 1.5), 12.0, 0.02)
     for number in range(600):
-        trimming.see(float("nan") if number % 50 < 20 else 0.75)  # 0.4 s of each second
+        trimming.see(float("nan") if number % 50 < 20 else 0.75 + 1e-6 * number)  # 0.4 s of each second
         assert 0.8 <= trimming.command <= 1.5
     command, at_limit = trimming.found()
     assert command == pytest.approx(trimming.command + 0.05, abs=0.3) and not at_limit

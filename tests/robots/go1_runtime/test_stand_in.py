@@ -20,8 +20,9 @@ from hts_go1_runtime.link import NOTHING, Command
 from hts_go1_runtime.machine import STAND
 from hts_go1_runtime.udp import UdpLink
 from hts_go1_stand_in.__main__ import main
-from hts_go1_stand_in.body import FIRMWARE_PATIENCE, STATE_SECONDS, Body
+from hts_go1_stand_in.body import PATIENCE, STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
+from hts_go1_stand_in.serve import _obey
 
 HOLD = Command(STAND, np.full(12, 40.0), np.full(12, 1.0))
 
@@ -57,7 +58,7 @@ def test_it_hangs_on_a_stool_until_it_is_told_to_stand_and_damps_itself_in_silen
     stood = states(body, 250, HOLD)
     assert stood[-1].gravity[2] < -0.97
     assert stood[-1].current > 1.3 * level  # standing is not idle
-    states(body, round(FIRMWARE_PATIENCE / STATE_SECONDS) + 200, None)
+    states(body, round(PATIENCE / STATE_SECONDS) + 200, None)
     assert np.abs(body.state(0).q - STAND).max() > 0.3  # it has sunk down
     assert np.abs(body.state(0).dq).max() < 3.0  # braked
 
@@ -83,13 +84,44 @@ def test_a_second_runtime_is_heard_from_its_first_command_on():
         while len(heard) < 5 and time.monotonic() < end:
             heard += line.commands(0.0, 0.1)
         numbers.append([one[12] for one in heard])
+        assert line.greeting
+        line.greeting = False  # greeted
         link.hello()  # the same runtime again: what it sent before stays sent
         link._sequence = 0
         link.send(Command(STAND, np.full(12, 99.0), np.ones(12)))
         assert line.commands(0.0, 0.2) == []
+        assert not line.greeting
         link.close()
     line._socket.close()
     assert numbers == [[30.0] * 5, [40.0] * 5]
+
+
+def test_each_runtime_greets_the_robot_before_its_commands_count():
+    said: list[str] = []
+
+    class Ear:
+        clock = 0.0
+
+        def greet(self) -> None:
+            said.append("greeted")
+
+        def command(self, command: Command) -> None:
+            said.append("told")
+
+    line = Line(0, 0.0, 0.0, 0.0, 0)
+    for _ in range(2):
+        link = UdpLink(f"udp://127.0.0.1:{line.port}")
+        link.send(HOLD)
+        end = time.monotonic() + 5.0
+        while said.count("told") < 1 and time.monotonic() < end:
+            _obey(Ear(), line, 0.1)
+        assert said == ["greeted", "told"]
+        link.hello()  # the same runtime again
+        _obey(Ear(), line, 0.1)
+        assert said == ["greeted", "told"]
+        said.clear()
+        link.close()
+    line._socket.close()
 
 
 def visit(bundle: Path, *options: str) -> None:

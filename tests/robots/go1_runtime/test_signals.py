@@ -1,0 +1,132 @@
+"""Signals, and a terminal that ends: the robot is damped, and the damping command is the last."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hts_go1_runtime.errors import Stopped
+from hts_go1_runtime.link import DAMPING, Command
+from hts_go1_runtime.loop import Loop
+from hts_go1_runtime.machine import STAND, Limits
+from hts_go1_runtime.operator_key import SIGNALS, signals
+
+SCRIPTED = Path(__file__).with_name("scripted.py")
+SPEC = importlib.util.spec_from_file_location("scripted", SCRIPTED)
+scripted = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(scripted)
+STEADY = Command(STAND, np.full(12, 30.0), np.full(12, 0.6))
+
+
+class Interrupted(scripted.ScriptedLink):
+    """A signal comes while the tenth command is being sent."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self._number, self._count = number, 0
+
+    def send(self, command):
+        self._count += 1
+        if self._count == 10:
+            os.kill(os.getpid(), self._number)
+        super().send(command)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_while_a_command_is_being_sent_leaves_the_damping_command_as_the_last(number):
+    link, before = Interrupted(number), signal.getsignal(number)
+    loop = Loop(link, 0.02, Limits())
+
+    def walk() -> None:
+        loop.start()
+        for _ in range(20):
+            loop.tick(lambda state: STEADY)
+
+    with signals(loop.brake), pytest.raises(Stopped, match=f"operator: signal {signal.Signals(number).name}"):
+        walk()
+    assert signal.getsignal(number) is before
+    assert link.sent[-1][1] is DAMPING
+    assert len(link.sent) == 12  # nine steps, one damping command, the step in the midst of which it came, another
+
+
+VISIT = """
+import fcntl, importlib.util, json, sys, termios, time
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)  # the terminal is this session's
+from hts_go1_runtime import cli
+from hts_go1_runtime.link import DAMPING
+spec = importlib.util.spec_from_file_location("scripted", sys.argv[1])
+scripted = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(scripted)
+class Paced(scripted.ScriptedLink):
+    def wait(self, until):
+        time.sleep(0.001)
+        return super().wait(until)
+link = Paced()
+cli.UdpLink = lambda url, lockstep: link
+code = cli.main(["run", sys.argv[2], "--link", "udp://127.0.0.1:9870", "--lockstep", "--idle-seconds", "0", "--yes"])
+open(sys.argv[3], "w").write(json.dumps([code, link.sent[-1][1] is DAMPING]))
+sys.exit(code)
+"""
+
+
+def test_a_terminal_that_is_gone_damps_the_robot_and_the_visit_ends_in_order(bundle, tmp_path):
+    typing, reading = os.openpty()
+
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
+    command = [sys.executable, "-W", "ignore", "-c", VISIT, str(SCRIPTED), str(bundle), str(tmp_path / "end")]
+    process = subprocess.Popen(
+        command, stdin=reading, stdout=reading, stderr=reading, env=environment, start_new_session=True
+    )
+    os.close(reading)
+    said = b""
+    while b"standing" not in said:
+        said += os.read(typing, 1000)
+    os.close(typing)
+    assert process.wait(60) == 3
+    assert json.loads((tmp_path / "end").read_text()) == [3, True]
+    events = [json.loads(line) for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
+    (stopped,) = [one for one in events if one["what"] == "stopped"]
+    assert stopped["detail"] in ("signal SIGHUP", "the end of the input on the terminal")
+    assert events[-1]["what"] == "ended"
+
+
+def test_nobody_who_reads_what_is_said_ends_no_visit(visit, monkeypatch, bundle):
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as gone:
+        monkeypatch.setattr(sys, "stdout", gone)
+        monkeypatch.setattr(sys, "stderr", gone)
+        assert visit("--yes") == 0
+    assert '"what": "ended", "rows": ["00", "01"]' in (bundle / "logs" / "events.jsonl").read_text()
+
+
+def test_ctrl_d_on_the_terminal_is_the_key(monkeypatch, visit, capsys):
+    typing, reading = os.openpty()
+    before = set(threading.enumerate())
+    with os.fdopen(reading) as keys:
+        monkeypatch.setattr(sys, "stdin", keys)
+        os.write(typing, b"\x04")
+        link = scripted.ScriptedLink()
+        assert visit("--yes", link=link) == 3
+        for thread in set(threading.enumerate()) - before:
+            thread.join(10)
+    os.close(typing)
+    assert "operator: the end of the input on the terminal" in capsys.readouterr().err
+    assert link.sent[-1][1] is DAMPING
+
+
+@pytest.mark.parametrize("nothing", [True, False])
+def test_a_key_that_nobody_can_press_is_said(monkeypatch, visit, capsys, nothing):
+    with Path(os.devnull).open() as ended:
+        monkeypatch.setattr(sys, "stdin", None if nothing else ended)
+        assert visit("--yes") == 0
+    assert "the key Enter is gone, the input has ended: a file STOP in the bundle, Ctrl-C" in capsys.readouterr().out
