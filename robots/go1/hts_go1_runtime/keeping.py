@@ -95,8 +95,8 @@ class Keeper:
         if self._elsewhere:
             folder = Path(self._elsewhere[0].elsewhere).parent
             raise RuntimeFault(
-                f"The disk refused rows; they are in {folder}. Free space, move the .csv there into the bundle's logs and "
-                "what is in mappings into logs/mappings, then run the same again."
+                f"The disk refused rows; they are in {folder}. Free space, move the .csv there into the bundle's logs "
+                "and what is in mappings into logs/mappings, then run the same again."
             )
         if self._unnamed:
             raise RuntimeFault(f"{self._unnamed[0].unnamed}. Look at both, and move away the one that is none.")
