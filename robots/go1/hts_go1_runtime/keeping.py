@@ -74,11 +74,12 @@ class Keeper:
             time.sleep(GLANCE)
         if not self._pending():
             return
-        self._events.say(
-            "waiting for the disk: free space, what was recorded is in memory; Ctrl-C writes it to a temporary folder",
-            why=self._fault(),
-        )
-        with heard() as signals:
+        with heard() as signals:  # from before it is said, so that none is lost
+            self._events.say(
+                "waiting for the disk: free space, what was recorded is in memory; Ctrl-C writes it to a temporary "
+                "folder",
+                why=self._fault(),
+            )
             acted = 0
             while self._pending() and not self._lost:
                 self.look()
