@@ -73,7 +73,7 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
     stop = bundle.folder / "STOP"
     if stop.exists():
         raise RuntimeFault(f"{stop}: is there and means stop. Remove it to begin.")
-    limits = Limits(current=options.most_current, temperature=options.most_temperature)
+    limits = Limits(current=options.most_current, temperature=options.most_temperature, share=options.least_share)
     with alone(bundle.logs), contextlib.closing(UdpLink(options.link, options.lockstep)) as link:
         loop = Loop(link, 1 / bundle.rate_hz, limits, StopFile(stop))
         with contextlib.closing(Events(bundle.logs / "events.jsonl")) as events:
@@ -189,6 +189,12 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--most-current", type=_number(1, 100), default=current, help="A from the pack, beyond: stop")
     run.add_argument(
         "--most-temperature", type=_number(20, 90), default=temperature, help="degC of a motor, beyond: stop"
+    )
+    run.add_argument(
+        "--least-share",
+        type=_number(0, 1),
+        default=Limits.share,
+        help="of the torque that joints are asked for, below: stop; 0: never",
     )
     run.add_argument("--yes", action="store_true", help="begin without asking")
     bench = commands.add_parser("bench", help="step times and stops on this computer, against a made-up robot")

@@ -33,7 +33,8 @@ ASKED = 2.0  # N*m of each joint, root mean square: less, as of a robot that lie
 
 
 class Following:
-    """Holds what is measured against what was commanded."""
+    """Holds what is measured against what was commanded. least: the share below which joints do not follow; 0: nobody
+    is stopped by it."""
 
     def __init__(self, least: float) -> None:
         self._least = least
@@ -48,6 +49,8 @@ class Following:
 
     def state(self, state: State) -> str:
         """How it shows that the joints do not follow; "" if they do, or if too little was asked to tell."""
+        if not self._least:
+            return ""
         now, seen = state.received, self._seen
         seen.append((now, self._compared(state)))
         while len(seen) > 1 and seen[1][0] <= now - WINDOW:

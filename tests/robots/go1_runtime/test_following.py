@@ -70,7 +70,7 @@ def test_commands_that_no_longer_arrive_stop_the_robot_while_its_states_still_do
 
 
 def test_a_robot_that_damped_itself_does_not_spring_up_until_it_is_greeted(body):
-    loop = Loop(Direct(body), 0.02, Limits(share=-1.0))
+    loop = Loop(Direct(body), 0.02, Limits(share=0.0))
     loop.start()
     steps(loop, 0.5, HOLD)
     loop.watch(PATIENCE + 1.0)
@@ -118,6 +118,10 @@ def test_worn_gains_and_a_late_line_are_followed(gain, delay):
 @pytest.mark.parametrize("gain", [0.0, 0.2, -1.0])
 def test_joints_that_give_little_or_the_opposite_are_not(gain):
     assert "of the torque that their targets ask for" in followed(gain, 2)
+
+
+def test_a_share_of_nothing_stops_nobody():
+    assert followed(-1.0, 2, least=0.0) == ""
 
 
 def test_the_share_is_what_is_given_of_what_is_asked():
