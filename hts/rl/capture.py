@@ -31,14 +31,21 @@ def explained() -> Iterator[None]:
     or reads a value, which can be neither captured nor written down."""
     try:
         yield
-    except HtsError:
-        raise
+    except HtsError as error:
+        if not isinstance(error.__cause__, RuntimeError):
+            raise
+        where = str(error).split(" failed, ")[0]  # a plugin's: the line says whose
+        raise _not_captured(error.__cause__, where) from error
     except RuntimeError as error:
-        reason = str(error).strip().split("\n")[0]
-        raise SimulationError(
-            f"Capturing a step of the GPU failed ({reason}): something in it waits for the device, most likely an "
-            "objective's reward or proxy. Keep its arithmetic on the tensors it is given, or set ppo.capture=false."
-        ) from error
+        raise _not_captured(error, "most likely an objective's reward or proxy") from error
+
+
+def _not_captured(error: RuntimeError, where: str) -> SimulationError:
+    reason = str(error).strip().split("\n")[0]
+    return SimulationError(
+        f"Capturing a step of the GPU failed ({reason}): something in it waits for the device, {where}. Keep its "
+        "arithmetic on the tensors it is given, or set ppo.capture=false."
+    )
 
 
 def captured(function: Callable[[], Result], pool: Any = None) -> tuple[torch.cuda.CUDAGraph, Result]:

@@ -9,6 +9,7 @@ from hts.channels import Channel
 from hts.config import EnvConfig
 from hts.contracts import Signals
 from hts.errors import SimulationError
+from hts.guarded import guarded
 from hts.measurement.lstm import LSTM, LSTMSettings
 from hts.measurement.transform import MeasurementTransform
 from hts.policies.files import load_policy
@@ -139,6 +140,15 @@ def test_a_reward_that_reads_a_value_is_named_with_what_to_do():
         return (-reward if float(reward.sum()) > 0.5 else reward,)
 
     with pytest.raises(SimulationError, match=r"waits for the device.*ppo\.capture=false"):
+        _traced(part, [], [torch.zeros(1)], compiled=False)
+
+
+def test_a_model_that_reads_a_value_is_named_with_what_to_do():
+    def part():
+        seen = torch.ones(3)
+        return (guarded("Measurement model 'mine': step()", lambda: -seen if float(seen.sum()) > 0.5 else seen),)
+
+    with pytest.raises(SimulationError, match=r"waits for the device, Measurement model 'mine': step\(\)\. .*ppo\.cap"):
         _traced(part, [], [torch.zeros(1)], compiled=False)
 
 
