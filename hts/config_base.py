@@ -52,7 +52,8 @@ class Config(BaseModel):
         given = value if isinstance(value, (list, tuple)) else (value,)
         if any(isinstance(one, bool) for one in given) and info.field_name in cls.model_fields:
             kinds = _kinds(cls.model_fields[info.field_name].annotation)
-            if kinds & {int, float} and not kinds & {bool, Any}:
+            said = any(isinstance(one, bool) for one in kinds)  # Literal[False]
+            if kinds & {int, float} and not kinds & {bool, Any} and not said:
                 raise ValueError("expected a number" if float in kinds else "expected a whole number")
         return value
 

@@ -14,9 +14,9 @@ Check = Literal["torque", "joint_range", "action_rate", "tilt"]
 class FirstRunConfig(Config):
     """How the first run of a new policy on a machine is made gentle; the deploy bundle states it."""
 
-    speed_scale: float = Field(0.5, ge=0.1, le=1, description="factor on every commanded speed, or set-point")
+    speed_scale: float = Field(0.5, gt=0, le=1, description="factor on every commanded speed, or set-point")
     torque_scale: float = Field(0.7, ge=0.1, le=1, description="factor on each joint's torque limit")
-    seconds: float = Field(20.0, ge=1, le=600, description="length of the first run of each policy, s")
+    seconds: float = Field(20.0, gt=0, le=600, description="length of the first run of each policy, s")
 
 
 class GateConfig(Config):

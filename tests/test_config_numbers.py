@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import pytest
 from pydantic import BaseModel
@@ -145,3 +145,10 @@ def test_a_batch_is_not_cut_into_more_parts_than_it_has_samples():
     assert "7 parts of a batch of 6 samples (ppo.horizon 3 x num_envs 2); expected at most 6" in said
     with pytest.raises(ValueError, match="7 parts of a batch of 6 samples"):
         PretrainConfig(num_envs=2, ppo={"horizon": 3, "minibatches": 7})
+
+
+def test_false_where_a_field_says_that_it_may_stand_for_none():
+    class Limited(Config):
+        limit: float | Literal[False] = False
+
+    assert Limited(limit=False).limit is False and Limited(limit=1.0).limit == 1.0

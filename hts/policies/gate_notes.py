@@ -15,6 +15,7 @@ from typing import Any
 from hts.errors import PolicyError
 
 Note = Mapping[str, Any]
+STOPPED = ["training stopped"]  # what a candidate failed at whose training went wrong
 
 
 def place(policy: Path) -> Path:
@@ -33,7 +34,8 @@ def hashes_of(card: Mapping[str, Any]) -> tuple[str, ...]:
 
 def note_of(source: Path, card: Mapping[str, Any], run: Path | None = None) -> Note | None:
     """What the gate found of a policy: the note beside its file, or one of the same hash in the run's folder; None
-    where nobody tried it. Of several, one that says that it failed.
+    where nobody tried it. Of several, one that says that it failed; but that a training was stopped is said of the
+    candidate: its policy is the anchor's again, which may have passed.
 
     card: the policy's. Raises PolicyError for a note beside it that is another policy's, and for one that cannot be
     read, since nobody knows whom it refuses.
@@ -42,7 +44,8 @@ def note_of(source: Path, card: Mapping[str, Any], run: Path | None = None) -> N
     if beside is not None:
         _check_whose(place(source), beside, source, hashes)
     found = [] if beside is None else [beside]
-    found += [note for path in notes(run) if (note := _read(path)) is not None and _hash_in(path, note) in hashes]
+    elsewhere = [(path, note) for path in notes(run) if (note := _read(path)) is not None]
+    found += [note for path, note in elsewhere if _hash_in(path, note) in hashes and note.get("failed") != STOPPED]
     return next((note for note in found if note.get("passed") is not True), found[0] if found else None)
 
 

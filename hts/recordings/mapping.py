@@ -265,7 +265,8 @@ def column_names(
         listed = _range(name, columns)
     else:
         listed = columns if isinstance(columns, tuple) else (columns,)
-        _once(f"columns of '{name}'", listed, "component")
+        if per_joint or channel.sum or len(set(listed)) == 1:  # one of zeros may fill up a command
+            _once(f"columns of '{name}'", listed, "component")
     if per_joint and len(listed) != len(joint_names):
         raise ConfigError(
             f"Mapping: '{name}' has {len(listed)} columns for {len(joint_names)} joints. "

@@ -30,6 +30,11 @@ def test_a_mapping_that_names_one_column_twice_is_refused_in_one_line(tmp_path, 
     assert said in str(refused.value) and "\n" not in str(refused.value)
 
 
+def test_a_column_of_zeros_may_fill_up_a_channel(tmp_path):
+    channels = {"velocity": {"columns": ["amps", "K_tau", "K_tau"], "unit": "m/s", "real": False}}
+    assert read(a_log(tmp_path), a_mapping(channels=channels)).values("velocity").shape[1] == 3
+
+
 def test_one_column_may_be_two_channels(tmp_path):
     channels = {"draw": {"columns": "amps", **AMPS}, "again": {"columns": "amps", **AMPS}}
     recording = read(a_log(tmp_path), a_mapping(channels=channels))

@@ -50,6 +50,15 @@ def test_a_broken_proxy_is_told_before_a_run_whatever_pays_in_it(name, monkeypat
     assert str(caught.value).startswith("Objective 'fake': proxy()") and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("angle", [lambda x: x.acos(), lambda x: x.sqrt(), lambda x: (1 - x.square()).sqrt()])
+def test_a_proxy_that_is_a_number_only_where_its_channel_can_be_is_none_of_these(angle, monkeypatch):
+    from hts.testing.examples.objective.objective import Fake
+
+    monkeypatch.setattr(Fake, "proxy", lambda self, channels: angle(channels[next(iter(channels))][..., 0]))
+    with kit_installed():
+        check_ready(load_config(preset="smoke", objectives=["fake"], robot="tiny", world="known"), load())
+
+
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_proxy_is_told_by_a_fit_before_anything_is_fitted(name, monkeypatch, tmp_path):
     proxy, said = BROKEN[name]

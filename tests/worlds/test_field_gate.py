@@ -78,6 +78,18 @@ def test_a_note_of_another_policy_is_not_believed(run, policy, whose, said):
     assert "\n" not in str(caught.value)
 
 
+def test_a_stopped_training_is_said_of_its_candidate_and_not_of_the_anchor_that_it_holds_again(run, policy, refused):
+    """`policy` has the same parameters, as the anchor of a candidate that was stopped has."""
+    from hts.policies.export import to_onnx
+
+    refused.with_suffix(".gate.json").write_text(json.dumps({**json.loads(REFUSED), "failed": ["training stopped"]}))
+    candidate = to_onnx(load_policy(refused), refused.with_suffix(".onnx"))
+    with pytest.raises(WorldError, match=r"00-00 is refused by the gate"):
+        field(run).head_to_head(candidate, policy, [0.8])
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+
+
 def test_a_note_that_does_not_say_whether_it_passed_is_refused(run, policy):
     policy.with_suffix(".gate.json").write_text('{"passed": "no"}')
     with pytest.raises(WorldError, match=r"walk.gate.json: found .*expected `passed` true or false"):

@@ -23,8 +23,8 @@ CHECKSUMS = "SHA256SUMS"
 LARGEST_FILE = 64 * 2**20  # bytes
 LONGEST_ROW = 3600.0  # s
 FASTEST, FASTEST_TURN = 3.0, 3.0  # m/s, rad/s: no command for this robot
-FIRST_RUNS = {"speed_scale": (0.1, 1.0), "torque_scale": (0.1, 1.0), "seconds": (1.0, 600.0)}
-"""From, to; hts refuses the same in `gate.first_run`."""
+FIRST_RUNS = {"speed_scale": (0.0, 1.0), "torque_scale": (0.1, 1.0), "seconds": (0.0, 600.0)}
+"""From, to; hts refuses the same in `gate.first_run`, and 0 of the first and the last."""
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from hts_go1_runtime.operator_key import SIGNALS
 
 PATIENCE = 10.0  # s that rows may take to the other folder
 GLANCE = 0.02  # s
+GIVES_UP = (signal.SIGINT, signal.SIGTERM)  # a terminal that goes sends others, and often more than one
 
 
 class Keeper:
@@ -80,17 +81,23 @@ class Keeper:
                 "folder",
                 why=self._fault(),
             )
-            acted = 0
+            answered = 0
             while self._pending() and not self._lost:
                 self.look()
-                if len(signals) > acted:
-                    acted += 1
+                if any(not self._asked or one in GIVES_UP for one in signals[answered:]):
                     self._leave()
+                    answered = len(signals)  # what came meanwhile is no answer to what has just been said
                 time.sleep(GLANCE)
         self.look()
 
-    def check_kept(self) -> None:
-        """Raise RuntimeFault for rows that were walked and are not where they belong."""
+    def check_kept(self, after: RuntimeFault | None = None) -> None:
+        """Raise RuntimeFault for rows that were walked and are not where they belong. after: why the visit ended."""
+        try:
+            self._check_kept()
+        except RuntimeFault as fault:
+            raise fault from after
+
+    def _check_kept(self) -> None:
         if self._lost:
             raise RuntimeFault("What the disk refused is lost: it was given up. Free space, then run the same again.")
         if self._elsewhere:

@@ -84,11 +84,21 @@ class Session:
         try:
             with self.events.stops():
                 self._visit(rows)
-        finally:
-            self.loop.damp(DAMP_SECONDS)
-            self._keeper.wait()
+        except RuntimeFault as fault:  # the disk may be it, and rows of before it elsewhere by now
+            self._settle()
+            self._keeper.check_kept(fault)
+            raise
+        except BaseException:
+            self._settle()
+            raise
+        self._settle()
         self._keeper.check_kept()
         return self.done
+
+    def _settle(self) -> None:
+        """The robot is let go, and what was recorded comes to rest somewhere."""
+        self.loop.damp(DAMP_SECONDS)
+        self._keeper.wait()
 
     def _visit(self, rows: Sequence[Row]) -> None:
         """From lying to lying."""

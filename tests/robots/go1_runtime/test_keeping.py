@@ -86,6 +86,59 @@ def test_where_nothing_can_be_written_the_next_signal_gives_it_up(
     assert "What the disk refused is lost: it was given up" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("second", [signal.SIGHUP, signal.SIGINT], ids=["a terminal that goes", "Ctrl-C twice"])
+def test_signals_that_come_before_the_question_are_no_answer_to_it(
+    bundle, visit, refusing, elsewhere, monkeypatch, capsys, second
+):
+    """Both come while the other folder is tried; nothing is given up until somebody says so after it was said."""
+    monkeypatch.setattr("hts_go1_runtime.keeping.PATIENCE", 1.0)
+    monkeypatch.setattr("hts_go1_runtime.log.RowLog.write_elsewhere", lambda log, folder: None)
+    events = bundle / "logs" / "events.jsonl"
+    events.touch()
+    given_up = []
+
+    def work() -> None:
+        while "waiting for the disk" not in events.read_text():
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGHUP)
+        time.sleep(0.3)
+        os.kill(os.getpid(), second)
+        while "cannot be written elsewhere" not in events.read_text():
+            time.sleep(0.05)
+        time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGHUP)
+        time.sleep(0.5)
+        given_up.append("given up" in events.read_text())
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    assert visit("--yes", "--rows", "00") == 2
+    thread.join()
+    assert given_up == [False]
+    assert "it was given up" in capsys.readouterr().err
+
+
+def test_where_a_later_row_meets_the_full_disk_the_last_line_says_where_the_rows_are(
+    bundle, visit, refusing, elsewhere, monkeypatch, capsys
+):
+    from hts_go1_runtime.errors import RuntimeFault
+    from hts_go1_runtime.keeping import Keeper
+
+    row = Keeper.walked
+
+    def walked(self, log, this):
+        row(self, log, this)
+        raise RuntimeFault("logs/.01.csv.partial: cannot be written (No space left on device)")
+
+    monkeypatch.setattr(Keeper, "walked", walked)
+    presses = pressed(bundle, "waiting for the disk")
+    assert visit("--yes", "--rows", "00,01") == 2
+    presses.join()
+    (folder,) = elsewhere.iterdir()
+    assert str(folder) in capsys.readouterr().err.splitlines()[-1]
+
+
 def test_times_of_a_step_are_its_own_however_long_a_visit_lasts(bundle, visit, monkeypatch):
     monkeypatch.setattr("hts_go1_runtime.loop.KEPT_TIMES", 20)
     assert visit("--yes", "--rows", "00") == 0
