@@ -8,52 +8,21 @@ import pytest
 import torch
 from tensordict.nn import TensorDictModule
 from torch import nn
-from torchrl.data import Binary, Composite, Unbounded
+from walk_env import CPU, SHAPE, Walk
 
-from hts.rl import Population, PopulationActor, PopulationCollector, PopulationRandom, Sizes, SplitStepEnv
+from hts.rl import Population, PopulationActor, PopulationCollector, PopulationRandom, Sizes
 from hts.rl.captured_collector import CapturedCollector
 
-CPU, SHAPE = torch.device("cpu"), torch.Size((2, 4))
 
+class Flagged(Walk):
+    """Says `flag` of each step's end."""
 
-class Still(SplitStepEnv):
-    """Nothing moves."""
-
-    dt = 1.0
-
-    def __init__(self, flag: torch.Tensor | None = None) -> None:
-        super().__init__(batch_size=SHAPE, device=CPU)
-        self.random = PopulationRandom(range(SHAPE[0]), CPU)
-        self.flag = torch.zeros(*SHAPE, 1, dtype=torch.bool) if flag is None else flag
-        seen = {name: Unbounded((*SHAPE, 3)) for name in ("observation", "critic_observation")}
-        self.observation_spec = Composite(**seen, shape=SHAPE)
-        self.action_spec, self.reward_spec = Unbounded((*SHAPE, 2)), Unbounded((*SHAPE, 1))
-        flag = Binary(1, (*SHAPE, 1), dtype=torch.bool)
-        self.done_spec = Composite({name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=SHAPE)
-
-    def begin_step(self, action):
-        return action
-
-    def simulate(self, inputs):
-        """Nothing moves."""
+    def __init__(self, flag: torch.Tensor) -> None:
+        super().__init__()
+        self.flag = flag
 
     def end_step(self, action):
-        return torch.zeros(SHAPE), dict.fromkeys(("terminated", "truncated", "done"), self.flag)
-
-    def rewards(self, steps):
-        return torch.stack(list(steps))
-
-    def observations(self):
-        return {name: torch.zeros(*SHAPE, 3) for name in ("observation", "critic_observation")}
-
-    def channel_values(self):
-        return {}
-
-    def start_episodes(self, mask):
-        """Nothing begins."""
-
-    def _set_seed(self, seed):
-        self.random.seed(seed or 0)
+        return self.last, dict.fromkeys(("terminated", "truncated", "done"), self.flag)
 
 
 def actor(candidates: int = 2, generators: int | None = None) -> PopulationActor:
@@ -68,9 +37,9 @@ COLLECTORS = pytest.mark.parametrize(
 
 @COLLECTORS
 def test_what_goes_together_is_collected(kind):
-    collector = kind(Still(), actor(), frames_per_batch=16)
+    collector = kind(Walk(), actor(), frames_per_batch=16)
     assert next(iter(collector)).shape == (*SHAPE, 2)
-    part = kind(Still(), actor(5).of(slice(1, 3)), frames_per_batch=16)
+    part = kind(Walk(), actor(5).of(slice(1, 3)), frames_per_batch=16)
     part.shutdown()
     collector.shutdown()
 
@@ -85,29 +54,29 @@ def test_what_goes_together_is_collected(kind):
 )
 def test_as_many_candidates_are_asked_for(kind, policy, found):
     with pytest.raises(ValueError, match=found):
-        kind(Still(), policy(), frames_per_batch=16)
+        kind(Walk(), policy(), frames_per_batch=16)
 
 
 @COLLECTORS
 def test_a_policy_of_one_is_refused(kind):
     alone = TensorDictModule(nn.Linear(3, 2), in_keys=["observation"], out_keys=["action"])
     with pytest.raises(TypeError, match="policy is a TensorDictModule, expected a PopulationActor"):
-        kind(Still(), alone, frames_per_batch=16)
+        kind(Walk(), alone, frames_per_batch=16)
 
 
 @COLLECTORS
 @pytest.mark.parametrize("frames", [0, -8, 12])
 def test_a_batch_is_whole_steps(kind, frames):
     with pytest.raises(ValueError, match=f"frames_per_batch is {frames}, expected a multiple of the 8"):
-        kind(Still(), actor(), frames_per_batch=frames)
+        kind(Walk(), actor(), frames_per_batch=frames)
 
 
 @COLLECTORS
 @pytest.mark.parametrize("flag", [torch.zeros(SHAPE, dtype=torch.bool), torch.zeros(*SHAPE, 1)])
 def test_flags_of_another_shape_or_kind_are_told(kind, flag):
-    collector = kind(Still(flag), actor(), frames_per_batch=16)
+    collector = kind(Flagged(flag), actor(), frames_per_batch=16)
     with pytest.raises(
-        ValueError, match=r"Still.end_step\(\) gave .* as terminated, expected \(2, 4, 1\) of torch.bool"
+        ValueError, match=r"Flagged.end_step\(\) gave .* as terminated, expected \(2, 4, 1\) of torch.bool"
     ):
         next(iter(collector))
     collector.shutdown()
