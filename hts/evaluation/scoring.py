@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.contracts import Comparison, Objective
-from hts.errors import EvaluationError, HtsError, PluginError
+from hts.errors import EvaluationError, PluginError
 from hts.guarded import guarded
 
 if TYPE_CHECKING:
@@ -61,20 +61,17 @@ def as_scores(who: str, found: object, count: int) -> dict[str, np.ndarray]:
 def compared(objective: Objective, policy: Mapping[str, float], reference: Mapping[str, float]) -> Comparison:
     """Of two means, in plain numbers. Raises EvaluationError where such numbers cannot be compared, PluginError for any
     other exception and for what is no comparison."""
-    try:
-        return plain(objective, objective.compare(policy, reference))
-    except HtsError:
-        raise
-    except ArithmeticError as error:
-        raise EvaluationError(
-            f"Objective '{objective.name}' cannot compare {dict(policy)} with {dict(reference)}: {error}. Check the "
-            "idle level and the recordings."
-        ) from error
-    except Exception as error:
-        raise PluginError(
-            f"Objective '{objective.name}': compare() failed, {type(error).__name__}: {error} (HTS_DEBUG=1 shows "
-            "where)."
-        ) from error
+
+    def ask() -> object:
+        try:
+            return objective.compare(policy, reference)
+        except ArithmeticError as error:
+            raise EvaluationError(
+                f"Objective '{objective.name}' cannot compare {dict(policy)} with {dict(reference)}: {error}. Check "
+                "the idle level and the recordings."
+            ) from error
+
+    return plain(objective, guarded(f"Objective '{objective.name}': compare()", ask))
 
 
 def plain(objective: Objective, found: object) -> Comparison:

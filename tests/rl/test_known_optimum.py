@@ -14,8 +14,8 @@ import functools
 
 import pytest
 import torch
-from torchrl.data import Binary, Composite, Unbounded
 from torchrl.objectives.value import GAE
+from walk_env import CPU, Walk
 
 from hts.rl import (
     KLConstrainedPPOLoss,
@@ -25,13 +25,11 @@ from hts.rl import (
     PopulationCritic,
     PopulationRandom,
     Sizes,
-    SplitStepEnv,
     gaussian_kl,
 )
 
 SIGMA, BOUNDS = 0.5, (0.05, 0.2, 1.0)
 COUNT, INSTANCES, HORIZON, BATCHES = len(BOUNDS), 64, 24, 90
-CPU = torch.device("cpu")
 
 
 def slope(state: torch.Tensor) -> torch.Tensor:
@@ -39,30 +37,14 @@ def slope(state: torch.Tensor) -> torch.Tensor:
     return torch.stack((1.0 + state[..., 0], state[..., 1] - 0.5 * state[..., 2]), -1)
 
 
-class Slope(SplitStepEnv):
+class Slope(Walk):
     """r = w(s) · a in states that nobody can influence; one step in ten ends an episode."""
 
-    dt = 1.0
-
     def __init__(self) -> None:
-        shape = torch.Size((COUNT, INSTANCES))
-        super().__init__(batch_size=shape, device=CPU)
-        self.random = PopulationRandom(range(COUNT), CPU)
-        self.state = self.draw(3)
-        seen = {name: Unbounded((*shape, 3)) for name in ("observation", "critic_observation")}
-        self.observation_spec = Composite(**seen, shape=shape)
-        self.action_spec, self.reward_spec = Unbounded((*shape, 2)), Unbounded((*shape, 1))
-        flag = Binary(1, (*shape, 1), dtype=torch.bool)
-        self.done_spec = Composite({name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape)
+        super().__init__(torch.Size((COUNT, INSTANCES)))
 
-    def draw(self, size: int) -> torch.Tensor:
+    def draw(self, size: int = 3) -> torch.Tensor:
         return 2.0 * self.random.uniform(INSTANCES, size) - 1.0
-
-    def begin_step(self, action):
-        return action
-
-    def simulate(self, inputs):
-        self.last, self.state = self.state, self.draw(3)
 
     def end_step(self, action):
         over = self.draw(1) > 0.8
@@ -70,18 +52,6 @@ class Slope(SplitStepEnv):
 
     def rewards(self, steps):
         return torch.stack([(slope(state) * action).sum(-1) for state, action in steps])
-
-    def observations(self):
-        return {"observation": self.state, "critic_observation": self.state}
-
-    def channel_values(self):
-        return {}
-
-    def start_episodes(self, mask):
-        """The state is new already."""
-
-    def _set_seed(self, seed):
-        self.random.seed(seed or 0)
 
 
 def trained(

@@ -15,19 +15,19 @@ class Walk(SplitStepEnv):
 
     dt = 1.0
 
-    def __init__(self) -> None:
-        super().__init__(batch_size=SHAPE, device=CPU)
-        self.random = PopulationRandom(range(SHAPE[0]), CPU)
+    def __init__(self, shape: torch.Size = SHAPE) -> None:
+        super().__init__(batch_size=shape, device=CPU)
+        self.random = PopulationRandom(range(shape[0]), CPU)
         self.state = self.draw()
         self.last = torch.zeros_like(self.state)
-        seen = {name: Unbounded((*SHAPE, 3)) for name in ("observation", "critic_observation")}
-        self.observation_spec = Composite(**seen, shape=SHAPE)
-        self.action_spec, self.reward_spec = Unbounded((*SHAPE, 2)), Unbounded((*SHAPE, 1))
-        flag = Binary(1, (*SHAPE, 1), dtype=torch.bool)
-        self.done_spec = Composite({name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=SHAPE)
+        seen = {name: Unbounded((*shape, 3)) for name in ("observation", "critic_observation")}
+        self.observation_spec = Composite(**seen, shape=shape)
+        self.action_spec, self.reward_spec = Unbounded((*shape, 2)), Unbounded((*shape, 1))
+        flag = Binary(1, (*shape, 1), dtype=torch.bool)
+        self.done_spec = Composite({name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape)
 
     def draw(self) -> torch.Tensor:
-        return self.random.uniform(SHAPE[1], 3)
+        return self.random.uniform(self.batch_size[1], 3)
 
     def begin_step(self, action):
         return action
@@ -36,7 +36,7 @@ class Walk(SplitStepEnv):
         self.last, self.state = self.state, self.draw()
 
     def end_step(self, action):
-        never = torch.zeros(*SHAPE, 1, dtype=torch.bool)
+        never = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
         return self.last, {"terminated": never, "truncated": never, "done": never}
 
     def rewards(self, steps):

@@ -14,7 +14,7 @@ from typing import NoReturn
 
 from hts_go1_runtime.bundle import LONGEST_ROW, Bundle, load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
-from hts_go1_runtime.events import Events, aloud
+from hts_go1_runtime.events import Events
 from hts_go1_runtime.figures import figures
 from hts_go1_runtime.gated import LEAST_DIGITS, gate_in_words, vouched_for
 from hts_go1_runtime.lock import alone
@@ -47,15 +47,15 @@ def _command(arguments: Sequence[str] | None) -> int:
             return bench(options.bundle, options.seconds, options.stops)
         bundle = load_bundle(options.bundle)
         if options.command == "check":
-            aloud(_described(bundle))
+            print(_described(bundle), flush=True)
             vouched_for(bundle.policies, bundle.policies, options.vouch)
             return DONE
         return _run(bundle, options)
     except RuntimeFault as fault:
-        aloud(f"refused: {fault}", sys.stderr)
+        print(f"refused: {fault}", file=sys.stderr, flush=True)
         return REFUSED
     except Stopped as stopped:
-        aloud(f"stopped: {stopped}. The robot is damped; look at it before you go on.", sys.stderr)
+        print(f"stopped: {stopped}. The robot is damped; look at it before you go on.", file=sys.stderr, flush=True)
         return STOPPED
 
 
@@ -73,7 +73,11 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
     stop = bundle.folder / "STOP"
     if stop.exists():
         raise RuntimeFault(f"{stop}: is there and means stop. Remove it to begin.")
-    limits = Limits(current=options.most_current, temperature=options.most_temperature, share=options.least_share)
+    limits = Limits(
+        current=options.most_current,
+        temperature=options.most_temperature,
+        least_torque_share=options.least_torque_share,
+    )
     with alone(bundle.logs), contextlib.closing(UdpLink(options.link, options.lockstep)) as link:
         loop = Loop(link, 1 / bundle.rate_hz, limits, StopFile(stop))
         with contextlib.closing(Events(bundle.logs / "events.jsonl")) as events:
@@ -109,7 +113,7 @@ def _unexpected(error: Exception, moved: bool, events: Events) -> RuntimeFault:
 def _confirm(text: str, yes: bool, loop: Loop, events: Events) -> None:
     """A person says that the robot may move; from then on the same key stops it."""
     if yes:
-        aloud(text)
+        print(text, flush=True)
     else:
         loop.pause()
         ask(f"{text}\nEnter begins; after that, Enter stops. Anything else that is typed now ends this.", loop.heed)
@@ -191,9 +195,9 @@ def _parser() -> argparse.ArgumentParser:
         "--most-temperature", type=_number(20, 90), default=temperature, help="degC of a motor, beyond: stop"
     )
     run.add_argument(
-        "--least-share",
+        "--least-torque-share",
         type=_number(0, 1),
-        default=Limits.share,
+        default=Limits.least_torque_share,
         help="of the torque that joints are asked for, below: stop; 0: never",
     )
     run.add_argument("--yes", action="store_true", help="begin without asking")

@@ -6,13 +6,12 @@ import contextlib
 import json
 import os
 import queue
-import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from hts_go1_runtime.errors import Stopped
 from hts_go1_runtime.log import TRY_AGAIN_SECONDS, write_whole
@@ -21,7 +20,8 @@ from hts_go1_runtime.log import TRY_AGAIN_SECONDS, write_whole
 class Events:
     """What happened in a session, one JSON line each, in logs/events.jsonl; said aloud too. By two threads: neither a
     disk nor a terminal makes a step late, and a terminal that is gone or stands still keeps nothing from the disk. What
-    a full disk refuses waits, in order, and is written once there is space; what is said aloud does not wait for it."""
+    a full disk refuses waits, in order, and is written once there is space; what is said aloud does not wait for it.
+    To be used within `terminal.that_may_go`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -78,20 +78,7 @@ class Events:
 
     def _speak(self) -> None:
         while (text := self._shown.get()) is not None:
-            aloud(text)
-
-
-def aloud(text: str, where: IO[str] | None = None) -> None:
-    """Print a line to stdout, or `where`. Nobody may read it any more (a pipe that was closed, a terminal that is
-    gone): that is no reason to end anything, and whatever follows goes nowhere."""
-    stream = sys.stdout if where is None else where
-    try:
-        print(text, file=stream, flush=True)
-    except (OSError, ValueError):
-        with contextlib.suppress(OSError, ValueError):
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, stream.fileno())  # what it still holds would fail once more when Python ends
-            os.close(nowhere)
+            print(text, flush=True)
 
 
 def append_whole(path: Path, line: str) -> None:

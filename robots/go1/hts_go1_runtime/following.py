@@ -13,8 +13,8 @@ Where the numbers come from: stand-in, default twin and all 16 development reali
 sitting down at 0.3 to 1.4 m/s, half of it with twice the noise of exploring (0.3 a joint), 2 % of the packets lost and
 2 % late each way; six more with all gains times 0.7 or 1.3 and up to 15 ms more delay, two with 10 % lost. The smallest
 share was 0.46; in the median it was 0.8 to 1.1, and 0.63 to 0.72 with gains times 0.7. With commands cut off, twelve
-times in walking and standing, it was below `Limits.share` 0.13 to 0.32 s later. No torque was read on a real robot:
-`tau` has to be measured (Go1: `tauEst`).
+times in walking and standing, it was below `Limits.least_torque_share` 0.13 to 0.32 s later. No torque was read on a
+real robot: `tau` has to be measured (Go1: `tauEst`).
 """
 
 from __future__ import annotations

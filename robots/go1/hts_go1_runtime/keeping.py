@@ -90,14 +90,8 @@ class Keeper:
                 time.sleep(GLANCE)
         self.look()
 
-    def check_kept(self, after: RuntimeFault | None = None) -> None:
-        """Raise RuntimeFault for rows that were walked and are not where they belong. after: why the visit ended."""
-        try:
-            self._check_kept()
-        except RuntimeFault as fault:
-            raise fault from after
-
-    def _check_kept(self) -> None:
+    def check_kept(self) -> None:
+        """Raise RuntimeFault for rows that were walked and are not where they belong."""
         if self._lost:
             raise RuntimeFault("What the disk refused is lost: it was given up. Free space, then run the same again.")
         if self._elsewhere:

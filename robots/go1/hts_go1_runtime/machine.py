@@ -44,8 +44,8 @@ class Limits:
     tilt: of the trunk, rad; position_margin: rad beyond the joint's range; velocity_share: of the joint's limit;
     current: drawn from the pack, A; voltage: lowest of the pack, V (cut-off is 18.0: GO1 User Manual V1.4);
     temperature: of a motor, degC (it trips at 90 and lags the winding); silence: since the robot's last state, s;
-    stale: how much later than usual a state may arrive, s; late: of a control step behind its deadline, s; share: least
-    of the torque that is asked of the joints, see `following`.
+    stale: how much later than usual a state may arrive, s; late: of a control step behind its deadline, s;
+    least_torque_share: of the torque that is asked of the joints, see `following`.
     """
 
     tilt: float = 0.8
@@ -57,7 +57,7 @@ class Limits:
     silence: float = 0.024
     stale: float = 0.024
     late: float = 0.030
-    share: float = 0.35
+    least_torque_share: float = 0.35
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():

@@ -31,7 +31,7 @@ class Guard:
         self._upright = -math.cos(limits.tilt)
         self._offset, self._at = math.inf, 0.0  # smallest difference of the two clocks, and when it was seen
         self._seen = -1
-        self._following = Following(limits.share)
+        self._following = Following(limits.least_torque_share)
 
     def sent(self, command: Command, now: float) -> None:
         """A command has left: the joints are to follow it."""

@@ -82,23 +82,21 @@ class Session:
             confirm(self._summary(rows))
             check_lies(self.loop.resume() or [self.loop.state])  # somebody may have thought for long
         try:
-            with self.events.stops():
-                self._visit(rows)
-        except RuntimeFault as fault:  # the disk may be it, and rows of before it elsewhere by now
-            self._settle()
-            self._keeper.check_kept(fault)
+            self._visit_and_settle(rows)
+        except RuntimeFault:  # the disk may be why, and rows of before it elsewhere by now
+            self._keeper.check_kept()
             raise
-        except BaseException:
-            self._settle()
-            raise
-        self._settle()
         self._keeper.check_kept()
         return self.done
 
-    def _settle(self) -> None:
-        """The robot is let go, and what was recorded comes to rest somewhere."""
-        self.loop.damp(DAMP_SECONDS)
-        self._keeper.wait()
+    def _visit_and_settle(self, rows: Sequence[Row]) -> None:
+        """A visit, after which the robot is let go and what was recorded comes to rest somewhere."""
+        try:
+            with self.events.stops():
+                self._visit(rows)
+        finally:
+            self.loop.damp(DAMP_SECONDS)
+            self._keeper.wait()
 
     def _visit(self, rows: Sequence[Row]) -> None:
         """From lying to lying."""

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any, TextIO, cast
 
 
-class Said:
+class StreamThatMayGo:
     """A stream until it refuses (EIO, EPIPE); from then on nothing is written, and nothing raised."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -49,7 +49,7 @@ class Said:
 def that_may_go() -> Iterator[None]:
     """Inside, stdout and stderr may go."""
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (None if one is None else cast("TextIO", Said(one)) for one in before)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = (None if one is None else cast("TextIO", StreamThatMayGo(one)) for one in before)  # type: ignore[assignment]
     try:
         yield
     finally:

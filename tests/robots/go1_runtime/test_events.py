@@ -44,15 +44,17 @@ def test_events_of_a_full_disk_wait_in_order_and_are_said_at_once(tmp_path, monk
 CLOSED = """
 import sys, time
 from pathlib import Path
-from hts_go1_runtime.events import Events, aloud
+from hts_go1_runtime.events import Events
+from hts_go1_runtime.terminal import that_may_go
 input()  # until nobody reads what is said any more
-aloud("refused: nobody reads this", sys.stderr)
-events = Events(Path(sys.argv[1]) / "events.jsonl")
-events.say("one")
-time.sleep(0.5)
-events.keep(Path(sys.argv[1]) / "held.json", "{}")
-events.say("two")
-events.close()
+with that_may_go():
+    print("refused: nobody reads this", file=sys.stderr, flush=True)
+    events = Events(Path(sys.argv[1]) / "events.jsonl")
+    events.say("one")
+    time.sleep(0.5)
+    events.keep(Path(sys.argv[1]) / "held.json", "{}")
+    events.say("two")
+    events.close()
 """
 
 
@@ -76,7 +78,7 @@ def test_a_stdout_that_is_closed_costs_no_event_and_no_exit_code(tmp_path):
 
 def test_a_terminal_that_stands_still_keeps_nothing_from_the_disk(tmp_path, monkeypatch):
     goes_on = threading.Event()
-    monkeypatch.setattr("hts_go1_runtime.events.aloud", lambda text: goes_on.wait(20))
+    monkeypatch.setattr("builtins.print", lambda *text, **how: goes_on.wait(20))
     events = Events(tmp_path / "events.jsonl")
     for what in ("one", "two"):
         events.say(what)

@@ -70,7 +70,7 @@ def test_commands_that_no_longer_arrive_stop_the_robot_while_its_states_still_do
 
 
 def test_a_robot_that_damped_itself_does_not_spring_up_until_it_is_greeted(body):
-    loop = Loop(Direct(body), 0.02, Limits(share=0.0))
+    loop = Loop(Direct(body), 0.02, Limits(least_torque_share=0.0))
     loop.start()
     steps(loop, 0.5, HOLD)
     loop.watch(PATIENCE + 1.0)

@@ -18,7 +18,7 @@ RUN, BENCH = ("run", "--link", "udp://127.0.0.1:9870"), ("bench",)
     [
         (RUN, "--most-current", "nan", "a number from 1 to 100"),
         (RUN, "--most-current", "0", "a number from 1 to 100"),
-        (RUN, "--least-share", "1.1", "a number from 0 to 1"),
+        (RUN, "--least-torque-share", "1.1", "a number from 0 to 1"),
         (RUN, "--most-temperature", "inf", "a number from 20 to 90"),
         (RUN, "--mass", "-3", "a number from 1 to 100"),
         (RUN, "--mass", "heavy", "a number from 1 to 100"),
@@ -51,11 +51,11 @@ def test_numbers_that_make_sense_are_taken(bundle):
         "600",
         "--priority",
         "0",
-        "--least-share",
+        "--least-torque-share",
         "0",
     ]
     options = cli._parser().parse_args(["run", str(bundle), "--link", "udp://127.0.0.1:9870", *words])
-    assert options.least_share == 0.0
+    assert options.least_torque_share == 0.0
     assert (options.most_current, options.mass, options.idle_seconds, options.warmup) == (25.0, 12.5, 0.0, 600.0)
 
 
