@@ -211,7 +211,7 @@ def latest(paths: Iterable[Path], kind: type[OfRun], expected: str) -> list[OfRu
 def parsed(paths: Iterable[Path], kind: type[Read], expected: str) -> Iterator[Read]:
     """Every whole line of these files as that kind. Raises RunError naming file and line."""
     for path in paths:
-        for number, text in enumerate(_whole(path.read_bytes()).decode("utf-8").splitlines(), start=1):
+        for number, text in enumerate(_whole(path.read_bytes()).split(b"\n")[:-1], start=1):
             try:
                 yield kind.model_validate_json(text)
             except ValidationError as error:

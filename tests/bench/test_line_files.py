@@ -1,0 +1,46 @@
+"""Bytes of a file of lines: what is no UTF-8, what only looks like the end of a line, and a last line's newline."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+from batch.lines import append, read_lines
+from fake_lines import line
+
+from hts.errors import RunError
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+def test_a_byte_that_is_no_utf_8_is_named_with_its_line(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    append(path, line(seed=0))
+    path.write_bytes(
+        path.read_bytes()
+        + line(seed=1).model_dump_json().replace("ours", "o\udcff", 1).encode("utf-8", "surrogateescape")
+        + b"\n"
+    )
+    with pytest.raises(
+        RunError, match=r"lines\.jsonl, line 2: the line: Invalid JSON: .*Take the file as it was"
+    ) as error:
+        read_lines([path])
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("mark", ["\x85", "\u2028", "\u2029"])
+def test_only_a_newline_ends_a_line(tmp_path, mark):
+    path = tmp_path / "lines.jsonl"
+    append(path, line(status="failed", error=f"boom{mark}bang", result=None))
+    append(path, line(seed=1, key="other"))
+    assert [row.error for row in read_lines([path])] == [f"boom{mark}bang", None]
+
+
+def test_a_table_of_such_a_file_is_one_line_too(tmp_path, capsys):
+    spec = importlib.util.spec_from_file_location("realities", BENCHMARKS / "realities.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    (tmp_path / "lines.jsonl").write_bytes(b'{"version": 1, "key": "\xff"}\n')
+    assert module.main(["table", "--lines", str(tmp_path / "lines.jsonl")]) != 0
+    assert "lines.jsonl, line 1: " in capsys.readouterr().err
