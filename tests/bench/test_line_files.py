@@ -37,6 +37,29 @@ def test_only_a_newline_ends_a_line(tmp_path, mark):
     assert [row.error for row in read_lines([path])] == [f"boom{mark}bang", None]
 
 
+def test_a_last_line_that_lacks_only_its_newline_is_a_line_and_gets_it(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    append(path, line(seed=0))
+    append(path, line(seed=1))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-1])
+    assert [row.seed for row in read_lines([path])] == [0, 1]
+    append(path, line(seed=2))
+    assert path.read_bytes().startswith(whole) and [row.seed for row in read_lines([path])] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("cut", [1, 2, 40], ids="{} bytes lost".format)
+def test_a_last_line_that_lacks_more_is_none_and_goes(tmp_path, cut):
+    path = tmp_path / "lines.jsonl"
+    append(path, line(seed=0))
+    first = path.read_bytes()
+    append(path, line(seed=1))
+    path.write_bytes(path.read_bytes()[: -1 - cut])
+    assert [row.seed for row in read_lines([path])] == [0]
+    append(path, line(seed=2))
+    assert path.read_bytes().startswith(first) and [row.seed for row in read_lines([path])] == [0, 2]
+
+
 def test_a_table_of_such_a_file_is_one_line_too(tmp_path, capsys):
     spec = importlib.util.spec_from_file_location("realities", BENCHMARKS / "realities.py")
     module = importlib.util.module_from_spec(spec)
