@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,6 +11,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hts.errors import RunError
+from hts.locks import take_lock
 
 VERSION: Literal[1] = 1
 CONFIRM = "confirm"
@@ -238,7 +238,7 @@ def append(path: Path, line: Part) -> None:
     text = (line.model_dump_json() + "\n").encode("utf-8")
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+b") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        take_lock(file, wait=True)
         file.seek(0)
         content = file.read()
         whole = _whole(content)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import datetime
-import fcntl
 import os
 import re
 import shutil
@@ -27,6 +26,7 @@ from batch.lines import Line, Part, RunLine, append, read_lines
 from batch.methods import Job
 from batch.places import Places, Slot
 from hts.errors import HtsError
+from hts.locks import take_lock
 
 STOPPED = 75
 """Exit status where the time is up and runs are left: call again."""
@@ -244,12 +244,9 @@ def _busy(folder: Path) -> bool:
     """Whether a process of an earlier call still works in the folder."""
     try:
         with (folder / ".lock").open("r+") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except FileNotFoundError:
+            return not take_lock(file)
+    except OSError:  # there is none, or the run itself will say what is wrong with its folder
         return False
-    except OSError:
-        return True
-    return False
 
 
 def _remove(folder: Path) -> None:

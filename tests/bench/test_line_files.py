@@ -1,12 +1,15 @@
-"""Bytes of a file of lines: what is no UTF-8, what only looks like the end of a line, and a last line's newline."""
+"""Files of lines: what is no UTF-8, what only looks like the end of a line, a last newline, and locks."""
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import importlib.util
 from pathlib import Path
 
 import pytest
 from batch.lines import append, read_lines
+from batch.queue import _busy
 from fake_lines import line
 
 from hts.errors import RunError
@@ -67,3 +70,18 @@ def test_a_table_of_such_a_file_is_one_line_too(tmp_path, capsys):
     (tmp_path / "lines.jsonl").write_bytes(b'{"version": 1, "key": "\xff"}\n')
     assert module.main(["table", "--lines", str(tmp_path / "lines.jsonl")]) != 0
     assert "lines.jsonl, line 1: " in capsys.readouterr().err
+
+
+def test_where_there_are_no_locks_lines_are_added_and_no_folder_is_busy(tmp_path, monkeypatch):
+    (tmp_path / ".lock").touch()
+    with (tmp_path / ".lock").open("r+") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert _busy(tmp_path) and not _busy(tmp_path / "nothing")
+
+    def refuse(handle, operation):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    assert not _busy(tmp_path)
+    append(tmp_path / "lines.jsonl", line(seed=3))
+    assert [row.seed for row in read_lines([tmp_path / "lines.jsonl"])] == [3]
