@@ -56,9 +56,9 @@ def check_config(folder: Path, begun_with: str | None, command: str = "run") -> 
     if begun_with is not None and found != begun_with:
         path = folder / "config.yaml"
         raise RunError(
-            f"{path}: its SHA-256 is {found[:12]}…, the run was begun with {begun_with[:12]}…. Put it back as the "
-            "run wrote it, or begin a new run with what it says now: "
-            f"`hts {command} --config {quote(str(path))} --out DIR`."
+            f"{path}: its SHA-256 is {found[:12]}…, the run was begun with {begun_with[:12]}…. Begin a new run with "
+            f"what it says now, `hts {command} --config {quote(str(path))} --out DIR`, or put it back as the "
+            "run wrote it."
         )
 
 
