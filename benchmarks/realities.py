@@ -20,7 +20,7 @@ import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from batch import blocks, coverage_command, exact_command
@@ -31,7 +31,7 @@ from batch.answered import answered
 from batch.groups import Group, groups_of
 from batch.lines import files_of, read_lines
 from batch.places import Machine, Places, slots_of
-from batch.queue import HTS, WHOLE_RUNS, Kind, Target, run_batch
+from batch.queue import HTS, WHOLE_RUNS, Kind, Target, lines_by_key, run_batch
 from batch.several import Entry, planned
 from batch.tables import pairs
 from batch.together import together
@@ -73,12 +73,14 @@ def run(given: argparse.Namespace) -> int:
 def made(given: argparse.Namespace, jobs: Sequence[known.Job], kind: Kind, program: Sequence[str]) -> int:
     """Make those that have no line yet, or only say which they are."""
     target = Target(given.lines or given.out / "lines.jsonl", given.batch or given.out.name)
+    targets = {job.key: target for job in jobs}
     if given.dry_run:
+        state = _states(given, targets, kind)
         for job in jobs:
-            print(job.key, "hts", *job.arguments)
+            print(f"{job.key} ({state(job)}) hts", *job.arguments)
         return 0
     places = slots_of(given.cores, gpus_of(given.gpus), given.jobs, sorted(os.sched_getaffinity(0)))
-    return _made(given, jobs, places, {job.key: target for job in jobs}, kind, program)
+    return _made(given, jobs, places, targets, kind, program)
 
 
 def several(given: argparse.Namespace) -> int:
@@ -93,12 +95,29 @@ def several(given: argparse.Namespace) -> int:
         raise ConfigError(f"--lines {given.lines}: is a file; each batch gets one in it. Name a folder.")
     targets = {work.job.key: Target(given.lines / f"{work.batch}.jsonl", work.batch) for work in works}
     if given.dry_run:
+        state = _states(given, targets, WHOLE_RUNS)
         for work in works:
             needs = f"{work.need.cores} cores{', GPU' if work.need.gpu else ''}"
-            print(f"{work.job.key} {work.where} ({needs}) hts", *work.job.arguments)
+            print(f"{work.job.key} {work.where} ({needs}, {state(work.job)}) hts", *work.job.arguments)
         return 0
     machine = Machine(cores, gpus, {work.job.key: work.need for work in works})
     return _made(given, [work.job for work in works], machine, targets, WHOLE_RUNS, HTS)
+
+
+def _known(given: argparse.Namespace, targets: Mapping[str, Target]) -> list[Path]:
+    """Files whose lines count as made."""
+    return [*{target.lines: None for target in targets.values()}, *files_of(given.known or [])]
+
+
+def _states(given: argparse.Namespace, targets: Mapping[str, Target], kind: Kind) -> Callable[[known.Job], str]:
+    """What there is of a run: nothing, a line, or that of a failure."""
+    lines = lines_by_key(kind, _known(given, targets), given.retry_failed)
+
+    def state(job: known.Job) -> str:
+        line = lines.get(job.key)
+        return "to do" if line is None else "has a line" if line.status == "done" else "has a line, failed"
+
+    return state
 
 
 def _made(
@@ -117,7 +136,7 @@ def _made(
         places,
         folders=given.out,
         target=lambda job: targets[job.key],
-        known=[*{target.lines: None for target in targets.values()}, *files_of(given.known or [])],
+        known=_known(given, targets),
         keep=given.keep,
         retry_failed=given.retry_failed,
         stop_after=given.stop_after,
@@ -248,7 +267,7 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--keep", action="store_true", help="keep run folders")
     one.add_argument("--retry-failed", action="store_true", help="resume those whose line is an error")
     one.add_argument("--stop-after", type=float, metavar="SECONDS", help="stop then with status 75; call again")
-    one.add_argument("--dry-run", action="store_true", help="only say which runs these are")
+    one.add_argument("--dry-run", action="store_true", help="only say which runs these are, and which have a line")
 
     one = making = argparse.ArgumentParser(add_help=False, parents=[queueing])
     one.add_argument("--methods", required=True, help="names with commas; benchmarks/batch/methods.py lists them")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Annotated, Any, get_args
 
 from pydantic import (
@@ -78,6 +79,17 @@ def shares_of(whole: str, shares: tuple[float, ...]) -> tuple[float, ...]:
     if not all(0 < one < 100 for one in percents) or len(set(percents)) < len(percents):
         raise ValueError("each share names its candidates by its percent, so give different ones from 0.01 to 0.99")
     return shares
+
+
+@dataclass(frozen=True)
+class NameOrFile:
+    """Beside a setting's type, as in `Annotated[str, NameOrFile(".json")]`: it is a name, or a path, which ends in
+    `suffix` or has a / in it."""
+
+    suffix: str
+
+    def is_file(self, given: str) -> bool:
+        return given.endswith(self.suffix) or "/" in given
 
 
 class Named(BaseModel):

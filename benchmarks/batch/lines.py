@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import fcntl
+import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hts.errors import RunError
+from hts.locks import take_lock
 
 VERSION: Literal[1] = 1
 CONFIRM = "confirm"
@@ -198,7 +199,7 @@ def read_lines(paths: Iterable[Path]) -> list[Line]:
 def latest(paths: Iterable[Path], kind: type[OfRun], expected: str) -> list[OfRun]:
     """Lines of these files, a later one of a key in place of an earlier one. Raises RunError naming file and line.
 
-    What a killed writer left of a last line, which no newline ends, is not a line.
+    What a killed writer left of a last line is not a line; one that lacks no more than its newline is.
     """
     found: dict[str, OfRun] = {}
     for line in parsed(paths, kind, expected):
@@ -211,7 +212,7 @@ def latest(paths: Iterable[Path], kind: type[OfRun], expected: str) -> list[OfRu
 def parsed(paths: Iterable[Path], kind: type[Read], expected: str) -> Iterator[Read]:
     """Every whole line of these files as that kind. Raises RunError naming file and line."""
     for path in paths:
-        for number, text in enumerate(_whole(path.read_bytes()).decode("utf-8").splitlines(), start=1):
+        for number, text in enumerate(_whole(path.read_bytes()).split(b"\n")[:-1], start=1):
             try:
                 yield kind.model_validate_json(text)
             except ValidationError as error:
@@ -234,20 +235,26 @@ def files_of(places: Sequence[Path]) -> list[Path]:
 
 def append(path: Path, line: Part) -> None:
     """Add a line; it is on the disk when this returns. Several processes may write one file."""
-    text = line.model_dump_json() + "\n"
+    text = (line.model_dump_json() + "\n").encode("utf-8")
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+b") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        take_lock(file, wait=True)
         file.seek(0)
         content = file.read()
         whole = _whole(content)
-        if len(whole) != len(content):  # a writer was killed in the midst of its line; that run is made again
+        if len(whole) < len(content):  # a writer was killed in the midst of its line; that run is made again
             file.truncate(len(whole))
-        file.write(text.encode("utf-8"))
+        file.write(whole[len(content) :] + text)
         file.flush()
         os.fsync(file.fileno())
 
 
 def _whole(content: bytes) -> bytes:
-    """Without what follows the last newline."""
-    return content[: content.rfind(b"\n") + 1]
+    """Its whole lines, each with its newline: what follows the last one is a line if it is whole JSON, as no part of a
+    torn object is."""
+    end = content.rfind(b"\n") + 1
+    try:
+        json.loads(content[end:])
+    except (ValueError, RecursionError):
+        return content[:end]
+    return content + b"\n"

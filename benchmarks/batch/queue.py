@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import datetime
-import fcntl
 import os
 import re
 import shutil
@@ -27,6 +26,7 @@ from batch.lines import Line, Part, RunLine, append, read_lines
 from batch.methods import Job
 from batch.places import Places, Slot
 from hts.errors import HtsError
+from hts.locks import take_lock
 
 STOPPED = 75
 """Exit status where the time is up and runs are left: call again."""
@@ -95,9 +95,7 @@ def run_batch(
     """
     kind = kind or WHOLE_RUNS
     folders.mkdir(parents=True, exist_ok=True)
-    made = {line.key: line for line in kind.made([path for path in known if path.exists()])}
-    if retry_failed:
-        made = {key: line for key, line in made.items() if line.status == "done"}
+    made = lines_by_key(kind, known, retry_failed)
     waiting = [job for job in jobs if job.key not in made]
     failed = sum(made[job.key].status == "failed" for job in jobs if job.key in made)
     say(f"{len(jobs)} runs: {len(jobs) - len(waiting)} have a line already, {len(waiting)} to do, {places}")
@@ -138,6 +136,12 @@ def run_batch(
     finally:
         _stop(running)
     return 1 if failed else 0
+
+
+def lines_by_key(kind: Kind, known: Sequence[Path], retry_failed: bool = False) -> dict[str, RunLine]:
+    """Lines that count as made, of those of these files that are there. retry_failed: those of failures do not."""
+    made = {line.key: line for line in kind.made([path for path in known if path.exists()])}
+    return {key: line for key, line in made.items() if line.status == "done" or not retry_failed}
 
 
 def _start(job: Job, folder: Path, slot: Slot, program: Sequence[str]) -> Running:
@@ -244,12 +248,9 @@ def _busy(folder: Path) -> bool:
     """Whether a process of an earlier call still works in the folder."""
     try:
         with (folder / ".lock").open("r+") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except FileNotFoundError:
+            return not take_lock(file)
+    except OSError:  # there is none, or the run itself will say what is wrong with its folder
         return False
-    except OSError:
-        return True
-    return False
 
 
 def _remove(folder: Path) -> None:

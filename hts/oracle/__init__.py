@@ -17,6 +17,7 @@ from hts.places import check_place
 from hts.plugins import Registry, load
 from hts.run import make_folder
 from hts.run.algorithm import run
+from hts.whole_paths import with_whole_paths
 from hts.worlds.oracle import IN_SIMULATION, NOTE
 
 
@@ -36,7 +37,7 @@ def start_oracle(config: RunConfig, folder: Path, *, dry_run: bool = False, regi
         print_estimate(estimate(config, registry, kind.control_steps_per_second(config, registry)))
         print(note_of(config))
         return folder
-    make_folder(config, folder)
+    make_folder(with_whole_paths(config, registry), folder)
     return resume_oracle(folder, registry)
 
 

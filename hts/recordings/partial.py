@@ -19,6 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from hts.atomic import atomic_write, sync
+from hts.locks import take_lock
 
 PREFIX = ".partial-"
 
@@ -92,20 +93,9 @@ def _make_locked(store: Path) -> tuple[Path, int]:
             handle = os.open(folder, os.O_RDONLY)
         except FileNotFoundError:
             continue
-        if _lock(handle) and _same(handle, folder):
+        if take_lock(handle) and _same(handle, folder):
             return folder, handle
         os.close(handle)
-
-
-def _lock(handle: int) -> bool:
-    """False if somebody else holds the lock. Where the file system knows no locks, nobody does."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
-    return True
 
 
 def _same(handle: int, folder: Path) -> bool:

@@ -24,6 +24,7 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     from hts.config_loading import check_names
     from hts.places import check_place
     from hts.plugins import load
+    from hts.whole_paths import with_whole_paths
 
     registry = registry or load()
     refuse_oracle(config)
@@ -44,7 +45,7 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     check_ready(
         config, registry, config.engine if config.engine == "mujoco" else None
     )  # kernels take minutes to compile
-    make_folder(config, Path(out))
+    make_folder(with_whole_paths(config, registry), Path(out))
     return resume_run(out, registry)
 
 

@@ -22,6 +22,7 @@ from hts.recordings.needs import check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
 from hts.run.budget import Budget, plan, second_trials
+from hts.run.provenance import check_config, config_sha256
 from hts.run.provenance import collect as collect_provenance
 from hts.run.stage_files import read_stage
 from hts.run.stages import Stages, write_json
@@ -60,7 +61,10 @@ class Job:
             self.save("pretrained", load_policy(source, self.robot.spec))
         identity = dict(self.world.identity())
         if (self.folder / "provenance.json").exists():
-            before = self.read("provenance").get("world", {})
+            kept = self.read("provenance")
+            oracle = self.config.reward_source == "oracle"
+            check_config(self.folder, kept.get("config_sha256"), "oracle" if oracle else "run")
+            before = kept.get("world", {})
             if before != identity:
                 raise RunError(
                     f"{self.folder}: was begun on another machine ({_told(before)}, now {_told(identity)}). "
@@ -69,6 +73,7 @@ class Job:
         else:
             plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}
             found = collect_provenance(self.config.seed, self.config.engine, plugins, self.config.provenance.diff)
+            found["config_sha256"] = config_sha256(self.folder)
             write_json(self.folder / "provenance.json", {**found, **({"world": identity} if identity else {})})
 
     @cached_property

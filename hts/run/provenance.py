@@ -11,7 +11,10 @@ import sys
 from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
+from shlex import quote
 from typing import Any
+
+from hts.errors import RunError
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # at the beginning of a requirement (PEP 508)
 
@@ -39,6 +42,24 @@ def collect(seed: int, engine: str, plugins: dict[str, str], diff: bool = False)
             "accelerator": _accelerator(),
         },
     }
+
+
+def config_sha256(folder: Path) -> str:
+    """Of config.yaml in a run's folder, as it lies there."""
+    return hashlib.sha256((folder / "config.yaml").read_bytes()).hexdigest()
+
+
+def check_config(folder: Path, begun_with: str | None, command: str = "run") -> None:
+    """Raise RunError if config.yaml is not the one that the run was begun with: half of its stages would be another
+    run's. begun_with: its SHA-256; None: a run of before that was kept. command: of `hts`, which begins such a run."""
+    found = config_sha256(folder)
+    if begun_with is not None and found != begun_with:
+        path = folder / "config.yaml"
+        raise RunError(
+            f"{path}: its SHA-256 is {found[:12]}…, the run was begun with {begun_with[:12]}…. Begin a new run with "
+            f"what it says now, `hts {command} --config {quote(str(path))} --out DIR`, or put it back as the "
+            "run wrote it."
+        )
 
 
 def packages(distributions: Iterable[str]) -> dict[str, str]:

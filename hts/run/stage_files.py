@@ -198,6 +198,7 @@ class Provenance(Part):
     """provenance.json."""
 
     world: dict[str, str] = Field(default_factory=dict, description="which machine it is, as far as the world says")
+    config_sha256: str | None = Field(None, description="of config.yaml when the run was begun")
 
 
 class TrueLevel(Part):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
 import time
@@ -12,6 +11,7 @@ from typing import Any
 
 from hts.atomic import atomic_write
 from hts.errors import RunError
+from hts.locks import take_lock
 from hts.run.progress import Progress
 
 TIMES = "log/stages.json"
@@ -65,10 +65,9 @@ class Stages:
     def __init__(self, folder: Path, progress: Progress, read: Callable[[Path], Any] = read_json) -> None:
         self.folder, self.progress, self._read = folder, progress, read
         self._lock = (folder / ".lock").open("w")
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise RunError(f"{folder}: another process is working in it. Wait for it, or stop it first.") from error
+        if not take_lock(self._lock):
+            self._lock.close()
+            raise RunError(f"{folder}: another process is working in it. Wait for it, or stop it first.")
 
     def do(self, name: str, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
         """Result of a stage: from `name`.json if it is done, else of work(report share done), stored there.

@@ -318,8 +318,13 @@ def test_a_batch_can_be_looked_at_before_it_is_made(command, capsys, tmp_path, r
     options = ["run", "--methods", "ours,baseline", "--realities", f"default,{reality}", "--preset", "smoke"]
     assert command.main([*options, "--out", str(tmp_path / "out"), "--commit", "c", "--dry-run"]) == 0
     rows = capsys.readouterr().out.splitlines()
-    assert len(rows) == 4 and "hts baseline" in rows[1] and f"world.reality={reality}" in rows[2]
+    assert len(rows) == 4 and "(to do) hts baseline" in rows[1] and f"world.reality={reality}" in rows[2]
     assert not (tmp_path / "out").exists()
+    (tmp_path / "lines.jsonl").write_text(line(key=rows[1].split()[0]).model_dump_json() + "\n")
+    more = ["--lines", str(tmp_path / "lines.jsonl"), "--dry-run"]
+    assert command.main([*options, "--out", str(tmp_path / "out"), "--commit", "c", *more]) == 0
+    made = [row.split("(")[1].split(")")[0] for row in capsys.readouterr().out.splitlines()]
+    assert made == ["to do", "has a line", "to do", "to do"]
 
 
 def test_a_wrong_name_is_one_line(command, capsys, tmp_path):

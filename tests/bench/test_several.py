@@ -170,13 +170,23 @@ def test_the_command_puts_each_batch_into_its_own_file(tmp_path, monkeypatch, ca
     asked = ["several", str(path), "--out", str(tmp_path / "runs"), "--lines", str(tmp_path / "lines"), "--commit", "c"]
     assert command.main([*asked, "--dry-run"]) == 0
     shown = capsys.readouterr().out.splitlines()
-    assert [row.split(maxsplit=1)[1].split(" hts ")[0] for row in shown] == ["a.0 (1 cores)", "b.0 (1 cores)"]
+    assert [row.split(maxsplit=1)[1].split(" hts ")[0] for row in shown] == [
+        "a.0 (1 cores, to do)",
+        "b.0 (1 cores, to do)",
+    ]
     assert command.main(asked) == 0
     for name, seed in (("a", 0), ("b", 1)):
         (row,) = read_lines([tmp_path / "lines" / f"{name}.jsonl"])
         assert (row.batch, row.seed, row.status) == (name, seed, "done")
     assert command.main(asked) == 0
     assert "2 have a line already, 0 to do" in capsys.readouterr().err
+    (of_b,) = read_lines([tmp_path / "lines/b.jsonl"])
+    failed = of_b.model_copy(update={"status": "failed", "error": "boom", "result": None})
+    (tmp_path / "lines/b.jsonl").write_text(failed.model_dump_json() + "\n")
+    for more, states in (([], ["has a line", "has a line, failed"]), (["--retry-failed"], ["has a line", "to do"])):
+        assert command.main([*asked, "--dry-run", *more]) == 0
+        shown = [row.split(" (1 cores, ")[1].split(") hts ")[0] for row in capsys.readouterr().out.splitlines()]
+        assert shown == states
 
 
 def test_the_committed_files_can_be_read():

@@ -13,7 +13,7 @@ from hts.worlds.base import request_id, walking
 from hts.worlds.realities.batch import parameters_of
 from hts.worlds.realities.draw import draw
 from hts.worlds.twin.parameters import TwinSettings, resolved_settings
-from hts.worlds.twin.reality import Reality, read, sha256
+from hts.worlds.twin.reality import Reality, locate, read, sha256
 from hts.worlds.twin.world import make_twin
 
 
@@ -90,6 +90,13 @@ def test_an_unknown_reality_is_one_line(tmp_path, registry, reference, said):
     with pytest.raises(ConfigError, match=said) as error:
         registry.make_world("twin", {"reality": reference}, context(tmp_path))
     assert "\n" not in str(error.value)
+
+
+def test_a_file_that_is_not_there_is_said_with_the_place_and_that_a_run_needs_its_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=r"A run that was begun needs its own there again; for a new one") as error:
+        locate("nowhere/mine.json")
+    assert f" as {tmp_path}/nowhere/mine.json." in str(error.value)
 
 
 def test_a_reality_and_parameters_beside_it_are_refused(tmp_path, registry, parameters):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from typing import Any
 
 from hts.atomic import atomic_write, temporary_of
 from hts.errors import ConfigError, RunError
+from hts.locks import take_lock
 from hts.places import check_place
 from hts.worlds.realities.sampler import Particle
 
@@ -41,12 +41,10 @@ def only_one(folder: Path) -> Iterator[None]:
     _check_free(folder)
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        if not take_lock(lock):
             raise RunError(
                 f"{folder}: another process draws into it. Wait for it, or choose another folder with --out."
-            ) from error
+            )
         yield
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer, model_validator
 
@@ -21,6 +21,7 @@ from hts.contracts import parameter
 from hts.errors import ConfigError
 from hts.explain import dotted, explain
 from hts.worlds.twin import reality
+from hts.worlds.twin.reality import REFERENCE
 from hts.worlds.twin.structure import BodyStructure, SessionParameters
 
 SERIALS = 2**31 - 1  # the largest serial number that is drawn
@@ -206,7 +207,7 @@ class TwinSettings(Config):
     With `reality`, the first three are what its file says, which only the twin's own process reads.
     """
 
-    reality: str | None = Field(
+    reality: Annotated[str | None, REFERENCE] = Field(
         None, description="a drawn twin: its name (`hts realities list`) or file; null: the twin of the settings below"
     )
     reality_sha256: str | None = Field(None, description="of the reality's file, filled in; another file is refused")

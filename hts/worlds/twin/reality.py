@@ -17,10 +17,12 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from hts.config import Config
+from hts.config_base import NameOrFile
 from hts.errors import ConfigError, UnfitWorldError, unknown_name
 from hts.explain import explain
 
 FOLDER, SUFFIX = "realities", ".json"
+REFERENCE = NameOrFile(SUFFIX)
 
 
 class Measured(Config):
@@ -60,12 +62,12 @@ def known_names() -> dict[str, Path]:
 
 def locate(reference: str) -> Path:
     """The file of a name or path. Raises ConfigError."""
-    if reference.endswith(SUFFIX) or "/" in reference:
+    if REFERENCE.is_file(reference):
         path = Path(reference)
         if not path.is_file():
             raise ConfigError(
-                f"reality {reference}: there is no such file. Draw some: "
-                "`hts realities draw --count 4 --seed S --out DIR`."
+                f"reality {reference}: there is no such file, looked for as {path.absolute()}. A run that was begun "
+                "needs its own there again; for a new one draw some: `hts realities draw --count 4 --seed S --out DIR`."
             )
         return path
     names = known_names()
