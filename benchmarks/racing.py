@@ -5,6 +5,7 @@
     python benchmarks/racing.py --replay RUN RUN                  races among the elites of finished runs
     python benchmarks/racing.py --tables --trials 1500            error rate among equals, in tables of random numbers
     python benchmarks/racing.py --monte-carlo --trials 100        worlds with known answers, as recordings
+    python benchmarks/racing.py --own LINES                       what sessions of a coverage batch have of their own
 
 Prints JSON. Runs go to DIR/SELECTOR-SEED; a finished one is not repeated, a stopped one goes on, so seeds may run side
 by side and on several machines. Arguments after `--` go to `hts run` of both selectors.
@@ -27,6 +28,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -229,37 +231,55 @@ def tables(trials: int) -> Json:
     """Races of equal candidates in tables of random numbers, which is quick: how often candidate 0 is dropped.
 
     Halves scatter by 1 and share something that scatters by 3. `corrected` is what `racing` does; `uncorrected` tests
-    at its whole error after each round.
+    at its whole error after each round. `session of its own` is what both halves of a round have in common for one
+    candidate, in standard deviations of a half: both tests take halves as independent.
     """
-    import numpy as np
-
-    from hts.selection.racing import RacingSettings, still_racing
+    from hts.selection.racing import RacingSettings
 
     settings, result = RacingSettings(), {}
-
-    def rate(candidates: int, level: float, degrees: int | None) -> float:
-        rng, dropped, halves = np.random.default_rng(0), 0, 2 * settings.rounds
-        for _ in range(trials):
-            shape = (candidates, halves)
-            scores = rng.standard_normal(shape) if degrees is None else rng.standard_t(degrees, shape)
-            scores += 3.0 * rng.standard_normal(halves)
-            racing = list(range(candidates))
-            for number in range(1, settings.rounds + 1):
-                racing = still_racing(scores[:, : 2 * number], racing, level, 0.0)
-                if 0 not in racing or len(racing) < 2:
-                    break
-                scores[[row for row in range(candidates) if row not in racing], 2 * number :] = np.nan
-            dropped += 0 not in racing
-        return dropped / trials
-
     for candidates in (2, 3, 6):
         level = settings.error / (settings.rounds * candidates)
         result[f"{candidates} equal"] = {
-            "corrected": rate(candidates, level, None),
-            "corrected, heavy tails (t, 3)": rate(candidates, level, 3),
-            "uncorrected": rate(candidates, settings.error, None),
+            "corrected": dropped(trials, candidates, level),
+            "corrected, heavy tails (t, 3)": dropped(trials, candidates, level, degrees=3),
+            "uncorrected": dropped(trials, candidates, settings.error),
+            "corrected, session of its own": {own: dropped(trials, candidates, level, own=own) for own in SESSIONS},
+            "anytime, 10 rounds, session of its own": {
+                own: dropped(trials, candidates, settings.error / candidates, own=own, anytime=True) for own in SESSIONS
+            },
         }
     return result
+
+
+SESSIONS = (0.0, 0.5, 1.0, 2.0, 4.0)
+
+
+def dropped(
+    trials: int, candidates: int, level: float, degrees: int | None = None, own: float = 0.0, anytime: bool = False
+) -> float:
+    """Share of races in which candidate 0 of equals is dropped. degrees: of the t distribution that halves come from;
+    None: normal. own: standard deviation of a session's own for each candidate."""
+    import numpy as np
+
+    from hts.selection.anytime import still_racing as by_sequences
+    from hts.selection.racing import RacingSettings, still_racing
+
+    rounds = 10 if anytime else RacingSettings().rounds
+    rng, dropped, shape = np.random.default_rng(0), 0, (candidates, 2 * rounds)
+    test, level_of_all = (by_sequences, 100.0) if anytime else (still_racing, 0.0)  # far above the reference, who is 0
+    for _ in range(trials):
+        scores = rng.standard_normal(shape) if degrees is None else rng.standard_t(degrees, shape)
+        scores += level_of_all + 3.0 * rng.standard_normal(shape[1])
+        if own:
+            scores += np.repeat(own * rng.standard_normal((candidates, rounds)), 2, axis=1)
+        racing = list(range(candidates))
+        for number in range(1, rounds + 1):
+            racing = test(scores[:, : 2 * number], racing, level, 0.0)
+            if 0 not in racing or len(racing) < 2:
+                break
+            scores[[row for row in range(candidates) if row not in racing], 2 * number :] = np.nan
+        dropped += 0 not in racing
+    return dropped / trials
 
 
 def monte_carlo(trials: int, whole_seconds: float = 320.0) -> Json:
@@ -330,6 +350,7 @@ def main() -> int:
     what.add_argument("--replay", type=Path, nargs="+", metavar="RUN", help="race the elites of finished runs")
     what.add_argument("--tables", action="store_true", help="error rate among equals, in tables of random numbers")
     what.add_argument("--monte-carlo", action="store_true", help="worlds with known answers")
+    what.add_argument("--own", type=Path, nargs="+", metavar="LINES", help="sessions' own scatter, of coverage lines")
     parser.add_argument("--out", type=Path, default=Path("runs/racing"), help="where runs go (default: runs/racing)")
     parser.add_argument("--objective", default="power")
     parser.add_argument("--robot", default="go1")
@@ -342,6 +363,13 @@ def main() -> int:
         return 0
     if given.monte_carlo:
         print(json.dumps(monte_carlo(given.trials), indent=1))
+        return 0
+    if given.own:
+        from batch.coverage_lines import read_coverage
+        from batch.coverage_sessions import own_of_sessions
+
+        found = own_of_sessions(read_coverage(given.own))
+        print(json.dumps(found and asdict(found), indent=1))
         return 0
     if given.replay:
         print(json.dumps([row for folder in given.replay for row in replay(folder, given.settings)], indent=1))

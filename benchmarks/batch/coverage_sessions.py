@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 LEAST = 40
 """Sessions of a pair below which their spread is not known well enough to draw from."""
 
+DEGREES = 8
+"""Of a session's own interval where each of its four short blocks is cut into three batches: 12 less 4."""
+
 
 @dataclass(frozen=True)
 class Drawn:
@@ -55,3 +58,42 @@ def student_of_sessions(evaluations: Iterable[CoverageLine], draws: int = 20_000
         return None
     above, below = np.mean(sides, axis=0)
     return Drawn(above=float(above), below=float(below), pairs=len(sides))
+
+
+@dataclass(frozen=True)
+class OwnOfSessions:
+    """Quartiles over pairs of policy and reality of what a session has of its own, in standard deviations of a half
+    (one block of the policy and one of the reference), and of both in the unit of the objective."""
+
+    pairs: int
+    sessions: int
+    own: tuple[float, ...]
+    half: tuple[float, ...]
+    ratio: tuple[float, ...]
+
+
+def own_of_sessions(evaluations: Iterable[CoverageLine]) -> OwnOfSessions | None:
+    """By how much sessions of A-B-B-A scatter beyond what their own blocks show: own² = Var(session) − mean(se²), with
+    se = half width / t of the session's own interval, and a half has the variance 2 se², since a session is two.
+
+    Of the difference from the reference, so what a session has of its own for the reference is in it too. None where no
+    pair has LEAST sessions with an interval.
+    """
+    pools: dict[tuple[tuple[str, ...], str], list[tuple[float, float]]] = {}
+    for line in evaluations:
+        for speed, found in line.speeds.items():
+            pool = pools.setdefault((line.pair, speed), [])
+            told = [(one.improvement, one.improvement_ci95) for one in found.occasions]
+            pool.extend((value, (ci[1] - ci[0]) / 2 / stats.t.ppf(0.975, DEGREES)) for value, ci in told if ci)
+    rows, sessions = [], 0
+    for _, pool in sorted(pools.items()):
+        if len(pool) < LEAST:
+            continue
+        values, errors = np.array(pool).T
+        own, half = np.sqrt(max(0.0, values.var(ddof=1) - (errors**2).mean())), np.sqrt(2 * (errors**2).mean())
+        rows.append((own, half, own / half))
+        sessions += len(pool)
+    if not rows:
+        return None
+    own, half, ratio = (tuple(map(float, one)) for one in np.quantile(rows, (0.25, 0.5, 0.75), axis=0).T)
+    return OwnOfSessions(len(rows), sessions, own, half, ratio)

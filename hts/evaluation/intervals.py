@@ -34,6 +34,8 @@ def interval(
     policy, reference: one array (segments, Q) per uninterrupted block, in time order. The same seed gives the same
     interval. Blocks of a single segment each are joined, as they say nothing alone; None if that leaves one segment, or
     if the statistic of a draw is no finite number.
+    One correlation is taken for both, so where only one of the two wanders the interval is too narrow
+    (`docs/evaluation.md` says by how much).
     """
     groups = (_joined_if_single(policy), _joined_if_single(reference))
     means = [np.mean([block.mean(axis=0) for block in blocks], axis=0) for blocks in groups]

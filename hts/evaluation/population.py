@@ -67,6 +67,8 @@ def population(
 
     statistic: of arrays (…, realities) over the last axis. The same seed gives the same interval. A quantile far from
     the median of few realities has no trustworthy interval: the bootstrap cannot see beyond the outermost one.
+    That of the median of three, and of the mean of realities that are skewed, holds the truth less often than it says
+    (`docs/evaluation.md`).
     Raises EvaluationError where there is no reality, one without a run, or a number that is not finite.
     """
     means = _means(values)

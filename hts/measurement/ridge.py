@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from hts.measurement.split import WHOLE_POLICIES_FROM, left_out_together, same_samples
+
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
@@ -156,20 +158,20 @@ def parts_left_out(
 ) -> list[list[tuple[int, int]]]:
     """Of each recording, (stop, fold) of the parts that are left out together: samples up to stop, from the one before.
 
-    Whole policies from four on, whole recordings from five on, and else stretches of at least two seconds.
+    Whole policies from four on, whole recordings from five on, and else stretches of at least two seconds. What stands
+    several times in the list, as in a bootstrap, counts once and is left out together: its twin knows every sample.
     """
-    policies = [recording.policy_hash for recording in recordings]
-    if len(set(policies)) >= 4 or len(recordings) >= 5:
-        names = policies if len(set(policies)) >= 4 else [str(index) for index in range(len(recordings))]
-        order = list(dict.fromkeys(names))
-        return [[(n, order.index(name) % MOST_FOLDS)] for name, n in zip(names, lengths, strict=True)]
-    found, number = [], itertools.count()
+    firsts = same_samples(recordings)
+    once = dict(zip(firsts, lengths, strict=True))
+    if len({recording.policy_hash for recording in recordings}) >= WHOLE_POLICIES_FROM or len(once) >= 5:
+        return [[(n, fold)] for n, fold in zip(lengths, left_out_together(recordings, MOST_FOLDS), strict=True)]
+    found, number = {}, itertools.count()
     least = max(1, round(LEAST_BLOCK_SECONDS * rate_hz))
-    for length in lengths:
-        blocks = max(1, min(round(BLOCKS * length / sum(lengths)), length // least))
+    for first, length in once.items():
+        blocks = max(1, min(round(BLOCKS * length / sum(once.values())), length // least))
         stops = [round(length * (index + 1) / blocks) for index in range(blocks)]
-        found.append([(stop, next(number) % MOST_FOLDS) for stop in stops])
-    return found
+        found[first] = [(stop, next(number) % MOST_FOLDS) for stop in stops]
+    return [found[first] for first in firsts]
 
 
 def _total(moments: Sequence[Moments]) -> Moments:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import defaultdict
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
@@ -54,6 +55,30 @@ def split(
         [recording for index, recording in enumerate(recordings) if index not in chosen],
         [recording for index, recording in enumerate(recordings) if index in chosen],
     )
+
+
+def left_out_together(recordings: Sequence[Recording], most: int) -> list[int]:
+    """For a cross-validation, the fold of each recording, below `most`: whole policies from four on, else single
+    recordings. One that stands several times in the list, as in a bootstrap, is left out with its twins, which know
+    every sample of it."""
+    policies = [recording.policy_hash for recording in recordings]
+    names = policies if len(set(policies)) >= WHOLE_POLICIES_FROM else same_samples(recordings)
+    order = list(dict.fromkeys(names))
+    return [order.index(name) % most for name in names]
+
+
+def same_samples(recordings: Sequence[Recording]) -> list[int]:
+    """For each recording the place of the first that holds the same samples: its own, unless it is a twin. Ids do not
+    tell, since parts of a recording have none."""
+    found: dict[bytes, int] = {}
+    return [found.setdefault(_digest(recording), index) for index, recording in enumerate(recordings)]
+
+
+def _digest(recording: Recording) -> bytes:
+    digest = hashlib.blake2b(recording.time.tobytes())
+    for name in sorted(recording.channels):
+        digest.update(recording.values(name).tobytes())
+    return digest.digest()
 
 
 def part(recording: Recording, start: int, stop: int) -> Recording:

@@ -27,7 +27,8 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
 
     In closed form where torch knows one. Both squashed by the same bijection (a tanh, to the same limits): that of what
     was squashed, since a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action
-    a ~ policy, which has the right mean.
+    a ~ policy, which has the right mean. Raises NotImplementedError where torch knows neither a formula nor how to take
+    such an action (`rsample`), as of mixtures.
     """
     first, second = policy, reference
     squashed, other = _squashed(policy), _squashed(reference)

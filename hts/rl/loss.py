@@ -72,7 +72,8 @@ class KLConstrainedPPOLoss(LossModule):
     ones off. Sum the losses before `backward`: candidates share no parameter.
 
     multiplier_rate: eta of `LagrangeMultiplier`; clip_epsilon: eps; critic_coeff: v; entropy_coeff: h; clip_value: None
-    for no clipping of the value, True for eps; normalize_advantage: to mean 0 and deviation 1, of each candidate.
+    for no clipping of the value, True for eps; normalize_advantage: to mean 0 and deviation 1, of each candidate;
+    a single sample stays as it is.
     """
 
     @dataclass
@@ -222,7 +223,7 @@ class KLConstrainedPPOLoss(LossModule):
         return row_mean(x) if self.multiplier.value.ndim else x.mean()
 
     def _standardised(self, x: torch.Tensor) -> torch.Tensor:
-        rows = x.flatten(1) if self.multiplier.value.ndim else x.reshape(1, -1)
+        rows = x.reshape(len(x) if self.multiplier.value.ndim else 1, -1)
         return row_standardised(rows).view(x.shape)
 
 

@@ -24,7 +24,10 @@ def row_std(x: torch.Tensor) -> torch.Tensor:
 
 
 def row_standardised(x: torch.Tensor) -> torch.Tensor:
-    """[P, S] -> each row minus its mean, over its standard deviation."""
+    """[P, S] -> each row minus its mean, over its standard deviation; as it is where a row is one number, which has no
+    deviation."""
+    if x.shape[1] == 1:
+        return x
     if x.device.type == "cpu":
         return torch.stack([(row - row.mean()) / (row.std() + 1e-8) for row in x.unbind(0)])
     return (x - x.mean(1, keepdim=True)) / (x.std(1, keepdim=True) + 1e-8)

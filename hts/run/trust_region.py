@@ -60,19 +60,32 @@ def agreement(tried: Sequence[Tried]) -> Agreement:
 
     Two or three elites say little about scatter, so it has a prior worth PRIOR_ELITES of them, as a share of what was
     predicted: variance by the scaled inverse chi-squared distribution, interval by Student's t (Gelman et al. 2013,
-    "Bayesian Data Analysis", section 2.6).
+    "Bayesian Data Analysis", section 2.6). So the interval holds what it says where elites scatter as the prior does,
+    and less often where they scatter more (`docs/decisions.md` has how often).
     """
     total = sum(one.predicted for one in tried)
     if not tried or total <= 0:
         return Agreement(None, None)
     rho = sum(one.measured for one in tried) / total
+    half = _half_width(tried, [one.measured - rho * one.predicted for one in tried]) / total
+    return Agreement(rho, (rho - half, rho + half))
+
+
+def clearly_below(tried: Sequence[Tried]) -> bool:
+    """Whether the mean measured improvement is below the mean predicted one, by the scatter and the errors of
+    `agreement`. A difference says so too where elites were predicted to lose, and a ratio says nothing."""
+    shortfalls = [one.measured - one.predicted for one in tried]
+    total = sum(shortfalls)
+    return total + _half_width(tried, [one - total / len(tried) for one in shortfalls]) < 0
+
+
+def _half_width(tried: Sequence[Tried], misses: Sequence[float]) -> float:
+    """Of the interval of the sum of measured improvements. misses: how far each lies from what all have in common."""
     squares = sum(one.predicted**2 for one in tried)
     error = sum((one.half_width / stats.norm.ppf((1 + LEVEL) / 2)) ** 2 for one in tried)
     degrees = PRIOR_ELITES + len(tried) - 1
-    misses = sum((one.measured - rho * one.predicted) ** 2 for one in tried) * len(tried) / squares
-    share = (PRIOR_ELITES * PRIOR_SCATTER**2 + misses) / degrees
-    half = float(stats.t.ppf((1 + LEVEL) / 2, degrees) * math.sqrt(share * squares + error) / total)
-    return Agreement(rho, (rho - half, rho + half))
+    scatter = (PRIOR_ELITES * PRIOR_SCATTER**2 * squares + len(tried) * sum(miss**2 for miss in misses)) / degrees
+    return float(stats.t.ppf((1 + LEVEL) / 2, degrees) * math.sqrt(scatter + error))
 
 
 def next_scale(
@@ -94,6 +107,8 @@ def _unlimited(scale: float, tried: Sequence[Tried], config: TrustRegionConfig) 
         return scale * config.shrink, "an elite fell"
     found = agreement(tried)
     if found.interval is None:
+        if tried and clearly_below(tried):
+            return scale * config.shrink, "no improvement was predicted, and measured ones are below the predicted ones"
         return scale, "nothing to judge by"
     low, high = found.interval
     if high < config.agreement:
@@ -101,8 +116,8 @@ def _unlimited(scale: float, tried: Sequence[Tried], config: TrustRegionConfig) 
     if low > config.agreement:
         if not any(one.active for one in tried):
             return scale, "no bound held anybody back"
-        good = low > config.close
-        return scale * config.grow ** (2 if good else 1), "the prediction held, and the bound held candidates back"
+        good, how = low > config.close, "more was saved than predicted" if low > 1 else "the prediction held"
+        return scale * config.grow ** (2 if good else 1), f"{how}, and the bound held candidates back"
     return scale, "it cannot be told yet"
 
 

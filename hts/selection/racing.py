@@ -116,7 +116,8 @@ def still_racing(table: np.ndarray, racing: Sequence[int], level: float, indiffe
 
     With n halves in common, the difference of two candidates has the standard error √(2 s²/n), where s² is what
     candidates and halves leave unexplained of the table; d > t·√(2 s²/n) is "clearly worse", and the race is decided
-    when t·√(2 s²/n) − d ≤ indifference · leader's mean for everybody left.
+    when t·√(2 s²/n) − d ≤ indifference · leader's mean for everybody left. Halves are taken as independent: what both
+    of a session have in common for one candidate alone is not allowed for, and `docs/evaluation.md` says what it costs.
     """
     if len(racing) < 2:
         return list(racing)

@@ -23,7 +23,7 @@ from batch.coverage_lines import (
     read_coverage,
     share,
 )
-from batch.coverage_sessions import student_of_sessions
+from batch.coverage_sessions import own_of_sessions, student_of_sessions
 from batch.queue import STOPPED
 
 from hts.errors import EvaluationError, PolicyError, RunError, WorldError
@@ -158,6 +158,20 @@ def test_what_students_interval_loses_is_drawn_from_the_sessions_alone():
     assert student_of_sessions(with_sessions([0.2] * 36)[1:]) is None
     assert "Of as many sessions as an evaluation has" in coverage_table(with_sessions(list(rare)))
     assert "Of as many sessions as an evaluation has" not in coverage_table(batch())
+
+
+def test_what_sessions_have_of_their_own_is_what_their_blocks_do_not_show():
+    """Sessions scatter by 5 points, their blocks show 3: 4 are their own, and a half, of which they have two, 3 √2."""
+    random, half = np.random.default_rng(0), 0.03 * 2.306
+    values = 0.2 + 0.05 * random.standard_normal(4000)
+    sessions = [Occasion(improvement=one, improvement_ci95=(one - half, one + half)) for one in values]
+    line = made_up()
+    line.speeds["0.8"] = line.speeds["0.8"].model_copy(update={"occasions": sessions})
+    found = own_of_sessions([line])
+    assert (found.pairs, found.sessions) == (1, 4000)
+    assert found.own[1] == pytest.approx(0.04, abs=0.002) and found.half[1] == pytest.approx(0.0424, abs=0.0005)
+    assert found.ratio[1] == pytest.approx(0.94, abs=0.05)
+    assert own_of_sessions(batch()) is None  # too few of them
 
 
 def test_realities_that_agree_leave_the_doubt_of_so_many_intervals():

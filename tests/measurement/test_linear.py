@@ -135,6 +135,22 @@ def test_parts_left_out_are_policies_or_recordings_or_stretches():
     assert parts("a") == [[(100, 0), (200, 1), (300, 2), (400, 3)]]  # stretches of two seconds
 
 
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_what_stands_twice_in_the_list_is_left_out_with_its_twin(count):
+    """A bootstrap draws recordings several times; a fold that is fitted to the twin of what it leaves out says nothing.
+    The channel is so noisy that a small penalty fits the noise."""
+    recordings = []
+    for seed in range(count):
+        one, noise = known_heat(seed, seconds=4.0), np.random.default_rng(100 + seed)
+        heat = one.values("heat") + 15.0 * noise.standard_normal(one.num_samples)
+        recordings.append(one.replace(channels={**one.channels, "heat": Series(HEAT, heat)}))
+    _, once = fitted(recordings)
+    _, twice = fitted([*recordings, *(one.replace() for one in recordings)])
+    for name in ("ridge", "pooling", "lag_seconds"):
+        assert twice[name] == once[name]
+    assert twice["validation_r2"] == pytest.approx(once["validation_r2"], abs=0.01)
+
+
 def test_an_input_that_never_varies_does_no_harm():
     r = known_heat(1)
     still = r.replace(channels={**r.channels, "rate": Series(r.channels["rate"].channel, np.ones((1000, 3)))})

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch.distributions import AffineTransform, Independent, Normal, StudentT, TransformedDistribution
+from torch.distributions import (
+    AffineTransform,
+    Categorical,
+    Independent,
+    MixtureSameFamily,
+    Normal,
+    StudentT,
+    TransformedDistribution,
+)
 from torchrl.modules import IndependentNormal, TanhNormal
 
 from hts.rl import gaussian_kl
@@ -56,6 +64,12 @@ def test_where_no_formula_is_known_one_sample_has_the_right_mean():
     expected = float((density.exp() * (density - StudentT(3.0).log_prob(x))).sum() * (x[1] - x[0]))
     assert expected > 0.2
     assert float(distribution_kl(policy, reference).mean()) == pytest.approx(expected, rel=0.02)
+
+
+def test_a_distribution_without_a_formula_or_reparametrised_samples_is_refused():
+    mixture = MixtureSameFamily(Categorical(logits=torch.zeros(4, 2)), Normal(torch.zeros(4, 2), 1.0))
+    with pytest.raises(NotImplementedError):
+        distribution_kl(mixture, mixture)
 
 
 def test_the_kl_of_categoricals_is_torchs_and_infinite_where_the_reference_forbids_what_is_done():

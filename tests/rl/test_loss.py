@@ -107,6 +107,30 @@ def test_without_a_bound_it_is_clip_ppo_loss(clip_value, normalise):
         torch.testing.assert_close(one, other)
 
 
+@pytest.mark.parametrize("shape", [(), (1,)])
+def test_a_minibatch_of_one_sample_is_clip_ppo_loss_too(shape):
+    """64 samples in minibatches of 7 leave one over; its deviation is that of nothing."""
+    actor, critic = networks()
+    data = batch_of(actor, critic)[0].reshape(shape)
+    same = {"clip_epsilon": 0.2, "entropy_coeff": 0.01, "normalize_advantage": True, "clip_value": 0.2}
+    ours = KLConstrainedPPOLoss(actor, critic, kl_bound=math.inf, **same)
+    found, expected = ours(data), ClipPPOLoss(actor, critic, loss_critic_type="l2", **same)(data)
+    for name in ("loss_objective", "loss_critic", "loss_entropy"):
+        torch.testing.assert_close(found[name], expected[name], msg=name)
+    assert all(bool(slope.isfinite().all()) for slope in gradients(found, actor, critic))
+
+
+def test_one_sample_of_each_candidate_is_taken_as_it_is():
+    population = Population(Sizes(3, 3, 2, (8,)), 3, seed=3)
+    actor, critic = PopulationActor(population), PopulationCritic(population)
+    data, bounds = population_batch(population, count=1), torch.full((3,), math.inf)
+    plain, normalised = (
+        KLConstrainedPPOLoss(actor, critic, kl_bound=bounds, normalize_advantage=one)(data)["loss_objective"]
+        for one in (False, True)
+    )
+    assert normalised.isfinite().all() and torch.equal(plain, normalised)
+
+
 def test_a_population_of_one_is_the_same_loss():
     population = Population(Sizes(3, 3, 2, (8,)), 1, seed=3)
     actor, critic = PopulationActor(population), PopulationCritic(population)

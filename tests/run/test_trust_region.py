@@ -92,6 +92,47 @@ def test_the_interval_of_rho_holds_the_truth_as_often_as_it_says(scatter, count,
     assert hits / trials >= least
 
 
+@pytest.mark.parametrize(
+    ("scatter", "count", "holds"),
+    [(0.15, 2, 0.98), (0.15, 3, 0.98), (0.15, 6, 0.97), (0.4, 2, 0.77), (0.4, 3, 0.82), (0.4, 6, 0.87)],
+)
+def test_the_interval_of_rho_is_as_honest_as_its_prior(scatter, count, holds):
+    """The prior says 0.15. These are the figures of docs/decisions.md."""
+    rng, hits, trials = np.random.default_rng(0), 0, 2000
+    for _ in range(trials):
+        promised = rng.uniform(0.1, 0.3, count)
+        measured = promised * (0.9 + scatter * rng.standard_normal(count)) + 0.01 * rng.standard_normal(count)
+        low, high = agreement([elite(p, m, half=1.96 * 0.01) for p, m in zip(promised, measured, strict=True)]).interval
+        hits += low <= 0.9 <= high
+    assert hits / trials == pytest.approx(holds, abs=0.02)
+
+
+def test_elites_that_were_to_save_nothing_and_lost_much_narrow_the_bound():
+    lost = [elite(-0.01, -0.30, half=0.02)] * 3
+    assert agreement(lost).interval is None  # of a ratio nothing can be said
+    assert next_scale(1.0, lost, CONFIG, C) == (
+        0.5,
+        "no improvement was predicted, and measured ones are below the predicted ones",
+    )
+    assert next_scale(1.0, [elite(0.0, -0.1, half=0.02)], CONFIG, C)[0] == 0.5
+
+
+@pytest.mark.parametrize(
+    "tried", [[elite(-0.10, -0.10)] * 3, [elite(-0.01, 0.10)] * 3, [elite(0.20, 0.02), elite(-0.25, 0.0)]]
+)
+def test_elites_that_were_to_save_nothing_and_kept_to_it_or_did_better_move_no_bound(tried):
+    assert next_scale(1.0, tried, CONFIG, C) == (1.0, "nothing to judge by")
+
+
+def test_a_bound_that_grows_says_whether_the_prediction_held_or_was_surpassed():
+    held, surpassed = [elite(0.10, 0.10)] * 3, [elite(0.10, 0.30)] * 3
+    assert next_scale(1.0, held, CONFIG, C) == (4.0, "the prediction held, and the bound held candidates back")
+    assert next_scale(1.0, surpassed, CONFIG, C) == (
+        4.0,
+        "more was saved than predicted, and the bound held candidates back",
+    )
+
+
 def entry(improvement, width=0.02):
     return {"improvement": improvement, "improvement_ci95": [improvement - width, improvement + width]}
 

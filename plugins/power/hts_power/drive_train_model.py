@@ -48,6 +48,7 @@ from hts.measurement.lstm_fit import one_thread
 from hts.measurement.physics_steps import IN_STEPS as IN_PHYSICS_STEPS
 from hts.measurement.physics_steps import between_samples, torque_at_samples
 from hts.measurement.readings import new_readings
+from hts.measurement.split import left_out_together
 from hts.measurement.torch_model import TorchModel
 from hts_power.drive_train_fit import BLOCK_SECONDS, DIRECTIONS, Drives, skipped
 from hts_power.drive_train_prior import TERMS, expected
@@ -173,7 +174,8 @@ class DriveTrain(TorchModel):
             name = self.signals.target.name
             idle = [float(recording.idle[name]) for recording in recordings if name in recording.idle]
             rest = None if not idle else (float(np.mean(idle)) - float(self.target_mean)) / float(self.target_std)
-            kind, folds = kinds(recordings[0].joint_names, self.signals.sizes[0]), _folds(recordings)
+            kind = kinds(recordings[0].joint_names, self.signals.sizes[0])
+            folds = np.array(left_out_together(recordings, MOST_FOLDS))
             sources = {"read": [piece.inputs for piece in pieces]}
             computed = [computed_inputs(self.signals, recording) for recording in recordings]
             if all(inputs is not None for inputs in computed):
@@ -331,14 +333,6 @@ def kinds(names: Sequence[str], count: int) -> np.ndarray:
         return np.zeros(count, dtype=int)
     order = list(dict.fromkeys(rest))
     return np.array([order.index(one) for one in rest])
-
-
-def _folds(recordings: Sequence[Recording]) -> np.ndarray:
-    """A number for each recording: what is left out together."""
-    policies = [recording.policy_hash for recording in recordings]
-    names = policies if len(set(policies)) >= 4 else [str(index) for index in range(len(recordings))]
-    order = list(dict.fromkeys(names))
-    return np.array([order.index(name) % MOST_FOLDS for name in names])
 
 
 def computed_inputs(signals: Signals, recording: Recording) -> Tensor | None:

@@ -172,6 +172,17 @@ def test_a_gauge_that_stops_is_refused_in_one_line(seconds, moves):
         fitted([stopped])
 
 
+def test_a_recording_that_stands_twice_in_the_list_is_left_out_with_its_twin():
+    """The gauge shows 30 % more in the second: what was fitted to one says little of the other."""
+    logs = []
+    for seed, gain in enumerate((1.0, 1.3)):
+        one = walk(seed, seconds=8)
+        shown = Series(TARGET, one.values("battery_current") * gain)
+        logs.append(one.replace(channels={**one.channels, "battery_current": shown}))
+    once, twice = (fitted(recordings)[1]["validation_r2"] for recordings in (logs, [*logs, *logs]))
+    assert once < 0.5 and twice == pytest.approx(once, abs=0.02)
+
+
 def test_joints_built_alike_are_told_by_their_names():
     assert kinds(NAMES, 4).tolist() == [0, 1, 0, 1]
     assert kinds(("shoulder", "elbow"), 2).tolist() == [0, 0]

@@ -1,0 +1,39 @@
+"""The scripts behind the tables of docs/evaluation.md that say where an error or an interval is not as stated."""
+
+from __future__ import annotations
+
+import pytest
+from intervals import held_by_blocks, held_by_realities, normal, skewed
+from racing import dropped
+
+from hts.evaluation.population import mean, quantile
+
+
+@pytest.mark.parametrize(
+    ("own", "anytime", "least", "most"),
+    [(0.0, False, 0.0, 0.05), (2.0, False, 0.2, 0.5), (0.0, True, 0.0, 0.05), (4.0, True, 0.07, 0.3)],
+)
+def test_a_session_of_its_own_drops_the_best_more_often_than_stated(own, anytime, least, most):
+    """Six equal candidates, of which one leads by chance; 150 races."""
+    level = 0.05 / 6 if anytime else 0.05 / (4 * 6)
+    assert least <= dropped(150, 6, level, own=own, anytime=anytime) <= most
+
+
+@pytest.mark.parametrize(
+    ("correlations", "least", "most"), [((0.8, 0.8), 0.92, 0.98), ((0.8, 0.0), 0.80, 0.92), ((0.0, 0.0), 0.92, 0.98)]
+)
+def test_one_correlation_for_both_is_too_narrow_where_only_one_wanders(correlations, least, most):
+    assert least <= held_by_blocks(300, 78, correlations, (5.0, 5.0), resamples=300) <= most
+
+
+@pytest.mark.parametrize(
+    ("statistic", "draw", "count", "least", "most"),
+    [
+        (mean, normal, 4, 0.91, 0.98),
+        (mean, skewed, 4, 0.84, 0.92),
+        (quantile(0.5), normal, 3, 0.87, 0.94),
+        (quantile(0.5), normal, 4, 0.92, 0.99),
+    ],
+)
+def test_few_realities_hold_the_truth_as_often_as_the_page_says(statistic, draw, count, least, most):
+    assert least <= held_by_realities(400, count, statistic, draw, resamples=400) <= most
