@@ -129,11 +129,11 @@ def _why(tried: Tried) -> str:
 def _as_best(job: Job, name: str) -> None:
     """Export a policy as the best one, with what the gate found of it."""
     job.save("best", job.policy(name))
-    gate = job.exported(name).with_suffix(".gate.json")
+    gate = job.onnx_path(name).with_suffix(".gate.json")
     if gate.exists():
         job.note_gate("best", read_json(gate))
     else:  # nobody looked at this one: what was found of a finalist before is not its
-        job.exported("best").with_suffix(".gate.json").unlink(missing_ok=True)
+        job.onnx_path("best").with_suffix(".gate.json").unlink(missing_ok=True)
 
 
 def _final_of(job: Job, name: str, report: Report) -> Tried:

@@ -18,6 +18,7 @@ from hts.measurement.transform import Measured
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
+from hts.policies.onnx_ours import what_differs
 from hts.recordings.needs import check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
@@ -56,7 +57,7 @@ class Job:
         source = self.robot.pretrained_policy()
         if source is None:
             raise ConfigError(f"Robot '{self.robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
-        if not self.policy_path("pretrained").with_suffix(".onnx").exists():
+        if not self.policy_path("pretrained").exists():
             self.save("pretrained", load_policy(source, self.robot.spec))
         identity = dict(self.world.identity())
         if (self.folder / "provenance.json").exists():
@@ -118,14 +119,31 @@ class Job:
             return load_policy(self.policy_path(name), self.robot.spec)
         except PolicyError as error:
             maker = {
-                "pretrained": self.exported("pretrained"),  # `prepare` writes all of it again
+                "pretrained": self.policy_path("pretrained"),  # `prepare` writes all of it again
                 "best": self.folder / "final.json",
             }.get(name, self.policy_path(name).parent.with_name("nearer.json" if is_nearer(name) else "finetune.json"))
             raise PolicyError(f"{error} Or delete {maker} and `hts resume {self.folder}` makes it anew.") from error
 
-    def exported(self, name: str) -> Path:
-        """The ONNX file of a policy of this run."""
+    def onnx_path(self, name: str) -> Path:
+        """Where the ONNX file of a policy lies."""
         return self.policy_path(name).with_suffix(".onnx")
+
+    def exported(self, name: str) -> Path:
+        """The ONNX file of a policy of this run, for a world: it is that policy's. Written again where it is missing.
+
+        Raises PolicyError, which says how to get it back, for a file that is damaged or of another policy.
+        """
+        policy, path, own = self.policy(name), self.onnx_path(name), self.policy_path(name).name
+        if not path.exists():
+            self.stages.progress.say(f"{path}: is missing, so it is written again from {own}.")
+            return to_onnx(policy, path)
+        other = what_differs(path, policy)
+        if other is not None:
+            raise PolicyError(
+                f"{path}: damaged, or of another policy ({other}). Expected that of {own}, "
+                f"{policy.card.policy_hash[:12]}. Delete it and `hts resume {self.folder}` writes it again."
+            )
+        return path
 
     @property
     def gate_is_strict(self) -> bool:
@@ -137,7 +155,7 @@ class Job:
         """What the gate found of a policy, and whose hash it is, beside its ONNX file: worlds that are machines pass it
         on."""
         whose = {} if "policy_hash" in found else {"policy_hash": self.policy(name).card.policy_hash}
-        write_json(self.exported(name).with_suffix(".gate.json"), {**whose, **found})
+        write_json(self.onnx_path(name).with_suffix(".gate.json"), {**whose, **found})
 
     # ---------------------------------------------------------------------------------------- world and recordings
 

@@ -149,15 +149,17 @@ class TestDamage:
         forget(broken_run, "iterations/00/simulate")
         truncate(broken_run / "policies/pretrained.safetensors")
         line = fails("resume", broken_run)
-        assert f"delete {broken_run}/policies/pretrained.onnx and `hts resume {broken_run}`" in line
-        (broken_run / "policies/pretrained.onnx").unlink()
+        assert f"delete {broken_run}/policies/pretrained.safetensors and `hts resume {broken_run}`" in line
+        (broken_run / "policies/pretrained.safetensors").unlink()
         self.resumed(small_run, broken_run)
 
-    def test_an_exported_policy(self, fails, broken_run):
+    def test_an_exported_policy(self, fails, small_run, broken_run):
         forget(broken_run, "iterations/00/test")
         truncate(broken_run / "policies/pretrained.onnx")
         line = fails("resume", broken_run)
-        assert "policies/pretrained.onnx: not an exported policy" in line
+        assert "policies/pretrained.onnx: damaged, or of another policy (not a whole ONNX file" in line
+        (broken_run / "policies/pretrained.onnx").unlink()
+        self.resumed(small_run, broken_run)
 
     def test_a_measurement_model(self, fails, small_run, broken_run):
         forget(broken_run, "iterations/00/simulate")
