@@ -6,9 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from hts import api
+from hts.config_loading import read_config
 from hts.errors import RunError
+from hts.run import simulates_yet
 from hts.run.stage_files import FILES, Collect, Test, read_stage
 
 FIRST = "iterations/00"
@@ -117,6 +120,27 @@ def test_what_an_earlier_version_did_not_write_is_missed_only_where_it_is_needed
     assert api.resume(broken_run) == broken_run
     without(broken_run, f"{FIRST}/gate", f"{FIRST}/test", "final", "summary")
     refused(broken_run, path, "nothing about predicted, task_rewards, trials")
+
+
+def test_a_gate_that_was_deleted_after_its_elites_were_tested_is_asked_again(small_run, broken_run):
+    path = broken_run / f"{FIRST}/gate.json"
+    whole = path.read_bytes()
+    without(broken_run, f"{FIRST}/gate", "final", "summary")
+    config = read_config(broken_run / "config.yaml")
+    assert simulates_yet(config, broken_run)
+    api.resume(broken_run)
+    assert path.read_bytes() == whole and not simulates_yet(config, broken_run)
+    assert small_run.summary_of(broken_run) == small_run.summary_of()
+
+
+def test_a_run_that_a_version_without_a_gate_tested_has_none(broken_run):
+    config = yaml.safe_load((broken_run / "config.yaml").read_text())
+    del config["gate"]
+    (broken_run / "config.yaml").write_text(yaml.safe_dump(config))
+    without(broken_run, f"{FIRST}/gate", "final", "summary")
+    assert not simulates_yet(read_config(broken_run / "config.yaml"), broken_run)
+    api.resume(broken_run)
+    assert not (broken_run / f"{FIRST}/gate.json").exists()
 
 
 def test_a_report_is_not_made_of_a_summary_that_says_nothing(broken_run):
