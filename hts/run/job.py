@@ -11,9 +11,10 @@ from shlex import quote
 from typing import Any
 
 from hts.config import RunConfig, ScheduleConfig
-from hts.contracts import HoldSpeed, Objective, Robot, World, WorldContext
+from hts.contracts import HoldSpeed, MeasurementModel, Objective, Robot, World, WorldContext
 from hts.errors import ConfigError, PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
+from hts.measurement import files
 from hts.measurement.transform import Measured
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
@@ -145,6 +146,17 @@ class Job:
             )
         return path
 
+    def model(self, iteration: int, objective: str) -> MeasurementModel:
+        """A measurement model of this run. Raises PolicyError, which says how to get it back, if a file is damaged."""
+        path = model_path(self, iteration, objective)
+        try:
+            return files.load(path, registry=self.registry)
+        except PolicyError as error:
+            maker = path.parent.with_name("fit.json")
+            raise PolicyError(
+                f"{error} In this run: delete {maker} and `hts resume {self.folder}` fits it anew."
+            ) from error
+
     @property
     def gate_is_strict(self) -> bool:
         """Whether who fails at the gate is kept from the world. One that does not say what it is may be a machine."""
@@ -269,6 +281,11 @@ class Job:
     def close(self) -> None:
         if "world" in self.__dict__:
             self.world.close()
+
+
+def model_path(job: Job, iteration: int, objective: str) -> Path:
+    """Where a measurement model lies."""
+    return job.folder / "iterations" / f"{iteration:02d}" / "models" / f"{objective}.safetensors"
 
 
 def _told(identity: Mapping[str, str]) -> str:

@@ -161,11 +161,15 @@ class TestDamage:
         (broken_run / "policies/pretrained.onnx").unlink()
         self.resumed(small_run, broken_run)
 
-    def test_a_measurement_model(self, fails, small_run, broken_run):
-        forget(broken_run, "iterations/00/simulate")
+    @pytest.mark.parametrize("stage", ["finetune", "simulate", "test"])
+    def test_a_measurement_model(self, fails, small_run, broken_run, stage):
+        forget(broken_run, f"iterations/00/{stage}", "final")
         truncate(broken_run / "iterations/00/models/power.safetensors")
         line = fails("resume", broken_run)
         assert f"{broken_run}/iterations/00/models/power.safetensors: its" in line
+        assert f"delete {broken_run}/iterations/00/fit.json and `hts resume {broken_run}` fits it anew." in line
+        (broken_run / "iterations/00/fit.json").unlink()
+        self.resumed(small_run, broken_run)
 
     @pytest.fixture
     def stopped(self, broken_run, monkeypatch) -> Path:
