@@ -89,6 +89,18 @@ def test_a_missing_file_is_written_again_and_said(small_run, broken_run, capsys)
     assert small_run.summary_of(broken_run) == small_run.summary_of()
 
 
+@pytest.mark.parametrize("content", ["{", "[]", "{}", None])
+def test_the_note_of_the_best_is_what_the_gate_found_whatever_became_of_the_candidates(broken_run, content):
+    path, note = broken_run / f"{tried(broken_run)}.gate.json", broken_run / "policies/best.gate.json"
+    whole = note.read_bytes()
+    assert whole == path.read_bytes()
+    forget(broken_run)
+    note.unlink()
+    path.unlink() if content is None else path.write_text(content)
+    api.resume(broken_run)
+    assert note.read_bytes() == whole
+
+
 def rewritten(path: Path, change) -> None:
     model = onnx.load(path)
     change(model)
