@@ -7,8 +7,11 @@ import json
 import math
 import time
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from hts.atomic import atomic_write
 from hts.errors import RunError
@@ -83,13 +86,24 @@ class Stages:
         with self.progress.stage(title) as report:
             result = work(report)
         write_json(path, result)
-        times = read_json(self.folder / TIMES) if (self.folder / TIMES).exists() else {}
-        write_json(self.folder / TIMES, {**times, name: round(time.perf_counter() - started, 3)})
+        self._times[name] = round(time.perf_counter() - started, 3)
+        write_json(self.folder / TIMES, self._times)
         return read_json(path)
 
     def seconds(self) -> dict[str, float]:
-        """How long each finished stage took, s."""
-        return read_json(self.folder / TIMES) if (self.folder / TIMES).exists() else {}
+        """How long each finished stage took, s; only those since, where the file of them was damaged."""
+        return dict(self._times)
+
+    @cached_property
+    def _times(self) -> dict[str, float]:
+        path = self.folder / TIMES
+        if not path.exists():
+            return {}
+        try:
+            return TypeAdapter(dict[str, float]).validate_python(read_json(path), strict=True)
+        except (RunError, ValidationError):
+            self.progress.say(f"{path}: damaged. It says only how long stages took: those of before are not counted.")
+            return {}
 
     def close(self) -> None:
         self._lock.close()

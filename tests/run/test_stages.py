@@ -77,6 +77,17 @@ def test_the_time_of_each_stage_is_kept(stages):
     assert all(seconds >= 0 for seconds in stages.seconds().values())
 
 
+@pytest.mark.parametrize("text", ["", '{"cut": ', "[]", "3", '{"a": "long"}', '{"a": null}'])
+def test_damaged_times_stop_nobody_and_are_said_once(stages, tmp_path, shown, text):
+    path = tmp_path / "log/stages.json"
+    path.parent.mkdir()
+    path.write_text(text)
+    stages.do("b", "b", lambda report: None)
+    stages.do("c", "c", lambda report: stages.seconds())
+    assert list(stages.seconds()) == ["b", "c"] == list(read_json(path))
+    assert shown.getvalue().count(f"{path}: damaged. It says only how long stages took") == 1
+
+
 @pytest.mark.parametrize("text", ["", '{"cut": ', b"\xff\xfe\x00"])
 def test_a_damaged_result_is_one_line_that_says_what_to_delete(stages, tmp_path, text):
     (tmp_path / "collect.json").write_bytes(text if isinstance(text, bytes) else text.encode())
