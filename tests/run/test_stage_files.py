@@ -9,8 +9,10 @@ import pytest
 import yaml
 
 from hts import api
+from hts.cli.main import main
 from hts.config_loading import read_config
 from hts.errors import RunError
+from hts.report.data import read_run, without_segments
 from hts.run import simulates_yet
 from hts.run.stage_files import FILES, Collect, Test, read_stage
 
@@ -154,6 +156,31 @@ def test_a_report_is_not_made_of_a_summary_that_says_nothing(broken_run):
     without(broken_run, "summary")
     api.resume(broken_run)
     write_report(broken_run)
+
+
+@pytest.mark.parametrize("content", ["", '{"power": ', "[]", '{"power": 3}', '{"power": {"0.8": {"policy": {}}}}'])
+def test_damaged_segments_say_how_they_come_back(small_run, broken_run, content):
+    path = broken_run / "segments.json"
+    whole = path.read_bytes()
+    path.write_text(content)
+    with pytest.raises(
+        RunError, match=rf"^{path}: .*\. Delete it, final.json and summary.json, and `hts resume"
+    ) as caught:
+        read_run(broken_run)
+    assert "\n" not in str(caught.value)
+    if not content:  # once is enough
+        path.unlink()
+        without(broken_run, "final", "summary")
+        api.resume(broken_run)
+        assert path.read_bytes() == whole and small_run.summary_of(broken_run) == small_run.summary_of()
+
+
+def test_a_report_without_segments_says_so(broken_run, capsys):
+    assert without_segments(read_run(broken_run)) is None
+    (broken_run / "segments.json").unlink()
+    assert main(["report", str(broken_run)]) == 0
+    said = capsys.readouterr().err
+    assert said.startswith(f"{broken_run}/segments.json: is missing, so the report lacks the figure")
 
 
 def test_every_file_of_a_finished_run_passes(small_run):
