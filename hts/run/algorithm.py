@@ -79,7 +79,8 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         name = f"iterations/{i:02d}"
         if not job.elites(i):
             job.stages.progress.say(cap_reached(job, i))
-            write_json(job.folder / ENDED_EARLY, {"done": i, "of": config.iterations})
+            if not (job.folder / ENDED_EARLY).exists():
+                write_json(job.folder / ENDED_EARLY, {"done": i, "of": config.iterations})
             job.stages.progress.skip(stages_per_iteration(config) * (config.iterations - i))
             break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder

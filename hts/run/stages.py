@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import math
@@ -9,7 +10,7 @@ import time
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -18,7 +19,9 @@ from hts.errors import RunError
 from hts.run.progress import Progress
 
 TIMES = "log/stages.json"
-
+LAST = ("summary.json", "report.html")
+"""What a run writes last."""
+UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 ENDED_EARLY = "iterations.json"
 """In a run's folder where real samples ended the iterations before the last one: {"done", "of"}."""
@@ -61,13 +64,20 @@ def _finite(value: Any) -> Any:
 class Stages:
     """The stages of one run folder. `do` skips what is done, so that a run killed anywhere goes on by calling it again.
 
-    Only one process may work in a folder: RunError if another one does. read: of the file of a stage that is done;
-    raises RunError for one that nothing can be made of.
+    Only one process may work in a folder: RunError if another one does. A finished run that cannot be written to, as on
+    a read-only medium, is only read, and needs no lock. read: of the file of a stage that is done; raises RunError for
+    one that nothing can be made of.
     """
 
     def __init__(self, folder: Path, progress: Progress, read: Callable[[Path], Any] = read_json) -> None:
         self.folder, self.progress, self._read = folder, progress, read
-        self._lock = (folder / ".lock").open("w")
+        try:
+            self._lock: IO[str] | None = (folder / ".lock").open("w")
+        except OSError as error:
+            if error.errno not in UNWRITABLE or not all((folder / name).is_file() for name in LAST):
+                raise
+            self._lock = None
+            return
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -106,4 +116,5 @@ class Stages:
             return {}
 
     def close(self) -> None:
-        self._lock.close()
+        if self._lock is not None:
+            self._lock.close()

@@ -136,6 +136,25 @@ def test_only_one_process_works_in_a_folder(stages, tmp_path):
     assert subprocess.run([sys.executable, "-c", code, tmp_path], check=False).returncode == 0
 
 
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.EPERM])
+def test_a_finished_run_that_cannot_be_written_to_is_read_without_a_lock(tmp_path, monkeypatch, number):
+    plain = Path.open
+
+    def refused(self, *given, **named):
+        if self.name == ".lock":
+            raise OSError(number, os.strerror(number), str(self))
+        return plain(self, *given, **named)
+
+    monkeypatch.setattr(Path, "open", refused)
+    (tmp_path / "summary.json").write_text('{"a": 1}')
+    with pytest.raises(OSError, match=r"\.lock"):
+        Stages(tmp_path, Progress(1))
+    (tmp_path / "report.html").write_text("")
+    stages = Stages(tmp_path, Progress(1))
+    assert stages.do("summary", "summary", lambda report: None) == {"a": 1}
+    stages.close()
+
+
 def test_a_terminal_sees_a_bar_and_a_log_file_sees_lines():
     for terminal in (True, False):
         file = io.StringIO()
