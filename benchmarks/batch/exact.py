@@ -33,8 +33,9 @@ from hts.errors import ConfigError, RunError
 from hts.evaluation.final import speed_key
 from hts.measurement import files
 from hts.oracle.in_simulation import SimulatedOracleJob
+from hts.run.job import model_path
 from hts.run.judging import judge
-from hts.run.learning import fit_one, model_path
+from hts.run.learning import fit_one
 from hts.run.progress import Progress
 from hts.run.reality import collect
 from hts.run.stages import Stages, read_json

@@ -45,18 +45,16 @@ def one_line(error: Exception) -> tuple[str, int] | None:
     return (f"error: {fault}", RunError.exit_code) if fault else None
 
 
-def disk_fault(error: BaseException | None, place: Path | None = None) -> str | None:
+def disk_fault(error: BaseException | None, place: Path | None = None, option: str = "--out or --to") -> str | None:
     """What a full or read-only disk, or a wrong path, did, and what to do; None if neither is at fault.
 
     Libraries written in other languages give only the text of the system's error, so that is looked at too;
-    place: named where the error itself names no file.
+    place: named where the error itself names no file; option: what names another place, empty where nothing does.
     """
     first = error
     while error is not None:
         number = (error.errno or 0) if isinstance(error, OSError) else _errno_in_text(str(error))
-        said = (
-            None if number == errno.ENOENT else place_fault(number, "--out or --to")
-        )  # a file that we forgot is a bug
+        said = None if number == errno.ENOENT else place_fault(number, option)  # a file that we forgot is a bug
         if said is not None and (error is first or number not in OF_PATHS):
             file = (error.filename if isinstance(error, OSError) else None) or place or "a file"
             return f"{file}: {said}."
@@ -65,8 +63,9 @@ def disk_fault(error: BaseException | None, place: Path | None = None) -> str | 
 
 
 @contextmanager
-def resumable(folder: Path, begun: str = "config.yaml") -> Iterator[None]:
-    """Whatever stops a run ends in one line that says how to go on with `folder`; begun: its file from the start."""
+def resumable(folder: Path, begun: str = "config.yaml", option: str = "--out or --to") -> Iterator[None]:
+    """Whatever stops a run ends in one line that says how to go on with `folder`; begun: its file from the start;
+    option: as of `disk_fault`."""
     threading.excepthook = _in_a_thread
     try:
         yield
@@ -82,7 +81,7 @@ def resumable(folder: Path, begun: str = "config.yaml") -> Iterator[None]:
             raise
         raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error
     except Exception as error:
-        fault = disk_fault(error, folder) or device_fault(error)
+        fault = disk_fault(error, folder, option) or device_fault(error)
         if fault is None:
             raise
         resume = f" Then `hts resume {folder}` goes on." if (folder / begun).exists() else ""

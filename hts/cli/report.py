@@ -13,5 +13,9 @@ def command(folder: options.RunFolder) -> None:
 
     existing_run(folder)
     from hts.report import write_report
+    from hts.report.data import read_run, without_segments
 
+    lacking = without_segments(read_run(folder))
+    if lacking is not None:
+        typer.echo(lacking, err=True)
     typer.echo(str(write_report(folder)))

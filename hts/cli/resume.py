@@ -17,13 +17,13 @@ def command(folder: options.RunFolder) -> None:
         from hts.cli.pretrain import tell
         from hts.training.pretrain import resume_pretraining
 
-        with resumable(folder, PRETRAINING):
+        with resumable(folder, PRETRAINING, option=""):
             typer.echo(str(resume_pretraining(folder, tell)))
         return
     existing_run(folder)
     from hts.config_loading import read_config
 
-    with resumable(folder):
+    with resumable(folder, option=""):
         if read_config(folder / "config.yaml").reward_source == "oracle":
             from hts.oracle import resume_oracle
 

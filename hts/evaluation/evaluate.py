@@ -188,7 +188,7 @@ def policy_file(folder: Path, policy: str | Path) -> Path:
     found = sorted((folder / "policies").glob("*.onnx")) + sorted((folder / "iterations").glob("**/*.onnx"))
     by_name = {file.stem: file for file in reversed(found)}  # policies/ wins over iterations/
     if str(policy) in by_name:
-        return by_name[str(policy)]
+        return _compared(by_name[str(policy)])
     parameters = given if given.suffix else find_policy(folder, str(policy))
 
     from hts.policies.export import to_onnx
@@ -202,6 +202,21 @@ def policy_file(folder: Path, policy: str | Path) -> Path:
     else:
         beside.unlink(missing_ok=True)
     return to_onnx(load_policy(parameters), to)
+
+
+def _compared(path: Path) -> Path:
+    """The ONNX file of a run's policy. Raises PolicyError where it is not that of the parameters beside it."""
+    from hts.policies.files import load_policy
+    from hts.policies.onnx_ours import what_differs
+
+    parameters = path.with_suffix(".safetensors")
+    other = what_differs(path, load_policy(parameters)) if parameters.exists() else None
+    if other is not None:
+        raise PolicyError(
+            f"{path}: damaged, or of another policy ({other}). Expected that of {parameters.name}. Delete it and give "
+            "the command again: it is exported anew."
+        )
+    return path
 
 
 def _write(path: Path, result: dict[str, Any]) -> None:

@@ -12,11 +12,9 @@ from torchrl.envs.transforms import Transform
 
 from hts.config import RunConfig
 from hts.config_loading import make_model
-from hts.measurement import files
 from hts.measurement.transform import Measured
 from hts.plugins import Registry
 from hts.run.job import Job
-from hts.run.learning import model_path
 from hts.run.ready import check_ready, check_step
 from hts.run.speed import control_steps_per_second
 from hts.worlds.oracle import IN_SIMULATION
@@ -39,8 +37,7 @@ class SimulatedOracleJob(Job):
         """The exact measurement for each objective, in the scale of the model that was fitted."""
         made: list[Measured] = []
         for name, objective in self.objectives.items():
-            model = files.load(model_path(self, iteration, name), registry=self.registry)
-            made.append(ExactMeasurement(objective, model, self._seeing))
+            made.append(ExactMeasurement(objective, self.model(iteration, name), self._seeing))
         return made
 
 

@@ -109,7 +109,7 @@ class OracleJob(Job):
         """Besides: the policy to start from, and what the truth is like around it."""
         super().prepare()
         start = start_policy(self.config, self.oracle)
-        if start is not None and not self.exported(START).exists():
+        if start is not None and not self.policy_path(START).exists():
             self.save(START, start)
         assert self.levels is not None
 

@@ -26,10 +26,16 @@ CLIP = 10.0  # of normalised observations, as in `Population.normalised`
 def to_onnx(policy: Policy, path: Path, held: HeldCommands | None = None) -> Path:
     """`observation` (batch, O) float32, raw -> `action` (batch, J), the mean action. Written in one move.
 
-    held: commands to be sent for wanted speeds, put in front of the policy. The graph is built node by node: it is
-    small, exact, and needs no tracing. Raises PolicyError for numbers that are not finite.
+    held: commands to be sent for wanted speeds, put in front of the policy. Raises PolicyError for numbers that are not
+    finite.
     """
     check_finite(path, policy.tensors)
+    return atomic_write(Path(path), onnx_bytes(policy, held))
+
+
+def onnx_bytes(policy: Policy, held: HeldCommands | None = None) -> bytes:
+    """What `to_onnx` writes; the same policy gives the same bytes. The graph is built node by node: it is small, exact,
+    and needs no tracing."""
     tensors, layers = policy.tensors, len(policy.card.hidden) + 1
     weights = {"mean": tensors["observation_mean"], "std": tensors["observation_std"]}
     weights |= {f"{what}{i}": tensors[f"actor.{i}.{what}"] for i in range(layers) for what in ("weight", "bias")}
@@ -53,7 +59,8 @@ def to_onnx(policy: Policy, path: Path, held: HeldCommands | None = None) -> Pat
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(model, said)
     onnx.checker.check_model(model)
-    return atomic_write(Path(path), model.SerializeToString())
+    content: bytes = model.SerializeToString()
+    return content
 
 
 def held_nodes() -> list[onnx.NodeProto]:

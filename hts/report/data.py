@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from hts.errors import RunError
 from hts.explain import explain
@@ -33,6 +33,15 @@ class Summary(BaseModel):
     objectives: list[str] = Field(description="names")
     iterations: list[dict[str, Any]] = Field(description="what became of each")
     final: FinalPart | None = Field(description="the final; null: there was none")
+
+
+class SegmentsPart(BaseModel):
+    """segments.json: of one objective at one speed, quantity -> one number a segment; null: not finite."""
+
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+    policy: dict[str, list[float | None]] = Field(description="of the result of the run")
+    reference: dict[str, list[float | None]] = Field(description="of the pretrained policy")
 
 
 @dataclass(frozen=True)
@@ -140,21 +149,42 @@ def read_run(folder: Path) -> RunData:
             for iteration in summary.get("iterations") or []
             if (fit := _json(folder / "iterations" / f"{int(iteration['index']):02d}" / "fit.json"))
         },
-        segments=_json(folder / "segments.json"),
+        segments=_segments(folder / "segments.json"),
         evaluation=_json(folder / "evaluation.json"),
     )
 
 
-def _json(path: Path) -> Json:
-    """The file's object, {} if there is no such file."""
+def _segments(path: Path) -> Json:
+    """segments.json, {} if there is none."""
+    mend = f"Delete it, final.json and summary.json, and `hts resume {path.parent}` makes the final again."
+    found = _json(path, mend)
+    try:
+        TypeAdapter(dict[str, dict[str, SegmentsPart]]).validate_python(found)
+    except ValidationError as error:
+        raise RunError(f"{path}: damaged ({explain(error, SegmentsPart).rstrip('.')}). {mend}") from error
+    return found
+
+
+def without_segments(run: RunData) -> str | None:
+    """What is to be said of a run that has a final and lacks its segments.json, which the report has a figure of."""
+    if run.segments or not any(entry.get("speeds") for entry in run.final.values()):
+        return None
+    return (
+        f"{run.folder / 'segments.json'}: is missing, so the report lacks the figure of the final's segments. Delete "
+        f"final.json and summary.json, and `hts resume {run.folder}` makes the final again."
+    )
+
+
+def _json(path: Path, mend: str = "Restore the file.") -> Json:
+    """The file's object, {} if there is no such file. mend: the end of what is said of a damaged one."""
     if not path.is_file():
         return {}
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise RunError(f"{path}: cannot be read as JSON ({error}). It was cut off or edited; restore it.") from error
+        raise RunError(f"{path}: cannot be read as JSON ({error}). It was cut off or edited. {mend}") from error
     if not isinstance(found, dict):
-        raise RunError(f"{path}: holds a {type(found).__name__}, expected an object. Restore the file.")
+        raise RunError(f"{path}: holds a {type(found).__name__}, expected an object. {mend}")
     return found
 
 

@@ -71,9 +71,12 @@ def resume_run(folder: Path, registry: Registry | None = None) -> Path:
 def simulates_yet(config: RunConfig, folder: Path) -> bool:
     """Whether a run still trains, judges or asks the gate, as far as its folder tells: it does until whom the last
     iteration tries is known."""
-    from hts.run.stage_files import read_stage
+    from hts.run.stage_files import gate_is_due, read_stage
     from hts.run.stages import ENDED_EARLY
 
+    tested = (folder / f"iterations/{index:02d}" for index in range(config.iterations))
+    if any(gate_is_due(config, one) for one in tested if (one / "test.json").exists()):  # its result was deleted
+        return True
     last = folder / f"iterations/{config.iterations - 1:02d}"
     over = (last / "test.json", folder / ENDED_EARLY, folder / "confirm.json", folder / "summary.json")
     if any(path.exists() for path in over):

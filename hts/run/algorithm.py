@@ -35,7 +35,7 @@ from hts.run.learning import finetune, fit
 from hts.run.nearer import is_due, may_go_nearer, nearer
 from hts.run.progress import Progress
 from hts.run.reality import best_so_far, collect
-from hts.run.stage_files import read_stage
+from hts.run.stage_files import has_gate, read_stage
 from hts.run.stages import ENDED_EARLY, Stages, write_json
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
@@ -79,7 +79,8 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         name = f"iterations/{i:02d}"
         if not job.elites(i):
             job.stages.progress.say(cap_reached(job, i))
-            write_json(job.folder / ENDED_EARLY, {"done": i, "of": config.iterations})
+            if not (job.folder / ENDED_EARLY).exists():
+                write_json(job.folder / ENDED_EARLY, {"done": i, "of": config.iterations})
             job.stages.progress.skip(stages_per_iteration(config) * (config.iterations - i))
             break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder
@@ -91,7 +92,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         job.do(f"{name}/finetune", f"{about}: fine-tune candidates", partial(finetune, job, i, best))
         job.do(f"{name}/simulate", f"{about}: judge candidates in simulation", partial(simulate, job, i))
         check_iteration(job, i)
-        if config.gate.enabled and not (job.folder / f"{name}/test.json").exists():  # of a run of before: none
+        if has_gate(config, job.folder / name):
             job.do(f"{name}/gate", f"{about}: try elites over varied dynamics", partial(gate, job, i))
         elif config.gate.enabled:
             job.stages.progress.skip(1)

@@ -13,6 +13,7 @@ from typing import Any
 
 from hts.run.front import PRETRAINED
 from hts.run.job import Job
+from hts.run.stage_files import gate_is_due
 from hts.run.stages import damaged
 from hts.training.sweep import is_nearer
 
@@ -34,8 +35,8 @@ def check_iteration(job: Job, iteration: int) -> None:
     known = {row["id"]: str(row["policy_hash"]) for row in rows}
     _check_judged(job, folder, known, simulated)
     tested = _path(job, f"{folder}/test")
-    if not tested.exists():  # else nobody reads them any more, and a run of before has not all of them
-        gate_is_next = job.config.gate.enabled and not _path(job, f"{folder}/gate").exists()
+    gate_is_next = gate_is_due(job.config, job.folder / folder)
+    if gate_is_next or not tested.exists():  # else nobody reads them any more, and a run of before has not all of them
         trusts = job.config.sweep.trust_region.enabled
         _check_has(
             _path(job, f"{folder}/simulate"), JUDGED if gate_is_next else ("predicted",) if trusts else (), simulated

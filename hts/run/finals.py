@@ -25,8 +25,9 @@ from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.recordings.recording import Recording
 from hts.run.front import PRETRAINED
 from hts.run.head_to_head import ends_the_run, head_to_head, held_head_to_head
+from hts.run.iteration import gate_note
 from hts.run.job import Job
-from hts.run.stages import read_json, write_json
+from hts.run.stages import write_json
 
 Report = Callable[[float], None]
 
@@ -129,11 +130,11 @@ def _why(tried: Tried) -> str:
 def _as_best(job: Job, name: str) -> None:
     """Export a policy as the best one, with what the gate found of it."""
     job.save("best", job.policy(name))
-    gate = job.exported(name).with_suffix(".gate.json")
-    if gate.exists():
-        job.note_gate("best", read_json(gate))
+    found = gate_note(job, name)
+    if found is not None:
+        job.note_gate("best", found)
     else:  # nobody looked at this one: what was found of a finalist before is not its
-        job.exported("best").with_suffix(".gate.json").unlink(missing_ok=True)
+        job.onnx_path("best").with_suffix(".gate.json").unlink(missing_ok=True)
 
 
 def _final_of(job: Job, name: str, report: Report) -> Tried:

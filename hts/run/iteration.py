@@ -74,6 +74,18 @@ def gate_refused(job: Job, iteration: int) -> int:
     return 0 if found is None else sum(not row["passed"] for row in found["policies"].values())
 
 
+def gate_note(job: Job, name: str) -> dict[str, Any] | None:
+    """What the note beside a candidate says of it, from the stages' files, which are checked; None where the gate did
+    not try it. name: of the run."""
+    if name in ("pretrained", "best"):
+        return None
+    found = gated(job, int(name.split("-")[0]))
+    row = None if found is None else found["policies"].get(name)
+    if found is None or row is None:
+        return None
+    return {**{key: found[key] for key in ("instances", "set_points") if key in found}, **row}
+
+
 def _is_done(job: Job, iteration: int, stage: str) -> bool:
     return (job.folder / f"iterations/{iteration:02d}/{stage}.json").exists()
 

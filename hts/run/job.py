@@ -11,13 +11,15 @@ from shlex import quote
 from typing import Any
 
 from hts.config import RunConfig, ScheduleConfig
-from hts.contracts import HoldSpeed, Objective, Robot, World, WorldContext
+from hts.contracts import HoldSpeed, MeasurementModel, Objective, Robot, World, WorldContext
 from hts.errors import ConfigError, PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
+from hts.measurement import files
 from hts.measurement.transform import Measured
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
+from hts.policies.onnx_ours import what_differs
 from hts.recordings.needs import check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
@@ -57,7 +59,7 @@ class Job:
         source = self.robot.pretrained_policy()
         if source is None:
             raise ConfigError(f"Robot '{self.robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
-        if not self.policy_path("pretrained").with_suffix(".onnx").exists():
+        if not self.policy_path("pretrained").exists():
             self.save("pretrained", load_policy(source, self.robot.spec))
         identity = dict(self.world.identity())
         if (self.folder / "provenance.json").exists():
@@ -123,14 +125,42 @@ class Job:
             return load_policy(self.policy_path(name), self.robot.spec)
         except PolicyError as error:
             maker = {
-                "pretrained": self.exported("pretrained"),  # `prepare` writes all of it again
+                "pretrained": self.policy_path("pretrained"),  # `prepare` writes all of it again
                 "best": self.folder / "final.json",
             }.get(name, self.policy_path(name).parent.with_name("nearer.json" if is_nearer(name) else "finetune.json"))
             raise PolicyError(f"{error} Or delete {maker} and `hts resume {self.folder}` makes it anew.") from error
 
-    def exported(self, name: str) -> Path:
-        """The ONNX file of a policy of this run."""
+    def onnx_path(self, name: str) -> Path:
+        """Where the ONNX file of a policy lies."""
         return self.policy_path(name).with_suffix(".onnx")
+
+    def exported(self, name: str) -> Path:
+        """The ONNX file of a policy of this run, for a world: it is that policy's. Written again where it is missing.
+
+        Raises PolicyError, which says how to get it back, for a file that is damaged or of another policy.
+        """
+        policy, path, own = self.policy(name), self.onnx_path(name), self.policy_path(name).name
+        if not path.exists():
+            self.stages.progress.say(f"{path}: is missing, so it is written again from {own}.")
+            return to_onnx(policy, path)
+        other = what_differs(path, policy)
+        if other is not None:
+            raise PolicyError(
+                f"{path}: damaged, or of another policy ({other}). Expected that of {own}, "
+                f"{policy.card.policy_hash[:12]}. Delete it and `hts resume {self.folder}` writes it again."
+            )
+        return path
+
+    def model(self, iteration: int, objective: str) -> MeasurementModel:
+        """A measurement model of this run. Raises PolicyError, which says how to get it back, if a file is damaged."""
+        path = model_path(self, iteration, objective)
+        try:
+            return files.load(path, registry=self.registry)
+        except PolicyError as error:
+            maker = path.parent.with_name("fit.json")
+            raise PolicyError(
+                f"{error} In this run: delete {maker} and `hts resume {self.folder}` fits it anew."
+            ) from error
 
     @property
     def gate_is_strict(self) -> bool:
@@ -142,7 +172,7 @@ class Job:
         """What the gate found of a policy, and whose hash it is, beside its ONNX file: worlds that are machines pass it
         on."""
         whose = {} if "policy_hash" in found else {"policy_hash": self.policy(name).card.policy_hash}
-        write_json(self.exported(name).with_suffix(".gate.json"), {**whose, **found})
+        write_json(self.onnx_path(name).with_suffix(".gate.json"), {**whose, **found})
 
     # ---------------------------------------------------------------------------------------- world and recordings
 
@@ -256,6 +286,11 @@ class Job:
     def close(self) -> None:
         if "world" in self.__dict__:
             self.world.close()
+
+
+def model_path(job: Job, iteration: int, objective: str) -> Path:
+    """Where a measurement model lies."""
+    return job.folder / "iterations" / f"{iteration:02d}" / "models" / f"{objective}.safetensors"
 
 
 def _told(identity: Mapping[str, str]) -> str:

@@ -16,7 +16,6 @@ from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds
 from hts.evaluation.simulation import simulate as trials
-from hts.measurement import files
 from hts.measurement.baseline import fit_proxy
 from hts.measurement.proxy import proxy_along
 from hts.policies.files import Policy
@@ -26,7 +25,7 @@ from hts.rl.population import Population
 from hts.run.felt_pull import pulled
 from hts.run.front import PRETRAINED
 from hts.run.job import Job
-from hts.run.learning import Report, inputs, model_path, transforms
+from hts.run.learning import Report, inputs, transforms
 from hts.run.task_watch import gave_up, gave_up_line
 from hts.training.finetune import measured_env
 
@@ -177,7 +176,7 @@ def _in_unit(job: Job, iteration: int, key: str, objective: Objective, known: Se
     recordings turns into the target. A line says nothing beyond what it was drawn through, and of levels, which are
     summed as energies, one sample far beyond it would decide: the proxy counts as far as the recordings reach."""
     if job.config.fits_models:
-        model = files.load(model_path(job, iteration, key), registry=job.registry)
+        model = job.model(iteration, key)
         return lambda found: model.denormalise(torch.from_numpy(found)).numpy()
     line = fit_proxy(objective, known)
     assert line is not None  # without a proxy there is nothing to train with

@@ -23,7 +23,7 @@ from hts.policies.proof import inherited
 from hts.recordings import Recording
 from hts.run.felt_pull import felt_pull, pull_line
 from hts.run.front import real_front
-from hts.run.job import Job
+from hts.run.job import Job, model_path
 from hts.run.ready import inputs as inputs_of
 from hts.run.task_watch import reward_scale, scale_lines
 from hts.run.trust_region import scaled
@@ -104,11 +104,6 @@ def combinations_of(job: Job, iteration: int) -> list[dict[str, float]]:
     return combinations(own, job.config.sweep.weights)
 
 
-def model_path(job: Job, iteration: int, objective: str) -> Path:
-    """Where a measurement model lies."""
-    return job.folder / "iterations" / f"{iteration:02d}" / "models" / f"{objective}.safetensors"
-
-
 def transforms(job: Job, iteration: int) -> list[Measured]:
     """Fresh measurement models (or analytic proxies) to put into an env; of an oracle what it sees."""
     seen = job.rewards(iteration)
@@ -117,8 +112,7 @@ def transforms(job: Job, iteration: int) -> list[Measured]:
     if job.config.reward_source == "proxy":
         return [ProxyTransform(objective) for objective in job.objectives.values()]
     return [
-        MeasurementTransform.of(objective, files.load(model_path(job, iteration, name), registry=job.registry))
-        for name, objective in job.objectives.items()
+        MeasurementTransform.of(objective, job.model(iteration, name)) for name, objective in job.objectives.items()
     ]
 
 

@@ -8,13 +8,16 @@ ones go on. Everything that no stage reads passes as it is.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from hts.explain import explain
 from hts.report.data import Summary
 from hts.run.stages import damaged, read_json
+
+if TYPE_CHECKING:
+    from hts.config import RunConfig
 
 Number = float | None
 """JSON has neither NaN nor infinity: null stands for them."""
@@ -214,6 +217,19 @@ class Truth(Part):
     """truth.json of an oracle: by objective."""
 
     levels: dict[str, TrueLevel] = Field(description="by objective")
+
+
+def has_gate(config: RunConfig, iteration: Path) -> bool:
+    """Whether an iteration has the stage `gate`; iteration: its folder. One that was tested by a version that had no
+    gate has none: the config.yaml of such a run does not name it."""
+    if not config.gate.enabled:
+        return False
+    return "gate" in config.model_fields_set or not (iteration / "test.json").exists()
+
+
+def gate_is_due(config: RunConfig, iteration: Path) -> bool:
+    """Whether that stage is still to be done, or again, since its result was deleted."""
+    return has_gate(config, iteration) and not (iteration / "gate.json").exists()
 
 
 FILES: dict[str, Any] = {

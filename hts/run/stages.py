@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import time
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from hts.atomic import atomic_write
 from hts.errors import RunError
@@ -15,7 +19,9 @@ from hts.locks import take_lock
 from hts.run.progress import Progress
 
 TIMES = "log/stages.json"
-
+LAST = ("summary.json", "report.html")
+"""What a run writes last."""
+UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 ENDED_EARLY = "iterations.json"
 """In a run's folder where real samples ended the iterations before the last one: {"done", "of"}."""
@@ -58,13 +64,20 @@ def _finite(value: Any) -> Any:
 class Stages:
     """The stages of one run folder. `do` skips what is done, so that a run killed anywhere goes on by calling it again.
 
-    Only one process may work in a folder: RunError if another one does. read: of the file of a stage that is done;
-    raises RunError for one that nothing can be made of.
+    Only one process may work in a folder: RunError if another one does. A finished run that cannot be written to, as on
+    a read-only medium, is only read, and needs no lock. read: of the file of a stage that is done; raises RunError for
+    one that nothing can be made of.
     """
 
     def __init__(self, folder: Path, progress: Progress, read: Callable[[Path], Any] = read_json) -> None:
         self.folder, self.progress, self._read = folder, progress, read
-        self._lock = (folder / ".lock").open("w")
+        try:
+            self._lock: IO[str] | None = (folder / ".lock").open("w")
+        except OSError as error:
+            if error.errno not in UNWRITABLE or not all((folder / name).is_file() for name in LAST):
+                raise
+            self._lock = None
+            return
         if not take_lock(self._lock):
             self._lock.close()
             raise RunError(f"{folder}: another process is working in it. Wait for it, or stop it first.")
@@ -82,13 +95,25 @@ class Stages:
         with self.progress.stage(title) as report:
             result = work(report)
         write_json(path, result)
-        times = read_json(self.folder / TIMES) if (self.folder / TIMES).exists() else {}
-        write_json(self.folder / TIMES, {**times, name: round(time.perf_counter() - started, 3)})
+        self._times[name] = round(time.perf_counter() - started, 3)
+        write_json(self.folder / TIMES, self._times)
         return read_json(path)
 
     def seconds(self) -> dict[str, float]:
-        """How long each finished stage took, s."""
-        return read_json(self.folder / TIMES) if (self.folder / TIMES).exists() else {}
+        """How long each finished stage took, s; only those since, where the file of them was damaged."""
+        return dict(self._times)
+
+    @cached_property
+    def _times(self) -> dict[str, float]:
+        path = self.folder / TIMES
+        if not path.exists():
+            return {}
+        try:
+            return TypeAdapter(dict[str, float]).validate_python(read_json(path), strict=True)
+        except (RunError, ValidationError):
+            self.progress.say(f"{path}: damaged. It says only how long stages took: those of before are not counted.")
+            return {}
 
     def close(self) -> None:
-        self._lock.close()
+        if self._lock is not None:
+            self._lock.close()

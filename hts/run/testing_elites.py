@@ -27,14 +27,13 @@ from hts.evaluation.final import CandidateResult, candidate_result, speeds_misse
 from hts.evaluation.halves import Half, halves
 from hts.evaluation.held import ask_to_hold
 from hts.evaluation.walked_again import samples_of, walked_again
-from hts.measurement import files
 from hts.measurement.checks import check
 from hts.recordings.recording import Recording
 from hts.run.head_to_head import ends_the_run
 from hts.run.iteration import elites_of, simulated, tuned
 from hts.run.job import Job
 from hts.run.judging import fine_tuning
-from hts.run.learning import bound_scale, model_path
+from hts.run.learning import bound_scale
 from hts.run.trust_region import by_all
 
 Report = Callable[[float], None]
@@ -321,6 +320,5 @@ def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:
     tried = job.recordings(ids)
     known = job.recordings(job.known(iteration))
     return {
-        name: check(objective, files.load(model_path(job, iteration, name), registry=job.registry), tried, known)
-        for name, objective in job.objectives.items()
+        name: check(objective, job.model(iteration, name), tried, known) for name, objective in job.objectives.items()
     }

@@ -149,21 +149,27 @@ class TestDamage:
         forget(broken_run, "iterations/00/simulate")
         truncate(broken_run / "policies/pretrained.safetensors")
         line = fails("resume", broken_run)
-        assert f"delete {broken_run}/policies/pretrained.onnx and `hts resume {broken_run}`" in line
-        (broken_run / "policies/pretrained.onnx").unlink()
+        assert f"delete {broken_run}/policies/pretrained.safetensors and `hts resume {broken_run}`" in line
+        (broken_run / "policies/pretrained.safetensors").unlink()
         self.resumed(small_run, broken_run)
 
-    def test_an_exported_policy(self, fails, broken_run):
+    def test_an_exported_policy(self, fails, small_run, broken_run):
         forget(broken_run, "iterations/00/test")
         truncate(broken_run / "policies/pretrained.onnx")
         line = fails("resume", broken_run)
-        assert "policies/pretrained.onnx: not an exported policy" in line
+        assert "policies/pretrained.onnx: damaged, or of another policy (not a whole ONNX file" in line
+        (broken_run / "policies/pretrained.onnx").unlink()
+        self.resumed(small_run, broken_run)
 
-    def test_a_measurement_model(self, fails, small_run, broken_run):
-        forget(broken_run, "iterations/00/simulate")
+    @pytest.mark.parametrize("stage", ["finetune", "simulate", "test"])
+    def test_a_measurement_model(self, fails, small_run, broken_run, stage):
+        forget(broken_run, f"iterations/00/{stage}", "final")
         truncate(broken_run / "iterations/00/models/power.safetensors")
         line = fails("resume", broken_run)
         assert f"{broken_run}/iterations/00/models/power.safetensors: its" in line
+        assert f"delete {broken_run}/iterations/00/fit.json and `hts resume {broken_run}` fits it anew." in line
+        (broken_run / "iterations/00/fit.json").unlink()
+        self.resumed(small_run, broken_run)
 
     @pytest.fixture
     def stopped(self, broken_run, monkeypatch) -> Path:
@@ -251,6 +257,26 @@ hts run --objective power --robot go1 --preset smoke --out "$DISK/new" > "$OUT/o
     assert (tmp_path / "code").read_text().strip() == "2", done.stderr + line
     assert line.count("\n") == 1
     assert line.startswith(f"error: {tmp_path}/disk/new: the file system is read-only. Choose a place")
+
+
+def test_a_finished_run_on_a_read_only_disk_is_read(on_a_disk, small_run, tmp_path):
+    script = f"""
+cp -r "{small_run.folder}" "$DISK/run"; rm "$DISK/run/.lock"
+cp -r "$DISK/run" "$DISK/other"; rm "$DISK/other/final.json"
+cp -r "$DISK/run" "$DISK/begun"; rm "$DISK/begun/summary.json"
+mount -o remount,ro "$DISK"
+for run in run other begun; do
+  hts resume "$DISK/$run" > "$OUT/$run.out" 2> "$OUT/$run.err"; echo $? > "$OUT/$run.code"
+done
+"""
+    done = on_a_disk("100m", script)
+    assert (tmp_path / "run.code").read_text().strip() == "0", done.stderr + (tmp_path / "run.err").read_text()
+    assert f"report: {tmp_path}/disk/run/report.html" in (tmp_path / "run.out").read_text()
+    for name in ("other", "begun"):
+        line = (tmp_path / f"{name}.err").read_text()
+        assert (tmp_path / f"{name}.code").read_text().strip() == "2" and line.count("\n") == 1, line
+        assert line.startswith(f"error: {tmp_path}/disk/{name}/") and "the file system is read-only. " in line
+        assert "--out" not in line and "--to" not in line
 
 
 def test_a_full_disk_before_anything_is_written_ends_in_one_line(on_a_disk, tmp_path):

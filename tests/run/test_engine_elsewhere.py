@@ -55,7 +55,8 @@ def test_where_real_samples_ended_the_iterations_nothing_simulates(finished, tmp
     """The last iterations of a capped run never begin; its second trials and final are made beside the robot."""
     config = finished.config.model_copy(update={"iterations": 3})
     (tmp_path / "iterations/00").mkdir(parents=True)
-    (tmp_path / "iterations/00/test.json").write_text("{}")
+    for stage in ("gate", "test"):
+        (tmp_path / f"iterations/00/{stage}.json").write_text("{}")
     assert simulates_yet(config, tmp_path)
     (tmp_path / "iterations.json").write_text(json.dumps({"done": 1, "of": 3}))
     assert not simulates_yet(config, tmp_path)

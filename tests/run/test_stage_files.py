@@ -6,9 +6,14 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from hts import api
+from hts.cli.main import main
+from hts.config_loading import read_config
 from hts.errors import RunError
+from hts.report.data import read_run, without_segments
+from hts.run import simulates_yet
 from hts.run.stage_files import FILES, Collect, Test, read_stage
 
 FIRST = "iterations/00"
@@ -119,6 +124,27 @@ def test_what_an_earlier_version_did_not_write_is_missed_only_where_it_is_needed
     refused(broken_run, path, "nothing about predicted, task_rewards, trials")
 
 
+def test_a_gate_that_was_deleted_after_its_elites_were_tested_is_asked_again(small_run, broken_run):
+    path = broken_run / f"{FIRST}/gate.json"
+    whole = path.read_bytes()
+    without(broken_run, f"{FIRST}/gate", "final", "summary")
+    config = read_config(broken_run / "config.yaml")
+    assert simulates_yet(config, broken_run)
+    api.resume(broken_run)
+    assert path.read_bytes() == whole and not simulates_yet(config, broken_run)
+    assert small_run.summary_of(broken_run) == small_run.summary_of()
+
+
+def test_a_run_that_a_version_without_a_gate_tested_has_none(broken_run):
+    config = yaml.safe_load((broken_run / "config.yaml").read_text())
+    del config["gate"]
+    (broken_run / "config.yaml").write_text(yaml.safe_dump(config))
+    without(broken_run, f"{FIRST}/gate", "final", "summary")
+    assert not simulates_yet(read_config(broken_run / "config.yaml"), broken_run)
+    api.resume(broken_run)
+    assert not (broken_run / f"{FIRST}/gate.json").exists()
+
+
 def test_a_report_is_not_made_of_a_summary_that_says_nothing(broken_run):
     from hts.report import write_report
 
@@ -130,6 +156,31 @@ def test_a_report_is_not_made_of_a_summary_that_says_nothing(broken_run):
     without(broken_run, "summary")
     api.resume(broken_run)
     write_report(broken_run)
+
+
+@pytest.mark.parametrize("content", ["", '{"power": ', "[]", '{"power": 3}', '{"power": {"0.8": {"policy": {}}}}'])
+def test_damaged_segments_say_how_they_come_back(small_run, broken_run, content):
+    path = broken_run / "segments.json"
+    whole = path.read_bytes()
+    path.write_text(content)
+    with pytest.raises(
+        RunError, match=rf"^{path}: .*\. Delete it, final.json and summary.json, and `hts resume"
+    ) as caught:
+        read_run(broken_run)
+    assert "\n" not in str(caught.value)
+    if not content:  # once is enough
+        path.unlink()
+        without(broken_run, "final", "summary")
+        api.resume(broken_run)
+        assert path.read_bytes() == whole and small_run.summary_of(broken_run) == small_run.summary_of()
+
+
+def test_a_report_without_segments_says_so(broken_run, capsys):
+    assert without_segments(read_run(broken_run)) is None
+    (broken_run / "segments.json").unlink()
+    assert main(["report", str(broken_run)]) == 0
+    said = capsys.readouterr().err
+    assert said.startswith(f"{broken_run}/segments.json: is missing, so the report lacks the figure")
 
 
 def test_every_file_of_a_finished_run_passes(small_run):

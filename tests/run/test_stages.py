@@ -77,6 +77,17 @@ def test_the_time_of_each_stage_is_kept(stages):
     assert all(seconds >= 0 for seconds in stages.seconds().values())
 
 
+@pytest.mark.parametrize("text", ["", '{"cut": ', "[]", "3", '{"a": "long"}', '{"a": null}'])
+def test_damaged_times_stop_nobody_and_are_said_once(stages, tmp_path, shown, text):
+    path = tmp_path / "log/stages.json"
+    path.parent.mkdir()
+    path.write_text(text)
+    stages.do("b", "b", lambda report: None)
+    stages.do("c", "c", lambda report: stages.seconds())
+    assert list(stages.seconds()) == ["b", "c"] == list(read_json(path))
+    assert shown.getvalue().count(f"{path}: damaged. It says only how long stages took") == 1
+
+
 @pytest.mark.parametrize("text", ["", '{"cut": ', b"\xff\xfe\x00"])
 def test_a_damaged_result_is_one_line_that_says_what_to_delete(stages, tmp_path, text):
     (tmp_path / "collect.json").write_bytes(text if isinstance(text, bytes) else text.encode())
@@ -123,6 +134,25 @@ def test_only_one_process_works_in_a_folder(stages, tmp_path):
     assert f"{tmp_path}: another process is working in it." in done.stderr
     stages.close()
     assert subprocess.run([sys.executable, "-c", code, tmp_path], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES, errno.EPERM])
+def test_a_finished_run_that_cannot_be_written_to_is_read_without_a_lock(tmp_path, monkeypatch, number):
+    plain = Path.open
+
+    def refused(self, *given, **named):
+        if self.name == ".lock":
+            raise OSError(number, os.strerror(number), str(self))
+        return plain(self, *given, **named)
+
+    monkeypatch.setattr(Path, "open", refused)
+    (tmp_path / "summary.json").write_text('{"a": 1}')
+    with pytest.raises(OSError, match=r"\.lock"):
+        Stages(tmp_path, Progress(1))
+    (tmp_path / "report.html").write_text("")
+    stages = Stages(tmp_path, Progress(1))
+    assert stages.do("summary", "summary", lambda report: None) == {"a": 1}
+    stages.close()
 
 
 def test_a_terminal_sees_a_bar_and_a_log_file_sees_lines():
