@@ -226,6 +226,9 @@ WORLDS: dict[str, Json] = {
 }
 """Known worlds; candidate 0 is the best or one of the best."""
 
+SESSIONS = (0.0, 0.5, 1.0, 2.0, 4.0)
+"""Standard deviations of what a session has of its own for one candidate, in those of a half."""
+
 
 def tables(trials: int) -> Json:
     """Races of equal candidates in tables of random numbers, which is quick: how often candidate 0 is dropped.
@@ -251,9 +254,6 @@ def tables(trials: int) -> Json:
     return result
 
 
-SESSIONS = (0.0, 0.5, 1.0, 2.0, 4.0)
-
-
 def dropped(
     trials: int, candidates: int, level: float, degrees: int | None = None, own: float = 0.0, anytime: bool = False
 ) -> float:
@@ -265,7 +265,7 @@ def dropped(
     from hts.selection.racing import RacingSettings, still_racing
 
     rounds = 10 if anytime else RacingSettings().rounds
-    rng, dropped, shape = np.random.default_rng(0), 0, (candidates, 2 * rounds)
+    rng, without, shape = np.random.default_rng(0), 0, (candidates, 2 * rounds)
     test, level_of_all = (by_sequences, 100.0) if anytime else (still_racing, 0.0)  # far above the reference, who is 0
     for _ in range(trials):
         scores = rng.standard_normal(shape) if degrees is None else rng.standard_t(degrees, shape)
@@ -278,8 +278,8 @@ def dropped(
             if 0 not in racing or len(racing) < 2:
                 break
             scores[[row for row in range(candidates) if row not in racing], 2 * number :] = np.nan
-        dropped += 0 not in racing
-    return dropped / trials
+        without += 0 not in racing
+    return without / trials
 
 
 def monte_carlo(trials: int, whole_seconds: float = 320.0) -> Json:
@@ -369,7 +369,9 @@ def main() -> int:
         from batch.coverage_sessions import own_of_sessions
 
         found = own_of_sessions(read_coverage(given.own))
-        print(json.dumps(found and asdict(found), indent=1))
+        if found is None:
+            parser.error("--own: no pair of a policy and a reality has enough sessions in these lines.")
+        print(json.dumps(asdict(found), indent=1))
         return 0
     if given.replay:
         print(json.dumps([row for folder in given.replay for row in replay(folder, given.settings)], indent=1))

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 from typing import IO, Any
+
+NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.EBADF)
+"""What file systems answer that know no locks, or none on what is open for reading alone."""
 
 
 def take_lock(handle: IO[Any] | int, *, wait: bool = False) -> bool:
     """Whether the lock is ours now; False: another process holds it. wait: until it does not.
 
-    Where the file system knows no locks, nobody else holds one: True.
+    Where the file system knows no locks, nobody else holds one: True. Raises OSError for a fault.
     """
     try:
         fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    except (BlockingIOError, PermissionError):  # CIFS says EACCES (flock(2))
         return False
-    except OSError:
-        return True
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
     return True

@@ -1,11 +1,10 @@
-"""Paths in a robot's and a world's settings, made absolute before a run keeps them: it is resumed from any folder."""
+"""Paths in a robot's and a world's settings: which they are, and absolute before a run keeps them."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from hts.config import RunConfig
 from hts.config_base import Named, NameOrFile
@@ -24,23 +23,24 @@ def with_whole_paths(config: RunConfig, registry: Registry) -> RunConfig:
     """
 
     def whole(kind: str, one: Named) -> Named:
-        found = {key: value for key, value in one.settings.items() if _lies_here(value)}
-        model = settings_model(registry, kind, one.name) if found else None
-        fields: Mapping[str, FieldInfo] = model.model_fields if model is not None else {}
-        paths = {key: str(Path(value).resolve()) for key, value in found.items() if _names_file(fields.get(key), value)}
-        return Named(name=one.name, **{**one.settings, **paths}) if paths else one
+        found = {key: Path(value) for key, value in files_of(registry, kind, one).items()}
+        here = {key: str(path.resolve()) for key, path in found.items() if not path.is_absolute() and path.exists()}
+        return Named(name=one.name, **{**one.settings, **here}) if here else one
 
     return config.model_copy(update={"robot": whole("robots", config.robot), "world": whole("worlds", config.world)})
 
 
-def _lies_here(value: Any) -> bool:
-    """Whether it could be a relative path of something that is there."""
-    return isinstance(value, (str, Path)) and not os.path.isabs(value) and os.path.exists(value)
+def files_of(registry: Registry, kind: str, one: Named) -> dict[str, str]:
+    """Settings of a plugin that are the path of a file, as its settings' types say. kind: `robots` or `worlds`."""
+    texts = {key: str(value) for key, value in one.settings.items() if isinstance(value, (str, Path))}
+    model = settings_model(registry, kind, one.name) if texts else None
+    fields: Mapping[str, FieldInfo] = model.model_fields if model is not None else {}
+    return {key: text for key, text in texts.items() if _names_file(fields.get(key), text)}
 
 
-def _names_file(field: FieldInfo | None, value: str | Path) -> bool:
+def _names_file(field: FieldInfo | None, value: str) -> bool:
     """Whether the setting's type says that this is a path."""
     if field is None:
         return False
     rules = [rule for rule in field.metadata if isinstance(rule, NameOrFile)]
-    return rules[0].is_file(str(value)) if rules else Path in (field.annotation, *get_args(field.annotation))
+    return rules[0].is_file(value) if rules else Path in (field.annotation, *get_args(field.annotation))

@@ -39,6 +39,27 @@ def test_where_there_are_no_locks_nobody_else_holds_one(tmp_path, no_locks):
         assert take_lock(file) and take_lock(file, wait=True)
 
 
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EWOULDBLOCK])
+def test_a_lock_that_is_refused_is_anothers(tmp_path, monkeypatch, number):
+    """EACCES is how network shares of Windows say it, flock(2)."""
+
+    def refuse(handle, operation):
+        raise OSError(number, "held")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with (tmp_path / ".lock").open("w") as file:
+        assert not take_lock(file)
+
+
+def test_a_faulty_disk_is_neither(tmp_path, monkeypatch):
+    def fail(handle, operation):
+        raise OSError(errno.EIO, "I/O error")
+
+    monkeypatch.setattr(fcntl, "flock", fail)
+    with (tmp_path / ".lock").open("w") as file, pytest.raises(OSError, match="I/O error"):
+        take_lock(file)
+
+
 def test_a_run_goes_on_where_there_are_no_locks(tmp_path, no_locks):
     stages = Stages(tmp_path, Progress(1, Console(quiet=True)))
     assert stages.do("collect", "collect", lambda report: [1]) == [1]

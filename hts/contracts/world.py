@@ -162,7 +162,8 @@ class World(ABC):
 
     def identity(self) -> Mapping[str, str]:
         """Which machine it is, for provenance and reports, such as a serial number or the hash of a file: no more than
-        somebody beside it could read off. A run is not resumed on another one. By default nobody knows."""
+        somebody beside it could read off. A run is not resumed on another one; a `name` with a `name_sha256` beside
+        it is a file, which may lie elsewhere by then. By default nobody knows."""
         return {}
 
     def close(self) -> None:  # noqa: B027 - most hold nothing

@@ -182,7 +182,7 @@ def policy_file(folder: Path, policy: str | Path) -> Path:
 
     given = Path(policy)
     if given.suffix == ".onnx" and given.is_file():
-        return given
+        return _compared(given) if folder.resolve() in given.resolve().parents else given
     if given.suffix and not (given.suffix == ".safetensors" and given.is_file()):
         raise PolicyError(f"{policy}: expected a policy file that exists, ending in .onnx or .safetensors.")
     found = sorted((folder / "policies").glob("*.onnx")) + sorted((folder / "iterations").glob("**/*.onnx"))

@@ -156,7 +156,7 @@ def read_run(folder: Path) -> RunData:
 
 def _segments(path: Path) -> Json:
     """segments.json, {} if there is none."""
-    mend = f"Delete it, final.json and summary.json, and `hts resume {path.parent}` makes the final again."
+    mend = f"Delete it, final.json, summary.json and report.html, and `hts resume {path.parent}` makes the final again."
     found = _json(path, mend)
     try:
         TypeAdapter(dict[str, dict[str, SegmentsPart]]).validate_python(found)
@@ -171,7 +171,7 @@ def without_segments(run: RunData) -> str | None:
         return None
     return (
         f"{run.folder / 'segments.json'}: is missing, so the report lacks the figure of the final's segments. Delete "
-        f"final.json and summary.json, and `hts resume {run.folder}` makes the final again."
+        f"final.json, summary.json and report.html, and `hts resume {run.folder}` makes the final again."
     )
 
 

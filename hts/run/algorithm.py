@@ -34,9 +34,10 @@ from hts.run.judging import simulate
 from hts.run.learning import finetune, fit
 from hts.run.nearer import is_due, may_go_nearer, nearer
 from hts.run.progress import Progress
+from hts.run.provenance import check_config
 from hts.run.reality import best_so_far, collect
 from hts.run.stage_files import has_gate, read_stage
-from hts.run.stages import ENDED_EARLY, Stages, write_json
+from hts.run.stages import ENDED_EARLY, Stages, read_json, write_json
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
 
@@ -55,11 +56,14 @@ def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = J
     """
     progress = Progress(total=STAGES_AROUND + stages_per_iteration(config) * config.iterations)
     stages = Stages(folder, progress, read_stage)
-    job = kind(config, folder, registry, stages)
     try:
-        summary = algorithm_1(job)
+        check_config(folder, config, registry)  # before anything is made of what it says
+        job = kind(config, folder, registry, stages)
+        try:
+            summary = algorithm_1(job)
+        finally:
+            job.close()
     finally:
-        job.close()
         stages.close()
     print_table(summary, progress.console)
     progress.say(f"report: {folder / 'report.html'}")
@@ -79,8 +83,9 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         name = f"iterations/{i:02d}"
         if not job.elites(i):
             job.stages.progress.say(cap_reached(job, i))
-            if not (job.folder / ENDED_EARLY).exists():
-                write_json(job.folder / ENDED_EARLY, {"done": i, "of": config.iterations})
+            ended = {"done": i, "of": config.iterations}
+            if not (job.folder / ENDED_EARLY).exists() or read_json(job.folder / ENDED_EARLY) != ended:
+                write_json(job.folder / ENDED_EARLY, ended)  # else nothing is to be written, as on a read-only medium
             job.stages.progress.skip(stages_per_iteration(config) * (config.iterations - i))
             break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder

@@ -24,11 +24,13 @@ from hts.recordings.needs import check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
 from hts.run.budget import Budget, plan, second_trials
-from hts.run.provenance import check_config, config_sha256
 from hts.run.provenance import collect as collect_provenance
+from hts.run.provenance import config_sha256
 from hts.run.stage_files import read_stage
 from hts.run.stages import Stages, write_json
 from hts.training.sweep import combinations, is_nearer, own_weights
+
+HASH = "_sha256"
 
 
 class Job:
@@ -63,11 +65,8 @@ class Job:
             self.save("pretrained", load_policy(source, self.robot.spec))
         identity = dict(self.world.identity())
         if (self.folder / "provenance.json").exists():
-            kept = self.read("provenance")
-            oracle = self.config.reward_source == "oracle"
-            check_config(self.folder, kept.get("config_sha256"), "oracle" if oracle else "run")
-            before = kept.get("world", {})
-            if before != identity:
+            before = self.read("provenance").get("world", {})
+            if not _same_machine(before, identity):
                 raise RunError(
                     f"{self.folder}: was begun on another machine ({_told(before)}, now {_told(identity)}). "
                     "Put that one back, or begin a new run."
@@ -75,7 +74,7 @@ class Job:
         else:
             plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}
             found = collect_provenance(self.config.seed, self.config.engine, plugins, self.config.provenance.diff)
-            found["config_sha256"] = config_sha256(self.folder)
+            found["config_sha256"] = config_sha256(self.folder, self.config, self.registry)
             write_json(self.folder / "provenance.json", {**found, **({"world": identity} if identity else {})})
 
     @cached_property
@@ -293,5 +292,12 @@ def model_path(job: Job, iteration: int, objective: str) -> Path:
     return job.folder / "iterations" / f"{iteration:02d}" / "models" / f"{objective}.safetensors"
 
 
+def _same_machine(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
+    """Whether two identities name one machine. Of a file whose hash both hold the name says only where it lies."""
+    hashed = {name for name in before.keys() & now.keys() if f"{name}{HASH}" in before.keys() & now.keys()}
+    return {k: v for k, v in before.items() if k not in hashed} == {k: v for k, v in now.items() if k not in hashed}
+
+
 def _told(identity: Mapping[str, str]) -> str:
-    return ", ".join(f"{name} {value[:12]}" for name, value in identity.items()) or "none was named"
+    told = [f"{name} {value[:12] if name.endswith(HASH) else value}" for name, value in identity.items()]
+    return ", ".join(told) or "none was named"

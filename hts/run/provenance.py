@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import platform
 import re
@@ -14,7 +15,12 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+from hts.config import RunConfig
 from hts.errors import RunError
+from hts.plugins import Registry
+from hts.run.stage_files import read_stage
+from hts.whole_paths import files_of
+from hts.yaml_text import load_mapping_file
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # at the beginning of a requirement (PEP 508)
 
@@ -44,21 +50,28 @@ def collect(seed: int, engine: str, plugins: dict[str, str], diff: bool = False)
     }
 
 
-def config_sha256(folder: Path) -> str:
-    """Of config.yaml in a run's folder, as it lies there."""
-    return hashlib.sha256((folder / "config.yaml").read_bytes()).hexdigest()
+def config_sha256(folder: Path, config: RunConfig, registry: Registry) -> str:
+    """Of the settings in config.yaml of a run's folder, without where files lie: a folder may move, with or without
+    them. config: the same, read."""
+    settings = load_mapping_file(folder / "config.yaml")
+    for section, kind, one in (("robot", "robots", config.robot), ("world", "worlds", config.world)):
+        for key in files_of(registry, kind, one):
+            settings[section][key] = "a file"
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
-def check_config(folder: Path, begun_with: str | None, command: str = "run") -> None:
-    """Raise RunError if config.yaml is not the one that the run was begun with: half of its stages would be another
-    run's. begun_with: its SHA-256; None: a run of before that was kept. command: of `hts`, which begins such a run."""
-    found = config_sha256(folder)
+def check_config(folder: Path, config: RunConfig, registry: Registry) -> None:
+    """Raise RunError if config.yaml says other settings than the run was begun with: half of its stages would be
+    another run's. A run of before that was kept passes."""
+    path = folder / "provenance.json"
+    begun_with = read_stage(path).get("config_sha256") if path.exists() else None
+    found = config_sha256(folder, config, registry)
     if begun_with is not None and found != begun_with:
-        path = folder / "config.yaml"
+        file, command = folder / "config.yaml", "oracle" if config.reward_source == "oracle" else "run"
         raise RunError(
-            f"{path}: its SHA-256 is {found[:12]}…, the run was begun with {begun_with[:12]}…. Begin a new run with "
-            f"what it says now, `hts {command} --config {quote(str(path))} --out DIR`, or put it back as the "
-            "run wrote it."
+            f"{file}: the SHA-256 of its settings is {found[:12]}…, the run was begun with {begun_with[:12]}…. Begin "
+            f"a new run with what it says now, `hts {command} --config {quote(str(file))} --out DIR`, or put it back "
+            "as the run wrote it."
         )
 
 

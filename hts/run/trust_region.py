@@ -108,7 +108,7 @@ def _unlimited(scale: float, tried: Sequence[Tried], config: TrustRegionConfig) 
     found = agreement(tried)
     if found.interval is None:
         if tried and clearly_below(tried):
-            return scale * config.shrink, "no improvement was predicted, and measured ones are below the predicted ones"
+            return scale * config.shrink, "none was predicted in sum, and measured ones are below the predicted ones"
         return scale, "nothing to judge by"
     low, high = found.interval
     if high < config.agreement:

@@ -258,6 +258,11 @@ class FieldWorld(World):
         path = self._mapping_path()
         if self.settings.mapping is None and not path.exists():
             atomic_write(path, self._template())
+        if not path.exists():
+            raise ConfigError(
+                f"{path}: there is no such mapping of the log. Put it there, or where it lies into world.mapping, of a "
+                "run that was begun in its config.yaml."
+            )
         mapping = load_mapping(path)
         check_sections(path, mapping)
         return mapping

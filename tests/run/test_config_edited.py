@@ -2,46 +2,92 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 
+from hts import plugins
+from hts.config import RunConfig
+from hts.config_base import Named
+from hts.config_loading import dump_config, load_config
 from hts.errors import RunError
 from hts.run import resume_run
-from hts.run.provenance import check_config
+from hts.run.provenance import check_config, config_sha256
 from hts.testing.packages import kit_installed
 from hts.testing.tiny_run import tiny_run
 
 
-def test_a_config_that_was_edited_in_the_midst_of_a_run_is_refused_until_it_is_put_back(tmp_path):
+@pytest.fixture
+def begun(tmp_path):
+    """The folder of a run whose final is to be made again."""
     folder = tmp_path / "run"
     with kit_installed():
         tiny_run(folder)
-        config, provenance = folder / "config.yaml", folder / "provenance.json"
-        written, kept = config.read_text(), json.loads(provenance.read_text())
-        begun = hashlib.sha256(config.read_bytes()).hexdigest()
-        assert kept["config_sha256"] == begun
         for stage in ("final.json", "summary.json"):
             (folder / stage).unlink()
-        config.write_text(written.replace("seed: 0", "seed: 5", 1))
-        edited = hashlib.sha256(config.read_bytes()).hexdigest()
-        with pytest.raises(RunError, match=f"config.yaml: its SHA-256 is {edited[:12]}…, .* {begun[:12]}…") as error:
-            resume_run(folder)
-        assert f"`hts run --config {config} --out DIR`" in str(error.value) and "\n" not in str(error.value)
-        assert not (folder / "final.json").exists()
-        config.write_text(written)
-        before = shutil.copytree(folder, tmp_path / "before")  # begun by an hts that did not keep it
-        del kept["config_sha256"]
-        (before / "provenance.json").write_text(json.dumps(kept))
-        (before / "config.yaml").write_text(written + "# a note\n")
-        for one in (folder, before):
-            resume_run(one)
-            assert json.loads((one / "summary.json").read_text())["seed"] == 0
+        yield folder
+
+
+def edit(folder: Path, before: str, after: str) -> None:
+    path = folder / "config.yaml"
+    written = path.read_text()
+    assert before in written
+    path.write_text(written.replace(before, after, 1))
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_config_that_was_edited_in_the_midst_of_a_run_is_refused_until_it_is_put_back(begun):
+    (begun / "policies/pretrained.safetensors").unlink()  # is made of what config.yaml says
+    kept = json.loads((begun / "provenance.json").read_text())["config_sha256"]
+    edit(begun, "seed: 0", "seed: 5")
+    config, as_it_was = begun / "config.yaml", contents(begun)
+    with pytest.raises(RunError, match=rf"^{config}: the SHA-256 of its settings .* begun with {kept[:12]}…") as error:
+        resume_run(begun)
+    assert f"`hts run --config {config} --out DIR`" in str(error.value) and "\n" not in str(error.value)
+    assert contents(begun) == as_it_was
+    edit(begun, "seed: 5", "seed: 0")
+    resume_run(begun)
+    assert json.loads((begun / "summary.json").read_text())["seed"] == 0
+
+
+def test_a_run_of_before_the_hash_was_kept_goes_on_and_a_note_is_no_setting(begun, tmp_path):
+    edit(begun, "seed: 0", "seed: 0  # a note")
+    before = shutil.copytree(begun, tmp_path / "before")
+    kept = json.loads((before / "provenance.json").read_text())
+    del kept["config_sha256"]
+    (before / "provenance.json").write_text(json.dumps(kept))
+    for one in (begun, before):
+        resume_run(one)
+        assert (one / "summary.json").exists()
+
+
+def test_where_files_lie_may_be_written_anew_and_nothing_else(tmp_path):
+    registry = plugins.load()
+    (tmp_path / "provenance.json").write_text("{}")
+
+    def settings(**world) -> RunConfig:
+        made = load_config(objectives=["power"], robot="go1", preset="smoke", engine="mujoco")
+        found = made.model_copy(update={"world": Named(name="twin", **world)})
+        (tmp_path / "config.yaml").write_text(dump_config(found))
+        return found
+
+    first = settings(reality="/first/place/mine.json")
+    begun = {"config_sha256": config_sha256(tmp_path, first, registry)}
+    (tmp_path / "provenance.json").write_text(json.dumps(begun))
+    check_config(tmp_path, settings(reality="second/mine.json"), registry)
+    for other in ({"reality": "dev-03"}, {}, {"reality": "second/mine.json", "block_seconds": 5.0}):
+        with pytest.raises(RunError, match="the SHA-256 of its settings"):
+            check_config(tmp_path, settings(**other), registry)
 
 
 def test_an_oracle_is_begun_anew_by_its_own_command(tmp_path):
-    (tmp_path / "config.yaml").write_text("preset: smoke\n")
+    config = load_config(objectives=["power"], robot="go1", preset="smoke", oracle=True)
+    (tmp_path / "config.yaml").write_text(dump_config(config))
+    (tmp_path / "provenance.json").write_text(json.dumps({"config_sha256": "0" * 64}))
     with pytest.raises(RunError, match="`hts oracle --config"):
-        check_config(tmp_path, "0" * 64, "oracle")
+        check_config(tmp_path, config, plugins.load())

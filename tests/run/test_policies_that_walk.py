@@ -160,6 +160,8 @@ def test_evaluating_compares_them_too_and_exports_again_what_was_deleted(broken_
     flip(path)
     with pytest.raises(PolicyError, match=rf"^{path}: damaged, or of another policy .* Delete it and give the command"):
         policy_file(broken_run, "pretrained")
+    with pytest.raises(PolicyError, match=rf"^{path}: damaged"):
+        policy_file(broken_run, path)
     path.unlink()
     assert policy_file(broken_run, "pretrained").read_bytes() == whole
 

@@ -139,6 +139,7 @@ def test_a_run_that_a_version_without_a_gate_tested_has_none(broken_run):
     config = yaml.safe_load((broken_run / "config.yaml").read_text())
     del config["gate"]
     (broken_run / "config.yaml").write_text(yaml.safe_dump(config))
+    changed(broken_run, "provenance", lambda kept: {name: kept[name] for name in kept if name != "config_sha256"})
     without(broken_run, f"{FIRST}/gate", "final", "summary")
     assert not simulates_yet(read_config(broken_run / "config.yaml"), broken_run)
     api.resume(broken_run)
@@ -164,7 +165,7 @@ def test_damaged_segments_say_how_they_come_back(small_run, broken_run, content)
     whole = path.read_bytes()
     path.write_text(content)
     with pytest.raises(
-        RunError, match=rf"^{path}: .*\. Delete it, final.json and summary.json, and `hts resume"
+        RunError, match=rf"^{path}: .*\. Delete it, final.json, summary.json and report.html, and `hts resume"
     ) as caught:
         read_run(broken_run)
     assert "\n" not in str(caught.value)
@@ -181,6 +182,7 @@ def test_a_report_without_segments_says_so(broken_run, capsys):
     assert main(["report", str(broken_run)]) == 0
     said = capsys.readouterr().err
     assert said.startswith(f"{broken_run}/segments.json: is missing, so the report lacks the figure")
+    assert "Delete final.json, summary.json and report.html, and `hts resume" in said
 
 
 def test_every_file_of_a_finished_run_passes(small_run):

@@ -107,10 +107,10 @@ def test_the_interval_of_rho_is_as_honest_as_its_prior(scatter, count, holds):
 def test_elites_that_were_to_save_nothing_and_lost_much_narrow_the_bound():
     lost = [elite(-0.01, -0.30, half=0.02)] * 3
     assert agreement(lost).interval is None  # of a ratio nothing can be said
-    assert next_scale(1.0, lost, CONFIG, C) == (
-        0.5,
-        "no improvement was predicted, and measured ones are below the predicted ones",
-    )
+    why = "none was predicted in sum, and measured ones are below the predicted ones"
+    assert next_scale(1.0, lost, CONFIG, C) == (0.5, why)
+    mixed = [elite(0.20, -0.30, half=0.02), elite(-0.21, -0.30, half=0.02)]
+    assert next_scale(1.0, mixed, CONFIG, C) == (0.5, why)
     assert next_scale(1.0, [elite(0.0, -0.1, half=0.02)], CONFIG, C)[0] == 0.5
 
 

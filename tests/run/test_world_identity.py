@@ -25,3 +25,18 @@ def test_the_identity_of_a_world_is_kept_and_another_is_refused(tmp_path, monkey
         assert "\n" not in str(error.value)
         monkeypatch.setattr(KnownWorld, "identity", lambda self: {"serial": "7"})
         resume_run(tmp_path / "run")
+
+
+def test_a_file_that_was_moved_is_the_same_machine_and_one_of_another_hash_is_not(tmp_path, monkeypatch):
+    def lies(where: str, sha256: str) -> None:
+        machine = {"reality": where, "reality_sha256": sha256}
+        monkeypatch.setattr(KnownWorld, "identity", lambda self: machine, raising=False)
+
+    lies("/first/place/mine.json", "a" * 64)
+    with kit_installed():
+        tiny_run(tmp_path / "run")
+        lies("/second/place/mine.json", "a" * 64)
+        resume_run(tmp_path / "run")
+        lies("/second/place/mine.json", "b" * 64)
+        with pytest.raises(RunError, match="reality /first/place/mine.json, reality_sha256 a{12}, now .* b{12}"):
+            resume_run(tmp_path / "run")

@@ -94,7 +94,7 @@ def test_an_unknown_reality_is_one_line(tmp_path, registry, reference, said):
 
 def test_a_file_that_is_not_there_is_said_with_the_place_and_that_a_run_needs_its_own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match=r"A run that was begun needs its own there again; for a new one") as error:
+    with pytest.raises(ConfigError, match=r"A run that was begun needs its own: put it there") as error:
         locate("nowhere/mine.json")
     assert f" as {tmp_path}/nowhere/mine.json." in str(error.value)
 

@@ -67,7 +67,8 @@ def locate(reference: str) -> Path:
         if not path.is_file():
             raise ConfigError(
                 f"reality {reference}: there is no such file, looked for as {path.absolute()}. A run that was begun "
-                "needs its own there again; for a new one draw some: `hts realities draw --count 4 --seed S --out DIR`."
+                "needs its own: put it there, or where it lies into world.reality in the run's config.yaml. For a new "
+                "run draw some: `hts realities draw --count 4 --seed S --out DIR`."
             )
         return path
     names = known_names()
