@@ -65,8 +65,9 @@ def locate(reference: str) -> Path:
     if REFERENCE.is_file(reference):
         path = Path(reference)
         if not path.is_file():
+            looked_for = "" if path.is_absolute() else f", looked for as {path.absolute()}"
             raise ConfigError(
-                f"reality {reference}: there is no such file, looked for as {path.absolute()}. A run that was begun "
+                f"reality {reference}: there is no such file{looked_for}. A run that was begun "
                 "needs its own: put it there, or where it lies into world.reality in the run's config.yaml. For a new "
                 "run draw some: `hts realities draw --count 4 --seed S --out DIR`."
             )
