@@ -61,11 +61,20 @@ class Job:
         source = self.robot.pretrained_policy()
         if source is None:
             raise ConfigError(f"Robot '{self.robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
+        begun = (self.folder / "provenance.json").exists()
+        kept = self.read("provenance") if begun else {}
         if not self.policy_path("pretrained").exists():
-            self.save("pretrained", load_policy(source, self.robot.spec))
+            policy = load_policy(source, self.robot.spec)
+            found, expected = policy.card.policy_hash, kept.get("pretrained_policy")
+            if expected not in (None, found):
+                raise RunError(
+                    f"{source}: holds policy {found[:12]}, the run was begun with {expected[:12]}. Put that one there, "
+                    "or begin a new run."
+                )
+            self.save("pretrained", policy)
         identity = dict(self.world.identity())
-        if (self.folder / "provenance.json").exists():
-            before = self.read("provenance").get("world", {})
+        if begun:
+            before = kept.get("world", {})
             if not _same_machine(before, identity):
                 raise RunError(
                     f"{self.folder}: was begun on another machine ({_told(before)}, now {_told(identity)}). "
@@ -73,9 +82,10 @@ class Job:
                 )
         else:
             plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}
-            found = collect_provenance(self.config.seed, self.config.engine, plugins, self.config.provenance.diff)
-            found["config_sha256"] = config_sha256(self.folder, self.config, self.registry)
-            write_json(self.folder / "provenance.json", {**found, **({"world": identity} if identity else {})})
+            provenance = collect_provenance(self.config.seed, self.config.engine, plugins, self.config.provenance.diff)
+            provenance["config_sha256"] = config_sha256(self.folder, self.config, self.registry)
+            provenance["pretrained_policy"] = self.policy("pretrained").card.policy_hash
+            write_json(self.folder / "provenance.json", {**provenance, **({"world": identity} if identity else {})})
 
     @cached_property
     def combinations(self) -> list[dict[str, float]]:
@@ -294,8 +304,7 @@ def model_path(job: Job, iteration: int, objective: str) -> Path:
 
 def _same_machine(before: Mapping[str, str], now: Mapping[str, str]) -> bool:
     """Whether two identities name one machine. Of a file whose hash both hold the name says only where it lies."""
-    hashed = {name for name in before.keys() & now.keys() if f"{name}{HASH}" in before.keys() & now.keys()}
-    return {k: v for k, v in before.items() if k not in hashed} == {k: v for k, v in now.items() if k not in hashed}
+    return before.keys() == now.keys() and all(before[name] == now[name] for name in now if f"{name}{HASH}" not in now)
 
 
 def _told(identity: Mapping[str, str]) -> str:

@@ -201,7 +201,8 @@ class Provenance(Part):
     """provenance.json."""
 
     world: dict[str, str] = Field(default_factory=dict, description="which machine it is, as far as the world says")
-    config_sha256: str | None = Field(None, description="of config.yaml when the run was begun")
+    config_sha256: str | None = Field(None, description="of config.yaml's settings when the run was begun")
+    pretrained_policy: str | None = Field(None, description="hash of the policy that the run was begun with")
 
 
 class TrueLevel(Part):

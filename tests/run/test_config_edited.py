@@ -55,6 +55,21 @@ def test_a_config_that_was_edited_in_the_midst_of_a_run_is_refused_until_it_is_p
     assert json.loads((begun / "summary.json").read_text())["seed"] == 0
 
 
+def test_the_policy_to_start_from_is_not_made_again_of_another_one(begun):
+    (begun / "policies/pretrained.safetensors").unlink()
+    provenance = begun / "provenance.json"
+    kept = json.loads(provenance.read_text())
+    provenance.write_text(json.dumps({**kept, "pretrained_policy": "0" * 64}))  # as if the robot's was another since
+    with pytest.raises(
+        RunError, match=f"holds policy {kept['pretrained_policy'][:12]}, the run was begun with 0{{12}}"
+    ):
+        resume_run(begun)
+    assert not (begun / "policies/pretrained.safetensors").exists()
+    provenance.write_text(json.dumps(kept))
+    resume_run(begun)
+    assert (begun / "summary.json").exists()
+
+
 def test_a_run_of_before_the_hash_was_kept_goes_on_and_a_note_is_no_setting(begun, tmp_path):
     edit(begun, "seed: 0", "seed: 0  # a note")
     before = shutil.copytree(begun, tmp_path / "before")
