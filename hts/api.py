@@ -129,15 +129,33 @@ def evaluate(
     world: str | None = None,
     seed: int | None = None,
     sessions: int | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Head-to-head of a run's policy against its pretrained one; returns what evaluation.json holds.
     Like `hts evaluate`.
 
+    settings: dotted key of `evaluation.` or `world.` -> value, laid over the run's for this once, as --set takes them.
+
     For example `api.evaluate("runs/first", [0.8])["objectives"]["OBJECTIVE"]["speeds"]["0.8"]["improvement"]`.
     """
+    from hts.config_loading import read_config
     from hts.evaluation.evaluate import evaluate_run
+    from hts.overrides import Override
+    from hts.plugins import load as load_plugins
+    from hts.run.provenance import TO_EVALUATE, check_config
 
-    return evaluate_run(_run_folder(folder), speeds=speeds, policy=policy, world=world, seed=seed, sessions=sessions)
+    run_folder, registry = _run_folder(folder), load_plugins()
+    check_config(run_folder, read_config(run_folder / "config.yaml"), registry, TO_EVALUATE)
+    return evaluate_run(
+        run_folder,
+        speeds=speeds,
+        policy=policy,
+        world=world,
+        seed=seed,
+        registry=registry,
+        sessions=sessions,
+        overrides=[Override.of(key, value) for key, value in (settings or {}).items()],
+    )
 
 
 def robot(name: str, settings: Mapping[str, Any] | None = None) -> Robot:

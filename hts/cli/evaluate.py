@@ -20,6 +20,12 @@ def command(
     sessions: Annotated[
         int | None, typer.Option(min=1, help="Do it so often, each time anew; the interval is then over sessions.")
     ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Of evaluation. and world., for this once; repeat for several."
+        ),
+    ] = None,
 ) -> None:
     """Head-to-head against the pretrained policy, written to DIR/evaluation.json."""
     from hts.cli.run_folder import existing_run
@@ -27,13 +33,25 @@ def command(
     existing_run(folder)
     from hts.config_loading import read_config
     from hts.evaluation.evaluate import evaluate_run
+    from hts.plugins import load
     from hts.report.table import print_evaluation
+    from hts.run.provenance import TO_EVALUATE, check_config
 
-    config = read_config(folder / "config.yaml")
+    config, registry = read_config(folder / "config.yaml"), load()
+    check_config(folder, config, registry, TO_EVALUATE)
     if config.reward_source == "oracle":
         from hts.oracle import note_of
 
         typer.echo(note_of(config))
-    found = evaluate_run(folder, speeds=speed or None, policy=policy, world=world, seed=seed, sessions=sessions)
+    found = evaluate_run(
+        folder,
+        speeds=speed or None,
+        policy=policy,
+        world=world,
+        seed=seed,
+        registry=registry,
+        sessions=sessions,
+        overrides=set_ or (),
+    )
     print_evaluation(found)
     typer.echo(str(folder / "evaluation.json"))

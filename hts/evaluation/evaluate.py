@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
-from hts.config import Named
 from hts.config_base import SEEDS
 from hts.contracts import HoldSpeed, World, WorldContext
 from hts.errors import ConfigError, EvaluationError, PolicyError, RunError
@@ -26,6 +25,7 @@ from hts.evaluation.final import (
 )
 from hts.evaluation.held import ask_to_hold, check_held, hold_of
 from hts.evaluation.walked_again import walked_again
+from hts.overrides import Override, parsed
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
@@ -42,6 +42,7 @@ def evaluate_run(
     seed: int | None = None,
     registry: Registry | None = None,
     sessions: int | None = None,
+    overrides: Sequence[str | Override] = (),
 ) -> dict[str, Any]:
     """Head-to-head of a policy against the run's pretrained one, written to `folder`/evaluation.json and returned.
 
@@ -49,17 +50,20 @@ def evaluate_run(
     "pretrained", a candidate's id or an ONNX file (at equal commands alone, if it was exported with the held ones in
     front: trimming it again would find nothing); world: a name, by default the run's own world with its settings;
     seed, sessions: by default the run's; sessions: how often it is done anew, and the interval is over them.
+    overrides: KEY=VALUE each, of `evaluation.` and `world.` alone, laid over the run's settings for this once; the
+    result says which.
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
     head-to-head is refused (EvaluationError), or speeds or seed are none that can be walked (ConfigError).
     """
-    from hts.config_loading import read_config
+    from hts.evaluation.other_settings import as_options, with_others
     from hts.plugins import load
     from hts.policies.held_commands import has_held_commands
     from hts.recordings.store import RecordingStore
 
     folder = Path(folder)
-    config = read_config(folder / "config.yaml")
     registry = registry or load()
+    others = parsed(overrides)
+    config = with_others(folder, world, others, registry)
     task = registry.make_robot(config.robot.name, config.robot.settings).task()
     if isinstance(speeds, str) or not isinstance(speeds, Iterable | None):
         raise ConfigError(f"--speed: expected a list of numbers, found {speeds!r}.")
@@ -68,7 +72,7 @@ def evaluate_run(
     twice = next((speed for speed in given if given.count(speed) > 1), None)
     if twice is not None:
         raise ConfigError(f"--speed: {twice:g} is there twice; ask for each once. --sessions 2 walks all of them anew.")
-    command = command_of(folder, given, policy, world, seed, sessions)
+    command = command_of(folder, given, policy, world, seed, sessions, as_options(others))
     speeds = given or tuple(config.evaluation.speeds)
     seed = config.seed if seed is None else seed
     if not 0 <= seed < SEEDS:
@@ -76,7 +80,6 @@ def evaluate_run(
     count = sessions or config.evaluation.sessions
     tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
-    named = config.world if world in (None, config.world.name) else Named(name=str(world))
     place = folder / "evaluation"
     context = WorldContext(
         robot=config.robot.name,
@@ -92,7 +95,7 @@ def evaluate_run(
         task.check_hold("evaluation.hold_speed")
         check_held("--speed", given, hold)
     place.mkdir(exist_ok=True)
-    where = registry.make_world(named.name, named.settings, context)
+    where = registry.make_world(config.world.name, config.world.settings, context)
     held: list[Recording] = []
     vain: list[Recording] = []
 
@@ -123,11 +126,13 @@ def evaluate_run(
             if refused:
                 entries[name] |= refused_and_fallen(refused, recordings, task)
     result = {
-        "world": named.name,
+        "world": config.world.name,
         "world_simulated": where.simulated,
+        "world_identity": dict(where.identity()),
         "policy": str(policy or "best"),
         "seed": seed,
         "sessions": count,
+        "settings": {".".join(one.path): one.value for one in others},
         "task": task_entry(task),
         "recordings": ids,
         "objectives": entries,
@@ -144,8 +149,12 @@ def command_of(
     world: str | None,
     seed: int | None,
     sessions: int | None,
+    others: Sequence[str] = (),
 ) -> str:
-    """What asks for the same evaluation again, quoted for a shell; what was left out stays left out."""
+    """What asks for the same evaluation again, quoted for a shell; what was left out stays left out.
+
+    others: words of other settings.
+    """
     given = {
         "policy": None if policy in (None, "best") else policy,
         "world": world,
@@ -158,6 +167,7 @@ def command_of(
     for option, value in given.items():
         if value is not None:
             words += [f"--{option}", str(value)]
+    words += others
     return shlex.join(words)
 
 

@@ -60,18 +60,28 @@ def config_sha256(folder: Path, config: RunConfig, registry: Registry) -> str:
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
-def check_config(folder: Path, config: RunConfig, registry: Registry) -> None:
+TO_EVALUATE = (
+    "Put it back as the run wrote it; what an evaluation is to have otherwise is said with it, `hts evaluate DIR --set "
+    "evaluation.KEY=VALUE` or `--set world.KEY=VALUE`."
+)
+"""What to do, for an evaluation."""
+
+
+def check_config(folder: Path, config: RunConfig, registry: Registry, advice: str | None = None) -> None:
     """Raise RunError if config.yaml says other settings than the run was begun with: half of its stages would be
-    another run's. A run of before that was kept passes."""
+    another run's. A run of before that was kept passes. advice: what to do, by default for who goes on with a run."""
     path = folder / "provenance.json"
     begun_with = read_stage(path).get("config_sha256") if path.exists() else None
     found = config_sha256(folder, config, registry)
     if begun_with is not None and found != begun_with:
         file, command = folder / "config.yaml", "oracle" if config.reward_source == "oracle" else "run"
+        anew = (
+            f"Begin a new run with what it says now, `hts {command} --config {quote(str(file))} --out DIR`, or put it "
+            "back as the run wrote it."
+        )
         raise RunError(
-            f"{file}: the SHA-256 of its settings is {found[:12]}…, the run was begun with {begun_with[:12]}…. Begin "
-            f"a new run with what it says now, `hts {command} --config {quote(str(file))} --out DIR`, or put it back "
-            "as the run wrote it."
+            f"{file}: the SHA-256 of its settings is {found[:12]}…, the run was begun with {begun_with[:12]}…. "
+            f"{advice or anew}"
         )
 
 

@@ -136,3 +136,34 @@ def test_what_the_gate_found_goes_with_parameters_that_are_exported(folder, monk
     parameters.with_suffix(".gate.json").unlink()
     policy_file(folder, parameters)
     assert not beside.exists()  # nor does that of another one stay
+
+
+def test_other_settings_are_laid_over_the_runs_for_this_once_and_asked_for_again(folder, registry):
+    with pytest.raises(Asked) as caught:
+        evaluate_run(folder, registry=registry, overrides=["evaluation.speeds=[0.6]", "evaluation.trim_seconds=30"])
+    speeds, command = caught.value.args
+    assert speeds == [0.6]
+    words = ["--set", "evaluation.speeds=[0.6]", "--set", "evaluation.trim_seconds=30"]
+    assert shlex.split(command) == ["hts", "evaluate", str(folder), *words]
+    assert read_config(folder / "config.yaml").evaluation.trim_seconds != 30
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("finetune.steps=1", r"--set finetune\.steps=1: has made the run's policies and cannot be another one"),
+        ("robot.name=other", r"--set robot\.name=other: has made the run's policies"),
+        ("world.name=asking", r"--set world\.name=asking: say --world NAME\."),
+        ("world=asking", r"--set world=asking: say --world NAME\."),
+        (
+            "evaluation.speedz=[0.6]",
+            r"--set evaluation\.speedz: there is no key .speedz. in evaluation\. Did you mean .speeds.\?",
+        ),
+        ("evaluation.trim_seconds=-1", r"--set evaluation\.trim_seconds: "),
+        ("evaluation", "--set evaluation: expected KEY=VALUE"),
+    ],
+)
+def test_other_settings_that_are_none_of_an_evaluations_are_refused(folder, registry, override, said):
+    with pytest.raises(ConfigError, match=f"^{said}") as caught:
+        evaluate_run(folder, registry=registry, overrides=[override])
+    assert "\n" not in str(caught.value) and not (folder / "evaluation").exists()

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hts import plugins
+from hts import api, plugins
+from hts.cli.main import main
 from hts.config import RunConfig
 from hts.config_base import Named
 from hts.config_loading import dump_config, load_config
@@ -106,3 +107,14 @@ def test_an_oracle_is_begun_anew_by_its_own_command(tmp_path):
     (tmp_path / "provenance.json").write_text(json.dumps({"config_sha256": "0" * 64}))
     with pytest.raises(RunError, match="`hts oracle --config"):
         check_config(tmp_path, config, plugins.load())
+
+
+def test_nor_is_an_edited_one_evaluated_and_the_line_says_how_it_is_meant(tmp_path, capsys):
+    config = load_config(objectives=["power"], robot="go1", preset="smoke")
+    (tmp_path / "config.yaml").write_text(dump_config(config))
+    (tmp_path / "provenance.json").write_text(json.dumps({"config_sha256": "0" * 64}))
+    with pytest.raises(RunError, match="the SHA-256 of its settings .* `hts evaluate DIR --set evaluation.KEY=VALUE`"):
+        api.evaluate(tmp_path)
+    assert main(["evaluate", str(tmp_path)]) == 2
+    assert "--set world.KEY=VALUE" in capsys.readouterr().err
+    assert not (tmp_path / "evaluation").exists()
