@@ -77,6 +77,7 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
         current=options.most_current,
         temperature=options.most_temperature,
         least_torque_share=options.least_torque_share,
+        velocity=tuple(bundle.reach.velocity.tolist()),
     )
     with alone(bundle.logs), contextlib.closing(UdpLink(options.link, options.lockstep)) as link:
         loop = Loop(link, 1 / bundle.rate_hz, limits, StopFile(stop))

@@ -27,7 +27,7 @@ class Guard:
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self._low, self._high = POSITION_LOW - limits.position_margin, POSITION_HIGH + limits.position_margin
-        self._speed = limits.velocity_share * VELOCITY_LIMIT
+        self._speed = limits.velocity_share * np.minimum(VELOCITY_LIMIT, limits.velocity)
         self._upright = -math.cos(limits.tilt)
         self._offset, self._at = math.inf, 0.0  # smallest difference of the two clocks, and when it was seen
         self._seen = -1

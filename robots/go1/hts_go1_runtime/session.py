@@ -199,7 +199,7 @@ class Session:
     def _blend(self, begin: np.ndarray, end: np.ndarray, seconds: float, rising: bool | None = None) -> None:
         """From pose to pose without a jerk. rising: gains grow from nothing (True), or stiffness falls to nothing and
         damping grows to that of the safe command (False): let go undamped, the legs would fall against their stops."""
-        steps = max(1, round(seconds / self.loop.period))
+        steps = max(1, round(self.bundle.reach.blend_seconds(begin, end, seconds) / self.loop.period))
         for number in range(1, steps + 1):
             share = 0.5 - 0.5 * math.cos(math.pi * number / steps)
             strength = 1.0 if rising is None else share if rising else 1.0 - share
