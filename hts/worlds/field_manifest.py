@@ -14,6 +14,8 @@ Version 1. A reader refuses a higher `schema_version`; keys are added, never ren
     hold         commands m/s, seconds, tolerance; null: the command is the schedule's
     channels     what a log holds: unit, size (0: one number), real (only the robot gives it: it needs an idle level)
     warmup_seconds, first_runs      before a head-to-head; how to begin with policies that never ran on a machine
+    frozen       for how long a sensor may repeat itself, s, 0: for ever. seen_seconds: what policies observe;
+                 real_seconds: a real channel, in a row
 """
 
 from __future__ import annotations
@@ -57,6 +59,15 @@ class Trained:
 
 
 @dataclass(frozen=True)
+class Frozen:
+    """For how long a sensor may repeat its last number while the robot moves, s; 0: for ever. seen: one that policies
+    observe, three times what a walking quadruped showed; real: one that only the robot has, while a row is recorded."""
+
+    seen_seconds: float = 0.1
+    real_seconds: float = 3.0
+
+
+@dataclass(frozen=True)
 class Facts:
     """What a bundle says of the robot and the run. run: its resolved configuration, {} where there is none; folder: of
     the run, None where there is none."""
@@ -68,6 +79,7 @@ class Facts:
     real: Sequence[Channel] = ()
     run: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
+    frozen: Frozen = field(default_factory=lambda: Frozen())
 
 
 def run_configuration(folder: Path) -> Mapping[str, Any]:
@@ -125,6 +137,7 @@ def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence
         },
         "warmup_seconds": WARMUP_SECONDS if compared else 0.0,
         "first_runs": first_runs(facts.run),
+        "frozen": asdict(facts.frozen),
     }
 
 

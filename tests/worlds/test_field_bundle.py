@@ -25,6 +25,17 @@ def exploring(policy: Path, robot) -> Path:
     return to_onnx(Policy(one.tensors, card), policy.with_name("exploring.onnx"))
 
 
+def test_a_bundle_says_for_how_long_a_sensor_may_repeat_itself(run, policy):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    first = bundle(run)
+    assert json.loads((first / "manifest.json").read_text())["frozen"] == {"seen_seconds": 0.1, "real_seconds": 3.0}
+    with pytest.raises(WaitingForRobot):
+        field(run, frozen_seconds=0.0, frozen_real_seconds=5.0).collect([policy], walking(0.6, SECONDS))
+    other = next(path for path in first.parent.iterdir() if path.is_dir() and path != first)
+    assert json.loads((other / "manifest.json").read_text())["frozen"] == {"seen_seconds": 0.0, "real_seconds": 5.0}
+
+
 def test_each_exploring_row_has_a_graph_of_its_own_with_a_noise_of_its_own(run, policy, robot):
     noisy = exploring(policy, robot)
     with pytest.raises(WaitingForRobot):

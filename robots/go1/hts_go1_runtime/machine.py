@@ -44,8 +44,8 @@ class Limits:
     current: drawn from the pack, A; voltage: lowest of the pack, V (cut-off is 18.0: GO1 User Manual V1.4);
     temperature: of a motor, degC (it trips at 90 and lags the winding); silence: since the robot's last state, s;
     stale: how much later than usual a state may arrive, s; late: of a control step behind its deadline, s;
-    least_torque_share: of the torque that is asked of the joints, see `following`; velocity: of each joint, rad/s,
-    `velocity_share` of which is allowed.
+    least_torque_share: of the torque that is asked of the joints, see `following`; frozen: for how long a sensor may
+    repeat itself, s, 0: for ever, see `frozen`; velocity: of each joint, rad/s, `velocity_share` of which is allowed.
     """
 
     tilt: float = 0.8
@@ -58,6 +58,7 @@ class Limits:
     stale: float = 0.024
     late: float = 0.030
     least_torque_share: float = 0.35
+    frozen: float = 0.1
     velocity: tuple[float, ...] = tuple(float(one) for one in VELOCITY_LIMIT)
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
 from hts_go1_runtime.first_run import FirstRun
+from hts_go1_runtime.frozen import Repeats
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
@@ -40,7 +41,7 @@ class Options:
     """rows: names, none: all without a log; idle_seconds: to measure the idle levels, 0: not; warmup_seconds: None: the
     bundle's; first_run: walk each policy slowly and weakly, record nothing; mass_kg: for the mapping; vouched: hashes
     of policies that failed the gate and are to be walked; external: channels that a sensor of its own logs; at_limit:
-    record rows at a limit of the command too."""
+    record rows at a limit of the command too; frozen_real_seconds: None: the bundle's."""
 
     rows: tuple[str, ...] = ()
     idle_seconds: float = 10.0
@@ -50,6 +51,7 @@ class Options:
     vouched: tuple[str, ...] = ()
     external: tuple[str, ...] = ()
     at_limit: bool = False
+    frozen_real_seconds: float | None = None
 
 
 class Session:
@@ -251,9 +253,12 @@ class Session:
         log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
         self._wanted_heading = None
         policy.start()
+        asked = self.options.frozen_real_seconds
+        current = Repeats("battery_current", self.bundle.frozen.real if asked is None else asked)
         try:
             for command in commands:
-                self._step(policy, command, log)
+                state = self._step(policy, command, log)
+                current.see(state.current, state.received)
                 self._keeper.check(log)
         except Exception as ended:
             if fell(ended, row, log.rows):
