@@ -34,7 +34,7 @@ from hts.config_gate import FirstRunConfig
 from hts.contracts import HoldSpeed, RobotSpec
 from hts.errors import PolicyError, WorldError
 from hts.policies.export import CLIP
-from hts.policies.gate_notes import note_of, refusal
+from hts.policies.gate_notes import lost, note_of, place, refusal
 
 SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
 WARMUP_SECONDS = 600.0  # of walking before a head-to-head: windings take about that long
@@ -203,15 +203,19 @@ def _inside(content: Any, *path: str) -> Any:
 def gate_of(source: Path, card: SimpleNamespace, facts: Facts) -> Mapping[str, Any] | None:
     """What the gate before hardware found of an exported policy, None where it was not tried. Raises WorldError for one
     that it refused, unless the run's `gate.strict: false` says that a machine may have it, and where nobody can tell
-    what it found."""
+    what it found. One of another run that came without what was found there counts as refused, see `lost`; let through,
+    the runtime asks for a person who vouches for it."""
     try:
         found = note_of(source, vars(card), facts.folder)
     except PolicyError as error:
         raise WorldError(str(error)) from error
+    away = lost(source, vars(card), facts.folder) if found is None else None
+    found = away or found
     refused = refusal(found, source.name)
     if refused and _inside(facts.run, "gate", "strict") is not False:
+        remedy = f"put {place(source).name} beside the policy that you named" if away else "give a policy that passed"
         raise WorldError(
-            f"{source}: {refused}. It is not bundled for a machine: give a policy that passed. A run that lets a "
+            f"{source}: {refused}. It is not bundled for a machine: {remedy}. A run that lets a "
             "machine have who fails the gate is begun with --set gate.strict=false (docs/safety.md)."
         )
     return found
