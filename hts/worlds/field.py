@@ -25,7 +25,15 @@ from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
-from hts.worlds.field_logs import FOLDER, check_all_differ, check_ran, check_sections, check_weighed, described
+from hts.worlds.field_logs import (
+    FOLDER,
+    check_all_differ,
+    check_ran,
+    check_row,
+    check_sections,
+    check_weighed,
+    described,
+)
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
 
 
@@ -231,14 +239,15 @@ class FieldWorld(World):
         check_weighed(self._mapping_path(), mapping)
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
         check_ran(where, facts, card, order.policy.name)
-        facts |= {
-            "world": self.name,
-            "policy_hash": card.policy_hash,
+        asked = {
             "session": order.session,
             "schedule": order.schedule.model_dump(mode="json"),
             "block": order.block,
             "role": order.role,
         }
+        if where != self._mapping_path():
+            check_row(where, facts, asked)
+        facts |= {"world": self.name, "policy_hash": card.policy_hash, **asked}
         try:
             recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)
         except ConfigError as error:

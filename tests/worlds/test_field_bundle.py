@@ -196,6 +196,31 @@ def test_another_sensor_in_the_runs_own_mapping_is_refused_rather_than_passed_ov
         self_described()
 
 
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({"session": "abcdef012345"}, r"session 'abcdef012345', not [0-9a-f]{12}"),
+        ({"block": 2}, r"block 2, not 0"),
+        ({"role": "policy"}, r"role 'policy', not collection"),
+        ({"schedule": {"commands": [{"seconds": SECONDS, "vx": 0.8}]}}, r"commands \[.*0\.8.*\], not \[.*0\.5.*\]"),
+    ],
+)
+def test_a_log_that_says_it_is_of_another_row_or_bundle_is_refused(self_described, stated, said):
+    """The pretrained policy walks in every bundle, so its hash alone does not tell."""
+    with pytest.raises(
+        RecordingError, match=rf"00.yaml: says that its log is of {said}, as is asked for here"
+    ) as caught:
+        self_described(lambda mapping: mapping["recording"].update(stated))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_log_that_says_it_is_of_this_row_is_read(run, self_described):
+    row = json.loads((bundle(run) / "manifest.json").read_text())["rows"][0]
+    stated = {key: row[key] for key in ("session", "block", "role")}
+    stated["schedule"] = {"commands": [{"seconds": SECONDS, "vx": 0.5, "vy": 0.0, "yaw_rate": 0.0}]}
+    assert self_described(lambda mapping: mapping["recording"].update(stated)).session == row["session"]
+
+
 def test_a_log_that_ends_in_a_fall_may_be_shorter_than_its_row(self_described):
     with pytest.raises(RecordingError, match=r"1.0 s long, but 3 s were to be recorded.*recording.fell: true in"):
         self_described(seconds=1.0)
