@@ -18,8 +18,8 @@ gyroscope and attitude for 5. A trunk tips over in about sqrt(0.3 m / 9.81 m/s2)
 Simulated robots (default twin and 16 realities, 22 s each at 0 to 1.3 m/s) came to 32 ms of a speed, 4 of a position.
 
 What only the robot gives, the current of its pack, is slower: of a Go2 that stood still it gave one value for 0.88 s at
-most, of the simulated ones for 0.96. A row in which it repeats itself for `REAL` s tells little, so it ends the visit
-sitting (`Repeats`).
+most, of the simulated ones for 0.96, and for 1.24 with the slowest and coarsest gauge that is drawn. A row in which it
+repeats itself for `REAL` s tells little, so it ends the visit sitting (`Repeats`).
 """
 
 from __future__ import annotations
@@ -79,11 +79,12 @@ class Frozen:
             return ""
         first = int(frozen[self._since[frozen].argmin()])
         others = f" (and {frozen.size - 1} more channels)" if frozen.size > 1 else ""
+        blocked = ", or the joint is blocked" if first < J else ""
         return (
             f"{CHANNELS[first]}{others} has been {_shown(state, first)} to the last digit for "
             f"{1e3 * (state.received - self._since[first]):.0f} ms of moving, since time {self._since[first]:.3f}, at "
-            f"most {1e3 * self._seconds:.0f} ms: it is not being read. Look at the sensor and at the robot's own "
-            "process that reads it, or restart the robot"
+            f"most {1e3 * self._seconds:.0f} ms: it is not being read{blocked}. Look at the sensor and at the robot's "
+            "own process that reads it, or restart the robot"
         )
 
     def _begin(self, which: np.ndarray, state: State) -> None:
