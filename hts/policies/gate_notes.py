@@ -49,6 +49,30 @@ def note_of(source: Path, card: Mapping[str, Any], run: Path | None = None) -> N
     return next((note for note in found if note.get("passed") is not True), found[0] if found else None)
 
 
+def lost(source: Path, card: Mapping[str, Any], run: Path | None) -> Note | None:
+    """What stands for the note of a policy that another run fine-tuned, and that came without it: nobody here knows
+    whether that run's gate refused it, so it counts as refused. None for any other policy: one that nobody fine-tuned,
+    or that this run knows, where all notes are."""
+    made = card.get("made")
+    if not isinstance(made, Mapping) or "anchor" not in made or _is_of(run, hashes_of(card)):
+        return None
+    return {
+        "passed": False,
+        "failed": ["not known"],
+        "policy_hash": str(card["policy_hash"]),
+        "refused": f"{source.stem} was fine-tuned in another run, and what the gate found of it there is not known "
+        f"here: {place(source).name}, which a run and `hts export` write beside a policy, did not come along",
+    }
+
+
+def _is_of(run: Path | None, hashes: Sequence[str]) -> bool:
+    """Whether a policy is one of a run's own."""
+    if run is None:
+        return False
+    tensors = [*(run / "policies").glob("*.safetensors"), *(run / "iterations").glob("*/candidates/*.safetensors")]
+    return any(_hash_on(path.with_suffix(".json")) in hashes for path in tensors)
+
+
 def notes(run: Path | None) -> Sequence[Path]:
     """All notes of a run."""
     if run is None:
@@ -85,7 +109,11 @@ def _hash_in(path: Path, note: Note) -> str | None:
     it."""
     if note.get("policy_hash") is not None:
         return str(note["policy_hash"])
-    card = path.with_name(path.name.removesuffix(".gate.json") + ".json")
+    return _hash_on(path.with_name(path.name.removesuffix(".gate.json") + ".json"))
+
+
+def _hash_on(card: Path) -> str | None:
+    """Of which policy a card is; None where it cannot be read."""
     try:
         found = json.loads(card.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -25,8 +25,16 @@ from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, mapping_template, write_bundle
-from hts.worlds.field_logs import FOLDER, check_all_differ, check_ran, check_sections, check_weighed, described
-from hts.worlds.field_manifest import Facts, run_configuration
+from hts.worlds.field_logs import (
+    FOLDER,
+    check_all_differ,
+    check_ran,
+    check_row,
+    check_sections,
+    check_weighed,
+    described,
+)
+from hts.worlds.field_manifest import Facts, Frozen, run_configuration
 
 
 class FieldSettings(Config):
@@ -36,6 +44,20 @@ class FieldSettings(Config):
         None, description="which column of the logs is which channel; left out: one to fill in is written"
     )
     block_seconds: float = Field(80.0, gt=0, description="length of each of the four blocks of a head-to-head, s")
+    frozen_seconds: float = Field(
+        Frozen().seen_seconds,
+        ge=0,
+        le=600,
+        description="for how long joints or IMU may repeat one number while the robot is moved; then the runtime stops "
+        "it; 0: for ever, s",
+    )
+    frozen_real_seconds: float = Field(
+        Frozen().real_seconds,
+        ge=0,
+        le=600,
+        description="for how long a channel that only the robot gives may repeat one number in a row; then the runtime "
+        "sits down; 0: for ever, s",
+    )
 
 
 def make_field(settings: Settings, context: WorldContext) -> FieldWorld:
@@ -217,14 +239,15 @@ class FieldWorld(World):
         check_weighed(self._mapping_path(), mapping)
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
         check_ran(where, facts, card, order.policy.name)
-        facts |= {
-            "world": self.name,
-            "policy_hash": card.policy_hash,
+        asked = {
             "session": order.session,
             "schedule": order.schedule.model_dump(mode="json"),
             "block": order.block,
             "role": order.role,
         }
+        if where != self._mapping_path():
+            check_row(where, facts, asked)
+        facts |= {"world": self.name, "policy_hash": card.policy_hash, **asked}
         try:
             recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)
         except ConfigError as error:
@@ -288,7 +311,9 @@ class FieldWorld(World):
         """What a bundle says of the robot and the run."""
         robot, run = self._robot, self._run_folder()
         hold = self._hold if held else None
-        return Facts(robot.spec, request, hold, robot.channels(), self._real_channels(), run_configuration(run), run)
+        frozen = Frozen(self.settings.frozen_seconds, self.settings.frozen_real_seconds)
+        sim, real = robot.channels(), self._real_channels()
+        return Facts(robot.spec, request, hold, sim, real, run_configuration(run), run, frozen)
 
     @staticmethod
     def _idle_levels(mapping: Mapping[str, Any]) -> dict[str, float | None]:

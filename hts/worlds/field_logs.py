@@ -8,6 +8,7 @@ the run's own says would be of no use there, so it is refused rather than passed
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -111,6 +112,33 @@ def check_ran(where: Path, facts: Mapping[str, Any], card: SimpleNamespace, poli
             f"{where}: policy {str(found)[:12]}… ran, asked for was {policy} ({expected[:12]}…). Put the log of that "
             "policy here, or record the row again."
         )
+
+
+def check_row(where: Path, facts: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Raise RecordingError if the mapping beside a log says that it is of another row than the one that is asked for:
+    of another bundle, block, role or schedule. asked: `session`, `block`, `role` and `schedule` (as JSON); what a
+    mapping does not say is believed. Read on as this row's, a walk at one speed would count for another one."""
+    said = {key: facts[key] for key in ("session", "block", "role") if facts.get(key) is not None}
+    other = [f"{key} {shortened(found)}, not {asked[key]}" for key, found in said.items() if found != asked[key]]
+    schedule, wanted = facts.get("schedule"), asked["schedule"]["commands"]
+    commands = schedule.get("commands") if isinstance(schedule, Mapping) else None
+    if isinstance(commands, Sequence) and not _agree(commands, wanted):
+        other.append(f"commands {shortened(list(commands))}, not {shortened(wanted)}")
+    if other:
+        raise RecordingError(
+            f"{where}: says that its log is of {'; '.join(other)}, as is asked for here. It is the log of another row "
+            "or of another bundle: put there the log of this row, or record the row again."
+        )
+
+
+def _agree(commands: Sequence[Any], wanted: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the commands of a schedule are those wanted; what one leaves out, or leaves without end, agrees."""
+    if len(commands) != len(wanted):
+        return False
+    return all(
+        isinstance(found, Mapping) and all(found.get(key) in (None, math.inf, value) for key, value in one.items())
+        for found, one in zip(commands, wanted, strict=True)
+    )
 
 
 def check_weighed(where: Path, mapping: Mapping[str, Any]) -> None:

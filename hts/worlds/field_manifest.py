@@ -14,6 +14,8 @@ Version 1. A reader refuses a higher `schema_version`; keys are added, never ren
     hold         commands m/s, seconds, tolerance; null: the command is the schedule's
     channels     what a log holds: unit, size (0: one number), real (only the robot gives it: it needs an idle level)
     warmup_seconds, first_runs      before a head-to-head; how to begin with policies that never ran on a machine
+    frozen       for how long a sensor may repeat itself, s, 0: for ever. seen_seconds: what policies observe;
+                 real_seconds: a real channel, in a row
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from hts.config_gate import FirstRunConfig
 from hts.contracts import HoldSpeed, RobotSpec
 from hts.errors import PolicyError, WorldError
 from hts.policies.export import CLIP
-from hts.policies.gate_notes import note_of, refusal
+from hts.policies.gate_notes import lost, note_of, place, refusal
 
 SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
 WARMUP_SECONDS = 600.0  # of walking before a head-to-head: windings take about that long
@@ -57,6 +59,15 @@ class Trained:
 
 
 @dataclass(frozen=True)
+class Frozen:
+    """For how long a sensor may repeat its last number while the robot moves, s; 0: for ever. seen: one that policies
+    observe, three times what a walking quadruped showed; real: one that only the robot has, while a row is recorded."""
+
+    seen_seconds: float = 0.1
+    real_seconds: float = 3.0
+
+
+@dataclass(frozen=True)
 class Facts:
     """What a bundle says of the robot and the run. run: its resolved configuration, {} where there is none; folder: of
     the run, None where there is none."""
@@ -68,6 +79,7 @@ class Facts:
     real: Sequence[Channel] = ()
     run: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
+    frozen: Frozen = field(default_factory=lambda: Frozen())
 
 
 def run_configuration(folder: Path) -> Mapping[str, Any]:
@@ -125,6 +137,7 @@ def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence
         },
         "warmup_seconds": WARMUP_SECONDS if compared else 0.0,
         "first_runs": first_runs(facts.run),
+        "frozen": asdict(facts.frozen),
     }
 
 
@@ -190,15 +203,19 @@ def _inside(content: Any, *path: str) -> Any:
 def gate_of(source: Path, card: SimpleNamespace, facts: Facts) -> Mapping[str, Any] | None:
     """What the gate before hardware found of an exported policy, None where it was not tried. Raises WorldError for one
     that it refused, unless the run's `gate.strict: false` says that a machine may have it, and where nobody can tell
-    what it found."""
+    what it found. One of another run that came without what was found there counts as refused, see `lost`; let through,
+    the runtime asks for a person who vouches for it."""
     try:
         found = note_of(source, vars(card), facts.folder)
     except PolicyError as error:
         raise WorldError(str(error)) from error
+    away = lost(source, vars(card), facts.folder) if found is None else None
+    found = away or found
     refused = refusal(found, source.name)
     if refused and _inside(facts.run, "gate", "strict") is not False:
+        remedy = f"put {place(source).name} beside the policy that you named" if away else "give a policy that passed"
         raise WorldError(
-            f"{source}: {refused}. It is not bundled for a machine: give a policy that passed. A run that lets a "
+            f"{source}: {refused}. It is not bundled for a machine: {remedy}. A run that lets a "
             "machine have who fails the gate is begun with --set gate.strict=false (docs/safety.md)."
         )
     return found

@@ -25,6 +25,17 @@ def exploring(policy: Path, robot) -> Path:
     return to_onnx(Policy(one.tensors, card), policy.with_name("exploring.onnx"))
 
 
+def test_a_bundle_says_for_how_long_a_sensor_may_repeat_itself(run, policy):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    first = bundle(run)
+    assert json.loads((first / "manifest.json").read_text())["frozen"] == {"seen_seconds": 0.1, "real_seconds": 3.0}
+    with pytest.raises(WaitingForRobot):
+        field(run, frozen_seconds=0.0, frozen_real_seconds=5.0).collect([policy], walking(0.6, SECONDS))
+    other = next(path for path in first.parent.iterdir() if path.is_dir() and path != first)
+    assert json.loads((other / "manifest.json").read_text())["frozen"] == {"seen_seconds": 0.0, "real_seconds": 5.0}
+
+
 def test_each_exploring_row_has_a_graph_of_its_own_with_a_noise_of_its_own(run, policy, robot):
     noisy = exploring(policy, robot)
     with pytest.raises(WaitingForRobot):
@@ -183,6 +194,31 @@ def test_another_sensor_in_the_runs_own_mapping_is_refused_rather_than_passed_ov
     said = "`files`" if key == "files" else "an idle level of 'sound_level'"
     with pytest.raises(RecordingError, match=rf"field/mapping.yaml: says {said}, but the log has a mapping of its own"):
         self_described()
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({"session": "abcdef012345"}, r"session 'abcdef012345', not [0-9a-f]{12}"),
+        ({"block": 2}, r"block 2, not 0"),
+        ({"role": "policy"}, r"role 'policy', not collection"),
+        ({"schedule": {"commands": [{"seconds": SECONDS, "vx": 0.8}]}}, r"commands \[.*0\.8.*\], not \[.*0\.5.*\]"),
+    ],
+)
+def test_a_log_that_says_it_is_of_another_row_or_bundle_is_refused(self_described, stated, said):
+    """The pretrained policy walks in every bundle, so its hash alone does not tell."""
+    with pytest.raises(
+        RecordingError, match=rf"00.yaml: says that its log is of {said}, as is asked for here"
+    ) as caught:
+        self_described(lambda mapping: mapping["recording"].update(stated))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_log_that_says_it_is_of_this_row_is_read(run, self_described):
+    row = json.loads((bundle(run) / "manifest.json").read_text())["rows"][0]
+    stated = {key: row[key] for key in ("session", "block", "role")}
+    stated["schedule"] = {"commands": [{"seconds": SECONDS, "vx": 0.5, "vy": 0.0, "yaw_rate": 0.0}]}
+    assert self_described(lambda mapping: mapping["recording"].update(stated)).session == row["session"]
 
 
 def test_a_log_that_ends_in_a_fall_may_be_shorter_than_its_row(self_described):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -11,9 +12,13 @@ from field_folder import bundle, field
 
 from hts.cli.main import main
 from hts.errors import PolicyError, RunError, WaitingForRobot, WorldError
+from hts.policies.deploy import DeployedPolicy
 from hts.policies.export_command import export_policy
-from hts.policies.files import load_policy, save_policy
+from hts.policies.files import Policy, hash_tensors, load_policy, save_policy
 from hts.policies.gate_notes import note_of
+from hts_go1_runtime.bundle import load_bundle
+from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.gated import vouched_for
 
 REFUSED = '{"passed": false, "refused": "00-00 is refused by the gate: the trunk tilts by 31 degrees (allowed: 25)"}'
 
@@ -88,6 +93,61 @@ def test_a_stopped_training_is_said_of_its_candidate_and_not_of_the_anchor_that_
         field(run).head_to_head(candidate, policy, [0.8])
     with pytest.raises(WaitingForRobot):
         field(run).head_to_head(policy, policy, [0.8])
+
+
+@pytest.fixture
+def tuned(robot) -> Policy:
+    """A candidate of some run."""
+    policy = load_policy(robot.pretrained_policy())
+    tensors = {name: 1.01 * value for name, value in policy.tensors.items()}
+    made = {"anchor": policy.card.policy_hash, "iteration": 0}
+    return Policy(tensors, dataclasses.replace(policy.card, policy_hash=hash_tensors(tensors), made=made))
+
+
+@pytest.fixture
+def fine_tuned(tuned, tmp_path) -> Path:
+    """Its ONNX file alone."""
+    from hts.policies.export import to_onnx
+
+    return to_onnx(tuned, tmp_path / "carried.onnx")
+
+
+def test_a_candidate_of_another_run_that_came_without_its_note_is_not_bundled(run, policy, fine_tuned):
+    said = (
+        r"carried.onnx: carried was fine-tuned in another run, and what the gate found .* is not known here: "
+        r"carried.gate.json, .* did not come along\. It is not bundled for a machine: "
+        r"put carried.gate.json beside the policy that you named\."
+    )
+    with pytest.raises(WorldError, match=said) as caught:
+        field(run).head_to_head(fine_tuned, policy, [0.8])
+    assert "\n" not in str(caught.value)
+    assert not list(run.rglob("policies"))
+    whose = DeployedPolicy(fine_tuned).card.policy_hash
+    fine_tuned.with_suffix(".gate.json").write_text(json.dumps({"passed": True, "policy_hash": whose}))
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(fine_tuned, policy, [0.8])
+
+
+def test_a_run_that_lets_a_machine_have_who_fails_bundles_it_for_a_person_to_vouch_for(run, policy, fine_tuned):
+    (run / "config.yaml").write_text("gate: {strict: false}\n")
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(fine_tuned, policy, [0.8])
+    gates = {one["file"]: one["gate"] for one in json.loads((bundle(run) / "manifest.json").read_text())["policies"]}
+    assert gates["policies/00-walk.onnx"] is None
+    assert (gates["policies/01-carried.onnx"]["passed"], gates["policies/01-carried.onnx"]["failed"]) == (
+        False,
+        ["not known"],
+    )
+    loaded = load_bundle(bundle(run))  # the runtime believes it, and asks
+    with pytest.raises(RuntimeFault, match=r"01-carried.onnx failed the gate .*not known here.* --vouch"):
+        vouched_for(loaded.policies, loaded.policies, ())
+
+
+def test_a_candidate_of_the_run_itself_that_nobody_tried_is_bundled_as_not_tried(run, policy, tuned, fine_tuned):
+    save_policy(run / "iterations" / "00" / "candidates" / "00-01", tuned)
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(fine_tuned, policy, [0.8])
+    assert all(one["gate"] is None for one in json.loads((bundle(run) / "manifest.json").read_text())["policies"])
 
 
 def test_a_note_that_does_not_say_whether_it_passed_is_refused(run, policy):

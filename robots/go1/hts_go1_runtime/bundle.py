@@ -14,6 +14,7 @@ import numpy as np
 
 from hts_go1_runtime import machine
 from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.frozen import REAL, SEEN
 from hts_go1_runtime.gated import check_gate, check_whose
 from hts_go1_runtime.policy import PARTS, Policy
 from hts_go1_runtime.reach import Reach, reach_of
@@ -22,6 +23,7 @@ SCHEMA, VERSION = "hts deploy bundle", 1
 CHECKSUMS = "SHA256SUMS"
 LARGEST_FILE = 64 * 2**20  # bytes
 LONGEST_ROW = 3600.0  # s
+LONGEST_FROZEN = 600.0  # s
 FASTEST, FASTEST_TURN = 3.0, 3.0  # m/s, rad/s: no command for this robot
 FIRST_RUNS = {"speed_scale": (0.0, 1.0), "torque_scale": (0.1, 1.0), "seconds": (0.0, 600.0)}
 """From, to; hts refuses the same in `gate.first_run`, and 0 of the first and the last."""
@@ -54,6 +56,15 @@ class Hold:
 
 
 @dataclass(frozen=True)
+class FrozenSeconds:
+    """For how long a sensor may repeat itself, s, 0: for ever. seen: what policies observe; real: what only the robot
+    gives."""
+
+    seen: float = SEEN
+    real: float = REAL
+
+
+@dataclass(frozen=True)
 class Bundle:
     """A bundle that was checked. policies: file -> policy, ready to run; reach: what the joints may be told."""
 
@@ -64,6 +75,7 @@ class Bundle:
     hold: Hold | None
     rate_hz: float
     reach: Reach
+    frozen: FrozenSeconds
 
     @property
     def logs(self) -> Path:
@@ -88,7 +100,7 @@ def load_bundle(folder: Path) -> Bundle:
             policies[str(entry["file"])] = policy = Policy(entry, content, str(folder / entry["file"]))
             check_whose(entry["gate"], _checked_card(policy), f"{where}: policy {entry['file']}")
         rows = [_row(row, policies, where) for row in manifest["rows"]]
-        hold = _hold(manifest["hold"], where)
+        hold, frozen = _hold(manifest["hold"], where), _frozen(manifest.get("frozen"), where)
         _check_visit(manifest, where)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         what = " ".join(f"{type(error).__name__}: {error}".split())
@@ -97,7 +109,7 @@ def load_bundle(folder: Path) -> Bundle:
         raise RuntimeFault(f"{where}: rows {[row.log for row in rows][:8]}, expected names, each once.")
     if hold is None and any(row.trim for row in rows):
         raise RuntimeFault(f"{where}: a row is to be trimmed, but nothing says how (`hold`). Make the bundle again.")
-    return Bundle(folder, manifest, policies, rows, hold, rate, reach)
+    return Bundle(folder, manifest, policies, rows, hold, rate, reach, frozen)
 
 
 def _checksums(folder: Path) -> dict[str, str]:
@@ -250,6 +262,20 @@ def _hold(hold: Mapping[str, Any] | None, where: str) -> Hold | None:
             f"{where}: hold commands {low:g} to {high:g} m/s for {seconds:g} s, expected a range within 3."
         )
     return Hold((low, high), seconds)
+
+
+def _frozen(said: Mapping[str, Any] | None, where: str) -> FrozenSeconds:
+    """Bundles of before this key say nothing."""
+    if said is None:
+        return FrozenSeconds()
+    found = {key: float(said[f"{key}_seconds"]) for key in ("seen", "real")}
+    for key, seconds in found.items():
+        if not 0 <= seconds <= LONGEST_FROZEN:
+            raise RuntimeFault(
+                f"{where}: frozen.{key}_seconds {seconds:g}, expected 0 (never) to {LONGEST_FROZEN:g}. Make the bundle "
+                "again."
+            )
+    return FrozenSeconds(**found)
 
 
 def _check_visit(manifest: Mapping[str, Any], where: str) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from hts_go1_runtime.bundle import LONGEST_ROW, Bundle, load_bundle
+from hts_go1_runtime.bundle import LONGEST_FROZEN, LONGEST_ROW, Bundle, load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.figures import figures
@@ -69,6 +69,7 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
         vouched=tuple(options.vouch),
         external=tuple(options.external),
         at_limit=options.at_limit,
+        frozen_real_seconds=options.frozen_real_seconds,
     )
     stop = bundle.folder / "STOP"
     if stop.exists():
@@ -77,6 +78,8 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
         current=options.most_current,
         temperature=options.most_temperature,
         least_torque_share=options.least_torque_share,
+        frozen=bundle.frozen.seen if options.frozen_seconds is None else options.frozen_seconds,
+        velocity=tuple(bundle.reach.velocity.tolist()),
     )
     with alone(bundle.logs), contextlib.closing(UdpLink(options.link, options.lockstep)) as link:
         loop = Loop(link, 1 / bundle.rate_hz, limits, StopFile(stop))
@@ -200,6 +203,13 @@ def _parser() -> argparse.ArgumentParser:
         default=Limits.least_torque_share,
         help="of the torque that joints are asked for, below: stop; 0: never",
     )
+    frozen = _number(0, LONGEST_FROZEN)
+    run.add_argument(
+        "--frozen-seconds",
+        type=frozen,
+        help="for which joints or IMU may repeat themselves (default: the bundle's); 0: ever",
+    )
+    run.add_argument("--frozen-real-seconds", type=frozen, help="for which the pack's current may, in a row; 0: ever")
     run.add_argument("--yes", action="store_true", help="begin without asking")
     bench = commands.add_parser("bench", help="step times and stops on this computer, against a made-up robot")
     bench.add_argument("bundle", type=Path)

@@ -29,7 +29,8 @@ from hts_go1_runtime.packet import COMMAND, LARGEST, STATE, numbers_of_state, pa
 PERIOD = 0.004  # s
 FAULTS = (
     "none", "tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "lost link",
-    "stale states", "not finite", "orientation", "not following", "operator file", "operator signal", "operator key",
+    "stale states", "not finite", "orientation", "not following", "frozen sensor", "operator file", "operator signal",
+    "operator key",
 )  # fmt: skip
 
 
@@ -40,6 +41,26 @@ def standing(sequence: int, stamp: float) -> State:
         sequence, stamp, 0.0, STAND.copy(), zero.copy(), zero.copy(), np.array([1.0, 0, 0, 0]), np.zeros(3),
         np.array([0, 0, 9.81]), np.full(4, 30.0), np.zeros(3), 3.0, 22.0, 80.0, np.full(12, 40.0),
     )  # fmt: skip
+
+
+def noisy(state: State, random: np.random.Generator) -> State:
+    """The same state as sensors show it: none of them gives one number twice."""
+    turn = np.array([1.0, *(1e-4 * random.standard_normal(3))])
+    w, x, y, z = state.quaternion
+    a, b, c, d = turn / np.linalg.norm(turn)
+    turned = [
+        w * a - x * b - y * c - z * d,
+        w * b + x * a + y * d - z * c,
+        w * c - x * d + y * a + z * b,
+        w * d + x * c - y * b + z * a,
+    ]
+    return dataclasses.replace(
+        state,
+        q=state.q + 1e-4 * random.standard_normal(12),
+        dq=state.dq + 0.01 * random.standard_normal(12),
+        gyro=state.gyro + 1e-3 * random.standard_normal(3),
+        quaternion=np.array(turned),
+    )
 
 
 def failing(state: State, fault: str) -> State:
@@ -55,6 +76,7 @@ def failing(state: State, fault: str) -> State:
         "not finite": {"dq": np.full(12, np.nan)},
         "orientation": {"quaternion": np.zeros(4)},
         "not following": {"tau": np.zeros(12)},
+        "frozen sensor": {"gyro": np.array([0.1, -0.2, 0.3])},
     }
     return dataclasses.replace(state, **changed.get(fault, {}))  # type: ignore[arg-type]
 
@@ -74,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(line.getsockname()[1], flush=True)
     partner, begun, failed, damped = None, None, None, None
     torque = np.zeros(12)
-    sequence, due = 0, time.monotonic()
+    sequence, due, random = 0, time.monotonic(), np.random.default_rng(0)
     while begun is None or time.monotonic() - begun < given.seconds:
         due += PERIOD
         while (left := due - time.monotonic()) > 0:
@@ -91,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 damped = time.monotonic()
         if damped is not None:
             break
-        state = dataclasses.replace(standing(sequence, time.monotonic()), tau=torque)
+        state = noisy(dataclasses.replace(standing(sequence, time.monotonic()), tau=torque), random)
         if begun is not None and time.monotonic() - begun > given.at and given.fault != "none":
             if failed is None:
                 failed = time.monotonic()

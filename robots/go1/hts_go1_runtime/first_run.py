@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hts_go1_runtime.bundle import Row
+from hts_go1_runtime.bundle import Bundle, Row
+
+FILE = "first-runs.json"
+"""In logs/: hashes of the policies that were walked so."""
+
+
+def walked_before(bundle: Bundle) -> set[str]:
+    """Hashes of the policies of which this bundle knows that they walked on this machine: a first run, or a log."""
+    try:
+        found = json.loads((bundle.logs / FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):  # nothing is known: whoever asks is told so
+        found = []
+    known = {one for one in found if isinstance(one, str)} if isinstance(found, list) else set()
+    return known | {row.policy_hash for row in bundle.rows if (bundle.logs / f"{row.log}.csv").exists()}
+
+
+def written(hashes: Iterable[str]) -> str:
+    """Content of the file."""
+    return json.dumps(sorted(hashes), indent=1) + "\n"
+
+
+def never_walked(bundle: Bundle, rows: Sequence[Row]) -> list[str]:
+    """Files of the policies of some rows that are about to walk here for the first time at full speed and torque."""
+    known = walked_before(bundle)
+    return list(dict.fromkeys(row.policy for row in rows if row.policy_hash not in known))
 
 
 @dataclass(frozen=True)

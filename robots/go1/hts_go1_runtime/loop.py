@@ -22,7 +22,7 @@ from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.safety import Guard
 
 FIRST_STATE = 10.0  # s to wait for a robot that says nothing yet
-AFRESH = 0.1  # s of letting go of states that waited on the line
+AFRESH = 0.1  # s of states that are looked at anew once the states that waited on the line are let go
 CLOSE = 1e-6  # s: a simulation's clock and the deadlines are sums of different floats
 KEPT_TIMES = 200_000  # steps whose times are kept: more than an hour
 
@@ -168,8 +168,10 @@ class Loop:
         self._alarm = np.inf
 
     def resume(self) -> list[State]:
-        """The next step is due one period from now. What waited on the line meanwhile is old: it is let go; what came
-        is returned, oldest first. Raises Stopped."""
+        """The next step is due one period from now. What waited on the line meanwhile is old: it is let go; what comes
+        from now on is returned, oldest first. Raises Stopped."""
+        if not self.link.simulated:  # a simulation has waited
+            self.link.wait(self.link.now())
         seen = self.watch(AFRESH)
         self._guard = Guard(self.limits)
         self._due = self.link.now()

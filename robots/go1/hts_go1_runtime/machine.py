@@ -7,7 +7,6 @@ SDK's position example uses 5 and 1, common policies 20 to 35 and 0.5; twice tha
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -45,7 +44,8 @@ class Limits:
     current: drawn from the pack, A; voltage: lowest of the pack, V (cut-off is 18.0: GO1 User Manual V1.4);
     temperature: of a motor, degC (it trips at 90 and lags the winding); silence: since the robot's last state, s;
     stale: how much later than usual a state may arrive, s; late: of a control step behind its deadline, s;
-    least_torque_share: of the torque that is asked of the joints, see `following`.
+    least_torque_share: of the torque that is asked of the joints, see `following`; frozen: for how long a sensor may
+    repeat itself, s, 0: for ever, see `frozen`; velocity: of each joint, rad/s, `velocity_share` of which is allowed.
     """
 
     tilt: float = 0.8
@@ -58,10 +58,12 @@ class Limits:
     stale: float = 0.024
     late: float = 0.030
     least_torque_share: float = 0.35
+    frozen: float = 0.1
+    velocity: tuple[float, ...] = tuple(float(one) for one in VELOCITY_LIMIT)
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if not math.isfinite(value):
+            if not np.isfinite(value).all():
                 raise RuntimeFault(
                     f"limit '{name}' is {value}, expected a finite number: no robot would be stopped by it."
                 )

@@ -26,8 +26,26 @@ def meet(loop: Loop) -> list[State]:
     if fault:
         raise RuntimeFault(f"The robot is not fit to start: {fault[0]}, {fault[1]}.")
     states = [state, *loop.watch(WATCHED)]
+    if all((one.temperature == 0).all() for one in states):
+        raise RuntimeFault(
+            "All motors give 0 degC: their temperature is not being read, and no heat would stop the robot. Correct it "
+            "in the link or restart the robot; or leave NaN there if nobody measures it."
+        )
     check_lies(states)
     return states
+
+
+def unguarded(measured: Sequence[str]) -> str:
+    """Which stops there are none of, because the robot does not give what they look at; "" if there are all."""
+    missing = [stop for channel, stop in _NEEDED.items() if channel not in measured]
+    return f"Not measured, so that nothing stops the robot for it: {', '.join(missing)}. " if missing else ""
+
+
+_NEEDED = {
+    "motor_temperature": "heat of the motors",
+    "battery_voltage": "low voltage of the pack",
+    "battery_current": "over-current of the pack",
+}
 
 
 def check_channels(wanted: Mapping[str, Any], measured: Sequence[str], external: Sequence[str]) -> None:

@@ -15,11 +15,13 @@ from hts_go1_runtime.link import State
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """low, high: of joint targets, rad; torque: N*m, that a target may ask for; all of shape (12,)."""
+    """low, high: of joint targets, rad; torque: N*m, that a target may ask for; velocity: of a joint, rad/s, beyond a
+    share of which the robot is stopped (`Limits`); all of shape (12,)."""
 
     low: np.ndarray
     high: np.ndarray
     torque: np.ndarray
+    velocity: np.ndarray
 
     @property
     def weaker(self) -> bool:
@@ -29,6 +31,11 @@ class Reach:
     def inside(self, targets: np.ndarray) -> np.ndarray:
         """Targets (12,) within the range; one that is no number stays so."""
         return np.minimum(np.maximum(targets, self.low), self.high)
+
+    def blend_seconds(self, begin: np.ndarray, end: np.ndarray, seconds: float) -> float:
+        """How long to take from pose to pose (12,): `seconds`, or longer where a joint allows less speed. Half a cosine
+        is fastest in its middle: pi/2 times its mean."""
+        return max(seconds, float((np.pi / 2 * np.abs(end - begin) / self.velocity).max()))
 
     def weakened(self, targets: np.ndarray, kp: np.ndarray, kd: np.ndarray, state: State, share: float) -> np.ndarray:
         """Targets (12,) moved so near that no more than a share of the torque is asked for in this state."""
@@ -60,6 +67,7 @@ def reach_of(robot: Mapping[str, Any], where: str) -> Reach:
         np.maximum(low, machine.TARGET_LOW),
         np.minimum(high, machine.TARGET_HIGH),
         np.minimum(torque, machine.TORQUE_LIMIT),
+        np.minimum(velocity, machine.VELOCITY_LIMIT),
     )
     none = np.flatnonzero((found.low >= found.high) | (found.torque <= 0) | (velocity <= 0))
     if none.size:

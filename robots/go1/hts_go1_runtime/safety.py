@@ -7,12 +7,13 @@ import math
 import numpy as np
 
 from hts_go1_runtime.following import Following
+from hts_go1_runtime.frozen import Frozen
 from hts_go1_runtime.link import Command, State
 from hts_go1_runtime.machine import JOINTS, POSITION_HIGH, POSITION_LOW, VELOCITY_LIMIT, Limits
 
 REASONS = (
     "tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "lost link", "late loop",
-    "operator", "not finite", "orientation", "not following",
+    "operator", "not finite", "orientation", "not following", "frozen sensor",
 )  # fmt: skip
 UNIT = 0.05  # of an IMU's quaternion from length 1: float32 and its firmware's rounding stay below a thousandth
 DRIFT = 2e-4  # of two clocks, s/s: quartz is ten times better
@@ -27,15 +28,18 @@ class Guard:
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self._low, self._high = POSITION_LOW - limits.position_margin, POSITION_HIGH + limits.position_margin
-        self._speed = limits.velocity_share * VELOCITY_LIMIT
+        self._speed = limits.velocity_share * np.minimum(VELOCITY_LIMIT, limits.velocity)
         self._upright = -math.cos(limits.tilt)
         self._offset, self._at = math.inf, 0.0  # smallest difference of the two clocks, and when it was seen
         self._seen = -1
+        self._stamp, self._ticked = math.nan, 0.0  # the newest stamp, and when it was new
         self._following = Following(limits.least_torque_share)
+        self._frozen = Frozen(limits.frozen)
 
     def sent(self, command: Command, now: float) -> None:
         """A command has left: the joints are to follow it."""
         self._following.sent(command, now)
+        self._frozen.sent(command)
 
     def state(self, state: State) -> Fault | None:
         """What is wrong with a state, or None. A number that is not measured (NaN) of the pack, of the feet or of the
@@ -76,6 +80,9 @@ class Guard:
                 "temperature",
                 f"{JOINTS[joint]} at {state.temperature[joint]:.0f} degC, at most {limits.temperature:g}",
             )
+        stands_still = self._frozen.state(state)
+        if stands_still:
+            return "frozen sensor", stands_still
         astray = self._following.state(state)
         return ("not following", astray) if astray else None
 
@@ -92,10 +99,17 @@ class Guard:
         if state.sequence == self._seen:
             return None
         self._seen = state.sequence
+        if state.stamp != self._stamp:
+            self._stamp, self._ticked = state.stamp, state.received
         difference = state.received - state.stamp
         self._offset = min(self._offset + DRIFT * max(state.received - self._at, 0.0), difference)
         self._at = state.received
         late = difference - self._offset
         if late > self.limits.stale:
-            return "lost link", f"states arrive {1e3 * late:.0f} ms late, at most {1e3 * self.limits.stale:.0f}"
+            stands = (
+                f": their stamp stands at {state.stamp:g} s"
+                if state.received - self._ticked > self.limits.stale
+                else ""
+            )
+            return "lost link", f"states arrive {1e3 * late:.0f} ms late, at most {1e3 * self.limits.stale:.0f}{stands}"
         return None

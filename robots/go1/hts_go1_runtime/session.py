@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from hts_go1_runtime import first_run
 from hts_go1_runtime.bundle import Bundle, Row
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
-from hts_go1_runtime.first_run import FirstRun
+from hts_go1_runtime.first_run import FirstRun, never_walked, walked_before
+from hts_go1_runtime.frozen import Repeats
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
@@ -23,7 +25,7 @@ from hts_go1_runtime.link import DAMPING, Command, Link, State
 from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND
-from hts_go1_runtime.meeting import check_channels, check_draws, check_lies, meet
+from hts_go1_runtime.meeting import check_channels, check_draws, check_lies, meet, unguarded
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.trimming import Trimming
 
@@ -40,7 +42,7 @@ class Options:
     """rows: names, none: all without a log; idle_seconds: to measure the idle levels, 0: not; warmup_seconds: None: the
     bundle's; first_run: walk each policy slowly and weakly, record nothing; mass_kg: for the mapping; vouched: hashes
     of policies that failed the gate and are to be walked; external: channels that a sensor of its own logs; at_limit:
-    record rows at a limit of the command too."""
+    record rows at a limit of the command too; frozen_real_seconds: None: the bundle's."""
 
     rows: tuple[str, ...] = ()
     idle_seconds: float = 10.0
@@ -50,6 +52,7 @@ class Options:
     vouched: tuple[str, ...] = ()
     external: tuple[str, ...] = ()
     at_limit: bool = False
+    frozen_real_seconds: float | None = None
 
 
 class Session:
@@ -151,11 +154,16 @@ class Session:
 
     def _summary(self, rows: Sequence[Row]) -> str:
         state, walked = self.loop.state, sum(row.seconds for row in rows)
+        new = [] if self.options.first_run else never_walked(self.bundle, rows)
+        if new:
+            self.events.say("no first run", policies=new)
         gates = [file for file, policy in self.bundle.policies.items() if policy.entry["gate"] is None]
         return (
             f"{len(rows)} rows, {walked:.0f} s; the pack has {state.voltage:.1f} V. "
             + (f"Not tried over simulated machines: {', '.join(gates)}. " if gates else "")
             + (f"Failed the gate, vouched for: {', '.join(self._vouched)}. " if self._vouched else "")
+            + (f"Never walked from this bundle, nor slowly first (--first-run): {', '.join(new)}. " if new else "")
+            + unguarded(self._channels)
             + "The robot will stand up and walk. Is everybody clear?"
         )
 
@@ -199,7 +207,7 @@ class Session:
     def _blend(self, begin: np.ndarray, end: np.ndarray, seconds: float, rising: bool | None = None) -> None:
         """From pose to pose without a jerk. rising: gains grow from nothing (True), or stiffness falls to nothing and
         damping grows to that of the safe command (False): let go undamped, the legs would fall against their stops."""
-        steps = max(1, round(seconds / self.loop.period))
+        steps = max(1, round(self.bundle.reach.blend_seconds(begin, end, seconds) / self.loop.period))
         for number in range(1, steps + 1):
             share = 0.5 - 0.5 * math.cos(math.pi * number / steps)
             strength = 1.0 if rising is None else share if rising else 1.0 - share
@@ -221,12 +229,14 @@ class Session:
 
     def _first_runs(self, rows: Sequence[Row]) -> None:
         """Each policy once, slowly and weakly, recording nothing."""
-        first = FirstRun.of(self.bundle.manifest)
+        first, walked = FirstRun.of(self.bundle.manifest), walked_before(self.bundle)
         self._torque_share = first.torque_scale
         for file in dict.fromkeys(row.policy for row in rows):
             commands = first.commands(rows, file)
             self.events.say("first run", policy=file, commands=[[round(v, 3) for v in one[1:]] for one in commands])
             self._stroll(self.bundle.policies[file], commands)
+            walked.add(self.bundle.policies[file].entry["policy_hash"])
+            self.events.keep(self.bundle.logs / first_run.FILE, first_run.written(walked))
         self._stroll(self.bundle.policies[rows[-1].policy], STILL)
 
     def _warm_up(self, row: Row) -> None:
@@ -251,9 +261,12 @@ class Session:
         log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
         self._wanted_heading = None
         policy.start()
+        asked = self.options.frozen_real_seconds
+        current = Repeats("battery_current", self.bundle.frozen.real if asked is None else asked)
         try:
             for command in commands:
-                self._step(policy, command, log)
+                state = self._step(policy, command, log)
+                current.see(state.current, state.received)
                 self._keeper.check(log)
         except Exception as ended:
             if fell(ended, row, log.rows):

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.link import Command, Counts, Link, State
+from hts_go1_runtime.lock import alone_with
 from hts_go1_runtime.packet import (
     COMMAND,
     DONE,
@@ -33,7 +34,8 @@ PATIENCE = 60.0  # s that a simulation may take for a step
 class UdpLink(Link):
     """To HOST:PORT. The first packet is sent by us, so the far side needs no address of ours.
 
-    Raises RuntimeFault for an address that is none, and in lockstep for a simulation that has ended.
+    Raises RuntimeFault for an address that is none, for one that another runtime of this computer talks to, and in
+    lockstep for a simulation that has ended.
     """
 
     def __init__(self, url: str, lockstep: bool = False) -> None:
@@ -48,6 +50,11 @@ class UdpLink(Link):
             self._socket.close()
             raise RuntimeFault(f"--link {url}: {error.strerror or error}. Correct host and port.") from error
         self._clock, self._tick = 0.0, -1
+        try:
+            self._alone = alone_with(url, self._socket.getpeername())
+        except RuntimeFault:
+            self._socket.close()
+            raise
         self._send(pack(DONE, 0xFFFFFFFF, 0.0))
 
     def now(self) -> float:
@@ -72,6 +79,8 @@ class UdpLink(Link):
 
     def close(self) -> None:
         self._socket.close()
+        if self._alone is not None:
+            self._alone.close()
 
     def _lockstep(self) -> list[State]:
         """Everything up to the next tick of the simulation, which goes on once this one is done with."""

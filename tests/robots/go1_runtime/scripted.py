@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hts_go1_runtime.fake import standing
+from hts_go1_runtime.fake import noisy, standing
 from hts_go1_runtime.link import Command, Counts, Link, State
 
 STATE_SECONDS = 0.004
@@ -46,14 +46,14 @@ class ScriptedLink(Link):
         state = dataclasses.replace(
             state,
             received=self._clock,
-            q=pose + 1e-4 * self._random.standard_normal(12),
+            q=pose,
             tau=torque + self._random.standard_normal(12),
-            dq=velocity + 0.01 * self._random.standard_normal(12),
+            dq=velocity,
             velocity=np.array([self.speed, 0.0, 0.0]) + 1e-3 * self._random.standard_normal(3),
             current=3.0 + 0.1 * self._random.standard_normal(),
             voltage=22.0 + 0.01 * self._random.standard_normal(),
         )
-        spoilt = self._spoil(state)
+        spoilt = self._spoil(noisy(state, self._random))
         return [] if spoilt is None else [spoilt]
 
     def send(self, command: Command) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import dataclasses
 import importlib.util
 import json
 from pathlib import Path
@@ -14,9 +16,13 @@ from hts.config_gate import FirstRunConfig
 from hts_go1_runtime import machine
 from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.events import Events
 from hts_go1_runtime.fake import standing
 from hts_go1_runtime.first_run import FirstRun
+from hts_go1_runtime.loop import Loop
+from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.reach import Reach, reach_of
+from hts_go1_runtime.session import Options, Session
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
 scripted = importlib.util.module_from_spec(SPEC)
@@ -80,10 +86,35 @@ def test_the_smaller_torque_limit_counts_in_every_row(change, visit):
     assert np.max(asked) == pytest.approx(2.0, abs=1e-3)
 
 
+def test_a_joint_that_is_faster_than_the_manifest_allows_is_stopped(change, visit, capsys):
+    """The robot's own limit is 20.06 rad/s of a calf; 1.2 times 5 rad/s are 6."""
+    change(lambda manifest: manifest["robot"].__setitem__("velocity_limit", [5.0] * 12))
+
+    def fast(state):
+        return dataclasses.replace(state, dq=np.where(np.arange(12) == 5, 7.0, 0.1 * state.dq))
+
+    assert visit("--yes", link=scripted.ScriptedLink(lambda state: fast(state) if state.stamp > 1.0 else state)) == 3
+    assert "joint speed: FL_calf_joint at 7.0 rad/s, at most 6.0" in capsys.readouterr().err
+
+
+def test_a_robot_sits_down_no_faster_than_the_manifest_allows(change, tmp_path):
+    """From standing to sitting a calf bends by 0.7 rad; in 2 s that would be 0.55 rad/s in the middle."""
+    bundle = load_bundle(change(lambda manifest: manifest["robot"].__setitem__("velocity_limit", [0.3] * 12)))
+    link = scripted.ScriptedLink()
+    loop = Loop(link, 0.02, Limits())
+    with contextlib.closing(Events(tmp_path / "events.jsonl")) as events:
+        loop.start()
+        Session(bundle, link, loop, Options(), events)._sit_down()
+    rates = np.diff([command.q for _, command in link.sent], axis=0) / 0.02
+    assert 0.29 < np.abs(rates).max() < 0.302
+    assert bundle.reach.blend_seconds(machine.STAND, machine.SIT, 2.0) == pytest.approx(np.pi / 2 * 0.7 / 0.3)
+
+
 def test_the_narrower_of_both_limits_counts():
     found = reach_of(limits(torque_limit=[5.0] * 12), "here")
     assert found.low == pytest.approx(machine.TARGET_LOW) and found.high == pytest.approx(machine.TARGET_HIGH)
     assert found.torque == pytest.approx(5.0) and found.weaker and not reach_of(limits(), "here").weaker
+    assert reach_of(limits(velocity_limit=[3.0] * 12), "here").velocity == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +134,7 @@ def test_limits_that_are_none_are_refused(changed, said):
 
 def test_a_weakened_target_asks_for_no_more_than_its_share_of_the_torque():
     state, kp, kd = standing(0, 0.0), np.full(12, 30.0), np.full(12, 0.6)
-    reach = Reach(machine.TARGET_LOW, machine.TARGET_HIGH, machine.TORQUE_LIMIT)
+    reach = Reach(machine.TARGET_LOW, machine.TARGET_HIGH, machine.TORQUE_LIMIT, machine.VELOCITY_LIMIT)
     asked = kp * (reach.weakened(state.q + 5.0, kp, kd, state, 0.6) - state.q) - kd * state.dq
     assert asked == pytest.approx(0.6 * machine.TORQUE_LIMIT)
 

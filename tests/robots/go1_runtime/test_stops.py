@@ -252,7 +252,8 @@ def test_an_address_without_a_way_to_it_is_silence(monkeypatch):
     real, link._socket = link._socket, Unreachable()
     link.send(WALK)
     assert link.counts.extra["unsent"] == 1 and link._drain() == []
-    real.close()
+    link._socket = real
+    link.close()
     far.close()
 
 

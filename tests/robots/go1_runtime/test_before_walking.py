@@ -1,0 +1,85 @@
+"""What is asked and said before a robot walks: heat that nobody sees, and a policy that never walked there."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hts_go1_runtime.bundle import load_bundle
+from hts_go1_runtime.first_run import FILE, never_walked
+
+SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
+scripted = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(scripted)
+NEW = "Never walked from this bundle, nor slowly first (--first-run):"
+UNGUARDED = "Not measured, so that nothing stops the robot for it:"
+
+
+def giving(**values):
+    return scripted.ScriptedLink(lambda state: dataclasses.replace(state, **values))
+
+
+# ---------------------------------------------------------------------- heat
+
+
+def test_motors_that_all_give_0_degrees_are_not_read_and_nobody_walks(visit, capsys):
+    link = giving(temperature=np.zeros(12))
+    assert visit("--yes", link=link) == 2
+    assert "All motors give 0 degC: their temperature is not being read" in capsys.readouterr().err
+    assert not any(command.kp.any() for _, command in link.sent)
+    one_cold = np.where(np.arange(12) == 3, 21.0, 0.0)
+    assert visit("--yes", link=giving(temperature=one_cold)) == 0
+
+
+def test_what_nobody_measures_and_so_stops_nobody_is_said_before_the_robot_moves(visit, capsys):
+    assert visit("--yes", link=giving(temperature=np.full(12, np.nan), voltage=np.nan)) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"{UNGUARDED} heat of the motors, low voltage of the pack. The robot will stand up" in said
+
+
+def test_nothing_is_said_where_everything_is_measured(visit, capsys):
+    assert visit("--yes") == 0
+    assert UNGUARDED not in " ".join(capsys.readouterr().out.split())
+
+
+# ---------------------------------------------------------------------- the first time
+
+
+def test_a_policy_that_never_walked_here_is_named_until_it_had_its_first_run(bundle, visit, capsys):
+    assert visit("--yes", "--rows", "00") == 0
+    assert f"{NEW} policies/00-walk.onnx. " in " ".join(capsys.readouterr().out.split())
+    events = [json.loads(line) for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
+    assert {"policies": ["policies/00-walk.onnx"]}.items() <= next(
+        one for one in events if one["what"] == "no first run"
+    ).items()
+    loaded = load_bundle(bundle)  # the first has a log now, so it has walked
+    assert never_walked(loaded, loaded.rows) == ["policies/01-noisy.onnx"]
+    assert visit("--yes", "--rows", "01", "--first-run") == 0
+    assert NEW not in " ".join(capsys.readouterr().out.split())
+    assert never_walked(loaded, loaded.rows) == []
+    assert visit("--yes") == 0
+    assert NEW not in " ".join(capsys.readouterr().out.split())
+
+
+def test_each_policy_of_a_first_run_is_known_and_one_that_was_stopped_is_not(change, visit):
+    bundle = change(lambda manifest: manifest["first_runs"].__setitem__("seconds", 1.0))
+    stops = scripted.ScriptedLink(
+        lambda state: dataclasses.replace(state, current=40.0) if state.stamp > 5.3 else state
+    )  # the second walks then
+    assert visit("--yes", "--first-run", link=stops) == 3
+    loaded = load_bundle(bundle)
+    assert json.loads((bundle / "logs" / FILE).read_text()) == [loaded.rows[0].policy_hash]
+    assert visit("--yes", "--first-run") == 0
+    assert json.loads((bundle / "logs" / FILE).read_text()) == sorted(row.policy_hash for row in loaded.rows)
+
+
+@pytest.mark.parametrize("content", ["{", "3", "[3, null]", '{"a": 1}'])
+def test_a_damaged_list_of_first_runs_says_nothing(bundle, content):
+    (bundle / "logs" / FILE).write_text(content)
+    loaded = load_bundle(bundle)
+    assert len(never_walked(loaded, loaded.rows)) == 2
