@@ -133,11 +133,22 @@ class MeasurementTransform(Measured):
             return super().forward_sequence(recorded, ended)
         return self._stepped("steps", recorded, self._model[0].steps, recorded, self.memory, ended)
 
+    def source_of(self, key: NestedKey, outcome: TensorDictBase) -> str:
+        measured, (_, objective), _ = self.out_keys
+        if bool(outcome[measured].isfinite().all()):
+            return f"reward() of objective '{objective}', given finite predictions of {self._named}"
+        asked = ("settled_over" if self._in_steps else "settled") if self.model.settles else "step"
+        return f"{asked}() of {self._named}, whose predictions are not finite"
+
     # Shapes and types alone are looked at below, never numbers: a GPU would be waited for.
 
     @property
+    def _named(self) -> str:
+        return f"measurement model '{self.model.name or type(self.model).__name__}'"
+
+    @property
     def _who(self) -> str:
-        return f"Measurement model '{self.model.name or type(self.model).__name__}'"
+        return f"M{self._named[1:]}"
 
     def _stepped(self, name: str, inputs: Tensor, call: Callable[..., Any], *given: Any) -> dict[NestedKey, Tensor]:
         """What a call gives that goes on from the memory, which it renews."""
@@ -224,6 +235,10 @@ class ProxyTransform(Measured):
                 f"Objective '{self.objective.name}' has no analytic stand-in, so there is no baseline to train."
             )
         return proxy.reshape(-1, 1)
+
+    def source_of(self, key: NestedKey, outcome: TensorDictBase) -> str:
+        method = "reward" if bool(outcome[self.out_keys[0]].isfinite().all()) else "proxy"
+        return f"{method}() of objective '{self.objective.name}'"
 
     def evaluate(self, recorded: Tensor) -> dict[NestedKey, Tensor]:
         measured, real_reward = self.out_keys
