@@ -3,6 +3,7 @@ mean that is to stay below a number."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -32,6 +33,12 @@ class LagrangeMultiplier(nn.Module):
         limits = torch.as_tensor(bounds, dtype=torch.get_default_dtype())
         if not bool((limits > 0).all()):
             raise ValueError(f"kl_bound is {limits.tolist()}; expected positive numbers, infinity for no bound.")
+        if limits.ndim > 1:
+            raise ValueError(
+                f"kl_bound has the shape {tuple(limits.shape)}; expected a float, or [P] for P candidates."
+            )
+        if not 0.0 <= rate < math.inf:
+            raise ValueError(f"rate is {rate}; expected a number from 0 on, such as 0.05.")
         self.rate = rate
         self.register_buffer("bounds", limits.clone())
         self.register_buffer("value", torch.zeros_like(limits))

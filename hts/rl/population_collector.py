@@ -213,9 +213,9 @@ class PopulationCollector(SplitStepCollector):
         self._pool = pool(max(len(groups), len(self.transforms)))
 
     def shutdown(self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True) -> None:
-        """Close the env and let go of threads."""
-        super().shutdown(timeout, close_env, raise_on_error)
+        """Let go of threads, which may still be in another group's physics when one has failed, then close the env."""
         self._pool.shutdown()
+        super().shutdown(timeout, close_env, raise_on_error)
 
     def _collect(self) -> TensorDict:
         run = map if len(self._groups) == 1 else self._pool.map

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
+from threading import Barrier
 
 import pytest
 import torch
@@ -10,7 +12,8 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from walk_env import CPU, SHAPE, Walk
 
-from hts.rl import Population, PopulationActor, PopulationCollector, PopulationRandom, Sizes
+from hts.cores import available
+from hts.rl import GroupedEnv, Population, PopulationActor, PopulationCollector, PopulationRandom, Sizes
 from hts.rl.captured_collector import CapturedCollector
 
 
@@ -80,3 +83,41 @@ def test_flags_of_another_shape_or_kind_are_told(kind, flag):
     ):
         next(iter(collector))
     collector.shutdown()
+
+
+class Closed(Walk):
+    """One candidate. `ends`: fails at its first step's end; otherwise its physics takes a while. seen: what happened,
+    in order."""
+
+    def __init__(self, ends: bool, seen: list[str], both: Barrier) -> None:
+        super().__init__(torch.Size((1, 4)))
+        self.ends, self.seen, self.both, self.first, self.closed = ends, seen, both, True, False
+
+    def simulate(self, inputs):
+        if self.first:  # the other group is in its physics while this one fails
+            self.first = False
+            self.both.wait(timeout=30)
+        if not self.ends:
+            time.sleep(0.01)
+            self.seen.append("closed" if self.closed else "simulated")
+        super().simulate(inputs)
+
+    def end_step(self, action):
+        if self.ends:
+            raise ArithmeticError("it fell apart")
+        return super().end_step(action)
+
+    def close(self, **kwargs):
+        self.closed = True
+        super().close(**kwargs)
+
+
+@pytest.mark.skipif(available() < 2, reason="groups take turns on one core")
+def test_an_env_is_not_closed_while_a_group_is_in_its_physics_after_another_has_failed():
+    seen, both = [], Barrier(2)
+    env = GroupedEnv([Closed(True, seen, both), Closed(False, seen, both)])
+    collector = PopulationCollector(env, actor(), frames_per_batch=8 * 6)
+    with pytest.raises(ArithmeticError, match="it fell apart"):
+        next(iter(collector))
+    collector.shutdown()
+    assert seen == ["simulated"] * 6 and all(group.closed for group in env.groups())
