@@ -85,6 +85,11 @@ class SplitStepCollector(BaseCollector):
         self._frames = 0
         self._begun = self._closed = False
 
+    @property
+    def captured(self) -> bool:
+        """Whether steps are graphs, so that every batch lies where the last one lay."""
+        return False
+
     # -------------------------------------------------------------------------------------------------- iteration
 
     def iterator(self) -> Iterator[TensorDictBase]:
@@ -163,8 +168,15 @@ class SplitStepCollector(BaseCollector):
         return OrderedDict(env_state_dict=env, transforms=memory, noise=noise, frames=self._frames)
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:  # type: ignore[override]
-        """Go on from `state_dict`. Before the first batch, since a captured step keeps the memory it was made with."""
-        self.bare_env.go_on(state_dict["env_state_dict"])
+        """Go on from `state_dict`. Raises RuntimeError once steps have been captured, which keep the memory that they
+        were captured with: make another collector for it."""
+        if self.captured:
+            raise RuntimeError(
+                f"{type(self).__name__} has captured its steps, which would go on from where they are: load a state "
+                "into a new collector, before its first batch."
+            )
+        go_on = self.bare_env.load_full_state if self._begun else self.bare_env.go_on  # no reset comes after the first
+        go_on(state_dict["env_state_dict"])
         for transform, memory in zip(self.transforms, state_dict["transforms"], strict=True):
             transform.load_state_dict(memory)
         if self.policy.random is not None:

@@ -8,6 +8,7 @@ from threading import Barrier
 
 import pytest
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
 from walk_env import CPU, SHAPE, Walk
@@ -121,3 +122,45 @@ def test_an_env_is_not_closed_while_a_group_is_in_its_physics_after_another_has_
         next(iter(collector))
     collector.shutdown()
     assert seen == ["simulated"] * 6 and all(group.closed for group in env.groups())
+
+
+class Numbered(Walk):
+    """Its states are numbers of steps; an episode begins at 0."""
+
+    def simulate(self, inputs):
+        self.last, self.state = self.state, self.state + 1.0
+
+    def start_episodes(self, mask):
+        self.state = self.state.masked_fill(mask.unsqueeze(-1), 0.0)
+
+    def full_state(self):
+        return TensorDict({"state": self.state.clone()})
+
+    def load_full_state(self, state):
+        self.state = state["state"].clone()
+
+
+@COLLECTORS
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_state_is_gone_on_from_whether_or_not_a_batch_was_collected_and_the_next_reset_is_one(kind, before):
+    saved = Numbered()
+    collector = kind(saved, actor(), frames_per_batch=16)
+    next(iter(collector))
+    state = collector.state_dict()
+    other = Numbered()
+    loaded = kind(other, actor(), frames_per_batch=16)
+    for _ in range(before):
+        next(iter(loaded))
+    loaded.load_state_dict(state)
+    assert loaded.collect()["observation"][0, 0, :, 0].tolist() == [2.0, 3.0]
+    assert other.reset()["observation"].sum() == 0.0
+
+
+def test_a_state_is_not_loaded_under_steps_that_have_been_captured(monkeypatch):
+    collector = CapturedCollector(Numbered(), actor(), frames_per_batch=16, capture=False)
+    state = collector.state_dict()
+    monkeypatch.setattr(collector, "_graphs", ["as if"])
+    with pytest.raises(
+        RuntimeError, match="CapturedCollector has captured its steps.*load a state into a new collector"
+    ):
+        collector.load_state_dict(state)
