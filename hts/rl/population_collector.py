@@ -322,7 +322,8 @@ class _Said:
 
 
 def _check_policy(env: SplitStepEnv, policy: PopulationActor) -> None:
-    """Raises TypeError for another kind of policy, ValueError for one with another number of candidates than env."""
+    """Raises TypeError for another kind of policy, ValueError for one with another number of candidates than env, or of
+    other sizes than env's specs say."""
     if not isinstance(policy, PopulationActor):
         raise TypeError(
             f"policy is a {type(policy).__name__}, expected a PopulationActor, which acts for all candidates."
@@ -336,6 +337,14 @@ def _check_policy(env: SplitStepEnv, policy: PopulationActor) -> None:
             f"the policy's random has {len(policy.random.generators)} generators, expected one for each of the "
             f"{candidates} candidates: PopulationRandom takes a seed for each."
         )
+    sizes, named = policy.population.sizes, {**env.observation_spec, **env.full_action_spec}
+    wanted = {"observation": sizes.observation, "critic_observation": sizes.critic_observation, "action": sizes.action}
+    for name, size in wanted.items():
+        if name in named and named[name].shape[-1:] != (size,):
+            raise ValueError(
+                f"the policy's {name} has {size} numbers, env's {tuple(named[name].shape)}: give both as many, with "
+                f"Sizes({name}={named[name].shape[-1]}, ...)."
+            )
 
 
 def check_flags(env: SplitStepEnv, flags: Mapping[str, torch.Tensor]) -> None:

@@ -132,19 +132,10 @@ def _check_reward(name: str, objective: Objective) -> None:
     predictions above and below the mean."""
     import torch
 
+    from hts.measurement.reward import reward_of
+
     for shape, given in itertools.product(((1, FEW_ENVS, 1), (FEW_ENVS, 3)), (HALF, -HALF)):
-        found = guarded(f"Objective '{name}': reward()", partial(objective.reward, torch.full(shape, given)))
-        if not isinstance(found, torch.Tensor) or tuple(found.shape) != shape:
-            gave = f"shape {tuple(found.shape)}" if isinstance(found, torch.Tensor) else type(found).__name__
-            raise PluginError(
-                f"Objective '{name}': reward() gave {gave} for a prediction of shape {shape}; expected the same shape, "
-                "one reward for each prediction."
-            )
-        if not found.is_floating_point():
-            raise PluginError(
-                f"Objective '{name}': reward() gave numbers of {found.dtype}, expected {torch.float32}, as the "
-                "prediction has: nothing between two whole numbers would count. Append .float()."
-            )
+        found = reward_of(name, objective.reward, torch.full(shape, given))
         if not bool(torch.isfinite(found).all()):
             raise PluginError(
                 f"Objective '{name}': reward() is {float(found.flatten()[0]):g} for a prediction of {given:g} standard "

@@ -62,6 +62,20 @@ def test_as_many_candidates_are_asked_for(kind, policy, found):
 
 
 @COLLECTORS
+@pytest.mark.parametrize(
+    ("sizes", "found"),
+    [
+        (Sizes(4, 3, 2, (8,)), r"policy's observation has 4 numbers, env's \(2, 4, 3\).*with Sizes\(observation=3"),
+        (Sizes(3, 2, 2, (8,)), "policy's critic_observation has 2 numbers"),
+        (Sizes(3, 3, 1, (8,)), r"policy's action has 1 numbers, env's \(2, 4, 2\)"),  # it would broadcast
+    ],
+)
+def test_a_policy_of_other_sizes_is_refused(kind, sizes, found):
+    with pytest.raises(ValueError, match=found):
+        kind(Walk(), PopulationActor(Population(sizes, 2)), frames_per_batch=16)
+
+
+@COLLECTORS
 def test_a_policy_of_one_is_refused(kind):
     alone = TensorDictModule(nn.Linear(3, 2), in_keys=["observation"], out_keys=["action"])
     with pytest.raises(TypeError, match="policy is a TensorDictModule, expected a PopulationActor"):

@@ -10,7 +10,14 @@ from torch import nn
 from torch.distributions import Independent, Normal
 from torchrl.modules import IndependentNormal, NormalParamExtractor, ProbabilisticActor, ValueOperator
 
-from hts.rl import KLConstrainedPPOLoss, LagrangeMultiplier, MeasuredReward, RewardCentring, distribution_kl
+from hts.rl import (
+    KLConstrainedPPOLoss,
+    LagrangeMultiplier,
+    MeasuredReward,
+    PopulationRandom,
+    RewardCentring,
+    distribution_kl,
+)
 
 COUNT, ACTIONS = 8, 2
 
@@ -139,3 +146,22 @@ def test_a_centre_for_one_candidate_is_not_made_one_for_each_instance():
     step = TensorDict({"effort": torch.ones(5, 1), "reward": torch.zeros(5, 1)}, [5])
     with pytest.raises(ValueError, match="With one weight for all, give a float"):
         measured(TensorDict({"next": step}, [5]))
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"weight": float("nan"), "dt": 0.1}, "weight is nan; expected a finite number"),
+        ({"weight": torch.ones(2, 1), "dt": 0.1}, r"or \[P\] for P candidates"),
+        ({"weight": 1.0, "dt": 0.0}, "dt is 0.0; expected the length of a control step, s"),
+    ],
+)
+def test_a_measured_reward_of_no_number_is_refused(how, said):
+    with pytest.raises(ValueError, match=said):
+        MeasuredReward(**how, in_key="effort")
+
+
+def test_random_numbers_of_other_candidates_are_not_gone_on_from():
+    two, three = (PopulationRandom(range(count), torch.device("cpu")) for count in (2, 3))
+    with pytest.raises(ValueError, match="of 2 candidates, expected those of 3: they are of another training"):
+        three.load_state_dict(two.state_dict())
