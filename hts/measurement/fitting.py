@@ -12,6 +12,7 @@ from hts.contracts import MeasurementModel
 from hts.errors import PluginError
 from hts.guarded import guarded
 from hts.measurement.checks import check_prediction, predict
+from hts.measurement.files import give_tensors, moved, tensors_of
 from hts.measurement.fit_settings import FitSettings
 
 if TYPE_CHECKING:
@@ -58,6 +59,8 @@ def check_unfitted(model: MeasurementModel, registry: Registry | None) -> None:
             f"{called(model, registry)}: fit() does not take what it will be given, {error}. Expected fit(self, "
             f"recordings, *, {', '.join(given)})."
         ) from error
+    give_tensors(model, {name: value.clone() for name, value in tensors_of(model).items()})
+    moved(model, model.device)
     _check_begun(model, registry)
     length = max(2, round(TRIED_SECONDS * model.signals.rate_hz))
     with torch.no_grad():

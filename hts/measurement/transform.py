@@ -199,6 +199,16 @@ class MeasurementTransform(Measured):
                 )
         return found
 
+    def _outside(self, inputs: Tensor) -> Tensor:
+        found = guarded(f"{self._who}: outside()", partial(self.model.outside, inputs))
+        if not isinstance(found, Tensor) or found.shape != inputs.shape[:-1]:
+            shown = tuple(found.shape) if isinstance(found, Tensor) else type(found).__name__
+            raise PluginError(
+                f"{self._who}: outside() gave {shown} for inputs of {tuple(inputs.shape)}; expected "
+                f"{tuple(inputs.shape[:-1])}, a share for each world."
+            )
+        return found
+
     def _as_memory(self, name: str, found: Any, before: Tensor | None) -> Tensor:
         if not isinstance(found, Tensor):
             raise PluginError(
@@ -217,7 +227,7 @@ class MeasurementTransform(Measured):
         return {
             measured: prediction.mean,
             real_reward: pessimistic_reward(self.reward, prediction, model.pessimism),
-            outside: model.outside(inputs).unsqueeze(-1),
+            outside: self._outside(inputs).unsqueeze(-1),
         }
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any) -> None:

@@ -8,10 +8,12 @@ import pytest
 import torch
 
 from hts.config_loading import load_config
-from hts.contracts import Prediction
+from hts.contracts import ModelContext, Prediction
 from hts.errors import PluginError
+from hts.measurement import files
 from hts.measurement.fit_settings import FitSettings
 from hts.measurement.fitting import fit_model
+from hts.measurement.linear import Linear
 from hts.plugins import load
 from hts.run.ready import check_ready
 from hts.testing.examples.measurement_model.model import Fading, Settings
@@ -21,7 +23,7 @@ from hts.testing.packages import kit_installed
 STEP, RESET, INITIAL = Fading.step, Fading.reset, Fading.initial_state
 
 
-def boom(self, inputs, state=None):
+def boom(self, *given):
     raise RuntimeError("boom")
 
 
@@ -66,6 +68,17 @@ CHANGES = {
         r"sequence\(\): mean is \(1, 199\) for inputs of \(1, 200, channels\), expected \(1, 200\)",
     ),
     "an exception along a recording": ("sequence", boom, r"sequence\(\) failed, RuntimeError: boom"),
+    "one share for all worlds": (
+        "outside",
+        lambda s, i: i.mean(),
+        r"outside\(\) gave \(\) for inputs of \(2, \d+\); expected \(2,\), a share for each world",
+    ),
+    "no share": ("outside", lambda s, i: None, r"outside\(\) gave NoneType for inputs"),
+    "numbers that are no tensors": ("tensors", lambda s: {"w": 1.0}, r"tensors\(\) gave a float, expected a dict of"),
+    "no tensors at all": ("tensors", lambda s: None, r"tensors\(\) gave a NoneType, expected a dict of name"),
+    "tensors that fail": ("tensors", lambda s: 1 / 0, r"tensors\(\) failed, ZeroDivisionError"),
+    "its own tensors refused": ("load_tensors", boom, r"load_tensors\(\) failed, RuntimeError: boom"),
+    "nothing where it was moved": ("to", lambda s, d: None, r"to\(\) gave a NoneType, expected the model itself"),
     "several steps at once": ("steps", lambda s, i, m, e: (1, 2, 3), r"steps\(\) gave int and int and int, expected a"),
 }
 
@@ -129,3 +142,15 @@ def test_a_fit_that_leaves_a_model_of_nan_is_told_by_the_fit_where_nothing_is_he
     model.name = "lost"
     with pytest.raises(PluginError, match=r"^Measurement model 'lost': sequence\(\): mean is not finite at sample 0"):
         fit_model(model, [known_heat(1)], FitSettings(), None)
+
+
+def test_a_model_on_disk_that_its_class_does_not_take_is_named(monkeypatch, tmp_path):
+    model = load().make_measurement_model("linear", {}, ModelContext(SIGNALS))
+    path = files.save(model, tmp_path / "model")
+    monkeypatch.setattr(Linear, "load_tensors", boom)
+    with pytest.raises(PluginError, match=r"^Measurement model 'linear': load_tensors\(\) failed, RuntimeError: boom"):
+        files.load(path)
+    monkeypatch.setattr(Linear, "tensors", lambda self: {"weight": [1.0]})
+    with pytest.raises(PluginError, match=r"tensors\(\) gave a list, expected a dict of name -> torch.Tensor"):
+        files.save(model, tmp_path / "other")
+    assert not (tmp_path / "other.safetensors").exists()
