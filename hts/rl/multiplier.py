@@ -97,7 +97,7 @@ class EqualityMultiplier(nn.Module):
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
-        if not scale > 0:
+        if not 0.0 < scale < math.inf:
             raise ValueError(f"scale is {scale}; expected a positive number, an error that matters.")
         self.scale, self.rate, self.gain, self.smoothing = scale, rate, gain, smoothing
         shape = () if count is None else (count,)
@@ -118,7 +118,12 @@ class EqualityMultiplier(nn.Module):
     @torch.no_grad()
     def update(self, mean: torch.Tensor, strength: float | torch.Tensor = 1.0) -> torch.Tensor:
         """mean: of e over the batch, of the shape of `value`; strength: how strong the rewards are that pull the mean
-        away, in reward per second, since a price is found the sooner the larger it has to be. Returns the new value."""
+        away, in reward per second, since a price is found the sooner the larger it has to be. Returns the new value.
+        Raises ValueError for a mean of another shape."""
+        if mean.shape != self.value.shape:
+            raise ValueError(
+                f"mean has the shape {tuple(mean.shape)}, expected {tuple(self.value.shape)}: one for each multiplier."
+            )
         self.smoothed = self.smoothed + self.smoothing * (mean - self.smoothed)
         excess = (self.smoothed / self.scale).clamp(-LARGEST_ERROR, LARGEST_ERROR) * strength
         self.integral = self.integral - self.rate * excess
@@ -137,7 +142,7 @@ class UpperMultiplier(EqualityMultiplier):
     """
 
     def __init__(self, limit: float, count: int | None = None, **how: Any) -> None:
-        if not limit > 0:
+        if not 0.0 < limit < math.inf:
             raise ValueError(f"limit is {limit}; expected a positive number.")
         super().__init__(limit / 4, count, **how)
         self.limit = limit
