@@ -8,6 +8,7 @@ worlds, selector and log reader come in by the same door, as the entry point ``c
 from __future__ import annotations
 
 import importlib.metadata
+import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -186,6 +187,7 @@ def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[st
         raise PluginError(_other_version(module, package, written_for))
     manager = pluggy.PluginManager(GROUP)  # one each, so that what it registers can be told apart from the others'
     manager.add_hookspecs(hookspecs)
+    _check_hooks(manager, module)
     manager.register(module, name=point.name)
     manager.check_pending()  # pluggy accepts a misspelt hook without a word
     offered: list[tuple[str, Entry]] = []
@@ -203,6 +205,23 @@ def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[st
 
         getattr(manager.hook, f"hts_{kind}")(register=register)
     return offered
+
+
+def _check_hooks(manager: pluggy.PluginManager, module: ModuleType) -> None:
+    """Raise PluginError for a hook that is not marked as one, which pluggy passes by without a word, and for a marked
+    function whose name is that of no hook."""
+    hooks = [f"hts_{kind}" for kind in KINDS]
+    for name, value in vars(module).items():
+        if not inspect.isroutine(value):
+            continue
+        marks = manager.parse_hookimpl_opts(module, name)
+        if marks is None and name in hooks:
+            raise PluginError(
+                f"{module.__name__}: {name}() is not marked as a hook, so nobody asks it; write @hookimpl above it "
+                "(from hts import hookimpl)"
+            )
+        if marks is not None and not marks["optionalhook"] and (marks["specname"] or name) not in hooks:
+            raise PluginError(f"{module.__name__}: " + unknown_name("hook", marks["specname"] or name, hooks))
 
 
 def _other_version(module: ModuleType, package: str, written_for: Any) -> str:

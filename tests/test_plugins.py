@@ -122,7 +122,10 @@ def test_a_robot_and_an_objective_may_share_a_name(install):
         ("raise RuntimeError('two\\nlines')", "RuntimeError: two lines"),
         ("x = 1", "does not say which version of the hooks"),
         ("HTS_API = 99", "stranger was written for version 99 of the hooks, this hts has version 2"),
-        (HEAD + "@hookimpl\ndef hts_robot(register): pass", "hts_robot"),  # misspelt: pluggy alone would accept it
+        # Pluggy alone would accept these two: misspelt, and not marked.
+        (HEAD + "@hookimpl\ndef hts_robot(register): pass", "No hook named 'hts_robot'. Did you mean 'hts_robots'?"),
+        (HEAD + "def hts_robots(register): pass", "stranger: hts_robots() is not marked as a hook"),
+        (HEAD + "@hookimpl(specname='hts_robts')\ndef mine(register): pass", "No hook named 'hts_robts'"),
         (HEAD + "@hookimpl\ndef hts_robots(registry): pass", "registry"),
         (HEAD + "@hookimpl\ndef hts_robots(register): register('spot', 'no factory')", "something to call"),
         (HEAD + "@hookimpl\ndef hts_robots(register): register('', dict)", "needs a name"),
@@ -137,6 +140,14 @@ def test_a_broken_plugin_is_kept_with_its_reason_and_the_others_go_on(install, s
     assert reason in broken.reason
     assert "\n" not in broken.reason
     assert "twin" in registry.worlds
+
+
+def test_a_hook_may_have_a_name_of_its_own_and_one_of_a_later_hts_may_be_there(install):
+    hooks = "@hookimpl(specname='hts_robots')\ndef mine(register):\n    register('spot', dict)\n"
+    later = "@hookimpl(optionalhook=True)\ndef hts_of_next_year(register): pass\n"
+    install("lab", {"lab": f"{HEAD}{hooks}{later}def hts_helper(): pass\n"}, {"lab": "lab"})
+    registry = load()
+    assert "spot" in registry.robots and "lab" not in [broken.package for broken in registry.broken]
 
 
 def test_nothing_is_kept_of_what_a_broken_plugin_offered(install):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.contracts import VELOCITY, Comparison, Task
-from hts.errors import EvaluationError, unknown_name
+from hts.errors import EvaluationError, PluginError, unknown_name
 from hts.evaluation.scoring import plain
 from hts.guarded import guarded
 
@@ -79,9 +79,27 @@ def pieces(
     names = {name for recording in known for name in recording.idle}
     levels = {name: float(np.mean([r.idle[name] for r in known if name in r.idle])) for name in names}
     weights = [recording.mass_kg for recording in known if recording.mass_kg is not None]
-    channels = objective.predicted_channels(target, known)
+    channels = _predicted_channels(objective, target, known)
     mass = float(np.mean(weights)) if weights else None
     return PredictedSegments(channels, speed, np.full(len(speed), commanded), levels, mass)
+
+
+def _predicted_channels(
+    objective: Objective, target: np.ndarray, known: Sequence[Recording]
+) -> Mapping[str, np.ndarray]:
+    """What the objective makes of its predicted target. Raises PluginError, which names it, for anything but samples of
+    each piece."""
+    what = f"Objective '{objective.name}': predicted_channels()"
+    found = guarded(what, lambda: objective.predicted_channels(target, known))
+    if not isinstance(found, Mapping):
+        raise PluginError(f"{what} gave {type(found).__name__}, expected a dict of channel -> samples of each piece.")
+    for name, values in found.items():
+        if np.ndim(values) != 2 or len(values) != len(target):
+            raise PluginError(
+                f"{what} gave '{name}' in shape {np.shape(values)} for a target of {target.shape}; expected "
+                f"({len(target)}, n), the samples of each piece."
+            )
+    return found
 
 
 def predicted_comparison(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 
 from hts.contracts import MeasurementModel, Prediction
 from hts.errors import PluginError
+from hts.guarded import guarded
 from hts.measurement.baseline import check_proxy
 from hts.measurement.data import check_units, input_tensor
 from hts.measurement.linear import Linear, LinearSettings
@@ -36,17 +38,21 @@ def predict_with_spread(model: MeasurementModel, recording: Recording) -> tuple[
     check_units(model.signals, recording)
     own = model.inputs_along(recording)
     inputs = (inputs if own is None else own).to(model.device)
-    found, _ = model.sequence(inputs[None])
-    _check_prediction(model, found, len(inputs))
+    found = check_prediction(model, inputs[None])
     std = None if found.std is None else (found.std[0] * model.target_std).cpu().numpy()
     return model.denormalise(found.mean[0]).cpu().numpy(), std
 
 
-def _check_prediction(model: MeasurementModel, found: Any, length: int) -> None:
-    """Raise PluginError for what is no prediction of a recording of `length` samples: another shape, or no number."""
-    what = f"Measurement model {type(model).__name__}: sequence()"
-    if not isinstance(found, Prediction):
-        raise PluginError(f"{what} gives a {type(found).__name__} first, expected a Prediction and the state.")
+def check_prediction(model: MeasurementModel, inputs: torch.Tensor, finite: bool = True) -> Prediction:
+    """What the model predicts along one recording, inputs (1, T, ...). Raises PluginError for what is no prediction of
+    it: an exception, another shape, or, where it is to be `finite`, no number."""
+    what, length = f"Measurement model '{model.name or type(model).__name__}': sequence()", inputs.shape[1]
+    given = guarded(what, partial(model.sequence, inputs))
+    pair = isinstance(given, tuple) and not isinstance(given, Prediction) and len(given) == 2
+    if not pair or not isinstance(given[0], Prediction):
+        kinds = " and ".join(type(one).__name__ for one in given) if pair else type(given).__name__
+        raise PluginError(f"{what} gives {kinds}, expected a Prediction and the state.")
+    found: Prediction = given[0]
     for name, part in (("mean", found.mean), ("std", found.std)):
         if part is None and name == "std":
             continue
@@ -55,11 +61,12 @@ def _check_prediction(model: MeasurementModel, found: Any, length: int) -> None:
             raise PluginError(
                 f"{what}: {name} is {shape} for inputs of (1, {length}, channels), expected (1, {length})."
             )
-        if not bool(torch.isfinite(part).all()):
+        if finite and not bool(torch.isfinite(part).all()):
             raise PluginError(
                 f"{what}: {name} is not finite at sample {int((~torch.isfinite(part[0])).nonzero()[0])} of {length}. "
                 "Its parameters or its inputs' scale went wrong in fit()."
             )
+    return found
 
 
 def traces_of(model: MeasurementModel, target: str, recordings: Sequence[Recording]) -> list[Trace]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,8 @@ from safetensors.torch import save as dump_tensors
 from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.contracts import MeasurementModel, ModelContext, Signals
-from hts.errors import ConfigError, HtsError, PolicyError
+from hts.errors import ConfigError, HtsError, PluginError, PolicyError
+from hts.guarded import guarded
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
@@ -37,10 +39,11 @@ KEYS = {1: ("config", "input_sizes", "rate_hz", "sha256"), 2: ("model", "setting
 def save(model: MeasurementModel, path: Path, notes: Mapping[str, Any] | None = None) -> Path:
     """Write the model to `path` (ending .safetensors) and its .json; returns `path`.
 
-    notes: anything JSON can hold, such as the dataset it was fitted on. Each file appears whole or not at all.
+    notes: anything JSON can hold, such as the dataset it was fitted on. Each file appears whole or not at all. Raises
+    PluginError for a model that does not give its tensors.
     """
     path = Path(path).with_suffix(".safetensors")
-    numbers = dump_tensors({name: value.detach().cpu().contiguous() for name, value in model.tensors().items()})
+    numbers = dump_tensors({name: value.detach().cpu().contiguous() for name, value in tensors_of(model).items()})
     card = {
         "format": FORMAT,
         "version": VERSION,
@@ -62,7 +65,8 @@ def save(model: MeasurementModel, path: Path, notes: Mapping[str, Any] | None = 
 
 
 def load(path: Path, device: torch.device | str = "cpu", registry: Registry | None = None) -> MeasurementModel:
-    """The model saved at `path`. Raises PolicyError with what is wrong with which file.
+    """The model saved at `path`. Raises PolicyError with what is wrong with which file, PluginError for a model that
+    does not take what its file holds.
 
     registry: where the model is made by its name; None: of everything that is installed.
     """
@@ -79,9 +83,35 @@ def load(path: Path, device: torch.device | str = "cpu", registry: Registry | No
         tensors = load_tensors(numbers)
     except SafetensorError as error:
         raise _unreadable(path, str(error)) from error
-    _check_tensors(path, tensors, model.tensors())
-    model.load_tensors(tensors)
-    return model.to(device)
+    _check_tensors(path, tensors, tensors_of(model))
+    give_tensors(model, tensors)
+    return moved(model, device)
+
+
+def tensors_of(model: MeasurementModel) -> dict[str, torch.Tensor]:
+    """All that was fitted, by name. Raises PluginError for an exception in it, and for anything but tensors."""
+    what = f"Measurement model '{model.name}': tensors()"
+    found = guarded(what, model.tensors)
+    bad = [found] if not isinstance(found, Mapping) else [one for one in found.values() if not torch.is_tensor(one)]
+    if bad:
+        raise PluginError(f"{what} gave a {type(bad[0]).__name__}, expected a dict of name -> torch.Tensor.")
+    return dict(found)
+
+
+def give_tensors(model: MeasurementModel, tensors: Mapping[str, torch.Tensor]) -> None:
+    """`model.load_tensors`. Raises PluginError for an exception in it."""
+    guarded(f"Measurement model '{model.name}': load_tensors()", partial(model.load_tensors, tensors))
+
+
+def moved(model: MeasurementModel, device: torch.device | str) -> MeasurementModel:
+    """`model.to`. Raises PluginError for an exception in it, and where it gives back anything but the model."""
+    what = f"Measurement model '{model.name}': to()"
+    found = guarded(what, partial(model.to, device))
+    if found is not model:
+        raise PluginError(
+            f"{what} gave a {type(found).__name__}, expected the model itself: move it, then return self."
+        )
+    return model
 
 
 def read_card(path: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ env's reward: `hts.rl.MeasuredReward` adds λ·dt·(r_real − centre) to r_sim.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,7 @@ from hts.measurement.data import gather
 from hts.measurement.pessimism import pessimistic_reward
 from hts.measurement.physics_steps import in_physics_steps
 from hts.measurement.proxy import proxy_of
+from hts.measurement.reward import reward_of
 from hts.rl.deferred import DeferrableTransform
 from hts.rl.task_env import ReplacedState
 
@@ -49,13 +50,21 @@ class Measured(DeferrableTransform):
         known = set(observation_spec["channels"].keys()) if "channels" in groups else set()
         for name in self.inputs:
             if name not in known:
-                raise SimulationError("Measurement model: " + unknown_name("channel of the env", name, known))
+                raise self._lacks(name, known)
         for group, name in self.out_keys:
             if group not in groups:
                 observation_spec[group] = Composite(shape=batch, device=device)
                 groups.add(group)
             observation_spec[group, name] = Unbounded((*batch, 1), device=device)
         return observation_spec
+
+    @property
+    def _who(self) -> str:
+        """Who reads the channels, at the beginning of a message."""
+        return f"{type(self).__name__} of '{self.out_keys[0][1]}'"
+
+    def _lacks(self, name: str, known: Iterable[str]) -> SimulationError:
+        return SimulationError(f"{self._who}: " + unknown_name("channel of the env", name, known))
 
     def forget(self, ended: Tensor) -> None:
         """Nothing is remembered."""
@@ -80,7 +89,7 @@ class MeasurementTransform(Measured):
         super().__init__(inputs, (("measured", target), ("real_reward", name), ("outside", target)))
         # In a tuple, so that the model is not a submodule: its weights would be saved with every checkpoint.
         self._model = (model,)
-        self.reward = reward
+        self.reward = partial(reward_of, name, reward)
         self.memory: Tensor | None
         self.register_buffer("memory", None)
 
@@ -109,8 +118,20 @@ class MeasurementTransform(Measured):
         return [ReplacedState(self, ("memory",))]
 
     def record(self, channels: Mapping[str, Tensor]) -> Tensor:
-        """The model's inputs, (P·N, F)."""
-        return gather(channels, self.inputs, channels[self.inputs[0]].shape[:2].numel())
+        """The model's inputs, (P·N, F). Raises SimulationError for a channel that is not there, or is of another size
+        than the model was made for: the others would take its place."""
+        for name in self.inputs:
+            if name not in channels:
+                raise self._lacks(name, channels.keys())
+        worlds = channels[self.inputs[0]].shape[:2].numel()
+        for name, size in () if self._in_steps else zip(self.inputs, self.model.signals.sizes, strict=True):
+            if channels[name].numel() != worlds * size:
+                raise SimulationError(
+                    f"{self._who} was made for {size} numbers of '{name}' in each world, the env writes "
+                    f"{channels[name].numel() / worlds:g}. Fit it to recordings of this machine, or write the channel "
+                    "as they have it."
+                )
+        return gather(channels, self.inputs, worlds)
 
     def evaluate(self, recorded: Tensor) -> dict[NestedKey, Tensor]:
         if self._in_steps:
@@ -133,11 +154,22 @@ class MeasurementTransform(Measured):
             return super().forward_sequence(recorded, ended)
         return self._stepped("steps", recorded, self._model[0].steps, recorded, self.memory, ended)
 
+    def source_of(self, key: NestedKey, outcome: TensorDictBase) -> str:
+        measured, (_, objective), _ = self.out_keys
+        if bool(outcome[measured].isfinite().all()):
+            return f"reward() of objective '{objective}', given finite predictions of {self._named}"
+        asked = ("settled_over" if self._in_steps else "settled") if self.model.settles else "step"
+        return f"{asked}() of {self._named}, whose predictions are not finite"
+
     # Shapes and types alone are looked at below, never numbers: a GPU would be waited for.
 
     @property
+    def _named(self) -> str:
+        return f"measurement model '{self.model.name or type(self.model).__name__}'"
+
+    @property
     def _who(self) -> str:
-        return f"Measurement model '{self.model.name or type(self.model).__name__}'"
+        return f"M{self._named[1:]}"
 
     def _stepped(self, name: str, inputs: Tensor, call: Callable[..., Any], *given: Any) -> dict[NestedKey, Tensor]:
         """What a call gives that goes on from the memory, which it renews."""
@@ -167,6 +199,16 @@ class MeasurementTransform(Measured):
                 )
         return found
 
+    def _outside(self, inputs: Tensor) -> Tensor:
+        found = guarded(f"{self._who}: outside()", partial(self.model.outside, inputs))
+        if not isinstance(found, Tensor) or found.shape != inputs.shape[:-1]:
+            shown = tuple(found.shape) if isinstance(found, Tensor) else type(found).__name__
+            raise PluginError(
+                f"{self._who}: outside() gave {shown} for inputs of {tuple(inputs.shape)}; expected "
+                f"{tuple(inputs.shape[:-1])}, a share for each world."
+            )
+        return found
+
     def _as_memory(self, name: str, found: Any, before: Tensor | None) -> Tensor:
         if not isinstance(found, Tensor):
             raise PluginError(
@@ -185,7 +227,7 @@ class MeasurementTransform(Measured):
         return {
             measured: prediction.mean,
             real_reward: pessimistic_reward(self.reward, prediction, model.pessimism),
-            outside: model.outside(inputs).unsqueeze(-1),
+            outside: self._outside(inputs).unsqueeze(-1),
         }
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any) -> None:
@@ -225,9 +267,13 @@ class ProxyTransform(Measured):
             )
         return proxy.reshape(-1, 1)
 
+    def source_of(self, key: NestedKey, outcome: TensorDictBase) -> str:
+        method = "reward" if bool(outcome[self.out_keys[0]].isfinite().all()) else "proxy"
+        return f"{method}() of objective '{self.objective.name}'"
+
     def evaluate(self, recorded: Tensor) -> dict[NestedKey, Tensor]:
         measured, real_reward = self.out_keys
-        return {measured: recorded, real_reward: self.objective.reward(recorded)}
+        return {measured: recorded, real_reward: reward_of(self.objective.name, self.objective.reward, recorded)}
 
     def forward_sequence(self, recorded: Tensor, ended: Tensor) -> dict[NestedKey, Tensor]:
         return self.evaluate(recorded)

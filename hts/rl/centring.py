@@ -35,7 +35,12 @@ class RewardCentring(nn.Module):
 
     @torch.no_grad()
     def update(self, reward: torch.Tensor) -> None:
-        """Fold in a reward [P, ...] (any shape without `count`)."""
+        """Fold in a reward [P, ...] (any shape without `count`). Raises ValueError for another P."""
+        if self.mean.ndim and reward.shape[:1] != self.mean.shape:
+            raise ValueError(
+                f"The reward has the shape {tuple(reward.shape)}, expected one that begins with the candidates, "
+                f"{len(self.mean)}: there is a mean for each of them. With one weight for all, give a float."
+            )
         if self.rate == 0.0:
             return
         mean = row_mean(reward) if self.mean.ndim else reward.mean()

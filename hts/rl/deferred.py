@@ -53,6 +53,10 @@ class DeferrableTransform(Transform):
         """Whether `state_dict` holds all that it remembers, so that a training can be saved in mid-episode."""
         return True
 
+    def source_of(self, key: NestedKey, outcome: TensorDictBase) -> str:
+        """Whose code made an entry that is no number, in words for a message; outcome: steps with all entries."""
+        return type(self).__name__
+
     def replaced_state(self) -> list[ReplacedState]:
         """The memory that a step replaces instead of changing it in place, once it has been prepared."""
         return []
@@ -91,3 +95,12 @@ def base_and_transforms(env: EnvBase) -> tuple[EnvBase, list[Transform]]:
     base, inner = base_and_transforms(env.base_env)
     transform = env.transform
     return base, [*inner, *(transform if isinstance(transform, Iterable) else [transform])]
+
+
+def source_of(env: EnvBase, key: NestedKey, outcome: TensorDictBase) -> str | None:
+    """Whose code made an entry of outcome, as the transform around env that writes it says; None if none of them does,
+    but the env itself."""
+    for transform in base_and_transforms(env)[1]:
+        if isinstance(transform, DeferrableTransform) and key in transform.out_keys:
+            return transform.source_of(key, outcome)
+    return None

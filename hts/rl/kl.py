@@ -28,8 +28,9 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
     In closed form where torch knows one. Both squashed by the same bijection (a tanh, to the same limits): that of what
     was squashed, since a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action
     a ~ policy, which has the right mean. Raises NotImplementedError where torch knows neither a formula nor how to take
-    such an action (`rsample`), as of mixtures.
+    such an action (`rsample`), as of mixtures; ValueError for distributions of different actions, or of other states.
     """
+    _check_alike(policy, reference)
     first, second = policy, reference
     squashed, other = _squashed(policy), _squashed(reference)
     if squashed is not None and other is not None and squashed.transforms == other.transforms:
@@ -43,6 +44,18 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
         return policy.log_prob(action) - reference.log_prob(action)
     extra = divergence.ndim - len(policy.batch_shape)
     return divergence.sum(tuple(range(-extra, 0))) if extra else divergence
+
+
+def _check_alike(policy: Distribution, reference: Distribution) -> None:
+    """Raise ValueError for what torch would broadcast: a KL per component, or of each state with each other."""
+    states = len(reference.batch_shape)
+    fits = len(policy.batch_shape) >= states and all(
+        of_reference in (1, of_policy)
+        for of_reference, of_policy in zip(reference.batch_shape[::-1], policy.batch_shape[::-1], strict=False)
+    )
+    if policy.event_shape != reference.event_shape or not fits:
+        told = (f"actions {tuple(one.event_shape)} in states {tuple(one.batch_shape)}" for one in (policy, reference))
+        raise ValueError(f"The policy is of {next(told)}, its reference of {next(told)}; expected the same of both.")
 
 
 def _categorical_kl(policy: Categorical, reference: Categorical) -> torch.Tensor:

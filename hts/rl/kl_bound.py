@@ -30,8 +30,13 @@ def project_to_kl_bound(
     infinite bound is left alone.
 
     Raises ValueError, with the population as it was given, if the KL of a candidate with a finite bound is NaN or
-    whoever has to be shrunk has weights that are not finite.
+    whoever has to be shrunk has weights that are not finite, and for bounds that are not one above 0 for each.
     """
+    if bounds.shape != (population.count,) or not bool((bounds > 0).all()):
+        raise ValueError(
+            f"bounds are {bounds.tolist()}; expected a positive number for each of {population.count} candidates, "
+            "infinity for no bound."
+        )
     ends = [vector.clone() for vector in population.vectors]
     scale = torch.ones_like(bounds)
 

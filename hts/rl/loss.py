@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -114,6 +115,8 @@ class KLConstrainedPPOLoss(LossModule):
     ) -> None:
         super().__init__()
         _check_actor(actor_network)
+        if not 0.0 < clip_epsilon < math.inf:
+            raise ValueError(f"clip_epsilon is {clip_epsilon}; expected a positive number, such as 0.2.")
         self.actor_network, self.critic_network = actor_network, critic_network
         self.reference = frozen(actor_network if reference is None else reference)
         self.multiplier = LagrangeMultiplier(kl_bound, multiplier_rate)
@@ -166,12 +169,15 @@ class KLConstrainedPPOLoss(LossModule):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """tensordict [...], or [P, ...]: see `in_keys`. Raises KeyError naming what the batch lacks, ValueError where
-        its log-probabilities carry gradients: against themselves nothing would be learned."""
+        its log-probabilities carry gradients: against themselves nothing would be learned, and for shapes that do not
+        fit each other."""
         keys, batch = self.tensor_keys, tensordict.copy()
         for key in (keys.action, keys.sample_log_prob, keys.advantage, keys.value_target):
             if batch.get(key, None) is None:
+                gives = {keys.action: "A collector", keys.sample_log_prob: "An actor with return_log_prob=True"}
                 raise KeyError(
-                    f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. GAE gives advantages."
+                    f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. "
+                    f"{gives.get(key, 'GAE')} gives it."
                 )
         old_value = batch.get(keys.value, None)
         if batch[keys.sample_log_prob].requires_grad:
@@ -180,16 +186,18 @@ class KLConstrainedPPOLoss(LossModule):
                 "under torch.no_grad(), as collectors do, or detach it."
             )
         policy = self.actor_network.get_dist(batch)
-        log_ratio = policy.log_prob(batch[keys.action]) - batch[keys.sample_log_prob]
-        advantage = batch[keys.advantage].view(log_ratio.shape)
+        log_prob = policy.log_prob(batch[keys.action])
+        self._check_candidates(log_prob)
+        log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
+        advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
             advantage = self._standardised(advantage)
         kl = distribution_kl(policy, self._reference_in(batch))
-        value = self.critic_network(batch.exclude(keys.value))[keys.value].view(log_ratio.shape)
-        target = batch[keys.value_target].view(log_ratio.shape)
+        value = _as(log_prob, self.critic_network(batch.exclude(keys.value))[keys.value], keys.value)
+        target = _as(log_prob, batch[keys.value_target], keys.value_target)
         if self.clip_value is not None and old_value is None:
             raise KeyError(f"The batch has no {keys.value!r} of the old critic, which clip_value needs. GAE gives it.")
-        old_value = value.detach() if old_value is None else old_value.view(log_ratio.shape)
+        old_value = value.detach() if old_value is None else _as(log_prob, old_value, keys.value)
         mean_kl = self._mean(kl)
         objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon)) + self.multiplier(mean_kl)
         with torch.no_grad():
@@ -219,12 +227,33 @@ class KLConstrainedPPOLoss(LossModule):
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
         return self.reference.get_dist(batch.copy())
 
+    def _check_candidates(self, log_prob: torch.Tensor) -> None:
+        """Raise ValueError unless a batch begins with as many candidates as there are bounds."""
+        count = self.kl_bound.shape
+        if count and log_prob.shape[:1] != count:
+            raise ValueError(
+                f"The batch has the shape {tuple(log_prob.shape)}, kl_bound {tuple(count)}: its first dimension is to "
+                f"be the candidates, {count[0]}. Give a float as kl_bound where there is one policy."
+            )
+
     def _mean(self, x: torch.Tensor) -> torch.Tensor:
         return row_mean(x) if self.multiplier.value.ndim else x.mean()
 
     def _standardised(self, x: torch.Tensor) -> torch.Tensor:
         rows = x.reshape(len(x) if self.multiplier.value.ndim else 1, -1)
         return row_standardised(rows).view(x.shape)
+
+
+def _as(log_prob: torch.Tensor, value: torch.Tensor, key: NestedKey) -> torch.Tensor:
+    """value in the shape of the actions' log-probabilities. Raises ValueError unless it is one number for each of them:
+    what broadcasts would be added to the wrong actions."""
+    if value.numel() != log_prob.numel():
+        raise ValueError(
+            f"{key!r} has the shape {tuple(value.shape)}, the actor's log-probabilities {tuple(log_prob.shape)}: one "
+            "number for each action is expected in both. A distribution that has one for each component, such as "
+            "Normal, becomes one of whole actions by torch's Independent."
+        )
+    return value.reshape(log_prob.shape)
 
 
 ESTIMATED = ("advantage", "value_target", "value", "reward", "done", "terminated")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
@@ -21,7 +23,8 @@ class MeasuredReward(Transform):
 
     Inside an env (`TransformedEnv`) each step's reward is changed, and the centre follows step by step at its `rate`.
     On a batch from a collector (called as a module) the centre is updated once with the whole batch and then
-    subtracted. Centred before anything else, never clipped; NaN stays NaN, so that it can be found.
+    subtracted. Centred before anything else, never clipped; NaN stays NaN, so that it can be found. Raises ValueError
+    for a weight or dt that cannot be.
     """
 
     def __init__(
@@ -36,6 +39,10 @@ class MeasuredReward(Transform):
         super().__init__(in_keys=[in_key, reward_key], out_keys=[reward_key])
         self.dt = dt
         self.register_buffer("weight", torch.as_tensor(weight, dtype=torch.get_default_dtype()))
+        if self.weight.ndim > 1 or not bool(self.weight.isfinite().all()):
+            raise ValueError(f"weight is {self.weight.tolist()}; expected a finite number, or [P] for P candidates.")
+        if not 0.0 < dt < math.inf:
+            raise ValueError(f"dt is {dt}; expected the length of a control step, s.")
         count = self.weight.numel() if self.weight.ndim else None
         self.centring = centring if centring is not None else RewardCentring(STEP_RATE, count)
 

@@ -3,6 +3,7 @@ mean that is to stay below a number."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -32,6 +33,12 @@ class LagrangeMultiplier(nn.Module):
         limits = torch.as_tensor(bounds, dtype=torch.get_default_dtype())
         if not bool((limits > 0).all()):
             raise ValueError(f"kl_bound is {limits.tolist()}; expected positive numbers, infinity for no bound.")
+        if limits.ndim > 1:
+            raise ValueError(
+                f"kl_bound has the shape {tuple(limits.shape)}; expected a float, or [P] for P candidates."
+            )
+        if not 0.0 <= rate < math.inf:
+            raise ValueError(f"rate is {rate}; expected a number from 0 on, such as 0.05.")
         self.rate = rate
         self.register_buffer("bounds", limits.clone())
         self.register_buffer("value", torch.zeros_like(limits))
@@ -90,7 +97,7 @@ class EqualityMultiplier(nn.Module):
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
-        if not scale > 0:
+        if not 0.0 < scale < math.inf:
             raise ValueError(f"scale is {scale}; expected a positive number, an error that matters.")
         self.scale, self.rate, self.gain, self.smoothing = scale, rate, gain, smoothing
         shape = () if count is None else (count,)
@@ -111,7 +118,12 @@ class EqualityMultiplier(nn.Module):
     @torch.no_grad()
     def update(self, mean: torch.Tensor, strength: float | torch.Tensor = 1.0) -> torch.Tensor:
         """mean: of e over the batch, of the shape of `value`; strength: how strong the rewards are that pull the mean
-        away, in reward per second, since a price is found the sooner the larger it has to be. Returns the new value."""
+        away, in reward per second, since a price is found the sooner the larger it has to be. Returns the new value.
+        Raises ValueError for a mean of another shape."""
+        if mean.shape != self.value.shape:
+            raise ValueError(
+                f"mean has the shape {tuple(mean.shape)}, expected {tuple(self.value.shape)}: one for each multiplier."
+            )
         self.smoothed = self.smoothed + self.smoothing * (mean - self.smoothed)
         excess = (self.smoothed / self.scale).clamp(-LARGEST_ERROR, LARGEST_ERROR) * strength
         self.integral = self.integral - self.rate * excess
@@ -130,7 +142,7 @@ class UpperMultiplier(EqualityMultiplier):
     """
 
     def __init__(self, limit: float, count: int | None = None, **how: Any) -> None:
-        if not limit > 0:
+        if not 0.0 < limit < math.inf:
             raise ValueError(f"limit is {limit}; expected a positive number.")
         super().__init__(limit / 4, count, **how)
         self.limit = limit

@@ -330,7 +330,12 @@ class Population(nn.Module):
     def from_candidates(
         cls, sizes: Sizes, candidates: Sequence[Mapping[str, torch.Tensor]], device: torch.device | str = "cpu"
     ) -> Population:
-        """A population whose members start as these."""
+        """A population whose members start as these. Raises ValueError for what is not of these sizes."""
+        for index, state in enumerate(candidates):
+            for name, shape in sizes.shapes().items():
+                found = tuple(state[name].shape) if name in state else "missing"
+                if found != shape:
+                    raise ValueError(f"candidate {index}: '{name}' is {found}, expected {shape}, as {sizes} says.")
         population = cls(sizes, len(candidates), device=device)
         with torch.no_grad():
             for index, state in enumerate(candidates):

@@ -85,6 +85,11 @@ class SplitStepCollector(BaseCollector):
         self._frames = 0
         self._begun = self._closed = False
 
+    @property
+    def captured(self) -> bool:
+        """Whether steps are graphs, so that every batch lies where the last one lay."""
+        return False
+
     # -------------------------------------------------------------------------------------------------- iteration
 
     def iterator(self) -> Iterator[TensorDictBase]:
@@ -163,8 +168,15 @@ class SplitStepCollector(BaseCollector):
         return OrderedDict(env_state_dict=env, transforms=memory, noise=noise, frames=self._frames)
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:  # type: ignore[override]
-        """Go on from `state_dict`. Before the first batch, since a captured step keeps the memory it was made with."""
-        self.bare_env.go_on(state_dict["env_state_dict"])
+        """Go on from `state_dict`. Raises RuntimeError once steps have been captured, which keep the memory that they
+        were captured with: make another collector for it."""
+        if self.captured:
+            raise RuntimeError(
+                f"{type(self).__name__} has captured its steps, which would go on from where they are: load a state "
+                "into a new collector, before its first batch."
+            )
+        go_on = self.bare_env.load_full_state if self._begun else self.bare_env.go_on  # no reset comes after the first
+        go_on(state_dict["env_state_dict"])
         for transform, memory in zip(self.transforms, state_dict["transforms"], strict=True):
             transform.load_state_dict(memory)
         if self.policy.random is not None:
@@ -213,9 +225,9 @@ class PopulationCollector(SplitStepCollector):
         self._pool = pool(max(len(groups), len(self.transforms)))
 
     def shutdown(self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True) -> None:
-        """Close the env and let go of threads."""
-        super().shutdown(timeout, close_env, raise_on_error)
+        """Let go of threads, which may still be in another group's physics when one has failed, then close the env."""
         self._pool.shutdown()
+        super().shutdown(timeout, close_env, raise_on_error)
 
     def _collect(self) -> TensorDict:
         run = map if len(self._groups) == 1 else self._pool.map
@@ -310,7 +322,8 @@ class _Said:
 
 
 def _check_policy(env: SplitStepEnv, policy: PopulationActor) -> None:
-    """Raises TypeError for another kind of policy, ValueError for one with another number of candidates than env."""
+    """Raises TypeError for another kind of policy, ValueError for one with another number of candidates than env, or of
+    other sizes than env's specs say."""
     if not isinstance(policy, PopulationActor):
         raise TypeError(
             f"policy is a {type(policy).__name__}, expected a PopulationActor, which acts for all candidates."
@@ -324,6 +337,14 @@ def _check_policy(env: SplitStepEnv, policy: PopulationActor) -> None:
             f"the policy's random has {len(policy.random.generators)} generators, expected one for each of the "
             f"{candidates} candidates: PopulationRandom takes a seed for each."
         )
+    sizes, named = policy.population.sizes, {**env.observation_spec, **env.full_action_spec}
+    wanted = {"observation": sizes.observation, "critic_observation": sizes.critic_observation, "action": sizes.action}
+    for name, size in wanted.items():
+        if name in named and named[name].shape[-1:] != (size,):
+            raise ValueError(
+                f"the policy's {name} has {size} numbers, env's {tuple(named[name].shape)}: give both as many, with "
+                f"Sizes({name}={named[name].shape[-1]}, ...)."
+            )
 
 
 def check_flags(env: SplitStepEnv, flags: Mapping[str, torch.Tensor]) -> None:

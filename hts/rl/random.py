@@ -105,5 +105,11 @@ class PopulationRandom:
         return {"generators": torch.stack([generator.get_state() for generator in self.generators])}
 
     def load_state_dict(self, state: Mapping[str, torch.Tensor]) -> None:
+        """Go on from `state_dict`. Raises ValueError for one of another number of candidates."""
+        if len(state["generators"]) != len(self.generators):
+            raise ValueError(
+                f"The saved random numbers are of {len(state['generators'])} candidates, expected those of "
+                f"{len(self.generators)}: they are of another training."
+            )
         for generator, saved in zip(self.generators, state["generators"], strict=True):
             generator.set_state(saved.cpu().clone())

@@ -13,6 +13,7 @@ from torch.utils.tensorboard import SummaryWriter
 from hts.config import FinetuneConfig
 from hts.contracts import MeasurementModel, Objective, physics_steps_of
 from hts.errors import PluginError
+from hts.guarded import guarded
 from hts.measurement import files
 from hts.measurement.fit_command import FitResult, fit_and_check
 from hts.measurement.fit_report import doubts
@@ -85,7 +86,10 @@ def own_weights_of(objective: Objective, model: MeasurementModel, recordings: Se
     """Its own λ behind a fitted model. Raises PluginError for others than the contract allows."""
     channels = (*objective.inputs, objective.target.name)
     clean, _, _ = masked_split(recordings, (), channels, None)  # as the model saw them
-    found = [float(one) for one in objective.weights_for(float(model.target_std), clean)]
+    found = guarded(
+        f"Objective '{objective.name}': weights_for()",
+        lambda: [float(one) for one in objective.weights_for(float(model.target_std), clean)],
+    )
     if len(found) != len(objective.weights) or not all(math.isfinite(one) and one >= 0 for one in found):
         raise PluginError(
             f"Objective '{objective.name}': weights_for gave {found}; expected as many finite λ of at least 0 as "

@@ -6,6 +6,7 @@ after data were collected: with a robot that was somebody's afternoon.
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -70,6 +71,7 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
 
 def transforms(config: RunConfig, registry: Registry) -> list[Measured]:
     """The rewards of the run's objectives for an env, from measurement models that are not fitted, or from proxies."""
+    from hts.measurement.fitting import check_unfitted
     from hts.measurement.transform import MeasurementTransform, ProxyTransform
 
     robot = registry.make_robot(config.robot.name, config.robot.settings)
@@ -81,6 +83,7 @@ def transforms(config: RunConfig, registry: Registry) -> list[Measured]:
             made.append(ProxyTransform(objective))
         else:
             model = guarded(what, partial(make_model, registry, objective, settings, robot))
+            check_unfitted(model, registry)
             made.append(MeasurementTransform.of(objective, model))
     return made
 
@@ -125,20 +128,17 @@ def check_world(config: RunConfig, registry: Registry) -> None:
 
 
 def _check_reward(name: str, objective: Objective) -> None:
-    """An objective's reward of a batch has the batch's shape, whatever that is, and is finite for a moderate one."""
+    """An objective's reward of a batch has the batch's shape, whatever that is, and is a finite number for moderate
+    predictions above and below the mean."""
     import torch
 
-    for shape in ((1, FEW_ENVS, 1), (FEW_ENVS, 3)):
-        found = guarded(f"Objective '{name}': reward()", partial(objective.reward, torch.full(shape, HALF)))
-        if not isinstance(found, torch.Tensor) or tuple(found.shape) != shape:
-            gave = f"shape {tuple(found.shape)}" if isinstance(found, torch.Tensor) else type(found).__name__
-            raise PluginError(
-                f"Objective '{name}': reward() gave {gave} for a prediction of shape {shape}; expected the same shape, "
-                "one reward for each prediction."
-            )
+    from hts.measurement.reward import reward_of
+
+    for shape, given in itertools.product(((1, FEW_ENVS, 1), (FEW_ENVS, 3)), (HALF, -HALF)):
+        found = reward_of(name, objective.reward, torch.full(shape, given))
         if not bool(torch.isfinite(found).all()):
             raise PluginError(
-                f"Objective '{name}': reward() is {float(found.flatten()[0]):g} for a prediction of {HALF:g} standard "
+                f"Objective '{name}': reward() is {float(found.flatten()[0]):g} for a prediction of {given:g} standard "
                 "deviations; expected a finite number."
             )
 

@@ -16,7 +16,7 @@ from hts.rl.actor import PopulationActor
 from hts.rl.backend import backend_for
 from hts.rl.captured_collector import CapturedCollector
 from hts.rl.centring import RewardCentring
-from hts.rl.deferred import DeferrableTransform, base_and_transforms
+from hts.rl.deferred import DeferrableTransform, base_and_transforms, source_of
 from hts.rl.measured_reward import MeasuredReward
 from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier, UpperMultiplier
 from hts.rl.population import Population
@@ -200,7 +200,7 @@ class PopulationTrainer:
         strength = torch.ones_like(self.kl)
         for name, measured in self.measured.items():
             real = data["next", "real_reward", name].squeeze(-1)
-            self._refuse_all_bad(name, real)
+            self._refuse_all_bad(name, real, data["next"])
             self._stop_if_bad({f"r_real of {name}": real})
             measured.centring.update(real)
             total = total + measured.added(real)
@@ -223,7 +223,7 @@ class PopulationTrainer:
             total = total + self.dt * multiplier(error)
         return total, stats
 
-    def _refuse_all_bad(self, name: str, real: torch.Tensor) -> None:
+    def _refuse_all_bad(self, name: str, real: torch.Tensor, outcome: TensorDictBase) -> None:
         """Raise SimulationError for an r_real that is no number for anybody before anybody has learned: it is not the
         training's doing, so smaller steps or λ would not help."""
         if self.batches > 0:
@@ -231,10 +231,10 @@ class PopulationTrainer:
         bad = ~torch.isfinite(real)
         if bool(bad.flatten(1).any(1).all()):
             step = int(bad.flatten(0, 1).any(0).nonzero()[0])
+            source = source_of(self.env, ("real_reward", name), outcome) or f"{type(self.env).__name__}, which wrote it"
             raise SimulationError(
                 f"Training stopped: r_real of {name} is not finite at control step {step}, in all candidates, before "
-                f"any has learned. Look at reward() of objective '{name}' and at step() of its measurement model (or "
-                "at its proxy()), which gave it."
+                f"any has learned. Look at {source}."
             )
 
     def _stop_if_bad(self, parts: Mapping[str, torch.Tensor]) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hts.contracts import Comparison, FollowVelocity
+from hts.errors import PluginError
 from hts.evaluation.predicted import pieces, predicted_comparison
 
 RATE = 50
@@ -94,3 +95,22 @@ def test_power_predicts_its_voltage_by_the_sag_in_the_recordings():
     found = predicted_comparison(power, seen(5.0), seen(6.0))
     idle = 1.2 * 24.8
     assert found.improvement == pytest.approx(1 - (5 * (25 - 0.75) - idle) / (6 * (25 - 0.9) - idle))
+
+
+@pytest.mark.parametrize(
+    ("makes", "said"),
+    [
+        (lambda target: 1 / 0, r"failed, ZeroDivisionError"),
+        (lambda target: None, r"gave NoneType, expected a dict of channel -> samples of each piece"),
+        (lambda target: {"effort": target.mean()}, r"gave 'effort' in shape \(\) for a target of \(4, 50\)"),
+        (lambda target: {"effort": target.mean(1)}, r"gave 'effort' in shape \(4,\) .* expected \(4, n\), the samples"),
+        (lambda target: {"effort": target[:1]}, r"gave 'effort' in shape \(1, 50\)"),
+    ],
+)
+def test_an_objective_whose_predicted_channels_are_no_samples_is_named(makes, said):
+    class Odd(Effort):
+        def predicted_channels(self, target, known):
+            return makes(target)
+
+    with pytest.raises(PluginError, match=rf"^Objective 'effort': predicted_channels\(\) {said}"):
+        walk(8.0, 0.8, Odd())

@@ -41,12 +41,12 @@ def mean(function):
             "not finite at sample 7",
         ),
         (mean(lambda value: value.tolist()), "mean is list"),
-        (lambda found: found.mean, "gives a Tensor first, expected a Prediction and the state"),
+        (lambda found: found.mean, "gives Tensor and Tensor, expected a Prediction and the state"),
         (lambda found: found._replace(std=found.mean[0]), r"std is \(\d+,\)"),
     ],
 )
 def test_no_prediction_is_no_score(change, said):
-    with pytest.raises(PluginError, match=rf"^Measurement model Changed: sequence\(\).*{said}"):
+    with pytest.raises(PluginError, match=rf"^Measurement model 'Changed': sequence\(\).*{said}"):
         predict(model(change), recording(3))
 
 

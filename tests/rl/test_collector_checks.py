@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
+from threading import Barrier
 
 import pytest
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
 from walk_env import CPU, SHAPE, Walk
 
-from hts.rl import Population, PopulationActor, PopulationCollector, PopulationRandom, Sizes
+from hts.cores import available
+from hts.rl import GroupedEnv, Population, PopulationActor, PopulationCollector, PopulationRandom, Sizes
 from hts.rl.captured_collector import CapturedCollector
 
 
@@ -58,6 +62,20 @@ def test_as_many_candidates_are_asked_for(kind, policy, found):
 
 
 @COLLECTORS
+@pytest.mark.parametrize(
+    ("sizes", "found"),
+    [
+        (Sizes(4, 3, 2, (8,)), r"policy's observation has 4 numbers, env's \(2, 4, 3\).*with Sizes\(observation=3"),
+        (Sizes(3, 2, 2, (8,)), "policy's critic_observation has 2 numbers"),
+        (Sizes(3, 3, 1, (8,)), r"policy's action has 1 numbers, env's \(2, 4, 2\)"),  # it would broadcast
+    ],
+)
+def test_a_policy_of_other_sizes_is_refused(kind, sizes, found):
+    with pytest.raises(ValueError, match=found):
+        kind(Walk(), PopulationActor(Population(sizes, 2)), frames_per_batch=16)
+
+
+@COLLECTORS
 def test_a_policy_of_one_is_refused(kind):
     alone = TensorDictModule(nn.Linear(3, 2), in_keys=["observation"], out_keys=["action"])
     with pytest.raises(TypeError, match="policy is a TensorDictModule, expected a PopulationActor"):
@@ -80,3 +98,83 @@ def test_flags_of_another_shape_or_kind_are_told(kind, flag):
     ):
         next(iter(collector))
     collector.shutdown()
+
+
+class Closed(Walk):
+    """One candidate. `ends`: fails at its first step's end; otherwise its physics takes a while. seen: what happened,
+    in order."""
+
+    def __init__(self, ends: bool, seen: list[str], both: Barrier) -> None:
+        super().__init__(torch.Size((1, 4)))
+        self.ends, self.seen, self.both, self.first, self.closed = ends, seen, both, True, False
+
+    def simulate(self, inputs):
+        if self.first:  # the other group is in its physics while this one fails
+            self.first = False
+            self.both.wait(timeout=30)
+        if not self.ends:
+            time.sleep(0.01)
+            self.seen.append("closed" if self.closed else "simulated")
+        super().simulate(inputs)
+
+    def end_step(self, action):
+        if self.ends:
+            raise ArithmeticError("it fell apart")
+        return super().end_step(action)
+
+    def close(self, **kwargs):
+        self.closed = True
+        super().close(**kwargs)
+
+
+@pytest.mark.skipif(available() < 2, reason="groups take turns on one core")
+def test_an_env_is_not_closed_while_a_group_is_in_its_physics_after_another_has_failed():
+    seen, both = [], Barrier(2)
+    env = GroupedEnv([Closed(True, seen, both), Closed(False, seen, both)])
+    collector = PopulationCollector(env, actor(), frames_per_batch=8 * 6)
+    with pytest.raises(ArithmeticError, match="it fell apart"):
+        next(iter(collector))
+    collector.shutdown()
+    assert seen == ["simulated"] * 6 and all(group.closed for group in env.groups())
+
+
+class Numbered(Walk):
+    """Its states are numbers of steps; an episode begins at 0."""
+
+    def simulate(self, inputs):
+        self.last, self.state = self.state, self.state + 1.0
+
+    def start_episodes(self, mask):
+        self.state = self.state.masked_fill(mask.unsqueeze(-1), 0.0)
+
+    def full_state(self):
+        return TensorDict({"state": self.state.clone()})
+
+    def load_full_state(self, state):
+        self.state = state["state"].clone()
+
+
+@COLLECTORS
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_state_is_gone_on_from_whether_or_not_a_batch_was_collected_and_the_next_reset_is_one(kind, before):
+    saved = Numbered()
+    collector = kind(saved, actor(), frames_per_batch=16)
+    next(iter(collector))
+    state = collector.state_dict()
+    other = Numbered()
+    loaded = kind(other, actor(), frames_per_batch=16)
+    for _ in range(before):
+        next(iter(loaded))
+    loaded.load_state_dict(state)
+    assert loaded.collect()["observation"][0, 0, :, 0].tolist() == [2.0, 3.0]
+    assert other.reset()["observation"].sum() == 0.0
+
+
+def test_a_state_is_not_loaded_under_steps_that_have_been_captured(monkeypatch):
+    collector = CapturedCollector(Numbered(), actor(), frames_per_batch=16, capture=False)
+    state = collector.state_dict()
+    monkeypatch.setattr(collector, "_graphs", ["as if"])
+    with pytest.raises(
+        RuntimeError, match="CapturedCollector has captured its steps.*load a state into a new collector"
+    ):
+        collector.load_state_dict(state)

@@ -279,7 +279,7 @@ def test_candidates_do_not_see_each_other():
 def test_what_a_batch_lacks_is_named():
     actor, critic = networks()
     loss = KLConstrainedPPOLoss(actor, critic)
-    with pytest.raises(KeyError, match=r"no 'advantage'; it has .*GAE gives advantages"):
+    with pytest.raises(KeyError, match=r"no 'advantage'; it has .*GAE gives it"):
         loss(batch_of(actor, critic).exclude("advantage"))
     with pytest.raises(KeyError, match="'state_value' of the old critic, which clip_value needs"):
         loss(batch_of(actor, critic).exclude("state_value"))

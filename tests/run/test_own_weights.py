@@ -104,3 +104,18 @@ def test_a_sample_that_no_machine_makes_is_not_among_the_data():
 def test_too_few_weights_end_in_one_line(tmp_path):
     with pytest.raises(PluginError, match="'few': weights_for gave .* as many finite λ of at least 0"):
         tiny_run(tmp_path / "run", "few", settings={"sweep.weights.few": None})
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (lambda: 0.5, "TypeError: 'float' object is not iterable"),
+        (lambda: 1 / 0, "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_weights_that_cannot_be_had_end_in_one_line(given, said, monkeypatch):
+    objective, registry = Fake(), plugins.load()
+    recordings = [walk(objective, registry, seed=0)]
+    monkeypatch.setattr(objective, "weights_for", lambda spread, known: given())
+    with pytest.raises(PluginError, match=rf"^Objective 'fake': weights_for\(\) failed, {said}"):
+        own_weights_of(objective, SimpleNamespace(target_std=1.0), recordings)

@@ -106,6 +106,8 @@ def test_an_objective_that_can_compare_is_left_alone():
         (lambda prediction: absent, r"reward\(\) failed, NameError"),  # noqa: F821
         (lambda prediction: prediction * float("nan"), r"reward\(\) is nan for a prediction of 0.5 standard"),
         (lambda prediction: 0.0, r"reward\(\) gave float"),
+        (lambda prediction: -prediction.sqrt(), r"reward\(\) is nan for a prediction of -0.5 standard"),
+        (lambda prediction: (prediction > 0).int(), r"reward\(\) gave numbers of torch.int32, expected torch.float32"),
     ],
 )
 def test_an_objective_whose_reward_is_none_for_each_prediction_is_named_before_anything_runs(reward, said):

@@ -1,0 +1,51 @@
+"""Candidates, bounds and prices of other shapes are refused, not read as something else."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from hts.rl import EqualityMultiplier, Population, Sizes, UpperMultiplier, project_to_kl_bound
+
+SIZES = Sizes(3, 3, 1, (4,))
+
+
+def test_a_weight_that_lies_the_other_way_round_is_not_read_as_another_one():
+    candidate = Population(SIZES, 1).candidate(0)
+    turned = {**candidate, "actor.0.weight": candidate["actor.0.weight"].t()}
+    with pytest.raises(ValueError, match=r"candidate 1: 'actor.0.weight' is \(3, 4\), expected \(4, 3\)"):
+        Population.from_candidates(SIZES, [candidate, turned])
+
+
+def test_a_candidate_of_other_sizes_is_told_by_what_differs_or_is_missing():
+    candidate = Population(SIZES, 1).candidate(0)
+    with pytest.raises(ValueError, match=r"'actor.0.weight' is \(4, 3\), expected \(5, 3\), as Sizes\(observation=3"):
+        Population.from_candidates(Sizes(3, 3, 1, (5,)), [candidate])
+    with pytest.raises(ValueError, match=r"'log_std' is missing, expected \(1,\)"):
+        Population.from_candidates(SIZES, [{name: value for name, value in candidate.items() if name != "log_std"}])
+
+
+@pytest.mark.parametrize("bounds", [[0.1], [0.1, -1.0], [0.1, 0.0], [0.1, math.nan]])
+def test_a_bound_that_cannot_be_shrinks_nobody(bounds):
+    population = Population(SIZES, 2)
+    anchor, before = population.frozen(), [vector.detach().clone() for vector in population.vectors]
+    with pytest.raises(ValueError, match="expected a positive number for each of 2 candidates, infinity for no bound"):
+        project_to_kl_bound(population, anchor, torch.randn(2, 5, 3), torch.tensor(bounds))
+    assert all(torch.equal(vector, old) for vector, old in zip(population.vectors, before, strict=True))
+
+
+@pytest.mark.parametrize("made", [EqualityMultiplier, UpperMultiplier])
+def test_one_price_is_not_made_a_price_for_each_instance(made):
+    multiplier = made(0.1, 1)
+    with pytest.raises(ValueError, match=r"mean has the shape \(5,\), expected \(1,\): one for each multiplier"):
+        multiplier.update(torch.zeros(5))
+    assert multiplier.update(torch.ones(1)).shape == (1,)
+
+
+@pytest.mark.parametrize("made", [EqualityMultiplier, UpperMultiplier])
+@pytest.mark.parametrize("number", [0.0, -1.0, math.inf, math.nan])
+def test_a_scale_that_no_error_matters_against_is_refused(made, number):
+    with pytest.raises(ValueError, match=f"is {number}; expected a positive number"):
+        made(number)
