@@ -221,7 +221,7 @@ def _check_hooks(manager: pluggy.PluginManager, module: ModuleType) -> None:
                 "(from hts import hookimpl)"
             )
         if marks is not None and not marks["optionalhook"] and (marks["specname"] or name) not in hooks:
-            raise PluginError(f"{module.__name__}: " + unknown_name("hook", marks["specname"] or name, hooks))
+            raise PluginError(f"{module.__name__}: {name}(): " + unknown_name("hook", marks["specname"] or name, hooks))
 
 
 def _other_version(module: ModuleType, package: str, written_for: Any) -> str:

@@ -55,7 +55,7 @@ def evaluate_run(
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
     head-to-head is refused (EvaluationError), or speeds or seed are none that can be walked (ConfigError).
     """
-    from hts.evaluation.other_settings import as_options, with_others
+    from hts.evaluation.other_settings import as_options, as_values, with_others
     from hts.plugins import load
     from hts.policies.held_commands import has_held_commands
     from hts.recordings.store import RecordingStore
@@ -64,6 +64,7 @@ def evaluate_run(
     registry = registry or load()
     others = parsed(overrides)
     config = with_others(folder, world, others, registry)
+    laid_over = as_values(others)
     task = registry.make_robot(config.robot.name, config.robot.settings).task()
     if isinstance(speeds, str) or not isinstance(speeds, Iterable | None):
         raise ConfigError(f"--speed: expected a list of numbers, found {speeds!r}.")
@@ -72,7 +73,7 @@ def evaluate_run(
     twice = next((speed for speed in given if given.count(speed) > 1), None)
     if twice is not None:
         raise ConfigError(f"--speed: {twice:g} is there twice; ask for each once. --sessions 2 walks all of them anew.")
-    command = command_of(folder, given, policy, world, seed, sessions, as_options(others))
+    command = command_of(folder, given, policy, world, seed, sessions, as_options(laid_over))
     speeds = given or tuple(config.evaluation.speeds)
     seed = config.seed if seed is None else seed
     if not 0 <= seed < SEEDS:
@@ -132,7 +133,7 @@ def evaluate_run(
         "policy": str(policy or "best"),
         "seed": seed,
         "sessions": count,
-        "settings": {".".join(one.path): one.value for one in others},
+        "settings": laid_over,
         "task": task_entry(task),
         "recordings": ids,
         "objectives": entries,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hts.config import RunConfig
 from hts.config_loading import load_config, read_config
 from hts.errors import ConfigError
+from hts.layers import plain
 from hts.overrides import Override
 from hts.whole_paths import with_whole_paths
 
@@ -44,6 +45,17 @@ def with_others(folder: Path, world: str | None, overrides: Sequence[Override], 
     return with_whole_paths(config, registry)
 
 
-def as_options(overrides: Sequence[Override]) -> list[str]:
+def as_values(overrides: Sequence[Override]) -> dict[str, Any]:
+    """Dotted key -> value, as JSON holds it. Raises ConfigError for one that it cannot hold."""
+    found = {".".join(one.path): plain(one.value) for one in overrides}
+    for key, value in found.items():
+        try:
+            json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"{key}: {type(value).__name__}, expected what JSON can hold ({error}).") from error
+    return found
+
+
+def as_options(values: Mapping[str, Any]) -> list[str]:
     """The words of a command line that say the same, not quoted yet."""
-    return [word for one in overrides for word in ("--set", f"{'.'.join(one.path)}={json.dumps(one.value)}")]
+    return [word for key, value in values.items() for word in ("--set", f"{key}={json.dumps(value)}")]

@@ -94,10 +94,10 @@ def _predicted_channels(
     if not isinstance(found, Mapping):
         raise PluginError(f"{what} gave {type(found).__name__}, expected a dict of channel -> samples of each piece.")
     for name, values in found.items():
-        if np.ndim(values) != 2 or len(values) != len(target):
+        if np.ndim(values) < 2 or len(values) != len(target):
             raise PluginError(
                 f"{what} gave '{name}' in shape {np.shape(values)} for a target of {target.shape}; expected "
-                f"({len(target)}, n), the samples of each piece."
+                f"({len(target)}, n, ...), the samples of each piece."
             )
     return found
 

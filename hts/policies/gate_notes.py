@@ -52,7 +52,7 @@ def note_of(source: Path, card: Mapping[str, Any], run: Path | None = None) -> N
 def lost(source: Path, card: Mapping[str, Any], run: Path | None) -> Note | None:
     """What stands for the note of a policy that another run fine-tuned, and that came without it: nobody here knows
     whether that run's gate refused it, so it counts as refused. None for any other policy: one that nobody fine-tuned,
-    or that this run knows, where all notes are."""
+    or that lies in this run, its policy to start from too: what another run's gate found of that one is not asked."""
     made = card.get("made")
     if not isinstance(made, Mapping) or "anchor" not in made or _is_of(run, hashes_of(card)):
         return None
@@ -61,7 +61,8 @@ def lost(source: Path, card: Mapping[str, Any], run: Path | None) -> Note | None
         "failed": ["not known"],
         "policy_hash": str(card["policy_hash"]),
         "refused": f"{source.stem} was fine-tuned in another run, and what the gate found of it there is not known "
-        f"here: {place(source).name}, which a run and `hts export` write beside a policy, did not come along",
+        f"here: {place(source).name}, which a run and `hts export` write beside a policy that was tried, did not come "
+        "along, or it was never tried",
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
+from tensordict.nn import CompositeDistribution
 from torch.distributions import Categorical, Distribution, Independent, TransformedDistribution, kl_divergence
 
 
@@ -47,7 +48,10 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
 
 
 def _check_alike(policy: Distribution, reference: Distribution) -> None:
-    """Raise ValueError for what torch would broadcast: a KL per component, or of each state with each other."""
+    """Raise ValueError for what torch would broadcast: a KL per component, or of each state with each other. A
+    composite of several distributions has no shape of its own and is not looked at."""
+    if isinstance(policy, CompositeDistribution) or isinstance(reference, CompositeDistribution):
+        return
     states = len(reference.batch_shape)
     fits = len(policy.batch_shape) >= states and all(
         of_reference in (1, of_policy)

@@ -231,6 +231,7 @@ class FieldWorld(World):
 
     def _read(self, files: Sequence[Path], order: Order, bundle: Path) -> Recording:
         from hts.policies.deploy import DeployedPolicy
+        from hts.recordings.mapping import load_mapping
         from hts.recordings.reading import read_log
 
         registry = self._registry
@@ -246,7 +247,7 @@ class FieldWorld(World):
             "role": order.role,
         }
         if where != self._mapping_path():
-            check_row(where, facts, asked)
+            check_row(where, load_mapping(where).get("recording") or {}, asked)  # the run's own says no row
         facts |= {"world": self.name, "policy_hash": card.policy_hash, **asked}
         try:
             recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)

@@ -13,6 +13,7 @@ from hts.config_loading import dump_config, load_config, read_config
 from hts.contracts import World
 from hts.errors import ConfigError, HtsError
 from hts.evaluation.evaluate import command_of, evaluate_run, policy_file
+from hts.overrides import Override
 from hts.plugins import Entry, Registry
 from hts.testing.examples.robot.robot import Tiny
 from hts.testing.made_up_recordings import CostObjective
@@ -167,3 +168,13 @@ def test_other_settings_that_are_none_of_an_evaluations_are_refused(folder, regi
     with pytest.raises(ConfigError, match=f"^{said}") as caught:
         evaluate_run(folder, registry=registry, overrides=[override])
     assert "\n" not in str(caught.value) and not (folder / "evaluation").exists()
+
+
+def test_other_settings_may_be_values_of_python_that_json_can_hold(folder, registry, tmp_path):
+    laid = [Override.of("world.reality", tmp_path / "mine.json"), Override.of("evaluation.speeds", (0.6,))]
+    with pytest.raises(Asked) as caught:
+        evaluate_run(folder, registry=registry, overrides=laid)
+    words = ["--set", f'world.reality="{tmp_path}/mine.json"', "--set", "evaluation.speeds=[0.6]"]
+    assert shlex.split(caught.value.args[1])[3:] == words
+    with pytest.raises(ConfigError, match=r"^evaluation\.trim_seconds: \w+, expected what JSON can hold"):
+        evaluate_run(folder, registry=registry, overrides=[Override.of("evaluation.trim_seconds", np.float32(20.0))])

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tensordict import TensorDict
+from tensordict.nn import CompositeDistribution, set_composite_lp_aggregate
 from torch.distributions import (
     AffineTransform,
     Categorical,
@@ -79,3 +81,15 @@ def test_the_kl_of_categoricals_is_torchs_and_infinite_where_the_reference_forbi
     forbidden = torch.distributions.Categorical(probs=torch.tensor([0.5, 0.5, 0.0]))
     done = torch.distributions.Categorical(probs=torch.tensor([0.2, 0.2, 0.6]))
     assert distribution_kl(done, forbidden) == float("inf") and torch.isfinite(distribution_kl(forbidden, done))
+
+
+def test_a_composite_of_distributions_has_the_kl_of_one_sample():
+    with set_composite_lp_aggregate(True):
+        made = [
+            CompositeDistribution(
+                TensorDict({part: {"loc": torch.full((5, 3), shift), "scale": torch.ones(5, 3)} for part in "ab"}, [5]),
+                distribution_map={part: IndependentNormal for part in "ab"},
+            )
+            for shift in (0.0, 0.1)
+        ]
+        assert distribution_kl(*made).shape == (5,)

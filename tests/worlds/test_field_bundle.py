@@ -221,6 +221,17 @@ def test_a_log_that_says_it_is_of_this_row_is_read(run, self_described):
     assert self_described(lambda mapping: mapping["recording"].update(stated)).session == row["session"]
 
 
+def test_what_the_runs_own_mapping_says_of_a_row_is_no_word_about_the_log(run, self_described):
+    fill_in(run)
+    own = run / "field" / "mapping.yaml"
+    mapping = yaml.safe_load(own.read_text())
+    mapping["recording"] |= {"session": "monday", "role": "policy"}
+    own.write_text(yaml.safe_dump(mapping))
+    row = json.loads((bundle(run) / "manifest.json").read_text())["rows"][0]
+    found = self_described()
+    assert (found.session, found.role) == (row["session"], row["role"])
+
+
 def test_a_log_that_ends_in_a_fall_may_be_shorter_than_its_row(self_described):
     with pytest.raises(RecordingError, match=r"1.0 s long, but 3 s were to be recorded.*recording.fell: true in"):
         self_described(seconds=1.0)

@@ -115,7 +115,7 @@ def fine_tuned(tuned, tmp_path) -> Path:
 def test_a_candidate_of_another_run_that_came_without_its_note_is_not_bundled(run, policy, fine_tuned):
     said = (
         r"carried.onnx: carried was fine-tuned in another run, and what the gate found .* is not known here: "
-        r"carried.gate.json, .* did not come along\. It is not bundled for a machine: "
+        r"carried.gate.json, .* did not come along, or it was never tried\. It is not bundled for a machine: "
         r"put carried.gate.json beside the policy that you named\."
     )
     with pytest.raises(WorldError, match=said) as caught:

@@ -261,8 +261,7 @@ class Session:
         log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
         self._wanted_heading = None
         policy.start()
-        asked = self.options.frozen_real_seconds
-        current = Repeats("battery_current", self.bundle.frozen.real if asked is None else asked)
+        current = Repeats("battery_current", self._current_may_repeat())
         try:
             for command in commands:
                 state = self._step(policy, command, log)
@@ -276,6 +275,13 @@ class Session:
             raise
         log.closing()
         self._keeper.walked(log, row)
+
+    def _current_may_repeat(self) -> float:
+        """For how long the pack's current may, s; 0, for ever, where nobody asked for it or another sensor logs it."""
+        if "battery_current" in self.options.external or "battery_current" not in self.bundle.manifest["channels"]:
+            return 0.0
+        asked = self.options.frozen_real_seconds
+        return self.bundle.frozen.real if asked is None else asked
 
     def _trim(self, policy: Policy, row: Row) -> tuple[float, bool]:
         hold = self.bundle.hold

@@ -147,6 +147,7 @@ def test_a_stamp_that_stands_still_is_a_lost_link_that_says_so():
 def test_a_pack_current_that_repeats_itself_for_seconds_of_a_row_ends_the_visit_sitting(change, visit, capsys):
     def edit(manifest):
         manifest["frozen"]["real_seconds"] = 0.4
+        manifest["channels"]["battery_current"] = {"unit": "A", "size": 0, "real": True}
 
     bundle = change(edit)
     link = scripted.ScriptedLink(
@@ -159,6 +160,22 @@ def test_a_pack_current_that_repeats_itself_for_seconds_of_a_row_ends_the_visit_
     assert '"sat down"' in (bundle / "logs" / "events.jsonl").read_text()
     assert not list((bundle / "logs").glob("*.csv"))
     assert visit("--yes", "--frozen-real-seconds", "0", link=scripted.ScriptedLink(link._spoil)) == 0
+
+
+@pytest.mark.parametrize(("asked_for", "options"), [(False, ()), (True, ("--external", "battery_current"))])
+def test_a_current_that_nobody_asked_for_or_that_another_sensor_logs_may_repeat_itself(
+    change, visit, asked_for, options
+):
+    def edit(manifest):
+        manifest["frozen"]["real_seconds"] = 0.4
+        if asked_for:
+            manifest["channels"]["battery_current"] = {"unit": "A", "size": 0, "real": True}
+
+    change(edit)
+    link = scripted.ScriptedLink(
+        lambda state: dataclasses.replace(state, current=3.5) if state.stamp > FREEZES else state
+    )
+    assert visit("--yes", *options, link=link) == 0
 
 
 def test_a_slow_monitor_and_one_that_nobody_reads_are_let_be():
