@@ -88,8 +88,9 @@ class Objective(ABC):
     def predicted_channels(self, target: np.ndarray, known: Sequence[Recording]) -> Mapping[str, np.ndarray]:
         """Real channels that `score` reads, from the predicted target: for the improvement that a model promises.
 
-        target: in its unit, (S, n), and each channel that is given (S, n, ...); known: the recordings that the model was fitted to, from which a rule for further
-        channels may be made. By default the target alone; an objective that scores more says how the rest follows.
+        target: in its unit, (S, n), and each channel that is given (S, n, ...); known: the recordings that the model
+        was fitted to, from which a rule for further channels may be made. By default the target alone; an objective
+        that scores more says how the rest follows.
         """
         return {self.target.name: target}
 
