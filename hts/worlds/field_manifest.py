@@ -79,7 +79,7 @@ class Facts:
     real: Sequence[Channel] = ()
     run: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
-    frozen: Frozen = field(default_factory=lambda: Frozen())
+    frozen: Frozen = field(default_factory=Frozen)
 
 
 def run_configuration(folder: Path) -> Mapping[str, Any]:

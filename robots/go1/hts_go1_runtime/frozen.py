@@ -30,9 +30,9 @@ import numpy as np
 
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.link import Command, J, State
-from hts_go1_runtime.machine import JOINTS
+from hts_go1_runtime.machine import JOINTS, Limits
 
-SEEN, REAL = 0.1, 3.0  # s, where a bundle says nothing
+SEEN, REAL = Limits.frozen, 3.0  # s, where a bundle says nothing
 MOVED = 0.05  # rad: 1.5 N*m and more at the gains of common policies
 CLOSE = 1e-9  # s
 CHANNELS = (
