@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,33 +17,16 @@ from hts_go1_runtime.frozen import REAL, SEEN
 from hts_go1_runtime.gated import check_gate, check_whose
 from hts_go1_runtime.policy import PARTS, Policy
 from hts_go1_runtime.reach import Reach, reach_of
+from hts_go1_runtime.rows import FASTEST, LONGEST_ROW, Row, row_of
+from hts_go1_runtime.trained import check_trained
 
 SCHEMA, VERSION = "hts deploy bundle", 1
 CHECKSUMS = "SHA256SUMS"
+TARGET = "default_pose + action_scale * action"
 LARGEST_FILE = 64 * 2**20  # bytes
-LONGEST_ROW = 3600.0  # s
 LONGEST_FROZEN = 600.0  # s
-FASTEST, FASTEST_TURN = 3.0, 3.0  # m/s, rad/s: no command for this robot
 FIRST_RUNS = {"speed_scale": (0.0, 1.0), "torque_scale": (0.1, 1.0), "seconds": (0.0, 600.0)}
 """From, to; hts refuses the same in `gate.first_run`, and 0 of the first and the last."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One log to be recorded. commands: (seconds, vx m/s, vy m/s, yaw rate rad/s) one after the other."""
-
-    log: str
-    policy: str
-    policy_hash: str
-    session: str
-    block: int
-    role: str
-    trim: bool
-    commands: tuple[tuple[float, float, float, float], ...]
-
-    @property
-    def seconds(self) -> float:
-        return sum(command[0] for command in self.commands)
 
 
 @dataclass(frozen=True)
@@ -89,17 +71,16 @@ def load_bundle(folder: Path) -> Bundle:
     where = str(folder / "manifest.json")
     try:
         reach = _reach(manifest["robot"], where)
-        rate = float(manifest["control"]["rate_hz"])
-        if not 1 <= rate <= 500:
-            raise RuntimeFault(f"{where}: control rate {rate:g} Hz, expected 1 to 500.")
+        rate = _rate(manifest["control"], where)
         policies = {}
         for entry in manifest["policies"]:
             _check_entry(entry, rate, reach, f"{where}: policy {entry['file']}")
             check_gate(entry["gate"], f"{where}: policy {entry['file']}")
+            check_trained(entry.get("trained"), f"{where}: policy {entry['file']}")
             content = _read(folder, str(entry["file"]), sums)
             policies[str(entry["file"])] = policy = Policy(entry, content, str(folder / entry["file"]))
             check_whose(entry["gate"], _checked_card(policy), f"{where}: policy {entry['file']}")
-        rows = [_row(row, policies, where) for row in manifest["rows"]]
+        rows = [row_of(row, policies, where) for row in manifest["rows"]]
         hold, frozen = _hold(manifest["hold"], where), _frozen(manifest.get("frozen"), where)
         _check_visit(manifest, where)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
@@ -172,6 +153,20 @@ def _reach(robot: Mapping[str, Any], where: str) -> Reach:
     return reach_of(robot, where)
 
 
+def _rate(control: Mapping[str, Any], where: str) -> float:
+    """Control steps in a second; targets are made as they are made here."""
+    rate = float(control["rate_hz"])
+    if not 1 <= rate <= 500:
+        raise RuntimeFault(f"{where}: control rate {rate:g} Hz, expected 1 to 500.")
+    target, clip = control.get("target", TARGET), control.get("action_clip")
+    if target != TARGET or clip is not None:
+        raise RuntimeFault(
+            f"{where}: control says target '{str(target)[:60]}', action_clip {str(clip)[:20]}; this runtime makes "
+            f"targets as {TARGET} and clips no action (null). Make the bundle with hts."
+        )
+    return rate
+
+
 def _check_entry(entry: Mapping[str, Any], rate: float, reach: Reach, where: str) -> None:
     """Joint order, gains, scale, pose, rate and observation of a policy are such that this robot may run it."""
     if list(entry["joint_names"]) != list(machine.JOINTS):
@@ -226,30 +221,6 @@ def _checked_card(policy: Policy) -> Mapping[str, Any]:
             f"{policy.where}: manifest and graph disagree about exploration noise. Make the bundle again."
         )
     return card  # type: ignore[no-any-return]
-
-
-def _row(row: Mapping[str, Any], policies: Mapping[str, Policy], where: str) -> Row:
-    name = str(row["log"])
-    if not name or not all(sign.isalnum() or sign in "-_" for sign in name):
-        raise RuntimeFault(f"{where}: a row's log is called '{name}', expected letters and digits.")
-    if row["policy"] not in policies:
-        raise RuntimeFault(f"{where}: row {name} wants {row['policy']}, which is no policy of the bundle.")
-    if row["policy_hash"] != policies[row["policy"]].entry["policy_hash"]:
-        raise RuntimeFault(f"{where}: row {name} wants another policy_hash than {row['policy']} has.")
-    commands = tuple(
-        tuple(float(one.get(key, 0.0)) for key in ("seconds", "vx", "vy", "yaw_rate"))
-        for one in row["schedule"]["commands"]
-    )
-    for seconds, vx, vy, turn in commands:
-        sane = 0 < seconds <= LONGEST_ROW and max(abs(vx), abs(vy)) <= FASTEST and abs(turn) <= FASTEST_TURN
-        if not sane or not all(map(math.isfinite, (seconds, vx, vy, turn))):
-            raise RuntimeFault(f"{where}: row {name} commands {vx:g}, {vy:g} m/s, {turn:g} rad/s for {seconds:g} s.")
-    if not commands:
-        raise RuntimeFault(f"{where}: row {name} commands nothing.")
-    return Row(
-        name, str(row["policy"]), str(row["policy_hash"]), str(row["session"]), int(row["block"]), str(row["role"]),
-        bool(row["trim"]), commands,  # type: ignore[arg-type]
-    )  # fmt: skip
 
 
 def _hold(hold: Mapping[str, Any] | None, where: str) -> Hold | None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from hts_go1_runtime.bundle import LONGEST_FROZEN, LONGEST_ROW, Bundle, load_bundle
+from hts_go1_runtime.bundle import LONGEST_FROZEN, Bundle, load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.figures import figures
@@ -21,8 +21,10 @@ from hts_go1_runtime.lock import alone
 from hts_go1_runtime.loop import Loop, without_collection
 from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.operator_key import StopFile, ask, listen, signals
+from hts_go1_runtime.rows import LONGEST_ROW
 from hts_go1_runtime.session import Options, Session
 from hts_go1_runtime.terminal import that_may_go
+from hts_go1_runtime.trained import beyond
 from hts_go1_runtime.udp import UdpLink
 
 DONE, REFUSED, STOPPED = 0, 2, 3
@@ -139,6 +141,7 @@ def _described(bundle: Bundle) -> str:
         entry = policy.entry
         explores = "explores" if entry["exploration"] else "mean action"
         lines.append(f"  {file}  {str(entry['policy_hash'])[:12]}  {explores}, {gate_in_words(entry['gate'])}")
+    lines += [f"  more than trained for: {what}" for what in beyond(bundle.rows, bundle.policies)]
     return "\n".join(lines)
 
 

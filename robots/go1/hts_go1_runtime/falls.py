@@ -10,9 +10,9 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hts_go1_runtime.bundle import Row
 from hts_go1_runtime.errors import Stopped
 from hts_go1_runtime.log import RowLog
+from hts_go1_runtime.rows import Row
 
 WHILE_TRIMMED = "fell_while_trimmed"
 """The note of a log that holds the trimming in which the robot fell, in place of the row that was to follow."""

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hts_go1_runtime.bundle import Bundle, Row
+from hts_go1_runtime.bundle import Bundle
+from hts_go1_runtime.rows import Row
 
 FILE = "first-runs.json"
 """In logs/: hashes of the policies that were walked so."""

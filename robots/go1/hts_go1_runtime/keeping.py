@@ -14,11 +14,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from hts_go1_runtime.bundle import Row
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.log import RowLog
 from hts_go1_runtime.operator_key import SIGNALS
+from hts_go1_runtime.rows import Row
 
 PATIENCE = 10.0  # s that rows may take to the other folder
 GLANCE = 0.02  # s

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hts_go1_runtime import first_run
-from hts_go1_runtime.bundle import Bundle, Row
+from hts_go1_runtime.bundle import Bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
@@ -27,6 +27,8 @@ from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND
 from hts_go1_runtime.meeting import check_channels, check_draws, check_lies, meet, unguarded
 from hts_go1_runtime.policy import Policy
+from hts_go1_runtime.rows import Row
+from hts_go1_runtime.trained import beyond
 from hts_go1_runtime.trimming import Trimming
 
 HEADING_GAIN, LARGEST_YAW_RATE = 0.5, 1.0  # rad/s per rad, rad/s: as the policies were trained
@@ -157,12 +159,16 @@ class Session:
         new = [] if self.options.first_run else never_walked(self.bundle, rows)
         if new:
             self.events.say("no first run", policies=new)
+        more = [] if self.options.first_run else beyond(rows, self.bundle.policies)
+        if more:
+            self.events.say("more than trained for", rows=more)
         gates = [file for file, policy in self.bundle.policies.items() if policy.entry["gate"] is None]
         return (
             f"{len(rows)} rows, {walked:.0f} s; the pack has {state.voltage:.1f} V. "
             + (f"Not tried over simulated machines: {', '.join(gates)}. " if gates else "")
             + (f"Failed the gate, vouched for: {', '.join(self._vouched)}. " if self._vouched else "")
             + (f"Never walked from this bundle, nor slowly first (--first-run): {', '.join(new)}. " if new else "")
+            + (f"More than trained for: {'; '.join(more)}. " if more else "")
             + unguarded(self._channels)
             + "The robot will stand up and walk. Is everybody clear?"
         )

@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hts_go1_runtime import cli
 from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.first_run import FILE, never_walked
+from hts_go1_runtime.trained import beyond
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
 scripted = importlib.util.module_from_spec(SPEC)
@@ -83,3 +85,58 @@ def test_a_damaged_list_of_first_runs_says_nothing(bundle, content):
     (bundle / "logs" / FILE).write_text(content)
     loaded = load_bundle(bundle)
     assert len(never_walked(loaded, loaded.rows)) == 2
+
+
+# ---------------------------------------------------------------------- beyond what was trained
+
+
+def asking(row: int, trained=None, **command):
+    """An edit of the manifest: what a row commands, and what its policy was trained for."""
+
+    def edit(manifest) -> None:
+        manifest["rows"][row]["schedule"]["commands"][0].update(command)
+        for policy in manifest["policies"]:
+            policy["trained"] = trained
+
+    return edit
+
+
+RANGES = {"commands": {"vx": [0.2, 1.5], "vy": [-0.2, 0.2], "yaw_rate": [-0.5, 0.5]}}
+
+
+def test_a_row_that_asks_for_more_than_was_trained_is_told_before_the_robot_moves(change, visit, capsys):
+    bundle = change(asking(1, RANGES, vy=0.3))
+    words = "0.3 m/s sideways, trained to 0.2 (rows 01)"
+    assert cli.main(["check", str(bundle)]) == 0
+    assert f"more than trained for: {words}" in capsys.readouterr().out
+    assert visit("--yes") == 0
+    assert f"More than trained for: {words}. " in " ".join(capsys.readouterr().out.split())
+    events = [json.loads(line) for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
+    assert next(one for one in events if one["what"] == "more than trained for")["rows"] == [words]
+
+
+@pytest.mark.parametrize(
+    ("trained", "command"),
+    [
+        (RANGES, {"vx": 1.5, "vy": -0.2, "yaw_rate": 0.5}),
+        (RANGES, {"vx": 0.0}),  # standing, and slower than trained
+        (None, {"vx": 2.5}),  # nobody knows
+        ({"commands": {"vx": [-2.0, 3.0]}}, {"vx": 2.5, "vy": 1.0}),  # nothing is said of vy
+    ],
+    ids=["at the ends", "slower", "unknown", "of one axis alone"],
+)
+def test_what_was_trained_or_is_not_known_is_not_told(change, trained, command):
+    loaded = load_bundle(change(asking(0, trained, **command)))
+    assert beyond(loaded.rows, loaded.policies) == []
+
+
+def test_each_axis_and_direction_is_told_once_for_all_rows(change):
+    def edit(manifest) -> None:
+        for row in (0, 1):
+            asking(row, RANGES, vx=-0.3, yaw_rate=0.6)(manifest)
+
+    loaded = load_bundle(change(edit))
+    assert beyond(loaded.rows, loaded.policies) == [
+        "-0.3 m/s forward, trained to 0 (rows 00, 01)",
+        "0.6 rad/s turning, trained to 0.5 (rows 00, 01)",
+    ]

@@ -63,6 +63,18 @@ MISTAKES = {
         lambda m: policy(m)["kp"].__setitem__(3, 31.0),
         "its own card says kp",
     ),
+    "actions that are clipped": (
+        lambda m: m["control"].__setitem__("action_clip", 1.0),
+        "action_clip 1.0; this runtime .* clips no action",
+    ),
+    "targets made otherwise": (
+        lambda m: m["control"].__setitem__("target", "default_pose + action"),
+        "target 'default_pose . action', .* this runtime makes targets as default_pose",
+    ),
+    "trained for what is no range": (
+        lambda m: policy(m).__setitem__("trained", {"commands": {"vx": [1.5, 0.2]}}),
+        "trained .* expected null, or `commands` with a smallest and a largest each",
+    ),
     "what no robot measures": (
         lambda m: policy(m)["observation"].append({"name": "base_velocity", "size": 3}),
         "observes 'base_velocity'",
