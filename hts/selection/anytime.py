@@ -13,11 +13,11 @@ from hts.evaluation.sequential import half_width
 def still_racing(table: np.ndarray, racing: Sequence[int], error: float, indifference: float) -> list[int]:
     """Rows of `table` that another round is worth, of those in `racing`; the leader alone if it is decided.
 
-    table: score of each candidate in each half, (candidates, halves), NaN where it was not measured. error: of one
-    comparison, over the whole race. indifference: share of the leader's mean score.
+    table: score of each candidate in each unit, half or round, (candidates, units), NaN where it was not measured.
+    error: of one comparison, over the whole race. indifference: share of the leader's mean score.
 
-    Units are a pair's differences in the halves they share, so what a half has in common counts for nothing; a
-    candidate's own halves against the reference. Out is whose sequence lies beyond zero. The best of K candidates
+    What counts are a pair's differences in the units they share, so what a unit has in common counts for nothing; a
+    candidate's own units against the reference. Out is whose sequence lies beyond zero. The best of K candidates
     takes part in K such comparisons (K − 1 others, the reference), so it is ever dropped with probability K · error.
     """
     racing = [row for row in racing if _mean(table[row]) + _width(table[row], error) >= 0.0]

@@ -44,6 +44,11 @@ class RacingSettings(Config):
         description="looks: t-tests at `rounds` looks fixed before; anytime: confidence sequences, "
         "whose error does not depend on `rounds`",
     )
+    unit: Literal["half", "round"] = Field(
+        "round",
+        description="what the test takes as independent: whole rounds, whatever a session has of its own, or their "
+        "halves, which decide sooner and are independent only if it has nothing",
+    )
     error: float = Field(
         0.05, gt=0, lt=1, description="alpha: probability, over the whole race, that the best one is dropped"
     )
@@ -87,6 +92,8 @@ class Racing(Selector):
         if len(racing) < 2:
             return [able[index].id for index in racing]
         table = _table([[self._score(half) for half in one.halves] for one in able])
+        if self.settings.unit == "round":
+            table = of_rounds(table)
         if self.settings.test == "anytime":
             left = anytime.still_racing(table, racing, self.settings.error / len(raced), self.settings.indifference)
             return [able[index].id for index in left]
@@ -108,16 +115,23 @@ class Racing(Selector):
         return name
 
 
+def of_rounds(table: np.ndarray) -> np.ndarray:
+    """Scores of halves as scores of rounds: (candidates, 2 rounds) -> (candidates, rounds), the mean of the two; NaN
+    where one of them was not measured, since a drift cancels in a whole round alone."""
+    return table.reshape(len(table), -1, 2).mean(-1)
+
+
 def still_racing(table: np.ndarray, racing: Sequence[int], level: float, indifference: float) -> list[int]:
     """Rows of `table` that another round is worth, of those in `racing`; the leader alone if it is decided.
 
-    table: score of each candidate in each half, (candidates, halves), NaN where it was not measured. level: error
-    probability of one comparison, one-sided. indifference: share of the leader's mean score.
+    table: score of each candidate in each unit, (candidates, units), NaN where it was not measured; units are halves
+    or rounds. level: error probability of one comparison, one-sided. indifference: share of the leader's mean score.
 
-    With n halves in common, the difference of two candidates has the standard error √(2 s²/n), where s² is what
-    candidates and halves leave unexplained of the table; d > t·√(2 s²/n) is "clearly worse", and the race is decided
-    when t·√(2 s²/n) − d ≤ indifference · leader's mean for everybody left. Halves are taken as independent: what both
-    of a session have in common for one candidate alone is not allowed for, and `docs/evaluation.md` says what it costs.
+    With n units in common, the difference of two candidates has the standard error √(2 s²/n), where s² is what
+    candidates and units leave unexplained of the table; d > t·√(2 s²/n) is "clearly worse", and the race is decided
+    when t·√(2 s²/n) − d ≤ indifference · leader's mean for everybody left. Units are taken as independent: of
+    halves, what both of a session have in common for one candidate alone is not allowed for, and `docs/evaluation.md`
+    says what it costs.
     """
     if len(racing) < 2:
         return list(racing)
@@ -135,7 +149,7 @@ def still_racing(table: np.ndarray, racing: Sequence[int], level: float, indiffe
 def residual_variance(table: np.ndarray) -> tuple[float, int]:
     """s² and its degrees of freedom: what a mean per row and a mean per column leave of the table. NaN are gaps.
 
-    A column's mean takes out what all candidates of a half have in common: the reference's block, charge, heat.
+    A column's mean takes out what all candidates of a unit have in common: the reference's block, charge, heat.
     """
     rows, columns = np.nonzero(np.isfinite(table))
     if len(rows) == 0:

@@ -21,7 +21,7 @@ from hts.evaluation.head_to_head import point
 from hts.recordings.recording import Series
 from hts.run.testing_elites import Tests
 from hts.selection import racing
-from hts.selection.racing import RacingSettings, make, residual_variance, still_racing
+from hts.selection.racing import RacingSettings, make, of_rounds, residual_variance, still_racing
 from hts.testing.known_race import KnownRounds, run_race
 from hts.testing.made_up_recordings import CostObjective
 from hts.worlds.base import round_order
@@ -100,15 +100,17 @@ def test_one_half_is_too_little_to_drop_anybody():
     assert still_racing(np.array([[0.5, NAN], [NAN, 0.1]]), [0, 1], LEVEL, 0.0) == [0, 1]
 
 
-def error_rate(level: float, trials: int = 400, candidates: int = 3, rounds: int = 4) -> float:
-    """How often candidate 0, as good as the others, is dropped in a race whose halves scatter and share something."""
-    rng, dropped = np.random.default_rng(0), 0
+def error_rate(level: float, trials: int = 400, unit: str = "half", own: float = 0.0) -> float:
+    """How often candidate 0, as good as two others, is dropped in a race of four rounds whose halves scatter and share
+    something. own: standard deviation of what a session has of its own for each candidate."""
+    rng, dropped, candidates, rounds = np.random.default_rng(0), 0, 3, 4
     for _ in range(trials):
         halves = rng.standard_normal((candidates, 2 * rounds)) + 3.0 * rng.standard_normal(2 * rounds)
+        halves += np.repeat(own * rng.standard_normal((candidates, rounds)), 2, axis=1)
         racing = list(range(candidates))
         for number in range(1, rounds + 1):
             table = halves[:, : 2 * number].copy()
-            racing = still_racing(table, racing, level, 0.0)
+            racing = still_racing(of_rounds(table) if unit == "round" else table, racing, level, 0.0)
             if 0 not in racing:
                 dropped += 1
                 break
@@ -116,12 +118,22 @@ def error_rate(level: float, trials: int = 400, candidates: int = 3, rounds: int
     return dropped / trials
 
 
-def test_among_equals_one_is_dropped_in_no_more_races_than_the_error_says():
-    assert error_rate(0.05 / (4 * 3)) <= 0.05
+@pytest.mark.parametrize("unit", ["half", "round"])
+def test_among_equals_one_is_dropped_in_no_more_races_than_the_error_says(unit):
+    assert error_rate(0.05 / (4 * 3), unit=unit) <= 0.05
 
 
 def test_looking_after_each_round_without_a_correction_would_drop_it_too_often():
     assert error_rate(0.05) > 0.10
+
+
+def test_what_a_session_has_of_its_own_is_in_the_error_of_rounds_and_not_of_halves():
+    assert error_rate(0.05 / (4 * 3), own=2.0, unit="round") <= 0.05 < error_rate(0.05 / (4 * 3), own=2.0)
+
+
+def test_a_round_is_the_mean_of_its_halves_and_none_without_one_of_them():
+    found = of_rounds(np.array([[1.0, 2.0, 3.0, 5.0], [4.0, NAN, NAN, NAN]]))
+    assert found[0].tolist() == [1.5, 4.0] and np.isnan(found[1]).all()
 
 
 # ------------------------------------------------------------------------------------------------ the selector
@@ -144,6 +156,14 @@ def test_one_that_is_left_needs_no_further_round():
     assert make({}).keep([raced("a", 1.0, 1.0), raced("b", 0.9, 0.9, racing=False)]) == ["a"]
 
 
+def test_rounds_are_the_units_unless_halves_are_asked_for():
+    # halves differ by 1, 1, 0.5 and 0.5; rounds by 1 and 0.5, which two of them do not tell from nothing
+    candidates = [raced("a", 2.0, 2.0, 2.0, 2.0), raced("b", 1.0, 1.0, 1.5, 1.5)]
+    strict = {"indifference": 0.0, "error": 0.2}
+    assert make(strict).keep(candidates) == ["a", "b"]
+    assert make({**strict, "unit": "half"}).keep(candidates) == ["a"]
+
+
 def test_those_that_are_out_stay_out():
     candidates = [raced("a", 1.0, 1.5), raced("b", 1.1, 1.2, racing=False), raced("c", 1.2, 1.1)]
     assert make({"indifference": 0.0}).keep(candidates) == ["a", "c"]
@@ -155,8 +175,9 @@ def test_the_objective_that_is_named_decides_and_a_wrong_name_is_one_line():
         return RacedCandidate(name, Elite(name, found[0], False), True, found)
 
     candidates = [both("a", (2.0, 2.1), (1.0, 1.1)), both("b", (1.0, 1.1), (2.0, 2.1))]
-    assert make({}).keep(candidates) == ["a"]  # no scatter is left, so it is clear
-    assert make({"objective": "y"}).keep(candidates) == ["b"]
+    halves = {"unit": "half"}
+    assert make(halves).keep(candidates) == ["a"]  # no scatter is left, so it is clear
+    assert make({**halves, "objective": "y"}).keep(candidates) == ["b"]
     with pytest.raises(ConfigError, match="Selector 'racing': No objective named 'z'"):
         make({"objective": "z"}).keep(candidates)
 
@@ -197,7 +218,8 @@ def dearer(recording, factor):
 def test_who_left_in_a_flattering_round_is_not_the_best_by_it():
     selector, flattered = make({}), 0
     for seed in range(60):
-        tests = run_race(Days((0.20, 0.199, 0.18), scatter=0.003, correlation=0.3), RacingSettings(), seed)
+        world = Days((0.20, 0.199, 0.18), scatter=0.003, correlation=0.3)
+        tests = run_race(world, RacingSettings(unit="half"), seed)
         everybody = [found.tested for found in tests.results.values()]
         flattered += selector.best(everybody) not in tests.races[-1]["racing"]
         assert selector.best(tests.for_best(selector)) in tests.races[-1]["racing"]
