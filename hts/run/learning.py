@@ -8,8 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torch.utils.tensorboard import SummaryWriter
-
 from hts.config import FinetuneConfig
 from hts.contracts import MeasurementModel, Objective, physics_steps_of
 from hts.errors import PluginError
@@ -22,6 +20,7 @@ from hts.measurement.transform import Measured, MeasurementTransform, ProxyTrans
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
 from hts.recordings import Recording
+from hts.run.curves import Curves
 from hts.run.felt_pull import felt_pull, pull_line
 from hts.run.front import real_front
 from hts.run.job import Job, model_path
@@ -31,7 +30,6 @@ from hts.run.trust_region import scaled
 from hts.selection.fronts import towards
 from hts.training.finetune import finetune as finetune_candidates
 from hts.training.sweep import FRONT, Candidate, candidates, combinations
-from hts.training.trainer import BatchStats
 
 Report = Callable[[float], None]
 
@@ -160,35 +158,30 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     anchors = {name: job.policy(behind.get(name, name)) for name in ("best", *sorted({one.anchor for one in group}))}
     checkpoint = job.folder / "iterations" / f"{iteration:02d}" / "checkpoint"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
+    begun = sorted(checkpoint.parent.glob(f"{checkpoint.name}-*"))
     curves = job.folder / "log" / f"iteration-{iteration:02d}"
-    if not list(checkpoint.parent.glob(f"{checkpoint.name}-*")):  # from the start: a killed process' log comes again
+    if not begun:  # from the start: a killed process' log comes again
         shutil.rmtree(curves, ignore_errors=True)
-    writer = SummaryWriter(str(curves))
-
-    def log(stats: BatchStats, members: Sequence[Candidate]) -> None:
-        for name, values in stats.values.items():
-            for member, value in zip(members, values, strict=True):
-                writer.add_scalar(f"{name}/{member.id}", value, stats.steps // len(members))
-
     key = f"{iteration}/{'/'.join(anchor.card.policy_hash for anchor in anchors.values())}/{config.seed}"
     pull = felt_pull(job, iteration)
     if pull is not None:
         job.stages.progress.say(f"iteration {iteration:02d}: {pull_line(pull, config.simulation_test.speeds)}")
-    tuned, steps = finetune_candidates(
-        job.robot,
-        config.engine,
-        _trained_in(config.finetune, pull),
-        group,
-        anchors,
-        lambda: transforms(job, iteration),
-        inputs(job, iteration),
-        seed=job.seed("finetune", iteration),
-        checkpoint=checkpoint,
-        key=key,
-        progress=report,
-        log=log,
-    )
-    writer.close()
+    # Steps begin anew with each group of candidates, so what to forget can be told of one group alone.
+    with Curves(curves, goes_on=bool(begun) and len(group) <= config.finetune.max_candidates) as log:
+        tuned, steps = finetune_candidates(
+            job.robot,
+            config.engine,
+            _trained_in(config.finetune, pull),
+            group,
+            anchors,
+            lambda: transforms(job, iteration),
+            inputs(job, iteration),
+            seed=job.seed("finetune", iteration),
+            checkpoint=checkpoint,
+            key=key,
+            progress=report,
+            log=log.add,
+        )
     rows = []
     for one in tuned:
         c, anchor = one.candidate, anchors[one.candidate.anchor]

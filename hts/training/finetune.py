@@ -109,7 +109,11 @@ def finetune(
         saved = Saved(place, {"robot": robot.spec.name, "key": f"{key}/{number}", "worlds": bare.batch_size.numel()})
         around = [*transforms(), *([Held(held.names)] if held.names else [])]
         starts = [anchors[member.anchor] for member in members]
-        group = Group(members, starts, bare, around, config, seed, saved, held)
+        try:
+            group = Group(members, starts, bare, around, config, seed, saved, held)
+        except BaseException:
+            bare.close()
+            raise
         try:
             group.train(share, log)
             results += group.finished()

@@ -76,6 +76,25 @@ def test_a_stopped_candidate_keeps_its_reason_and_its_history_through_a_checkpoi
     assert neighbour.history == other.history and neighbour.kl == other.kl
 
 
+def test_an_env_for_which_no_training_can_be_made_is_closed(tune, monkeypatch):
+    from hts.envs.velocity import VelocityEnv
+
+    closed, really = [], VelocityEnv.close
+
+    def close(env, **kwargs):
+        closed.append(env)
+        really(env, **kwargs)
+
+    def refuse(*arguments, **options):
+        raise ValueError("no trainer")
+
+    monkeypatch.setattr(VelocityEnv, "close", close)
+    monkeypatch.setattr(module, "PopulationTrainer", refuse)
+    with pytest.raises(ValueError, match="no trainer"):
+        tune()
+    assert len(closed) == 1
+
+
 def test_a_checkpoint_that_would_not_fit_is_refused_before_the_old_one_is_touched(monkeypatch, tmp_path):
     """Writing it would end the process: torchrl.checkpoint writes through memory maps."""
     place = tmp_path / "checkpoint-0"
