@@ -15,7 +15,7 @@ from hts_go1_runtime.bundle import Bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
-from hts_go1_runtime.first_run import FirstRun, never_walked, walked_before
+from hts_go1_runtime.first_run import FirstRun, walked_before
 from hts_go1_runtime.frozen import Repeats
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
@@ -25,10 +25,10 @@ from hts_go1_runtime.link import DAMPING, Command, Link, State
 from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND
-from hts_go1_runtime.meeting import check_channels, check_draws, check_lies, meet, unguarded
+from hts_go1_runtime.meeting import check_channels, check_draws, check_lies, meet
 from hts_go1_runtime.policy import Policy
+from hts_go1_runtime.question import question
 from hts_go1_runtime.rows import Row
-from hts_go1_runtime.trained import beyond
 from hts_go1_runtime.trimming import Trimming
 
 HEADING_GAIN, LARGEST_YAW_RATE = 0.5, 1.0  # rad/s per rad, rad/s: as the policies were trained
@@ -84,7 +84,7 @@ class Session:
             self.events.say("vouched for", policy=file, gate=why)
         with self.events.stops():
             self._meet(rows)
-            confirm(self._summary(rows))
+            confirm(self._question(rows))
             check_lies(self.loop.resume() or [self.loop.state])  # somebody may have thought for long
         try:
             self._visit_and_settle(rows)
@@ -154,23 +154,15 @@ class Session:
         if missing:
             self.events.say("not measured by this link", channels=missing)
 
-    def _summary(self, rows: Sequence[Row]) -> str:
-        state, walked = self.loop.state, sum(row.seconds for row in rows)
-        new = [] if self.options.first_run else never_walked(self.bundle, rows)
-        if new:
-            self.events.say("no first run", policies=new)
-        more = [] if self.options.first_run else beyond(rows, self.bundle.policies)
-        if more:
-            self.events.say("more than trained for", rows=more)
-        gates = [file for file, policy in self.bundle.policies.items() if policy.entry["gate"] is None]
-        return (
-            f"{len(rows)} rows, {walked:.0f} s; the pack has {state.voltage:.1f} V. "
-            + (f"Not tried over simulated machines: {', '.join(gates)}. " if gates else "")
-            + (f"Failed the gate, vouched for: {', '.join(self._vouched)}. " if self._vouched else "")
-            + (f"Never walked from this bundle, nor slowly first (--first-run): {', '.join(new)}. " if new else "")
-            + (f"More than trained for: {'; '.join(more)}. " if more else "")
-            + unguarded(self._channels)
-            + "The robot will stand up and walk. Is everybody clear?"
+    def _question(self, rows: Sequence[Row]) -> str:
+        return question(
+            self.bundle,
+            rows,
+            self.events,
+            volts=self.loop.state.voltage,
+            first_run=self.options.first_run,
+            vouched=self._vouched,
+            channels=self._channels,
         )
 
     def _measure_idle(self, what: str) -> tuple[Readings, dict[str, float]]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import json
+import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ import pytest
 from hts_go1_runtime import cli
 from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.first_run import FILE, never_walked
+from hts_go1_runtime.question import begun_long_ago
 from hts_go1_runtime.trained import beyond
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
@@ -140,3 +143,49 @@ def test_each_axis_and_direction_is_told_once_for_all_rows(change):
         "-0.3 m/s forward, trained to 0 (rows 00, 01)",
         "0.6 rad/s turning, trained to 0.5 (rows 00, 01)",
     ]
+
+
+# ---------------------------------------------------------------------- sessions of two days
+
+
+def logged(bundle, log: str, hours_ago: float) -> None:
+    path = bundle / "logs" / f"{log}.csv"
+    path.parent.mkdir(exist_ok=True)
+    path.touch()
+    then = time.time() - 3600 * hours_ago
+    os.utime(path, (then, then))
+
+
+BEGUN = "Begun long ago, so that blocks far apart would be compared (move its logs away to walk all):"
+
+
+def test_a_session_whose_other_blocks_were_walked_on_another_day_is_told(bundle, visit, capsys):
+    logged(bundle, "00", hours_ago=26.0)
+    assert visit("--yes") == 0
+    session = load_bundle(bundle).rows[1].session
+    assert f"{BEGUN} {session} (26.0 h, logs 00). " in " ".join(capsys.readouterr().out.split())
+    events = [json.loads(line) for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
+    told = next(one for one in events if one["what"] == "sessions go on that were begun long ago")
+    assert told["sessions"] == [f"{session} (26.0 h, logs 00)"]
+
+
+@pytest.mark.parametrize("hours", [0.0, 0.4])
+def test_a_session_that_goes_on_soon_is_not_told(bundle, hours):
+    logged(bundle, "00", hours)
+    loaded = load_bundle(bundle)
+    assert begun_long_ago(loaded, loaded.rows[1:], time.time()) == []
+
+
+def test_other_sessions_and_recordings_that_compare_nothing_are_not_told(change):
+    def apart(manifest) -> None:
+        manifest["rows"][1]["session"] = "another"
+
+    def collected(manifest) -> None:
+        for row in manifest["rows"]:
+            row.update(session="one", role="collection")
+
+    for edit in (apart, collected):
+        bundle = change(edit)
+        logged(bundle, "00", 26.0)
+        loaded = load_bundle(bundle)
+        assert begun_long_ago(loaded, loaded.rows[1:], time.time()) == []

@@ -1,0 +1,72 @@
+"""What is asked before a robot moves, with all that a person should know by then."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+
+from hts_go1_runtime.bundle import Bundle
+from hts_go1_runtime.events import Events
+from hts_go1_runtime.first_run import never_walked
+from hts_go1_runtime.meeting import unguarded
+from hts_go1_runtime.rows import Row
+from hts_go1_runtime.trained import beyond
+
+LONG = 1800.0
+"""Seconds since the last log of a session after which its other blocks are not walked beside it any more: charge, heat
+and floor are others. A swap of the battery in the midst of a visit takes less."""
+
+
+def question(
+    bundle: Bundle,
+    rows: Sequence[Row],
+    events: Events,
+    *,
+    volts: float,
+    first_run: bool,
+    vouched: Iterable[str],
+    channels: Sequence[str],
+) -> str:
+    """The question; what needs a look is said to `events` too. vouched: files of policies that failed the gate;
+    channels: what the link measures; first_run: each policy walks slowly and weakly, and nothing is recorded."""
+    new = [] if first_run else never_walked(bundle, rows)
+    if new:
+        events.say("no first run", policies=new)
+    more = [] if first_run else beyond(rows, bundle.policies)
+    if more:
+        events.say("more than trained for", rows=more)
+    old = [] if first_run else begun_long_ago(bundle, rows, time.time())
+    if old:
+        events.say("sessions go on that were begun long ago", sessions=old)
+    untried = [file for file, policy in bundle.policies.items() if policy.entry["gate"] is None]
+    return (
+        f"{len(rows)} rows, {sum(row.seconds for row in rows):.0f} s; the pack has {volts:.1f} V. "
+        + _said("Not tried over simulated machines", untried)
+        + _said("Failed the gate, vouched for", vouched)
+        + _said("Never walked from this bundle, nor slowly first (--first-run)", new)
+        + _said("More than trained for", more, "; ")
+        + _said(
+            "Begun long ago, so that blocks far apart would be compared (move its logs away to walk all)", old, "; "
+        )
+        + unguarded(channels)
+        + "The robot will stand up and walk. Is everybody clear?"
+    )
+
+
+def begun_long_ago(bundle: Bundle, rows: Sequence[Row], now: float) -> list[str]:
+    """Sessions of some rows that compare policies and of which other rows have logs, the last of them `LONG` ago: its
+    name, hours and logs. now: s, as files' times are told."""
+    asked = {row.log for row in rows}
+    found = []
+    for session in dict.fromkeys(row.session for row in rows if row.role != "collection"):
+        others = [row.log for row in bundle.rows if row.session == session and row.log not in asked]
+        times = {name: path.stat().st_mtime for name in others if (path := bundle.logs / f"{name}.csv").exists()}
+        if times and now - max(times.values()) > LONG:
+            hours = (now - max(times.values())) / 3600
+            found.append(f"{session} ({hours:.1f} h, logs {', '.join(times)})")
+    return found
+
+
+def _said(what: str, found: Iterable[str], between: str = ", ") -> str:
+    listed = between.join(found)
+    return f"{what}: {listed}. " if listed else ""
