@@ -26,6 +26,7 @@ from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND
 from hts_go1_runtime.meeting import check_channels, check_draws, check_lies, meet
+from hts_go1_runtime.nearing import Nearing
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.question import question
 from hts_go1_runtime.rows import Row
@@ -64,6 +65,7 @@ class Session:
         self.bundle, self.link, self.loop, self.options, self.events = bundle, link, loop, options, events
         self.limited_targets = 0  # joint targets that left the joint's range and were sent as its end
         self._keeper = Keeper(events)
+        self._nearing = Nearing(loop.limits, loop.period)
         self._channels: list[str] = []
         self._idle: dict[str, float] = {}
         self._torque_share = 1.0  # of what the joints may be told
@@ -143,6 +145,7 @@ class Session:
         """First words with the robot: what it measures, and whether that is enough."""
         self.events.say("waiting for the robot's first state", at_most_s=FIRST_STATE)
         self._channels = measured(meet(self.loop))
+        self._nearing.see(self.loop.state)
         if not self.options.first_run:
             check_channels(self.bundle.manifest["channels"], self._channels, self.options.external)
         if self.bundle.hold and any(row.trim for row in rows) and "base_velocity" not in self._channels:
@@ -337,6 +340,7 @@ class Session:
             counts, now, took = self.link.counts, self.link.now(), time.perf_counter() - given["began"]
             noted = (state.stamp, 1e3 * (now - state.received), 1e3 * (now - self.loop.due), 1e3 * took)
             log.write(now, samples(state, given["sent"], given["command"]), (*noted, counts.lost, counts.late))
+        self._nearing.see(state)
         return state
 
     def _steered(self, asked: np.ndarray, state: State) -> np.ndarray:

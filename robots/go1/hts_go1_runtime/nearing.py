@@ -1,0 +1,46 @@
+"""Heat and charge grow bad slowly: near the limits that let a robot fall it sits down, while it still can."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.link import State
+from hts_go1_runtime.machine import JOINTS, Limits
+
+DEGREES = 5.0  # below the temperature at which the robot is stopped, degC
+VOLTS = 0.4  # above the voltage at which it is, in the mean
+SECONDS = 1.0  # time constant of that mean: a step draws the pack down for tenths of a second
+
+
+class Nearing:
+    """Looks at each step of a walk. period: of a step, s. A number that is not measured (NaN) is not looked at."""
+
+    def __init__(self, limits: Limits, period: float) -> None:
+        self._hot, self._limits = limits.temperature - DEGREES, limits
+        self._empty, self._share = limits.voltage + VOLTS, -math.expm1(-period / SECONDS)
+        self._voltage = math.nan
+
+    def see(self, state: State) -> None:
+        """Raises RuntimeFault, at which a robot sits down, near a limit at which it would be damped."""
+        hot = np.flatnonzero(state.temperature >= self._hot)
+        if hot.size:
+            joint = int(hot[0])
+            raise RuntimeFault(
+                f"{JOINTS[joint]} at {state.temperature[joint]:.0f} degC, and at {self._limits.temperature:g} the "
+                "robot is let fall: the visit ends here. Let it cool down, then run the same again; rows that have a "
+                "log stay."
+            )
+        if math.isnan(state.voltage):
+            return
+        if math.isnan(self._voltage):
+            self._voltage = state.voltage
+        self._voltage += self._share * (state.voltage - self._voltage)
+        if self._voltage <= self._empty:
+            raise RuntimeFault(
+                f"{self._voltage:.2f} V at the pack in the mean of about {SECONDS:g} s, and at "
+                f"{self._limits.voltage:g} the robot is let fall: the visit ends here. Charge or change the pack, then "
+                "run the same again; rows that have a log stay."
+            )

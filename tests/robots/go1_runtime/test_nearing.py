@@ -1,0 +1,101 @@
+"""A robot that grows hot, or whose pack runs low, sits down before a limit lets it fall."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.fake import standing
+from hts_go1_runtime.machine import Limits
+from hts_go1_runtime.nearing import Nearing
+
+SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
+scripted = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(scripted)
+PERIOD = 0.02
+WALKS = 11.0  # s on the link's clock, when the second row of the bundle is being recorded
+
+
+def growing(**values):
+    """A robot whose numbers are functions of the time since the second row began."""
+
+    def spoil(state):
+        since = max(state.stamp - WALKS, 0.0)
+        return dataclasses.replace(state, **{name: value(since) for name, value in values.items()})
+
+    return scripted.ScriptedLink(spoil)
+
+
+def warm(degrees):
+    return lambda since: np.where(np.arange(12) == 7, degrees(since), 40.0)
+
+
+@pytest.mark.parametrize(
+    ("link", "words"),
+    [
+        (growing(temperature=warm(lambda since: 74.8 + 0.5 * since)), "RR_thigh_joint at 75 degC, and at 80"),
+        (growing(voltage=lambda since: 19.1 - 0.05 * since), "V at the pack in the mean of about 1 s, and at 18.6"),
+    ],
+    ids=["temperature", "voltage"],
+)
+def test_it_sits_down_and_is_not_let_fall(change, visit, link, words, capsys):
+    bundle = change(lambda manifest: manifest["rows"][1]["schedule"]["commands"][0].__setitem__("seconds", 6.0))
+    assert visit("--yes", link=link) == 2
+    assert words in capsys.readouterr().err
+    events = [json.loads(line) for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
+    what = [one["what"] for one in events]
+    assert "sat down" in what and "stopped" not in what
+    assert (bundle / "logs" / "00.csv").exists() and not (bundle / "logs" / "01.csv").exists()
+
+
+def test_one_that_is_too_warm_or_too_empty_to_begin_does_not_move(visit, capsys):
+    for values in ({"temperature": np.full(12, 77.0)}, {"voltage": 18.9}):
+        link = scripted.ScriptedLink(lambda state, values=values: dataclasses.replace(state, **values))
+        assert visit("--yes", link=link) == 2
+        assert "is let fall: the visit ends here" in capsys.readouterr().err
+        assert not any(command.kp.any() for _, command in link.sent)
+
+
+def see_often(nearing, one, times):
+    for _ in range(times):
+        nearing.see(one)
+
+
+def state(**values):
+    return dataclasses.replace(standing(0, 0.0), **{"voltage": 22.0, "temperature": np.full(12, 40.0), **values})
+
+
+def test_a_step_that_draws_the_pack_down_for_tenths_of_a_second_is_no_empty_pack():
+    nearing = Nearing(Limits(), PERIOD)
+    for number in range(2000):
+        nearing.see(state(voltage=18.7 if number % 25 > 19 else 20.5))  # 20.1 V in the mean
+
+
+def test_the_mean_voltage_is_that_of_about_a_second():
+    nearing = Nearing(Limits(), PERIOD)
+    nearing.see(state(voltage=22.0))
+    seconds = math.log((22.0 - 18.7) / (19.0 - 18.7))  # until an exponential mean is down to 19.0
+    see_often(nearing, state(voltage=18.7), math.floor(seconds / PERIOD) - 2)
+    with pytest.raises(RuntimeFault, match=r"19\.00 V|18\.9\d V"):
+        see_often(nearing, state(voltage=18.7), 5)
+
+
+def test_what_is_not_measured_is_not_looked_at():
+    nearing = Nearing(Limits(), PERIOD)
+    see_often(nearing, state(voltage=math.nan, temperature=np.full(12, math.nan)), 100)
+    nearing.see(state(voltage=22.0))
+
+
+@pytest.mark.parametrize(("limit", "degrees"), [(80.0, 75.0), (60.0, 55.0)])
+def test_it_is_five_degrees_below_whatever_limit_is_asked_for(limit, degrees):
+    nearing = Nearing(Limits(temperature=limit), PERIOD)
+    nearing.see(state(temperature=np.full(12, degrees - 0.1)))
+    with pytest.raises(RuntimeFault, match=f"at {degrees:g} degC, and at {limit:g}"):
+        nearing.see(state(temperature=np.full(12, degrees)))
