@@ -33,6 +33,8 @@ from pathlib import Path
 from statistics import mean
 from typing import Any
 
+from racing_errors import tables
+
 SELECTORS = ("hierarchical", "racing")
 POINT = 0.01  # one percentage point of the improvement
 SHARE = 0.6  # of the real seconds of selection
@@ -225,74 +227,6 @@ WORLDS: dict[str, Json] = {
     "six, best by 0.3 points": {"savings": [0.123, 0.12, 0.11, 0.10, 0.09, 0.08]},
 }
 """Known worlds; candidate 0 is the best or one of the best."""
-
-SESSIONS = (0.0, 0.5, 1.0, 2.0, 4.0)
-"""Standard deviations of what a session has of its own for one candidate, in those of a half."""
-
-
-def tables(trials: int) -> Json:
-    """Races of equal candidates in tables of random numbers, which is quick: how often candidate 0 is dropped.
-
-    Halves scatter by 1 and share something that scatters by 3. `corrected` is what `racing` does with its default
-    `unit`; `uncorrected` tests at its whole error after each round. `session of its own` is what both halves of a round
-    have in common for one candidate, in standard deviations of a half; under it, one entry for each `unit`.
-    """
-    from hts.selection.racing import RacingSettings
-
-    settings, result = RacingSettings(), {}
-    for candidates in (2, 3, 6):
-        level = settings.error / (settings.rounds * candidates)
-        anytime = settings.error / candidates
-
-        def by_unit(level: float, candidates: int = candidates, anytime: bool = False) -> Json:
-            return {
-                unit: {own: dropped(trials, candidates, level, own=own, anytime=anytime, unit=unit) for own in SESSIONS}
-                for unit in ("half", "round")
-            }
-
-        result[f"{candidates} equal"] = {
-            "corrected": dropped(trials, candidates, level),
-            "corrected, heavy tails (t, 3)": dropped(trials, candidates, level, degrees=3),
-            "uncorrected": dropped(trials, candidates, settings.error),
-            "corrected, session of its own": by_unit(level),
-            "anytime, 10 rounds, session of its own": by_unit(anytime, anytime=True),
-        }
-    return result
-
-
-def dropped(
-    trials: int,
-    candidates: int,
-    level: float,
-    degrees: int | None = None,
-    own: float = 0.0,
-    anytime: bool = False,
-    unit: str | None = None,
-) -> float:
-    """Share of races in which candidate 0 of equals is dropped. degrees: of the t distribution that halves come from;
-    None: normal. own: standard deviation of a session's own for each candidate. unit: as in `racing`'s settings."""
-    import numpy as np
-
-    from hts.selection.anytime import still_racing as by_sequences
-    from hts.selection.racing import RacingSettings, of_rounds, still_racing
-
-    rounds = 10 if anytime else RacingSettings().rounds
-    rng, without, shape = np.random.default_rng(0), 0, (candidates, 2 * rounds)
-    test, level_of_all = (by_sequences, 100.0) if anytime else (still_racing, 0.0)  # far above the reference, who is 0
-    seen = of_rounds if (unit or RacingSettings().unit) == "round" else np.asarray
-    for _ in range(trials):
-        scores = rng.standard_normal(shape) if degrees is None else rng.standard_t(degrees, shape)
-        scores += level_of_all + 3.0 * rng.standard_normal(shape[1])
-        if own:
-            scores += np.repeat(own * rng.standard_normal((candidates, rounds)), 2, axis=1)
-        racing = list(range(candidates))
-        for number in range(1, rounds + 1):
-            racing = test(seen(scores[:, : 2 * number]), racing, level, 0.0)
-            if 0 not in racing or len(racing) < 2:
-                break
-            scores[[row for row in range(candidates) if row not in racing], 2 * number :] = np.nan
-        without += 0 not in racing
-    return without / trials
 
 
 def monte_carlo(trials: int, whole_seconds: float = 320.0) -> Json:

@@ -20,7 +20,7 @@ def still_racing(table: np.ndarray, racing: Sequence[int], error: float, indiffe
     candidate's own units against the reference. Out is whose sequence lies beyond zero. The best of K candidates
     takes part in K such comparisons (K − 1 others, the reference), so it is ever dropped with probability K · error.
     """
-    racing = [row for row in racing if _mean(table[row]) + _width(table[row], error) >= 0.0]
+    racing = [row for row in racing if not _below_zero(table[row], error)]
     if len(racing) < 2:
         return racing
     leader = max(racing, key=lambda row: _mean(table[row]))
@@ -31,6 +31,11 @@ def still_racing(table: np.ndarray, racing: Sequence[int], error: float, indiffe
     if all(width - mean <= worth for mean, width in left.values()):
         return [leader]
     return [row for row in racing if row == leader or row in left]
+
+
+def _below_zero(values: np.ndarray, error: float) -> bool:
+    """Whether a candidate is clearly no better than the reference; of none that was not measured yet."""
+    return bool(np.isfinite(values).any()) and _mean(values) + _width(values, error) < 0.0
 
 
 def _mean(values: np.ndarray) -> float:

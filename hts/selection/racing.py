@@ -25,7 +25,7 @@ from hts.contracts import (
     SimulatedCandidate,
     TestedCandidate,
 )
-from hts.errors import ConfigError, unknown_name
+from hts.errors import ConfigError, PluginError, unknown_name
 from hts.selection import anytime
 from hts.selection.hierarchical import Hierarchical, HierarchicalSettings
 
@@ -38,7 +38,11 @@ class RacingSettings(Config):
     )
     allow_falls: bool = Field(False, description="may a candidate that fell in reality be the best one")
     block_seconds: float = Field(15.0, gt=0, description="length of each block of a round, s")
-    rounds: int = Field(4, ge=1, description="rounds at most: the budget")
+    rounds: int = Field(
+        4,
+        ge=1,
+        description="rounds at most: the budget; nobody leaves by score before the second round, nor after the last",
+    )
     test: Literal["looks", "anytime"] = Field(
         "looks",
         description="looks: t-tests at `rounds` looks fixed before; anytime: confidence sequences, "
@@ -46,8 +50,8 @@ class RacingSettings(Config):
     )
     unit: Literal["half", "round"] = Field(
         "round",
-        description="what the test takes as independent: whole rounds, whatever a session has of its own, or their "
-        "halves, which decide sooner and are independent only if it has nothing",
+        description="round: one number a round and candidate, the mean of its halves; half: two numbers, which decide "
+        "sooner, and rightly only if a session favours nobody",
     )
     error: float = Field(
         0.05, gt=0, lt=1, description="alpha: probability, over the whole race, that the best one is dropped"
@@ -88,6 +92,12 @@ class Racing(Selector):
         who is clearly no better than the reference.
         """
         able = [one for one in raced if one.tested is not None and (self.settings.allow_falls or not one.tested.fell)]
+        for one in raced:
+            if len(one.halves) % 2:
+                raise PluginError(
+                    f"Selector 'racing': {one.id} has {len(one.halves)} halves, expected two of each round. The world "
+                    "must walk two blocks of everybody in a round (`World.head_to_head_round`)."
+                )
         racing = [index for index, one in enumerate(able) if one.racing]
         if len(racing) < 2:
             return [able[index].id for index in racing]
@@ -97,9 +107,15 @@ class Racing(Selector):
         if self.settings.test == "anytime":
             left = anytime.still_racing(table, racing, self.settings.error / len(raced), self.settings.indifference)
             return [able[index].id for index in left]
-        level = self.settings.error / (self.settings.rounds * len(raced))
+        level = self.level(len(raced))
         racing = [index for index in racing if not _clearly_below_zero(table[index], level)]
         return [able[index].id for index in still_racing(table, racing, level, self.settings.indifference)]
+
+    def level(self, candidates: int) -> float:
+        """Error probability of one comparison at one look: `error` shared among all comparisons of the best of so many
+        candidates, and all looks that can decide. Nothing is decided after the last round, nor after one unit alone."""
+        looks = self.settings.rounds - (2 if self.settings.unit == "round" else 1)
+        return self.settings.error / (max(1, looks) * candidates)
 
     def _score(self, half: Any) -> float:
         """Selection score of a half by the objective that decides; NaN for one that could not be compared."""
@@ -167,16 +183,16 @@ def residual_variance(table: np.ndarray) -> tuple[float, int]:
 def _difference(
     leader: np.ndarray, other: np.ndarray, variance: float, degrees: int, level: float
 ) -> tuple[float, float]:
-    """How far `other` lies behind, over the halves they have in common, and how wide that is at this level."""
+    """How far `other` lies behind, over the units they have in common, and how wide that is at this level."""
     differences = (leader - other)[np.isfinite(leader) & np.isfinite(other)]
     if degrees < 1 or len(differences) == 0:
         return 0.0, math.inf
     return float(differences.mean()), _quantile(level, degrees) * math.sqrt(2 * variance / len(differences))
 
 
-def _clearly_below_zero(halves: np.ndarray, level: float) -> bool:
-    """Whether a candidate is no better than the reference, from its own halves alone."""
-    found = halves[np.isfinite(halves)]
+def _clearly_below_zero(units: np.ndarray, level: float) -> bool:
+    """Whether a candidate is no better than the reference, from its own units alone."""
+    found = units[np.isfinite(units)]
     if len(found) < 2:
         return False
     width = _quantile(level, len(found) - 1) * float(found.std(ddof=1)) / math.sqrt(len(found))

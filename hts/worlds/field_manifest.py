@@ -177,9 +177,10 @@ def _part(part: Mapping[str, Any]) -> dict[str, Any]:
 def _trained(card: SimpleNamespace, facts: Facts) -> dict[str, Any] | None:
     """From the card where it says so, else from the run; None where nobody knows."""
     made = vars(card).get("made")
+    fine_tuned = _inside(made, "anchor") is not None  # what nobody did was not trained as this run trains
     for source, env in (
         ("card of the policy", _inside(made, "config", "env")),
-        ("run that fine-tuned it", _inside(facts.run, "finetune", "env")),
+        ("run that fine-tuned it", _inside(facts.run, "finetune", "env") if fine_tuned else None),
     ):
         steps, ranges = _inside(env, "randomisation", "delay_steps"), _inside(env, "commands")
         if steps is None or ranges is None:

@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import pytest
 from intervals import held_by_blocks, held_by_realities, normal, skewed
-from racing import dropped
+from racing_errors import dropped
 
 from hts.evaluation.population import mean, quantile
 
 
 @pytest.mark.parametrize(
-    ("own", "anytime", "least", "most"),
-    [(0.0, False, 0.0, 0.05), (2.0, False, 0.2, 0.5), (0.0, True, 0.0, 0.05), (4.0, True, 0.07, 0.3)],
+    ("unit", "own", "test", "least", "most"),
+    [
+        ("half", 0.0, "looks", 0.0, 0.05),
+        ("half", 2.0, "looks", 0.2, 0.5),
+        ("half", 0.0, "anytime", 0.0, 0.05),
+        ("half", 4.0, "anytime", 0.07, 0.3),
+        ("round", 0.0, "looks", 0.0, 0.05),
+        ("round", 2.0, "looks", 0.0, 0.05),
+        ("round", 0.0, "anytime", 0.0, 0.05),
+        ("round", 4.0, "anytime", 0.0, 0.05),
+    ],
 )
-def test_a_session_of_its_own_drops_the_best_more_often_than_stated(own, anytime, least, most):
+def test_a_session_of_its_own_is_in_the_error_of_rounds_and_not_of_halves(unit, own, test, least, most):
     """Six equal candidates, of which one leads by chance; 150 races."""
-    level = 0.05 / 6 if anytime else 0.05 / (4 * 6)
-    assert least <= dropped(150, 6, level, own=own, anytime=anytime) <= most
+    assert least <= dropped(150, 6, own=own, test=test, unit=unit) <= most
+
+
+def test_a_session_of_its_own_for_one_alone_is_not_in_the_error_of_pooled_scatter():
+    assert dropped(300, 6, own=4.0, alone=True) > 0.05 >= dropped(150, 6, own=4.0, alone=True, test="anytime")
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,13 @@ def test_a_candidate_is_out_when_its_differences_lie_beyond_zero():
     assert anytime.still_racing(table[:, :2], [0, 1, 2], 0.02, 0.0) == [0, 1, 2]  # two units say nothing
 
 
+@pytest.mark.parametrize("missing", [0, 1, (0, 1, 2)])
+def test_who_was_not_measured_yet_is_neither_out_nor_does_it_end_the_race(missing):
+    table = np.array([[5.0], [4.0], [4.5]])
+    table[missing, :] = NAN
+    assert anytime.still_racing(table, [0, 1, 2], 0.02, 0.1) == [0, 1, 2]
+
+
 def test_who_is_no_better_than_the_reference_is_out():
     worse = np.array([[-1.0, -1.1, -0.9, -1.0, -1.1, -0.9], [-0.9, -1.0, -1.1, -1.0, -0.9, -1.1]])
     assert anytime.still_racing(worse, [0, 1], 0.02, 0.0) == []

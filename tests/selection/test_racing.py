@@ -14,7 +14,7 @@ from hts import api
 from hts.config import EvaluationConfig
 from hts.contracts import Comparison, RacedCandidate, Rounds
 from hts.contracts import TestedCandidate as Elite  # under its own name pytest takes it for a test class
-from hts.errors import ConfigError
+from hts.errors import ConfigError, PluginError
 from hts.evaluation.final import CandidateResult
 from hts.evaluation.halves import halves
 from hts.evaluation.head_to_head import point
@@ -41,13 +41,20 @@ def raced(name, *scores, fell=False, racing=True, measured=True):
 # --------------------------------------------------------------------------------------------- the test itself
 
 
-@pytest.mark.parametrize(("test", "level"), [("anytime", 0.06 / 3), ("looks", 0.06 / (4 * 3))])
-def test_the_error_is_shared_among_all_that_were_raced_whoever_fell_since(monkeypatch, test, level):
+@pytest.mark.parametrize(
+    ("test", "unit", "level"),
+    [
+        ("anytime", "round", 0.06 / 3),
+        ("looks", "round", 0.06 / (2 * 3)),  # after the second and the third of four rounds
+        ("looks", "half", 0.06 / (3 * 3)),
+    ],
+)
+def test_the_error_is_shared_among_all_that_were_raced_whoever_fell_since(monkeypatch, test, unit, level):
     asked = []
     for module in (racing, racing.anytime):
         judge = lambda table, left, error, indifference: asked.append(error) or list(left)
         monkeypatch.setattr(module, "still_racing", judge)
-    selector = make({"objective": "x", "error": 0.06, "rounds": 4, "test": test})
+    selector = make({"objective": "x", "error": 0.06, "rounds": 4, "test": test, "unit": unit})
     field = [raced("a", 1.0, 1.1), raced("b", 0.9, 1.0), raced("c", 0.5, 0.4, fell=True)]
     assert selector.keep(field) == ["a", "b"] and asked == [pytest.approx(level)]
 
@@ -100,15 +107,16 @@ def test_one_half_is_too_little_to_drop_anybody():
     assert still_racing(np.array([[0.5, NAN], [NAN, 0.1]]), [0, 1], LEVEL, 0.0) == [0, 1]
 
 
-def error_rate(level: float, trials: int = 400, unit: str = "half", own: float = 0.0) -> float:
+def error_rate(unit: str, level: float | None = None, own: float = 0.0, trials: int = 400) -> float:
     """How often candidate 0, as good as two others, is dropped in a race of four rounds whose halves scatter and share
-    something. own: standard deviation of what a session has of its own for each candidate."""
+    something. level: None: the selector's; own: standard deviation of what a session has of its own for each."""
     rng, dropped, candidates, rounds = np.random.default_rng(0), 0, 3, 4
+    level = make({"unit": unit, "rounds": rounds}).level(candidates) if level is None else level
     for _ in range(trials):
         halves = rng.standard_normal((candidates, 2 * rounds)) + 3.0 * rng.standard_normal(2 * rounds)
         halves += np.repeat(own * rng.standard_normal((candidates, rounds)), 2, axis=1)
         racing = list(range(candidates))
-        for number in range(1, rounds + 1):
+        for number in range(1, rounds):  # nothing is decided after the last
             table = halves[:, : 2 * number].copy()
             racing = still_racing(of_rounds(table) if unit == "round" else table, racing, level, 0.0)
             if 0 not in racing:
@@ -120,15 +128,22 @@ def error_rate(level: float, trials: int = 400, unit: str = "half", own: float =
 
 @pytest.mark.parametrize("unit", ["half", "round"])
 def test_among_equals_one_is_dropped_in_no_more_races_than_the_error_says(unit):
-    assert error_rate(0.05 / (4 * 3), unit=unit) <= 0.05
+    assert error_rate(unit) <= 0.05
 
 
-def test_looking_after_each_round_without_a_correction_would_drop_it_too_often():
-    assert error_rate(0.05) > 0.10
+@pytest.mark.parametrize("unit", ["half", "round"])
+def test_looking_after_each_round_without_a_correction_would_drop_it_too_often(unit):
+    assert error_rate(unit, level=0.05) > 0.06
 
 
 def test_what_a_session_has_of_its_own_is_in_the_error_of_rounds_and_not_of_halves():
-    assert error_rate(0.05 / (4 * 3), own=2.0, unit="round") <= 0.05 < error_rate(0.05 / (4 * 3), own=2.0)
+    assert error_rate("round", own=2.0) <= 0.05 < error_rate("half", own=2.0)
+
+
+def test_halves_that_are_not_two_of_each_round_are_a_mistake_of_the_world():
+    field = [raced("a", 1.0, 1.1, 1.0), raced("b", 0.9, 1.0, 0.9)]
+    with pytest.raises(PluginError, match=r"'racing': a has 3 halves, expected two of each round\. The world must"):
+        make({}).keep(field)
 
 
 def test_a_round_is_the_mean_of_its_halves_and_none_without_one_of_them():

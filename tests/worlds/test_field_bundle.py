@@ -83,6 +83,18 @@ def test_a_delay_in_shares_of_a_control_step_is_told_in_seconds(robot):
     assert told["delay_s"] == pytest.approx((0.01, 0.02))  # a control step of 20 ms
 
 
+@pytest.mark.parametrize(("made", "known"), [({"anchor": "0" * 64}, True), ({"kind": "rsl_rl"}, False), ({}, False)])
+def test_ranges_of_the_run_are_those_of_what_was_fine_tuned_and_of_nothing_else(robot, made, known):
+    from types import SimpleNamespace
+
+    from hts.worlds.field_manifest import _trained
+
+    env = {"randomisation": {"delay_steps": [0, 3]}, "commands": {"vx": [0.2, 1.5]}}
+    told = _trained(SimpleNamespace(made=made), SimpleNamespace(run={"finetune": {"env": env}}, spec=robot.spec))
+    assert (told is not None) == known
+    assert not known or (told["commands"], told["source"]) == ({"vx": [0.2, 1.5]}, "run that fine-tuned it")
+
+
 def test_a_policy_that_nobody_vouches_for_is_not_bundled(run, tmp_path, robot):
     from hts.policies.export import to_onnx
     from hts.policies.files import load_policy

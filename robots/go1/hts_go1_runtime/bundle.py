@@ -60,6 +60,11 @@ class Bundle:
     frozen: FrozenSeconds
 
     @property
+    def fastest(self) -> float | None:
+        """m/s, the end of trimming, None where no speed is held."""
+        return None if self.hold is None else self.hold.commands[1]
+
+    @property
     def logs(self) -> Path:
         return self.folder / "logs"
 
@@ -83,7 +88,7 @@ def load_bundle(folder: Path) -> Bundle:
         rows = [row_of(row, policies, where) for row in manifest["rows"]]
         hold, frozen = _hold(manifest["hold"], where), _frozen(manifest.get("frozen"), where)
         _check_visit(manifest, where)
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         what = " ".join(f"{type(error).__name__}: {error}".split())
         raise RuntimeFault(f"{where}: not a whole manifest ({what[:160]}). Make the bundle again.") from error
     if len({row.log for row in rows}) != len(rows) or not rows:

@@ -141,7 +141,7 @@ def _described(bundle: Bundle) -> str:
         entry = policy.entry
         explores = "explores" if entry["exploration"] else "mean action"
         lines.append(f"  {file}  {str(entry['policy_hash'])[:12]}  {explores}, {gate_in_words(entry['gate'])}")
-    lines += [f"  more than trained for: {what}" for what in beyond(bundle.rows, bundle.policies)]
+    lines += [f"  more than trained for: {what}" for what in beyond(bundle.rows, bundle.policies, bundle.fastest)]
     return "\n".join(lines)
 
 

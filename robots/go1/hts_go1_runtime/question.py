@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from hts_go1_runtime.bundle import Bundle
 from hts_go1_runtime.events import Events
-from hts_go1_runtime.first_run import never_walked
+from hts_go1_runtime.first_run import FirstRun, never_walked
 from hts_go1_runtime.meeting import unguarded
 from hts_go1_runtime.rows import Row
 from hts_go1_runtime.trained import beyond
@@ -32,7 +33,7 @@ def question(
     new = [] if first_run else never_walked(bundle, rows)
     if new:
         events.say("no first run", policies=new)
-    more = [] if first_run else beyond(rows, bundle.policies)
+    more = beyond(slowly(bundle, rows) if first_run else rows, bundle.policies, bundle.fastest)
     if more:
         events.say("more than trained for", rows=more)
     old = [] if first_run else begun_long_ago(bundle, rows, time.time())
@@ -51,6 +52,15 @@ def question(
         + unguarded(channels)
         + "The robot will stand up and walk. Is everybody clear?"
     )
+
+
+def slowly(bundle: Bundle, rows: Sequence[Row]) -> list[Row]:
+    """Rows as a first run walks them."""
+    scale = FirstRun.of(bundle.manifest).speed_scale
+    return [
+        replace(row, commands=tuple((s, scale * vx, scale * vy, scale * turn) for s, vx, vy, turn in row.commands))
+        for row in rows
+    ]
 
 
 def begun_long_ago(bundle: Bundle, rows: Sequence[Row], now: float) -> list[str]:

@@ -30,6 +30,7 @@ from hts_go1_runtime.nearing import Nearing
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.question import question
 from hts_go1_runtime.rows import Row
+from hts_go1_runtime.trained import over, ranges_of, turns
 from hts_go1_runtime.trimming import Trimming
 
 HEADING_GAIN, LARGEST_YAW_RATE = 0.5, 1.0  # rad/s per rad, rad/s: as the policies were trained
@@ -303,6 +304,8 @@ class Session:
             raise
         command, saturated = trimming.found()
         self.events.say("trimmed", log=row.log, asked=row.commands[0][1], command=round(command, 4), at_limit=saturated)
+        if over(ranges_of(policy), "vx", command):
+            self.events.say("trimmed to more than was trained for", log=row.log, trained=ranges_of(policy)["vx"])
         trimming.check(self.options.at_limit)
         return command, saturated
 
@@ -326,7 +329,7 @@ class Session:
 
         def make(state: State) -> Command:
             given["began"] = time.perf_counter()
-            given["sent"] = sent = self._steered(asked, state)
+            given["sent"] = sent = self._steered(policy, asked, state)
             targets = policy.targets(state, sent)
             if self._torque_share < 1 or reach.weaker:
                 targets = reach.weakened(targets, policy.kp, policy.kd, state, self._torque_share)
@@ -343,7 +346,7 @@ class Session:
         self._nearing.see(state)
         return state
 
-    def _steered(self, asked: np.ndarray, state: State) -> np.ndarray:
+    def _steered(self, policy: Policy, asked: np.ndarray, state: State) -> np.ndarray:
         """The command with the yaw rate that keeps the heading, where straight walking is asked for."""
         if asked[2] != 0 or not asked[:2].any():
             self._wanted_heading = None
@@ -351,7 +354,8 @@ class Session:
         if self._wanted_heading is None:
             self._wanted_heading = state.heading
         error = (self._wanted_heading - state.heading + math.pi) % (2 * math.pi) - math.pi
-        turn = min(max(HEADING_GAIN * error, -LARGEST_YAW_RATE), LARGEST_YAW_RATE)
+        low, high = turns(ranges_of(policy), LARGEST_YAW_RATE)
+        turn = min(max(HEADING_GAIN * error, low), high)
         return np.array([asked[0], asked[1], turn])
 
     # ------------------------------------------------------------------------------------------ the log

@@ -16,7 +16,7 @@ from hts_go1_runtime import cli
 from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.first_run import FILE, never_walked
 from hts_go1_runtime.question import begun_long_ago
-from hts_go1_runtime.trained import beyond
+from hts_go1_runtime.trained import beyond, turns
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
 scripted = importlib.util.module_from_spec(SPEC)
@@ -109,7 +109,7 @@ RANGES = {"commands": {"vx": [0.2, 1.5], "vy": [-0.2, 0.2], "yaw_rate": [-0.5, 0
 
 def test_a_row_that_asks_for_more_than_was_trained_is_told_before_the_robot_moves(change, visit, capsys):
     bundle = change(asking(1, RANGES, vy=0.3))
-    words = "0.3 m/s sideways, trained to 0.2 (rows 01)"
+    words = "policies/01-noisy.onnx: 0.3 m/s to the left (rows 01), trained for -0.2 to 0.2"
     assert cli.main(["check", str(bundle)]) == 0
     assert f"more than trained for: {words}" in capsys.readouterr().out
     assert visit("--yes") == 0
@@ -133,16 +133,57 @@ def test_what_was_trained_or_is_not_known_is_not_told(change, trained, command):
     assert beyond(loaded.rows, loaded.policies) == []
 
 
-def test_each_axis_and_direction_is_told_once_for_all_rows(change):
+def test_the_most_is_told_of_each_policy_and_direction(change):
     def edit(manifest) -> None:
-        for row in (0, 1):
-            asking(row, RANGES, vx=-0.3, yaw_rate=0.6)(manifest)
+        asking(0, RANGES, vx=-0.3, yaw_rate=0.6)(manifest)
+        first, second = manifest["rows"]
+        first["schedule"]["commands"] += [{**first["schedule"]["commands"][0], "vx": vx} for vx in (-0.4, 1.5, 1.7)]
+        second.update(first, log="01", trim=False, role="collection")
 
     loaded = load_bundle(change(edit))
-    assert beyond(loaded.rows, loaded.policies) == [
-        "-0.3 m/s forward, trained to 0 (rows 00, 01)",
-        "0.6 rad/s turning, trained to 0.5 (rows 00, 01)",
+    policy, ranges = "policies/00-walk.onnx", "trained for 0.2 to 1.5"
+    assert beyond(loaded.rows, loaded.policies, fastest=1.6) == [
+        f"{policy}: 0.4 m/s backwards (rows 00, 01), {ranges}",
+        f"{policy}: 1.7 m/s forward (rows 00, 01), {ranges}",  # a row whose speed is held ends at 1.6
+        f"{policy}: 0.6 rad/s to the left (rows 00, 01), trained for -0.5 to 0.5",
     ]
+    assert beyond(loaded.rows[:1], loaded.policies, fastest=1.5) == [
+        f"{policy}: 0.4 m/s backwards (rows 00), {ranges}",
+        f"{policy}: 0.6 rad/s to the left (rows 00), trained for -0.5 to 0.5",
+    ]
+
+
+def test_a_first_run_is_told_what_its_slower_commands_ask_for(change, visit, capsys):
+    def edit(manifest) -> None:
+        asking(0, {"commands": {"vx": [0.0, 0.5]}}, vx=1.4)(manifest)
+        manifest["first_runs"].update(speed_scale=0.5, seconds=1.0)
+
+    change(edit)
+    assert visit("--yes", "--first-run", "--rows", "00") == 0
+    words = "policies/00-walk.onnx: 0.7 m/s forward (rows 00), trained for 0 to 0.5"
+    assert f"More than trained for: {words}. " in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_command_that_trimming_finds_beyond_what_was_trained_is_an_event(change, visit):
+    bundle = change(asking(0, {"commands": {"vx": [0.2, 0.6]}}, vx=0.6))
+    assert visit("--yes", "--rows", "00") == 0
+    events = [json.loads(line) for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
+    told = next(one for one in events if one["what"] == "trimmed to more than was trained for")
+    assert (told["log"], told["trained"]) == ("00", [0.2, 0.6])
+    assert not any(one["what"] == "more than trained for" for one in events)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "limits"),
+    [
+        ({}, (-1.0, 1.0)),
+        ({"yaw_rate": [-0.3, 0.4]}, (-0.3, 0.4)),
+        ({"yaw_rate": [-2.0, 2.0]}, (-1.0, 1.0)),
+        ({"yaw_rate": [0.2, 0.4]}, (0.0, 0.4)),
+    ],
+)
+def test_a_heading_is_kept_with_yaw_rates_that_were_trained(ranges, limits):
+    assert turns(ranges, 1.0) == limits
 
 
 # ---------------------------------------------------------------------- sessions of two days

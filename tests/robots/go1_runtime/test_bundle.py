@@ -75,6 +75,10 @@ MISTAKES = {
         lambda m: policy(m).__setitem__("trained", {"commands": {"vx": [1.5, 0.2]}}),
         "trained .* expected null, or `commands` with a smallest and a largest each",
     ),
+    "trained for a number beyond all": (
+        lambda m: policy(m).__setitem__("trained", {"commands": {"vx": [0, 10**400]}}),
+        "not a whole manifest .OverflowError",
+    ),
     "what no robot measures": (
         lambda m: policy(m)["observation"].append({"name": "base_velocity", "size": 3}),
         "observes 'base_velocity'",
