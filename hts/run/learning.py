@@ -158,7 +158,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     anchors = {name: job.policy(behind.get(name, name)) for name in ("best", *sorted({one.anchor for one in group}))}
     checkpoint = job.folder / "iterations" / f"{iteration:02d}" / "checkpoint"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
-    begun = sorted(checkpoint.parent.glob(f"{checkpoint.name}-*"))
+    begun = any(checkpoint.parent.glob(f"{checkpoint.name}-*"))
     curves = job.folder / "log" / f"iteration-{iteration:02d}"
     if not begun:  # from the start: a killed process' log comes again
         shutil.rmtree(curves, ignore_errors=True)
@@ -167,7 +167,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     if pull is not None:
         job.stages.progress.say(f"iteration {iteration:02d}: {pull_line(pull, config.simulation_test.speeds)}")
     # Steps begin anew with each group of candidates, so what to forget can be told of one group alone.
-    with Curves(curves, goes_on=bool(begun) and len(group) <= config.finetune.max_candidates) as log:
+    with Curves(curves, goes_on=begun and len(group) <= config.finetune.max_candidates) as log:
         tuned, steps = finetune_candidates(
             job.robot,
             config.engine,

@@ -41,7 +41,8 @@ class RacingSettings(Config):
     rounds: int = Field(
         4,
         ge=1,
-        description="rounds at most: the budget; nobody leaves by score before the second round, nor after the last",
+        description="rounds at most: the budget. By score nobody leaves after the last or, with rounds as units, the "
+        "first, so less than three end nothing early",
     )
     test: Literal["looks", "anytime"] = Field(
         "looks",

@@ -33,7 +33,8 @@ def question(
     new = [] if first_run else never_walked(bundle, rows)
     if new:
         events.say("no first run", policies=new)
-    more = beyond(slowly(bundle, rows) if first_run else rows, bundle.policies, bundle.fastest)
+    # A first run trims nothing, so no end of trimming keeps its commands down.
+    more = beyond(slowly(bundle, rows) if first_run else rows, bundle.policies, None if first_run else bundle.fastest)
     if more:
         events.say("more than trained for", rows=more)
     old = [] if first_run else begun_long_ago(bundle, rows, time.time())

@@ -41,10 +41,10 @@ def row_of(row: Mapping[str, Any], policies: Mapping[str, Policy], where: str) -
         raise RuntimeFault(f"{where}: row {name} wants {row['policy']}, which is no policy of the bundle.")
     if row["policy_hash"] != policies[row["policy"]].entry["policy_hash"]:
         raise RuntimeFault(f"{where}: row {name} wants another policy_hash than {row['policy']} has.")
-    commands = tuple(
-        tuple(float(one.get(key, 0.0)) for key in ("seconds", "vx", "vy", "yaw_rate"))
-        for one in row["schedule"]["commands"]
+    asked = (
+        [float(one.get(key, 0.0)) for key in ("seconds", "vx", "vy", "yaw_rate")] for one in row["schedule"]["commands"]
     )
+    commands = tuple((seconds, vx, vy, turn) for seconds, vx, vy, turn in asked)
     for seconds, vx, vy, turn in commands:
         sane = 0 < seconds <= LONGEST_ROW and max(abs(vx), abs(vy)) <= FASTEST and abs(turn) <= FASTEST_TURN
         if not sane or not all(map(math.isfinite, (seconds, vx, vy, turn))):
@@ -52,6 +52,12 @@ def row_of(row: Mapping[str, Any], policies: Mapping[str, Policy], where: str) -
     if not commands:
         raise RuntimeFault(f"{where}: row {name} commands nothing.")
     return Row(
-        name, str(row["policy"]), str(row["policy_hash"]), str(row["session"]), int(row["block"]), str(row["role"]),
-        bool(row["trim"]), commands,  # type: ignore[arg-type]
-    )  # fmt: skip
+        log=name,
+        policy=str(row["policy"]),
+        policy_hash=str(row["policy_hash"]),
+        session=str(row["session"]),
+        block=int(row["block"]),
+        role=str(row["role"]),
+        trim=bool(row["trim"]),
+        commands=commands,
+    )

@@ -153,14 +153,15 @@ def test_the_most_is_told_of_each_policy_and_direction(change):
     ]
 
 
-def test_a_first_run_is_told_what_its_slower_commands_ask_for(change, visit, capsys):
+@pytest.mark.parametrize(("vx", "scale", "most"), [(1.4, 0.5, 0.5), (1.7, 1.0, 1.5)], ids=["slower", "untrimmed"])
+def test_a_first_run_is_told_what_its_own_commands_ask_for(change, visit, capsys, vx, scale, most):
     def edit(manifest) -> None:
-        asking(0, {"commands": {"vx": [0.0, 0.5]}}, vx=1.4)(manifest)
-        manifest["first_runs"].update(speed_scale=0.5, seconds=1.0)
+        asking(0, {"commands": {"vx": [0.0, most]}}, vx=vx)(manifest)
+        manifest["first_runs"].update(speed_scale=scale, seconds=1.0)
 
     change(edit)
     assert visit("--yes", "--first-run", "--rows", "00") == 0
-    words = "policies/00-walk.onnx: 0.7 m/s forward (rows 00), trained for 0 to 0.5"
+    words = f"policies/00-walk.onnx: {scale * vx:g} m/s forward (rows 00), trained for 0 to {most:g}"
     assert f"More than trained for: {words}. " in " ".join(capsys.readouterr().out.split())
 
 
