@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hts.selection.anytime import still_racing as by_sequences
-from hts.selection.racing import RacingSettings, make, of_rounds, still_racing
+from hts.selection.racing import Racing, RacingSettings, of_rounds, still_racing
 
 SESSIONS = (0.0, 0.5, 1.0, 2.0, 4.0)
 """Standard deviations of what a session has of its own for one candidate, in those of a half."""
@@ -59,7 +59,7 @@ def dropped(
     """
     anytime = test == "anytime"
     rounds = 10 if anytime else 4
-    racing = make({"unit": unit, "rounds": rounds, "test": test})
+    racing = Racing(RacingSettings.model_validate({"unit": unit, "rounds": rounds, "test": test}))
     decide, far = (by_sequences, 100.0) if anytime else (still_racing, 0.0)  # above the reference, who is 0
     if level is None:
         level = racing.settings.error / candidates if anytime else racing.level(candidates)
