@@ -205,7 +205,7 @@ class KLConstrainedPPOLoss(LossModule):
         losses = {
             "loss_objective": objective,
             "loss_critic": self.critic_coeff * self._mean(value_error(value, target, old_value, self.clip_value)),
-            "loss_entropy": -self.entropy_coeff * self._mean(_entropy(policy, log_ratio)),
+            "loss_entropy": self._entropy_loss(policy, log_ratio),
             "kl": mean_kl.detach(),
             "kl_approx": self._mean(-log_ratio.detach()),
             "clip_fraction": self._mean(clipped),
@@ -235,6 +235,11 @@ class KLConstrainedPPOLoss(LossModule):
                 f"The batch has the shape {tuple(log_prob.shape)}, kl_bound {tuple(count)}: its first dimension is to "
                 f"be the candidates, {count[0]}. Give a float as kl_bound where there is one policy."
             )
+
+    def _entropy_loss(self, policy: Distribution, log_ratio: torch.Tensor) -> torch.Tensor:
+        """-h E[H(pi)]; nothing is computed, or sampled, where h is 0."""
+        entropy = _entropy(policy, log_ratio) if self.entropy_coeff else torch.zeros_like(log_ratio)
+        return -self.entropy_coeff * self._mean(entropy)
 
     def _mean(self, x: torch.Tensor) -> torch.Tensor:
         return row_mean(x) if self.multiplier.value.ndim else x.mean()
