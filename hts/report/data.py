@@ -121,6 +121,11 @@ class RunData:
                 yield candidate, speed, result
 
 
+NO_FIT = (
+    "Restore it from a backup, or delete it: the report then lacks what that iteration's models made of their logs."
+)
+
+
 def read_run(folder: Path) -> RunData:
     """Read a run folder. Raises RunError if there is no summary.json, or a file in it cannot be read."""
     folder = Path(folder)
@@ -131,26 +136,33 @@ def read_run(folder: Path) -> RunData:
                 f"{folder}: this run is not finished (no summary.json). Go on with it: `hts resume {folder}`."
             )
         raise RunError(f"{folder}: holds no run (no summary.json). Give the folder that `hts run` named at its end.")
-    summary = _json(path)
+    again = f"Delete it and `hts resume {folder}`: it is written again."
+    summary = _json(path, again)
     try:
         Summary.model_validate(summary)
     except ValidationError as error:
         raise RunError(
             f"{path}: damaged ({explain(error, Summary).rstrip('.')}). Expected what a finished run says of itself. "
-            f"Delete it and `hts resume {folder}`: it is written again."
+            f"{again}"
         ) from error
     return RunData(
         folder=folder,
         summary=summary,
         config=_yaml(folder / "config.yaml"),
-        provenance=_json(folder / "provenance.json"),
+        provenance=_json(
+            folder / "provenance.json",
+            f"Restore it from a backup, since `hts resume {folder}` wants it too; deleted, the report says that it is "
+            "not there.",
+        ),
         fits={
             int(iteration["index"]): fit
             for iteration in summary.get("iterations") or []
-            if (fit := _json(folder / "iterations" / f"{int(iteration['index']):02d}" / "fit.json"))
+            if (fit := _json(folder / "iterations" / f"{int(iteration['index']):02d}" / "fit.json", NO_FIT))
         },
         segments=_segments(folder / "segments.json"),
-        evaluation=_json(folder / "evaluation.json"),
+        evaluation=_json(
+            folder / "evaluation.json", f"Delete it; `hts evaluate {folder}` compares anew and writes another."
+        ),
     )
 
 
@@ -175,7 +187,7 @@ def without_segments(run: RunData) -> str | None:
     )
 
 
-def _json(path: Path, mend: str = "Restore the file.") -> Json:
+def _json(path: Path, mend: str) -> Json:
     """The file's object, {} if there is no such file. mend: the end of what is said of a damaged one."""
     if not path.is_file():
         return {}

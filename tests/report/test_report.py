@@ -284,8 +284,25 @@ def test_a_folder_without_a_run_is_refused(tmp_path):
 
 def test_a_summary_that_was_cut_off_is_named(tmp_path):
     (tmp_path / "summary.json").write_text('{"objectives": [')
-    with pytest.raises(RunError, match="summary.json: cannot be read as JSON"):
+    with pytest.raises(RunError, match=r"summary.json: cannot be read as JSON .* Delete it and `hts resume"):
         read_run(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("file", "mend"),
+    [
+        ("evaluation.json", "Delete it; `hts evaluate"),
+        ("provenance.json", "Restore it from a backup"),
+        ("iterations/01/fit.json", "or delete it: the report then lacks"),
+    ],
+)
+def test_a_file_of_a_run_that_was_cut_off_says_how_to_mend_it_and_the_report_goes_without(tmp_path, file, mend):
+    write_example_run(tmp_path, **SMALL)
+    (tmp_path / file).write_text('{"a')
+    with pytest.raises(RunError, match=rf"{file}: cannot be read as JSON .* {mend}"):
+        read_run(tmp_path)
+    (tmp_path / file).unlink()
+    write_report(tmp_path)
 
 
 def test_the_terminal_table_has_one_row_per_speed(run):

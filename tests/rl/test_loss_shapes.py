@@ -165,3 +165,19 @@ def test_random_numbers_of_other_candidates_are_not_gone_on_from():
     two, three = (PopulationRandom(range(count), torch.device("cpu")) for count in (2, 3))
     with pytest.raises(ValueError, match="of 2 candidates, expected those of 3: they are of another training"):
         three.load_state_dict(two.state_dict())
+
+
+def test_without_an_entropy_bonus_no_entropy_is_sampled():
+    class Counted(IndependentNormal):
+        asked = 0
+
+        def entropy(self):
+            Counted.asked += 1
+            raise NotImplementedError
+
+    loss, data = loss_and_batch(distribution=Counted)
+    state = torch.get_rng_state()
+    assert float(loss(data)["loss_entropy"]) == 0.0
+    assert Counted.asked == 0 and torch.equal(state, torch.get_rng_state())
+    loss, data = loss_and_batch(distribution=Counted, entropy_coeff=0.1)
+    assert float(loss(data)["loss_entropy"].detach()) != 0.0 and Counted.asked == 1
