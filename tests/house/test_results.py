@@ -9,7 +9,13 @@ from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 OLDER = REPOSITORY / "docs/results/older-numbers.json"
-MOST_OLDER = {"README.md": 2, "docs/results.md": 0, "docs/results-development.md": 0, "docs/results-earlier.md": 0}
+MOST_OLDER = {
+    "README.md": 2,
+    "docs/results.md": 0,
+    "docs/results-version-before.md": 0,
+    "docs/results-development.md": 0,
+    "docs/results-earlier.md": 0,
+}
 """Numbers in watched places that are no results: "95 % interval", "within 10 %". Only ever lower these."""
 
 
