@@ -29,7 +29,8 @@ def atomic_write(path: Path, content: bytes | str, *, temporary: Path | None = N
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)
-        sync(path.parent)
+        with contextlib.suppress(OSError):  # the file is there, whole; some file systems know no such request
+            sync(path.parent)
     except OSError as error:
         with contextlib.suppress(OSError):  # why nothing was written matters more than what may be left of it
             part.unlink(missing_ok=True)

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import errno
 import fcntl
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import IO, Any
+
+from hts.errors import RunError
 
 NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL, errno.EBADF)
 """What file systems answer that know no locks, or none on what is open for reading alone."""
@@ -23,3 +28,13 @@ def take_lock(handle: IO[Any] | int, *, wait: bool = False) -> bool:
         if error.errno not in NO_LOCKS:
             raise
     return True
+
+
+@contextmanager
+def only_one(lock: Path, otherwise: str) -> Iterator[None]:
+    """Nobody else is inside with the same lock file, which is made and stays. Raises RunError, `otherwise`, where
+    somebody is."""
+    with lock.open("w") as handle:
+        if not take_lock(handle):
+            raise RunError(otherwise)
+        yield

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 
 import pytest
 
@@ -52,3 +53,16 @@ def test_everything_is_flushed_before_it_is_moved(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", lambda *given: order.append("replace") or replace(*given))
     atomic_write(tmp_path / "a", "text")
     assert order == ["fsync", "replace", "fsync"]  # the file, then the folder that names it
+
+
+def test_a_file_system_that_cannot_sync_a_folder_has_the_file_all_the_same(tmp_path, monkeypatch):
+    fsync = os.fsync
+
+    def files_alone(handle):
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", files_alone)
+    assert atomic_write(tmp_path / "a", "text").read_text() == "text"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a"]

@@ -25,6 +25,7 @@ from hts.evaluation.final import (
 )
 from hts.evaluation.held import ask_to_hold, check_held, hold_of
 from hts.evaluation.walked_again import walked_again
+from hts.locks import only_one
 from hts.overrides import Override, parsed
 
 if TYPE_CHECKING:
@@ -52,8 +53,9 @@ def evaluate_run(
     seed, sessions: by default the run's; sessions: how often it is done anew, and the interval is over them.
     overrides: KEY=VALUE each, of `evaluation.` and `world.` alone, laid over the run's settings for this once; the
     result says which.
-    Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data. Nothing is written if the
-    head-to-head is refused (EvaluationError), or speeds or seed are none that can be walked (ConfigError).
+    Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data, those of a head-to-head that is
+    refused (EvaluationError) too; nothing else is written then. Raises ConfigError for speeds or a seed that cannot be
+    walked, RunError while another process evaluates the same run.
     """
     from hts.evaluation.other_settings import as_options, as_values, with_others
     from hts.plugins import load
@@ -96,50 +98,52 @@ def evaluate_run(
         task.check_hold("evaluation.hold_speed")
         check_held("--speed", given, hold)
     place.mkdir(exist_ok=True)
-    where = registry.make_world(config.world.name, config.world.settings, context)
-    held: list[Recording] = []
-    vain: list[Recording] = []
+    busy = f"{folder}: another evaluation of this run is being made. Wait for it, or stop it first."
+    with only_one(place / ".lock", busy):
+        where = registry.make_world(config.world.name, config.world.settings, context)
+        held: list[Recording] = []
+        vain: list[Recording] = []
 
-    def missed(recordings: Sequence[Recording]) -> list[float]:
-        return speeds_missed(next(iter(objectives.values())), recordings, config.evaluation, seed, task)
+        def missed(recordings: Sequence[Recording]) -> list[float]:
+            return speeds_missed(next(iter(objectives.values())), recordings, config.evaluation, seed, task)
 
-    def ask(hold: HoldSpeed, asked: Sequence[float]) -> list[Recording]:
-        ask_to_hold(where, hold)
-        return in_sessions(where, tested, reference, asked, count)
+        def ask(hold: HoldSpeed, asked: Sequence[float]) -> list[Recording]:
+            ask_to_hold(where, hold)
+            return in_sessions(where, tested, reference, asked, count)
 
-    try:
-        if hold is not None:
-            held, vain = walked_again(ask(hold, speeds), hold, config.evaluation.trims_again, missed, ask)
-            ask_to_hold(where, None)
-        recordings = in_sessions(where, tested, reference, speeds, count)
-    finally:
-        where.close()
-    store = RecordingStore(place / "data.zarr", create=True)
-    ids = [store.write(recording) for recording in [*held, *vain, *recordings]]
-    entries, segments = {}, {}
-    for name, objective in objectives.items():
-        if hold is not None:
-            both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
-            entries[name], segments[name], _ = both
-        else:
-            found, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
-            entries[name], segments[name] = entry_of(objective, found), segment_scores(found)
-            if refused:
-                entries[name] |= refused_and_fallen(refused, recordings, task)
-    result = {
-        "world": config.world.name,
-        "world_simulated": where.simulated,
-        "world_identity": dict(where.identity()),
-        "policy": str(policy or "best"),
-        "seed": seed,
-        "sessions": count,
-        "settings": laid_over,
-        "task": task_entry(task),
-        "recordings": ids,
-        "objectives": entries,
-        "segments": segments,
-    }
-    _write(folder / RESULT, result)
+        try:
+            if hold is not None:
+                held, vain = walked_again(ask(hold, speeds), hold, config.evaluation.trims_again, missed, ask)
+                ask_to_hold(where, None)
+            recordings = in_sessions(where, tested, reference, speeds, count)
+        finally:
+            where.close()
+        store = RecordingStore(place / "data.zarr", create=True)
+        ids = [store.write(recording) for recording in [*held, *vain, *recordings]]
+        entries, segments = {}, {}
+        for name, objective in objectives.items():
+            if hold is not None:
+                both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
+                entries[name], segments[name], _ = both
+            else:
+                found, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
+                entries[name], segments[name] = entry_of(objective, found), segment_scores(found)
+                if refused:
+                    entries[name] |= refused_and_fallen(refused, recordings, task)
+        result = {
+            "world": config.world.name,
+            "world_simulated": where.simulated,
+            "world_identity": dict(where.identity()),
+            "policy": str(policy or "best"),
+            "seed": seed,
+            "sessions": count,
+            "settings": laid_over,
+            "task": task_entry(task),
+            "recordings": ids,
+            "objectives": entries,
+            "segments": segments,
+        }
+        _write(folder / RESULT, result)
     return result
 
 

@@ -1,10 +1,11 @@
 """Who says what is held out: `hts fit --split KIND[=VALUE]`, or a test store of its own.
 
-A number is the share that is fitted to; anything else names what is held out.
+A number between 0 and 1 is the share that is fitted to; anything else names what is held out.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -17,6 +18,8 @@ from hts.measurement.split import named_part, split
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
+SHORT = 3
+"""A number of more digits that is no share is a name: ids of sessions and hashes of policies may be digits alone."""
 CHRONOLOGICAL, AUTOMATIC, TEST_STORE = "chronological", "automatic", "test store"
 
 
@@ -48,14 +51,17 @@ class SplitRule:
         try:
             share = float(value)
         except ValueError:
-            if kind == CHRONOLOGICAL:
-                raise ConfigError(
-                    f"--split {text}: expected the share of each recording to fit to, e.g. chronological=0.7"
-                ) from None
-            return cls(kind, None, tuple(name.strip() for name in value.split(",") if name.strip()))
-        if not 0 < share < 1:
+            share = math.nan
+        if 0 < share < 1:
+            return cls(kind, share)
+        if kind == CHRONOLOGICAL:
+            raise ConfigError(
+                f"--split {text}: expected the share of each recording to fit to, between 0 and 1, e.g. "
+                "chronological=0.7"
+            )
+        if not math.isnan(share) and not (value.isalnum() and len(value) > SHORT):
             raise ConfigError(f"--split {text}: expected a share between 0 and 1 that is fitted to, e.g. {kind}=0.7")
-        return cls(kind, share)
+        return cls(kind, None, tuple(name.strip() for name in value.split(",") if name.strip()))
 
 
 def _of_file(recording: Recording) -> str:

@@ -47,7 +47,7 @@ def clock_offset(
     first, second = _comparable(values, other_values)
     a = _even(times, first, rate_hz)
     b = _even(other_times, second, rate_hz)
-    lags, scores = _scores(a, b, rate_hz)
+    lags, scores = _scores(a, b)
     at = int(np.argmax(scores))
     best = float(scores[at])
     width = _half_width(scores, at)
@@ -89,27 +89,40 @@ def _even(times: np.ndarray, values: np.ndarray, rate_hz: float) -> np.ndarray:
     return even - even.mean(axis=0)
 
 
-def _scores(a: np.ndarray, b: np.ndarray, rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
-    """Correlation over the common stretch for every lag of b behind a's beginning, in samples.
+def _scores(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pearson's correlation over the common stretch for every lag of b behind a's beginning, in samples; -1 where that
+    stretch is too short.
 
-    Each sum over the overlap is a correlation of its own: of products, of squares, of ones and of values.
+    Each stretch has means of its own: with those of the whole logs a signal that settles at several levels is most
+    alike at a wrong lag. Components are compared together: covariances and variances are summed over them.
     """
-    size = 1 << int(np.ceil(np.log2(len(a) + len(b))))
-
-    def summed(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        spectrum = np.fft.rfft(x, size, axis=0) * np.conj(np.fft.rfft(y, size, axis=0))
-        whole = np.fft.irfft(spectrum.sum(axis=1), size)
-        return np.concatenate([whole[-(len(y) - 1) :], whole[: len(x)]]) if len(y) > 1 else whole[: len(x)]
-
-    ones_a, ones_b = np.ones_like(a), np.ones_like(b)
-    count = np.maximum(np.round(summed(ones_a, ones_b)), 1.0)
-    product = summed(a, b)
-    square_a, square_b = summed(a**2, ones_b), summed(ones_a, b**2)
+    lags = np.arange(-(len(b) - 1), len(a))
+    in_a = np.maximum(lags, 0), np.minimum(lags + len(b), len(a))
+    in_b = np.maximum(-lags, 0), np.minimum(len(a) - lags, len(b))
+    count = in_a[1] - in_a[0]
+    together, square_a, square_b = np.zeros(len(lags)), np.zeros(len(lags)), np.zeros(len(lags))
+    for x, y in zip(a.T, b.T, strict=True):
+        sum_x, sum_y = _sums(x, *in_a), _sums(y, *in_b)
+        together += _products(x, y) - sum_x * sum_y / count
+        square_a += _sums(x**2, *in_a) - sum_x**2 / count
+        square_b += _sums(y**2, *in_b) - sum_y**2 / count
     floor = 1e-9 * max(float((a**2).sum()), float((b**2).sum()), 1e-30)
-    scores = product / np.sqrt(np.maximum(square_a, floor) * np.maximum(square_b, floor))
-    least = LEAST_OVERLAP * min(len(a), len(b)) * a.shape[1]
-    scores = np.where(count >= least, scores, -1.0)
-    return np.arange(-(len(b) - 1), len(a)), np.clip(scores, -1.0, 1.0)
+    scores = together / np.sqrt(np.maximum(square_a, floor) * np.maximum(square_b, floor))
+    scores = np.where(count >= LEAST_OVERLAP * min(len(a), len(b)), scores, -1.0)
+    return lags, np.clip(scores, -1.0, 1.0)
+
+
+def _sums(x: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Of x over each stretch from begin to before end."""
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    return total[end] - total[begin]
+
+
+def _products(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Sum over the common stretch of x times y, at each lag of y from -(len(y) - 1) to len(x) - 1."""
+    size = 1 << int(np.ceil(np.log2(len(x) + len(y))))
+    whole = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
+    return np.concatenate([whole[size - (len(y) - 1) :], whole[: len(x)]])
 
 
 def _half_width(scores: np.ndarray, at: int) -> int:

@@ -12,7 +12,6 @@ The layout is that of LeRobot 0.4 (`lerobot/datasets/utils.py`, codebase version
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,7 +60,6 @@ def write_dataset(
             if not publish(made, folder):
                 raise RecordingError(f"{folder}: exists already. Choose a new folder.")
     except OSError as error:
-        shutil.rmtree(folder, ignore_errors=True)
         raise RecordingError(
             f"{folder}: writing it failed ({error.strerror or error}). Free some space or choose another place."
         ) from error

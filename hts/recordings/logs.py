@@ -44,7 +44,7 @@ from hts.recordings.plausible import check_facts, check_idle, check_limits
 from hts.recordings.recording import Recording, Series
 from hts.recordings.samples import Samples, common_grid, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
-from hts.recordings.stretches import stretches
+from hts.recordings.stretches import Stretch, stretches
 from hts.recordings.table import ColumnName, Table, table_of
 
 __all__ = [
@@ -122,22 +122,24 @@ def recordings_from_tables(
     tables = read_tables(assigned, log, columns, read)
     clocks = check_clocks(tables, log)
     notes = {"clocks": f"taken as one: {clocks}"} if clocks else {}
-    parts = stretches(tables, log, assigned)
-    return [_one(files, part.tables, log, columns, robot, {**notes, **part.notes}) for part in parts]
+    times = _times(tables, log)
+    if log.join is not None:
+        times, offset = joined(times, tables, log, columns)
+        notes = {**notes, "clocks": f"the clock of '{log.join.file}' moved by {offset}"}
+    parts = stretches(tables, times, log, assigned)
+    return [_one(files, part, log, columns, robot, {**notes, **part.notes}) for part in parts]
 
 
 def _one(
     files: Sequence[Path],
-    tables: Tables,
+    part: Stretch,
     log: LogMapping,
     columns: Mapping[str, tuple[ColumnName, ...]],
     robot: Robot,
     notes: Mapping[str, str],
 ) -> Recording:
-    times = _times(tables, log)
-    if log.join is not None:
-        times, offset = joined(times, tables, log, columns)
-        notes = {**notes, "clocks": f"the clock of '{log.join.file}' moved by {offset}"}
+    tables = part.tables
+    times = part.times if part.times is not None else _times(tables, log)
     samples, dropped = {}, {}
     for name, one in log.channels.items():
         source = source_of(one)

@@ -237,7 +237,15 @@ def _unpacked(path: Path, chunk: Any) -> Any:
 
 
 def _opened(path: Path) -> sqlite3.Connection:
-    """The database, not to be written, its own functions switched off."""
+    """The database, not to be written, its own functions switched off. Raises RecordingError where messages lie beside
+    it that were never merged: SQLite does not see them in a file that it may not write to."""
+    for ending in ("-wal", "-journal"):
+        beside = path.with_name(path.name + ending)
+        if beside.exists() and beside.stat().st_size:
+            raise RecordingError(
+                f"{beside}: holds what {path.name} does not have yet, since its recorder was stopped or goes on. Let "
+                f"it end, then merge the two: sqlite3 {path} 'PRAGMA journal_mode=DELETE'."
+            )
     base = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
     base.execute("PRAGMA trusted_schema=OFF")
     base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_RECORD)

@@ -11,29 +11,37 @@ import numpy as np
 from hts.errors import RecordingError
 from hts.recordings.labels import Label, read_labels
 from hts.recordings.mapping import SECONDS, LogMapping
-from hts.recordings.sources import Tables
+from hts.recordings.sources import Source, Tables
 
 MOST_RUNS = 10_000
 
 
 class Stretch(NamedTuple):
-    """Part of a log that becomes a recording, and what to note of it."""
+    """Part of a log that becomes a recording, and what to note of it.
+
+    times: of each table's rows on one clock, s after the first of them, where that clock is of more than this part;
+    None: the part's own stamps tell.
+    """
 
     tables: Tables
     notes: Mapping[str, str]
+    times: Mapping[Source, np.ndarray] | None = None
 
 
-def stretches(tables: Tables, log: LogMapping, assigned: Mapping[str | None, Path]) -> list[Stretch]:
+def stretches(
+    tables: Tables, times: Mapping[Source, np.ndarray], log: LogMapping, assigned: Mapping[str | None, Path]
+) -> list[Stretch]:
     """The parts that the mapping asks for, in order of time; the whole log where it asks for none.
 
-    Raises RecordingError where there is nothing to take, or a file of labels cannot be read.
+    times: of each table's rows, on one clock, s. Raises RecordingError where there is nothing to take, or a file of
+    labels cannot be read.
     """
     if log.runs is not None:
         parts = _runs(tables, log)
     elif log.labels is not None:
-        parts = _labelled(tables, log, read_labels(assigned[log.labels.file], log.labels))
+        parts = _labelled(tables, times, log, read_labels(assigned[log.labels.file], log.labels))
     else:
-        parts = [Stretch(tables, {})]
+        parts = [Stretch(tables, {}, times)]
     return parts
 
 
@@ -46,20 +54,22 @@ def _runs(tables: Tables, log: LogMapping) -> list[Stretch]:
     if runs.column is not None:
         number = table.columns[runs.column]
         begins = np.flatnonzero(number[1:] != number[:-1]) + 1
-        names = [f"{value:g}" for value in number[[0, *begins]]]
+        values = number[[0, *begins]].tolist()
+        names = [str(int(value)) if value.is_integer() else repr(value) for value in values]
         key = f"run_{runs.column}" if str(runs.column).isidentifier() else "run"
     else:
         steps = np.diff((table.stamps - table.stamps[0]) * SECONDS[log.time.unit])
         begins = np.flatnonzero(steps > (runs.gap_seconds or 0)) + 1
-        names, key = [str(count + 1) for count in range(len(begins) + 1)], "run"
+        values = [float(count + 1) for count in range(len(begins) + 1)]
+        names, key = [str(int(value)) for value in values], "run"
     if len(names) > MOST_RUNS:
         raise RecordingError(
             f"{where}: {len(names)} runs, at most {MOST_RUNS} are read. Is '{runs.column}' their column?"
         )
     edges = [0, *begins.tolist(), len(table.stamps)]
     found = []
-    for name, first, last in zip(names, edges, edges[1:], strict=False):
-        if runs.take is not None and float(name) not in runs.take:
+    for name, value, first, last in zip(names, values, edges, edges[1:], strict=False):
+        if runs.take is not None and value not in runs.take:
             continue
         rows = np.arange(first, last)
         if len(rows) < 2:
@@ -73,29 +83,31 @@ def _runs(tables: Tables, log: LogMapping) -> list[Stretch]:
     return found
 
 
-def _labelled(tables: Tables, log: LogMapping, labels: Sequence[Label]) -> list[Stretch]:
+def _labelled(
+    tables: Tables, times: Mapping[Source, np.ndarray], log: LogMapping, labels: Sequence[Label]
+) -> list[Stretch]:
     assert log.labels is not None
-    scale = SECONDS[log.time.unit]
-    origin = min(table.stamps[0] for table in tables.values())
     take = log.labels.take
     if take is None:
-        return [Stretch(tables, {"labels": "; ".join(f"{one.start:g} to {one.end:g} s {one.word}" for one in labels)})]
+        noted = "; ".join(f"{one.start:g} to {one.end:g} s {one.word}" for one in labels)
+        return [Stretch(tables, {"labels": noted}, times)]
     found = []
     for one in labels:
         if one.word not in take:
             continue
-        part = {}
+        part, inside = {}, {}
         for source, table in tables.items():
-            times = (table.stamps - origin) * scale
-            kept = (times >= one.start) & (times <= one.end)
+            kept = (times[source] >= one.start) & (times[source] <= one.end)
             if kept.sum() < 2:
                 raise RecordingError(
                     f"{table.path}: nothing is there from {one.start:g} to {one.end:g} s, labelled '{one.word}'; it "
                     "lasts "
-                    f"{times[-1]:.4g} s. Correct the labels, or the unit of the stamps."
+                    f"{times[source][-1]:.4g} s. Correct the labels, or the unit of the stamps."
                 )
-            part[source] = table.rows(kept)
-        found.append(Stretch(part, {"labels": f"{one.start:g} to {one.end:g} s {one.word}"}))
+            part[source], inside[source] = table.rows(kept), times[source][kept]
+        earliest = min(one[0] for one in inside.values())
+        own = {source: there - earliest for source, there in inside.items()} if log.join is not None else None
+        found.append(Stretch(part, {"labels": f"{one.start:g} to {one.end:g} s {one.word}"}, own))
     if not found:
         known = ", ".join(dict.fromkeys(one.word for one in labels))
         raise RecordingError(f"Labels: none of them is {' or '.join(take)}. They are {known}.")

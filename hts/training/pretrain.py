@@ -14,6 +14,7 @@ from hts.config import PretrainConfig
 from hts.contracts import Robot
 from hts.envs.constants import delay_seconds
 from hts.errors import RunError
+from hts.locks import only_one
 from hts.places import PRETRAINING
 from hts.policies.files import Policy, make_card, save_policy
 from hts.policies.layout import layout_of
@@ -21,7 +22,7 @@ from hts.rl.population import Population, Sizes
 from hts.training.finetune import Saved, check_env
 from hts.training.trainer import PopulationTrainer
 
-CHECKPOINT = "checkpoint"
+LOCK, CHECKPOINT = ".lock", "checkpoint"
 """How far a pretraining is."""
 
 
@@ -33,10 +34,21 @@ def pretrain_policy(
     is a minute old at most; envs that cannot be saved in mid-episode begin again.
 
     progress: called with each row. Raises SimulationError if training goes non-finite, ConfigError for an env that
-    does not say what a policy sees in it, RunError for a folder in which another pretraining was begun.
+    does not say what a policy sees in it, RunError for a folder in which another pretraining was begun, or one that
+    another process works in.
     """
+    Path(out).mkdir(parents=True, exist_ok=True)
+    busy = f"{out}: another process is working in it. Wait for it, or stop it first."
+    with only_one(Path(out) / LOCK, busy):
+        return _pretrained(robot, config, Path(out), progress)
+
+
+def _pretrained(
+    robot: Robot, config: PretrainConfig, out: Path, progress: Callable[[dict[str, Any]], None] | None
+) -> Path:
+    """`pretrain_policy`, alone in the folder."""
     asked = {"robot": robot.spec.name, "config": config.model_dump(mode="json")}
-    _begin(Path(out), asked)
+    _begin(out, asked)
     env_config = config.env.model_copy(update={"seed": config.seed})
     env = robot.make_env(config.engine, 1, config.num_envs, env_config, channels=("joint_torque",), seeds=[config.seed])
     layout = layout_of(env, robot.spec.name)
@@ -45,7 +57,7 @@ def pretrain_policy(
         spaces["observation"].shape[-1], spaces["critic_observation"].shape[-1], robot.spec.num_joints, config.hidden
     )
     population = Population(sizes, 1, config.init_std, config.seed, env.device)
-    saved = Saved(Path(out) / CHECKPOINT, {"robot": robot.spec.name, "key": _key(asked), "worlds": config.num_envs})
+    saved = Saved(out / CHECKPOINT, {"robot": robot.spec.name, "key": _key(asked), "worlds": config.num_envs})
     before = saved.load()
     curve: list[dict[str, Any]] = before[1]["history"] if before is not None else []
     spent = _Spent(before[1]["spent"]["seconds"] if before is not None else 0.0)
@@ -80,11 +92,11 @@ def pretrain_policy(
         "delay_seconds": delay_seconds(env_config, robot.spec),
     }
     card = make_card(robot.spec, tensors, layout, sizes, **made)
-    path = save_policy(Path(out) / "pretrained.safetensors", Policy(tensors, card))
-    atomic_write(Path(out) / "curve.json", json.dumps(curve, indent=1) + "\n")
+    path = save_policy(out / "pretrained.safetensors", Policy(tensors, card))
+    atomic_write(out / "curve.json", json.dumps(curve, indent=1) + "\n")
     trainer.close()
-    for done in (CHECKPOINT, PRETRAINING):
-        (Path(out) / done).unlink(missing_ok=True)
+    for done in (CHECKPOINT, PRETRAINING, LOCK):
+        (out / done).unlink(missing_ok=True)
     return path
 
 

@@ -11,8 +11,9 @@ import pytest
 
 from hts.config_loading import dump_config, load_config, read_config
 from hts.contracts import World
-from hts.errors import ConfigError, HtsError
+from hts.errors import ConfigError, HtsError, RunError
 from hts.evaluation.evaluate import command_of, evaluate_run, policy_file
+from hts.locks import only_one
 from hts.overrides import Override
 from hts.plugins import Entry, Registry
 from hts.testing.examples.robot.robot import Tiny
@@ -178,3 +179,14 @@ def test_other_settings_may_be_values_of_python_that_json_can_hold(folder, regis
     assert shlex.split(caught.value.args[1])[3:] == words
     with pytest.raises(ConfigError, match=r"^evaluation\.trim_seconds: \w+, expected what JSON can hold"):
         evaluate_run(folder, registry=registry, overrides=[Override.of("evaluation.trim_seconds", np.float32(20.0))])
+
+
+def test_one_run_is_evaluated_once_at_a_time(folder, registry):
+    (folder / "evaluation").mkdir()
+    with (
+        only_one(folder / "evaluation" / ".lock", "the first"),
+        pytest.raises(RunError, match="another evaluation of this run is being made. Wait for it"),
+    ):
+        evaluate_run(folder, speeds=[0.8], registry=registry)
+    with pytest.raises(Asked):
+        evaluate_run(folder, speeds=[0.8], registry=registry)

@@ -99,3 +99,8 @@ def test_where_no_recording_says_its_session_another_split_is_advised():
 def test_a_recording_too_short_to_cut_is_named():
     with pytest.raises(RecordingError, match="r0 has 3 samples"):
         split_by(SplitRule.parsed("chronological=0.7"), [named_part(many(1)[0], 0, 3).replace(id="r0")], 0.2)
+
+
+@pytest.mark.parametrize("name", ["123456789012", "0012e4567890", "2024"])
+def test_an_id_of_digits_alone_is_a_name(name):
+    assert SplitRule.parsed(f"session={name}").names == (name,)

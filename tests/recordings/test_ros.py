@@ -179,3 +179,16 @@ def test_an_empty_folder_says_what_is_missing(tmp_path):
     (tmp_path / "bag_0.db3.zstd").write_bytes(b"")
     with pytest.raises(RecordingError, match=r"Unpack bag_0.db3.zstd first \(`zstd -d`\)"):
         topics(tmp_path)
+
+
+@needs_ros
+@pytest.mark.parametrize("ending", ["-wal", "-journal"])
+def test_a_database_that_its_recorder_left_half_merged_is_named_and_its_end_is_not_lost(tmp_path, made, ending):
+    path = made.sqlite(tmp_path / "bag.db3")
+    beside = tmp_path / f"bag.db3{ending}"
+    beside.write_bytes(b"")
+    assert topics(path)  # an empty one holds nothing
+    beside.write_bytes(b"messages")
+    for read in (topics, lambda path: list(messages(path, "/gauge", {}))):
+        with pytest.raises(RecordingError, match=rf"bag.db3{ending}: holds what bag.db3 does not have yet.*sqlite3"):
+            read(path)

@@ -41,6 +41,18 @@ def test_a_column_that_changes_begins_a_run(tmp_path, amps, two_joints):
     assert second.notes["run_run"] == "4"
 
 
+def test_runs_may_have_long_numbers_and_are_taken_by_all_of_their_digits(tmp_path, amps, two_joints):
+    days = np.repeat([20240301, 20240302], 20)
+    log = csv(tmp_path / "a.csv", "t,amps,run", np.tile(20 * np.arange(20), 2), 2 + STEPS / 10, days)
+    amps["runs"] = {"column": "run", "take": [20240302]}
+    (recording,) = make({}).read_all([log], amps, two_joints)
+    np.testing.assert_allclose(recording.values("draw"), 2 + np.arange(20, 40) / 10, rtol=1e-6)
+    assert recording.notes["run_run"] == "20240302"
+    amps["runs"]["take"] = [20240300]
+    with pytest.raises(RecordingError, match="none of the runs in 'run' is asked for. It has 20240301, 20240302"):
+        make({}).read_all([log], amps, two_joints)
+
+
 def test_a_gap_begins_a_run(tmp_path, amps, two_joints):
     log = csv(tmp_path / "a.csv", "t,amps", 20 * STEPS + 5000 * (STEPS >= 15), 2 + STEPS / 10)
     with pytest.raises(RecordingError, match="has nothing for 5.02 s"):
@@ -190,6 +202,17 @@ def test_signals_that_are_not_alike_tell_no_offset():
         clock_offset(times, random.normal(size=(2000, 1)), times, random.normal(size=(2000, 1)), 100.0)
 
 
+@pytest.mark.parametrize("late", [5.0, 12.5])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_signal_that_wanders_off_is_found_where_the_logs_overlap_in_part(seed, late):
+    """A level of its own in each stretch, as a current or a height has, and no two logs begin or end together."""
+    times = np.arange(0, 60, 0.02)
+    level = np.cumsum(np.random.default_rng(seed).normal(size=len(times)))[:, None]
+    first, second = times < 40, (times >= late) & (times < late + 40)
+    found = clock_offset(times[first], level[first], times[second] - late, level[second], 50.0)
+    assert found.seconds == pytest.approx(late, abs=0.01) and found.correlation > 0.999
+
+
 @pytest.fixture
 def two_files(tmp_path, mapping):
     """The robot's log counts from 0 s; the gauge's began 1.5 s later and counts from 1970. Both see the hip's "
@@ -217,6 +240,26 @@ def test_two_logs_of_one_run_are_joined_by_what_both_saw(two_files, mapping, two
     assert recording.values("draw")[0] == pytest.approx(3.15, abs=1e-3)
     assert recording.notes["clocks"].startswith("the clock of 'gauge' moved by +1.50")
     assert "drift" in recording.notes["clocks"]
+
+
+@pytest.mark.parametrize("apart", [0.0, 5.0, 1000.0])
+def test_labels_count_on_the_joined_clock(two_files, mapping, two_joints, tmp_path, apart):
+    """However far the two clocks are apart, a label is the same stretch of both files."""
+    lines = two_files[1].read_text().splitlines()
+    moved = [line.split(",", 1) for line in lines[1:]]
+    first = int(moved[0][0])
+    kept = [f"{int(stamp) - first + int(1000 * apart)},{rest}" for stamp, rest in moved]
+    two_files[1].write_text("\n".join([lines[0], *kept]) + "\n")
+    labels = tmp_path / "labels.csv"
+    labels.write_text("start,end,label\n4,9,walk\n12,15,walk\n")
+    mapping["files"]["labels"] = "labels*"
+    mapping["labels"] = {"file": "labels", "take": ["walk"]}
+    mapping["join"] = {"file": "gauge", "channel": "hip_force", "match": "hip"}
+    parts = make({}).read_all([*two_files, labels], mapping, two_joints)
+    assert [part.num_samples / part.rate_hz for part in parts] == pytest.approx([5.0, 3.0], abs=0.1)
+    for part, begin in zip(parts, (4.0, 12.0), strict=True):
+        np.testing.assert_allclose(part.values("hip_force"), part.values("hip"), atol=0.1)
+        assert part.values("draw")[0] == pytest.approx(3 + begin / 10, abs=0.01)
 
 
 def test_a_join_that_names_the_wrong_thing_is_refused(two_files, mapping, two_joints):

@@ -10,10 +10,11 @@ import torch
 from hts.cli.main import main
 from hts.config import EnvConfig, PPOConfig, PretrainConfig
 from hts.errors import RunError
+from hts.locks import only_one
 from hts.places import PRETRAINING
 from hts.policies.files import load_policy
 from hts.training import finetune as saving
-from hts.training.pretrain import CHECKPOINT, pretrain_policy, resume_pretraining
+from hts.training.pretrain import CHECKPOINT, LOCK, pretrain_policy, resume_pretraining
 from hts_go1.plugin import make_go1
 
 CONFIG = PretrainConfig(
@@ -65,13 +66,19 @@ def stopped(monkeypatch, folder, saves: int) -> None:
 def test_stopped_twice_it_gives_what_it_would_have_given(whole, monkeypatch, tmp_path):
     for saves in (3, 18):  # before and behind the first row of the curve
         stopped(monkeypatch, tmp_path, saves)
-        assert sorted(path.name for path in tmp_path.iterdir()) == [CHECKPOINT, PRETRAINING]
+        assert sorted(path.name for path in tmp_path.iterdir()) == [LOCK, CHECKPOINT, PRETRAINING]
     rows = []
     assert resume_pretraining(tmp_path, rows.append) == tmp_path / "pretrained.safetensors"
     tensors, curve = made(tmp_path)
     assert [row["steps"] for row in rows] == [4 * 8 * 22]  # what came before was told before
     assert curve == whole[1] and [row["steps"] for row in curve] == [4 * 8 * 20, 4 * 8 * 22]
     assert all(torch.equal(tensors[name], value) for name, value in whole[0].items())
+
+
+def test_a_second_process_in_the_same_folder_is_refused(tmp_path):
+    with only_one(tmp_path / LOCK, "the first"), pytest.raises(RunError, match="another process is working in it"):
+        pretrain_policy(make_go1({}), CONFIG, tmp_path)
+    assert not (tmp_path / PRETRAINING).exists()
 
 
 def test_another_one_in_the_same_folder_is_refused(monkeypatch, tmp_path):

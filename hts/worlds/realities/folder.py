@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hts import locks
 from hts.atomic import atomic_write, temporary_of
 from hts.errors import ConfigError, RunError
-from hts.locks import take_lock
 from hts.places import check_place
 from hts.worlds.realities.sampler import Particle
 
@@ -40,11 +40,8 @@ def only_one(folder: Path) -> Iterator[None]:
     holds other things."""
     _check_free(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    with (folder / LOCK).open("w") as lock:
-        if not take_lock(lock):
-            raise RunError(
-                f"{folder}: another process draws into it. Wait for it, or choose another folder with --out."
-            )
+    busy = f"{folder}: another process draws into it. Wait for it, or choose another folder with --out."
+    with locks.only_one(folder / LOCK, busy):
         yield
 
 

@@ -7,6 +7,7 @@ its name once it is whole. If the disk refuses (full), rows wait in memory and a
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -242,11 +243,12 @@ class RowLog:
         if self._at_last:
             write_whole(self._mapping, self._at_last)
         self._partial.replace(self._target)
-        folder = os.open(self._target.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        with contextlib.suppress(OSError):  # the log is there, whole, and its name; some file systems cannot do this
+            folder = os.open(self._target.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
 
 
 def write_whole(path: Path, text: str) -> None:

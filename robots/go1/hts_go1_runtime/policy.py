@@ -21,6 +21,9 @@ PARTS = {
 }
 """What a policy may observe here, and how many numbers that is."""
 
+NOWHERE = "/dev/null/none"
+"""A folder that cannot be there. onnxruntime knows this setting since 1.18, and ignores it before."""
+
 
 class Policy:
     """entry: what the manifest says of it; content: the graph's bytes.
@@ -34,7 +37,8 @@ class Policy:
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 3
         try:
-            # Bytes, not a path: a graph whose constants lie in other files would make onnxruntime open those.
+            # Constants that lie in other files would be read from the working directory: no checksum covers them.
+            options.add_session_config_entry("session.model_external_initializers_file_folder_path", NOWHERE)
             self._session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime raises its own classes for each way a graph can be broken
             raise RuntimeFault(

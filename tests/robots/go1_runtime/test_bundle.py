@@ -170,6 +170,23 @@ def test_a_graph_that_is_none_is_refused(change, bundle):
         load_bundle(change(lambda manifest: None))
 
 
+def test_numbers_of_a_graph_that_lie_in_another_file_are_not_read(change, bundle, tmp_path, monkeypatch):
+    """onnxruntime would take them from the working directory, which no checksum of the bundle covers."""
+    import onnx
+
+    path = bundle / "policies" / "00-walk.onnx"
+    graph = onnx.load(path)
+    moved = max(graph.graph.initializer, key=lambda one: len(one.raw_data))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "elsewhere.bin").write_bytes(moved.raw_data)
+    moved.ClearField("raw_data")
+    moved.data_location = onnx.TensorProto.EXTERNAL
+    moved.external_data.add(key="location", value="elsewhere.bin")
+    path.write_bytes(graph.SerializeToString())
+    with pytest.raises(RuntimeFault, match="onnxruntime does not take it"):
+        load_bundle(change(lambda manifest: None))
+
+
 def test_a_policy_computes_what_hts_computes_from_the_same_readings(bundle):
     import numpy as np
 

@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 import signal
+import stat
 import subprocess
 import sys
 import threading
@@ -223,6 +224,21 @@ def test_a_full_disk_is_said_and_nothing_is_lost(tmp_path, monkeypatch):
     assert table[:, 0] == pytest.approx(100 + 0.02 * np.arange(40))
     assert log.fault == ""
     assert (tmp_path / "mappings" / "00.yaml").read_text() == "the mapping"
+
+
+def test_a_file_system_that_cannot_sync_a_folder_gives_a_log_its_name(tmp_path, monkeypatch):
+    real = os.fsync
+
+    def fsync(handle):
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        real(handle)
+
+    monkeypatch.setattr("hts_go1_runtime.log.os.fsync", fsync)
+    log = RowLog(tmp_path, "00", list(CHANNELS))
+    rows(log, 3)
+    assert log.closing().wait(20)
+    assert log.unnamed == "" and [path.name for path in tmp_path.iterdir()] == ["00.csv"]
 
 
 def test_a_row_that_is_recorded_again_keeps_what_was_there(tmp_path):
