@@ -41,12 +41,16 @@ SHOWN = 4
 
 
 def explain(
-    error: ValidationError, model: type[BaseModel] | None = None, origin: Callable[[Location], str] | None = None
+    error: ValidationError,
+    model: type[BaseModel] | None = None,
+    origin: Callable[[Location], str] | None = None,
+    also: Sequence[str] = (),
 ) -> str:
     """One line for everything that is wrong, unknown keys first: they are often why another one is missing.
 
     model: what was being validated; left out, it is looked up in the error's traceback.
     origin: says of a location where its value was written, e.g. "--set a.b"; default: the location itself.
+    also: keys that may stand beside the model's own, since somebody else reads them.
     """
     model = model or validated_model(error)
     faults: list[dict[str, Any]] = [dict(fault) for fault in error.errors(include_url=False)]
@@ -54,18 +58,20 @@ def explain(
     # A list whose items are refused counts as too short: that is no fault of its own.
     faults = [fault for fault in faults if fault["type"] != "too_short" or tuple(fault["loc"]) not in inside]
     faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
-    texts = list(dict.fromkeys(_fault(fault, model, origin or dotted) for fault in faults))
+    texts = list(dict.fromkeys(_fault(fault, model, origin or dotted, also) for fault in faults))
     text = " Also: ".join(texts[:SHOWN])
     more = len(texts) - SHOWN
     return text + (f" ({more} more thing{'s' if more > 1 else ''} wrong.)" if more > 0 else "")
 
 
-def _fault(fault: Mapping[str, Any], model: type[BaseModel] | None, origin: Callable[[Location], str]) -> str:
+def _fault(
+    fault: Mapping[str, Any], model: type[BaseModel] | None, origin: Callable[[Location], str], also: Sequence[str]
+) -> str:
     """One sentence or two about one thing that pydantic found."""
     location: Location = tuple(fault["loc"])
     where = origin(location) if location else ""
     if fault["type"] == "extra_forbidden":
-        known = _keys_at(model, location[:-1]) if model else []
+        known = [*(_keys_at(model, location[:-1]) if model else ()), *(also if len(location) == 1 else ())]
         inside = f" in {dotted(location[:-1])}" if location[:-1] else ""
         return f"{where}: there is no key '{location[-1]}'{inside}.{closest(str(location[-1]), known)}"
     if fault["type"] == "missing":

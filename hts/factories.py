@@ -39,7 +39,8 @@ def made_by(factory: Callable[..., Any], kind: str, who: str, name: str, package
     except HtsError:
         raise
     except ValidationError as error:
-        raise ConfigError(f"Settings of {who} (from {package}): {explain(error)}") from error
+        also = (contracts.MODEL,) if kind == "objectives" else ()
+        raise ConfigError(f"Settings of {who} (from {package}): {explain(error, also=also)}") from error
     except Exception as error:
         text = " ".join(str(error).split())
         raise PluginError(

@@ -233,3 +233,8 @@ def test_a_plugin_of_the_hooks_before_is_told_what_changed_and_which_line_to_edi
 def test_the_choice_of_a_model_is_not_among_the_settings_of_the_objective(install):
     one_of("objectives", install)
     assert load().make_objective("thing", {"a": 1, "model": {"name": "linear"}}) == ({"a": 1},)
+
+
+def test_a_misspelt_choice_of_the_model_is_answered_with_the_key_that_the_core_reads():
+    with pytest.raises(ConfigError, match=r"'modl'\. Did you mean 'model'\?"):
+        load().make_objective("power", {"modl": "linear"})

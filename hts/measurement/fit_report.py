@@ -51,16 +51,16 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
     held, target = report["held_out"], report["target"]
     found, linear = held["r2"], (held.get("linear") or {}).get("r2")
     lines = []
-    if found is not None and found < 0:
+    if found is not None and linear is not None and linear > 0 and linear - found >= WORSE_THAN_LINEAR:
+        lines.append(
+            f"{target}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
+            f"{_number(linear)}. Choose it, --set objectives.{report['objective']}.model=linear, or record more."
+        )
+    elif found is not None and found < 0:
         lines.append(
             f"{target}: held-out R² {_number(found)} is below 0: the mean of the data predicts better. Either the "
             "inputs do not explain it, or it remembers more than about a second (a temperature does): make a target of "
             "the loss that heats instead, or record more."
-        )
-    elif found is not None and linear is not None and linear - found >= WORSE_THAN_LINEAR:
-        lines.append(
-            f"{target}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
-            f"{_number(linear)}. Choose it, --set objectives.{report['objective']}.model=linear, or record more."
         )
     scale = ((held.get("proxy") or {}).get("smoothed") or {}).get("scale")
     if scale is not None and scale < 0:

@@ -121,5 +121,6 @@ def _check_finite(name: str, values: np.ndarray, where: str) -> None:
         rows = np.flatnonzero(bad.reshape(len(values), -1).any(axis=1))
         raise RecordingError(
             f"{where}: '{name}' is NaN or infinite in {len(rows)} of {len(values)} samples, first at sample {rows[0]}. "
-            f"Fill or cut the gaps, or leave it out: --drop {name}"
+            "Of an imported log, fill or cut the gaps, or leave the channel out: hts import --drop "
+            f"{name}. Of a simulated robot, mend what gives it: an instrument, or the simulation."
         )

@@ -319,6 +319,15 @@ def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:
         return {}
     tried = job.recordings(ids)
     known = job.recordings(job.known(iteration))
-    return {
+    found = {
         name: check(objective, job.model(iteration, name), tried, known) for name, objective in job.objectives.items()
     }
+    for name, objective in job.objectives.items():
+        r2 = found[name]["r2"]
+        if r2 is not None and r2 < 0:
+            job.stages.progress.say(
+                f"'{objective.target.name}' of the policies that were tried is predicted worse than by its mean (R² "
+                f"{r2:.3g}), so what the model promises of candidates tells little. Is it more than the inputs of the "
+                "last second decide, as a temperature is? (docs/measurement.md)"
+            )
+    return found

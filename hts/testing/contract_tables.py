@@ -35,10 +35,15 @@ def has_fields(one: Any) -> bool:
     return isinstance(one, type) and (dataclasses.is_dataclass(one) or "_field_defaults" in vars(one))
 
 
-def signature_list(module_name: str) -> str:
-    """One line for each public function and class of a module: its signature, and what its docstring begins with."""
-    module = importlib.import_module(module_name)
-    return "\n".join(f"- `{name}{_signature(one)}`: {_first_sentence(one)}" for name, one in _public(module)) + "\n"
+def signature_list(path: str) -> str:
+    """One line for each public function and class of a module, `package.module`, or for each public method and property
+    that a class, `package.module.Class`, has of its own: its signature, and what its docstring begins with."""
+    home, _, last = path.rpartition(".")
+    if last[:1].isupper():
+        found = _members(getattr(importlib.import_module(home), last))
+    else:
+        found = _public(importlib.import_module(path))
+    return "\n".join(f"- `{name}{_signature(one)}`: {_first_sentence(one)}" for name, one in found) + "\n"
 
 
 def cell(text: str) -> str:
@@ -57,6 +62,13 @@ def _public(module: Any) -> Iterator[tuple[str, Any]]:
             yield name, one
 
 
+def _members(made: type) -> Iterator[tuple[str, Any]]:
+    """Public methods and properties of a class that it does not inherit and that say what they are."""
+    for name, one in vars(made).items():
+        if not name.startswith("_") and (inspect.isfunction(one) or isinstance(one, property)) and one.__doc__:
+            yield name, one
+
+
 class _Bare:
     """An annotation that is shown as it was written, without quotes."""
 
@@ -71,6 +83,8 @@ def _signature(one: Any) -> str:
     def bare(annotation: Any) -> Any:
         return _Bare(annotation) if isinstance(annotation, str) else annotation
 
+    if isinstance(one, property):
+        return ""
     found = inspect.signature(one)
     parameters = [each.replace(annotation=bare(each.annotation)) for each in found.parameters.values()]
     back = inspect.Signature.empty if inspect.isclass(one) else bare(found.return_annotation)

@@ -177,7 +177,10 @@ def made_up_recording(
 
 def known_segments(levels: Mapping[Channel, float], idle: float = 0.0, seconds: float = 10.0) -> Segments:
     """Segments of a walk in which real channels show constant levels, in their units:
-    what a score should be, on paper."""
+    what a score should be, on paper. Raises TypeError for names in the place of channels."""
+    named = next((one for one in levels if not isinstance(one, Channel)), None)
+    if named is not None:
+        raise TypeError(f"known_segments: found {named!r}, expected a Channel as key, such as the objective's target.")
     real = {channel.name: channel for channel in levels}
     recording = made_up_recording({}, real, idle=idle, seconds=seconds)
     series = {

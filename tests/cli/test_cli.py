@@ -106,6 +106,11 @@ def test_the_version_is_shown(capsys):
     assert capsys.readouterr().out.startswith("hts 0.")
 
 
+def test_python_m_hts_is_hts():
+    done = subprocess.run([sys.executable, "-m", "hts", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("hts 0.")
+
+
 def test_a_misspelt_command_is_answered_with_the_closest(capsys):
     assert main(["confg"]) == 2
     assert one_line_of(capsys).startswith("error: No command named 'confg'. Did you mean 'config'?")

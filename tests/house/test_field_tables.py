@@ -127,6 +127,10 @@ def test_the_page_has_the_signatures_of_what_is_called_from_python():
     lines = signature_list("hts.api").splitlines()
     assert any(line.startswith("- `load(folder: Path | str) -> Run`: A run, finished or not.") for line in lines)
     assert not any("_run_folder" in line or "RunError" in line for line in lines)
+    own = signature_list("hts.measurement.torch_model.TorchModel").splitlines()
+    assert "- `num_features`: G: inputs and their products." in own
+    assert any(line.startswith("- `scaled_features(self, inputs: Tensor) -> Tensor`: Inputs (..., F)") for line in own)
+    assert not any("_before_statistics" in line or "load_tensors" in line for line in own)
 
 
 def test_a_table_of_a_dataclass_takes_meanings_from_its_docstring_or_the_comment_beside_a_field():

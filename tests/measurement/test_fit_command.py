@@ -112,6 +112,7 @@ def a_report(r2, linear, spread=None):
             0.75,
             "heat: held-out R² 0.500 is 0.250 below that of `linear`, 0.750.*--set objectives.warm.model=linear",
         ),
+        (-0.5, 0.7, "heat: held-out R² -0.500 is 1.200 below that of `linear`, 0.700"),
     ],
 )
 def test_a_model_that_is_worse_than_nothing_or_than_linear_is_told_with_its_cure(found, linear, expected):
@@ -177,7 +178,7 @@ def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_
     monkeypatch.setattr(learning.files, "save", lambda *given: None)
     fitted(-0.5)
     results["iterations/00/fit"] = learning.fit(Job, 0, print)
-    assert len(Job.said) == 1 and "is below 0" in Job.said[0]
+    assert len(Job.said) == 1 and "is 1.400 below that of `linear`" in Job.said[0]
     results["iterations/01/fit"] = learning.fit(Job, 1, print)
     assert len(Job.said) == 1
     fitted(0.9)

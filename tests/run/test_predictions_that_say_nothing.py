@@ -1,0 +1,21 @@
+"""Where the policies that were tried are predicted worse than by their mean, a person is told."""
+
+from __future__ import annotations
+
+import pytest
+
+from hts.run import testing_elites
+from hts.testing.packages import kit_installed
+from hts.testing.tiny_run import tiny_run
+
+
+@pytest.mark.parametrize(("r2", "told"), [(-12.5, True), (0.4, False), (None, False)])
+def test_it_is_told_in_a_line_and_stands_in_the_summary(tmp_path, monkeypatch, capsys, r2, told):
+    real = testing_elites.check
+    monkeypatch.setattr(testing_elites, "check", lambda *given: {**real(*given), "r2": r2})
+    with kit_installed():
+        run = tiny_run(tmp_path / "run")
+    shown = " ".join(capsys.readouterr().out.split())
+    line = "'fake_level' of the policies that were tried is predicted worse than by its mean (R² -12.5)"
+    assert (line in shown) == told
+    assert run.summary["iterations"][0]["measurement_models"]["fake"]["elites_r2"] == r2
