@@ -76,7 +76,8 @@ def resumable(folder: Path, begun: str = "config.yaml", option: str = "--out or 
             print("\nstopped before anything was written", file=sys.stderr)
         raise typer.Exit(130) from None
     except HtsError as error:
-        advised = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in str(error)
+        said = str(error)
+        advised = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in said or "begin anew" in said
         if advised or not (folder / begun).exists():
             raise
         raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error

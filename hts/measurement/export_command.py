@@ -61,5 +61,11 @@ def export_measurement_model(
             robot = registry.make_robot(config.robot.name, config.robot.settings).spec
         notes = files.read_card(path).get("notes") or {}
     objective = registry.make_objective(name, settings)
-    names = None if robot is None else robot.joint_names
+    names = notes.get("joint_names") if robot is None else list(robot.joint_names)
+    if robot is not None and notes.get("joint_names") not in (None, names):
+        raise PolicyError(
+            f"{path}: fitted to recordings of robot '{notes.get('robot')}' with the joints "
+            f"{', '.join(map(str, notes['joint_names']))}; '{robot.name}' has {', '.join(robot.joint_names)}. Leave "
+            "--robot out, or name the robot that was recorded."
+        )
     return export_model(files.load(path, registry=registry), objective, to, joint_names=names, notes=notes)

@@ -227,7 +227,10 @@ def fit_store(
         "test": None if checks.test is None else str(checks.test),
     }
     report["compared"] = table_rows(report, rows)
-    return _written(result.model, report, Path(out), {"objective": objective.name, "dataset": dataset.sha256})
+    first = recordings[0]
+    notes = {"objective": objective.name, "dataset": dataset.sha256}
+    notes |= {"robot": first.robot, "joint_names": list(first.joint_names)}
+    return _written(result.model, report, Path(out), notes)
 
 
 # ------------------------------------------------------------------------------------------------- what is written

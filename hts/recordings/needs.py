@@ -10,9 +10,12 @@ from hts.errors import ConfigError, RecordingError, unknown_name
 from hts.recordings.recording import Series
 from hts.units import conversion
 
+RATE_TOLERANCE = 0.01
+"""Between the rate that a recording states and that at which the robot's policies act."""
+
 if TYPE_CHECKING:
     from hts.channels import Channel
-    from hts.contracts import Objective
+    from hts.contracts import Objective, RobotSpec
     from hts.recordings.recording import Recording
 
 
@@ -78,19 +81,43 @@ def _converted(begin: str, unit: str, wanted: str, objective: str) -> tuple[floa
         ) from error
 
 
-def check_recorded(objectives: Iterable[Objective], recordings: Iterable[Recording]) -> None:
-    """Every real channel that the objectives score is recorded, in its unit and shape.
+def check_recorded(objectives: Iterable[Objective], recordings: Iterable[Recording], *, inputs: bool = False) -> None:
+    """Every real channel that the objectives score is recorded, in its unit and shape; and with `inputs` each channel
+    that their measurement models read.
 
     Raises RecordingError as soon as recordings come from a world, before anything is spent on them.
     """
-    wanted = [(objective, channel) for objective in objectives for channel in objective.real_channels]
+    asked = list(objectives)
     for recording in recordings:
-        for objective, channel in wanted:
-            _check_one(recording, objective.name, channel)
+        for objective in asked:
+            for channel in objective.real_channels:
+                _check_one(recording, objective.name, channel)
+            for name in objective.inputs if inputs else ():
+                if name not in recording.channels:
+                    text = unknown_name("channel of this recording", name, recording.channels)
+                    raise RecordingError(
+                        f"{_begin(recording, objective.name)}'s model reads '{name}', which was not recorded. {text}"
+                    )
+
+
+def check_rate(recordings: Iterable[Recording], spec: RobotSpec) -> None:
+    """Raise RecordingError for a recording of another rate than that at which the robot's policies act: a model that
+    was fitted to it would be asked once a control step all the same, and take one for as long as the other."""
+    for recording in recordings:
+        if abs(recording.rate_hz / spec.control_rate_hz - 1.0) > RATE_TOLERANCE:
+            raise RecordingError(
+                f"World '{recording.world}', policy {recording.policy_hash[:8]}: recorded at {recording.rate_hz:g} Hz, "
+                f"robot '{spec.name}' acts at {spec.control_rate_hz:g} Hz. Read the log at that rate (rate_hz in its "
+                "mapping)."
+            )
+
+
+def _begin(recording: Recording, objective: str) -> str:
+    return f"World '{recording.world}', policy {recording.policy_hash[:8]}: objective '{objective}'"
 
 
 def _check_one(recording: Recording, objective: str, channel: Channel) -> None:
-    where = f"World '{recording.world}', policy {recording.policy_hash[:8]}: objective '{objective}'"
+    where = _begin(recording, objective)
     if channel.name not in recording.channels:
         text = unknown_name("channel of this recording", channel.name, recording.channels)
         raise RecordingError(f"{where} measures '{channel.name}', which was not recorded. {text}")

@@ -20,7 +20,7 @@ from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
 from hts.policies.onnx_ours import what_differs
-from hts.recordings.needs import check_recorded
+from hts.recordings.needs import check_rate, check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
 from hts.run.budget import Budget, plan, second_trials
@@ -249,9 +249,11 @@ class Job:
     def keep(self, recordings: Sequence[Recording], iteration: int) -> list[str]:
         """Store recordings; writing one twice is harmless. Returns their ids.
 
-        Raises RecordingError, with nothing stored, if one lacks what an objective of this run measures.
+        Raises RecordingError, with nothing stored, if one lacks what an objective of this run measures or its model
+        reads, or is of another rate than the policies'.
         """
-        check_recorded(self.objectives.values(), recordings)
+        check_recorded(self.objectives.values(), recordings, inputs=self.config.fits_models)
+        check_rate(recordings, self.robot.spec)
         return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
 
     def recordings(self, ids: Sequence[str]) -> list[Recording]:

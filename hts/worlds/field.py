@@ -28,6 +28,8 @@ from hts.worlds.field_bundle import Order, mapping_template, write_bundle
 from hts.worlds.field_logs import (
     FOLDER,
     check_all_differ,
+    check_judged,
+    check_of_all,
     check_ran,
     check_row,
     check_sections,
@@ -95,12 +97,17 @@ class FieldWorld(World):
         if self.settings.mapping is None:
             self._template()
             return
-        registry, mapping = self._registry, self._mapping()
-        registry.make_log_reader(reader_name(mapping), {})
+        mapping = self._mapping()
+        self._registry.make_log_reader(reader_name(mapping), {})
+        self._check_channels(mapping, self._mapping_path())
+
+    def _check_channels(self, mapping: Mapping[str, Any], where: Path) -> None:
+        """Raise ConfigError if logs that are read so lack what the objectives' models read or what they score. where:
+        of the mapping."""
         if self._hold is not None:
-            field_holding.check_mapping(self._mapping_path(), mapping)
+            field_holding.check_mapping(where, mapping)
         for name, settings in self._context.objectives.items():
-            check_mapping(registry.make_objective(name, settings), mapping, self._mapping_path())
+            check_mapping(self._registry.make_objective(name, settings), mapping, where)
 
     def collect(self, policies: Sequence[Path], schedule: ScheduleConfig) -> list[Recording]:
         request = self._request("collect", policies, schedule.model_dump(mode="json"))
@@ -123,13 +130,14 @@ class FieldWorld(World):
         return speeds * (len(ORDER) * (block_seconds or self.settings.block_seconds) + trimming)
 
     def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
-        return self.head_to_heads([policy], reference, speeds)[0]
+        return self._heads("head to head", [policy], reference, speeds, self.settings.block_seconds)[0]
 
     def head_to_heads(
         self, policies: Sequence[Path], reference: Path, speeds: Sequence[float]
     ) -> list[list[Recording]]:
-        """All of them in one bundle, so that one visit to the robot is enough."""
-        return self._heads("head to head", policies, reference, speeds, self.settings.block_seconds)
+        """All of them in one bundle, so that one visit to the robot is enough; another one than `head_to_head` asks
+        for, so a final is walked anew and no trial's logs stand for it."""
+        return self._heads("head to heads", policies, reference, speeds, self.settings.block_seconds)
 
     def head_to_heads_in_session(
         self, policies: Sequence[Path], reference: Path, speeds: Sequence[float], block_seconds: float | None
@@ -238,6 +246,9 @@ class FieldWorld(World):
         card = DeployedPolicy(order.policy).card
         mapping, where = described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
         check_weighed(self._mapping_path(), mapping)
+        self._check_channels(mapping, where)
+        if order.role != "collection":
+            check_judged(self._robot.task(), mapping, where)
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
         check_ran(where, facts, card, order.policy.name)
         asked = {
@@ -289,6 +300,7 @@ class FieldWorld(World):
             )
         mapping = load_mapping(path)
         check_sections(path, mapping)
+        check_of_all(path, mapping)
         return mapping
 
     def _template(self) -> str:

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from hts.errors import RecordingError
+from hts.contracts import Task
+from hts.errors import ConfigError, RecordingError, unknown_name
 from hts.explain import shortened
 from hts.recordings.mapping import load_mapping
 from hts.recordings.recording import Recording
@@ -31,14 +32,18 @@ GAINS = {"kp": "a list of one gain a joint, N*m/rad", "kd": "a list of one gain 
 
 def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> tuple[dict[str, Any], Path]:
     """The mapping of one log and where it lies: that beside it, completed by the run's own; the run's own if there is
-    none. Raises RecordingError for either that is not built as a mapping is, see `check_sections`, and where the run's
-    own tells of a second file, or of a level of a channel that is not in the log: see `_check_one_file`."""
+    none. One beside it without `channels` adds what it says to the run's own. Raises RecordingError for either that is
+    not built as a mapping is, see `check_sections`, and where the run's own tells of a second file, or of a level of a
+    channel that is not in the log: see `_check_one_file`."""
     path = logs / FOLDER / f"{name}.yaml"
     check_sections(own_path, own)
     if not path.is_file():
         return dict(own), own_path
     mapping = _with_levels(load_mapping(path), own)
     check_sections(path, mapping)
+    if not mapping.get("channels"):  # a person's few words of this one log, such as that the robot fell in it
+        said = {**dict(own.get("recording") or {}), **dict(mapping.get("recording") or {})}
+        return {**own, **mapping, "channels": dict(own.get("channels") or {}), "recording": said}, path
     _check_one_file(path, mapping, own, own_path)
     facts, stated = dict(mapping.get("recording") or {}), dict(own.get("recording") or {})
     facts |= {key: value for key, value in stated.items() if value is not None or key not in facts}
@@ -70,6 +75,24 @@ def check_sections(path: Path, mapping: Mapping[str, Any]) -> None:
         _check(path, f"{where}.idle", (one or {}).get("idle"), (int, float), "a number, in the channel's unit")
     for key, what in GAINS.items():
         _check(path, f"recording.{key}", (mapping.get("recording") or {}).get(key), list, what)
+
+
+def check_judged(task: Task, mapping: Mapping[str, Any], where: Path) -> None:
+    """Raise ConfigError where the logs of a comparison lack a channel that tells whether the robot did its task."""
+    channels = mapping.get("channels")
+    for channel in task.channels:
+        if isinstance(channels, Mapping) and channel not in channels:
+            text = unknown_name("channel of this mapping", channel, channels)
+            raise ConfigError(f"{where}: '{channel}' tells whether the robot did its task. {text}")
+
+
+def check_of_all(path: Path, mapping: Mapping[str, Any]) -> None:
+    """Raise RecordingError where the run's own mapping, which is of all logs, says what is true of one walk."""
+    if (mapping.get("recording") or {}).get("fell"):
+        raise RecordingError(
+            f"{path}: recording.fell: is said of all logs, of the reference's too. Say it of those in which the robot "
+            f"fell, each in logs/{FOLDER}/NN.yaml beside its log (`recording: {{fell: true}}`), and delete it here."
+        )
 
 
 def _check(path: Path, key: str, found: Any, kind: type | tuple[type, ...], expected: str) -> None:

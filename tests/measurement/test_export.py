@@ -244,6 +244,14 @@ def test_the_command_writes_the_model_of_a_fit_with_the_robots_joints(tmp_path, 
     assert read.joint_names == robot.spec.joint_names and read.target.name == objective.target.name
     with pytest.raises(RunError, match="exists already"):
         export_measurement_model(None, str(saved), to, robot.spec, Known())
+    other = ["front", "hind"]
+    of_other = files.save(
+        model, tmp_path / "other", {"objective": objective.name, "robot": "bessie", "joint_names": other}
+    )
+    with pytest.raises(PolicyError, match=r"recordings of robot 'bessie' with the joints front, hind; 'tiny' has"):
+        export_measurement_model(None, str(of_other), tmp_path / "new.safetensors", robot.spec, Known())
+    export_measurement_model(None, str(of_other), tmp_path / "own.safetensors", None, Known())
+    assert list(reader.MeasurementModel(tmp_path / "own.safetensors").joint_names) == other
     files.save(model, tmp_path / "nameless")
     with pytest.raises(PolicyError, match="does not say which objective"):
         export_measurement_model(None, str(tmp_path / "nameless.safetensors"), tmp_path / "new.safetensors")

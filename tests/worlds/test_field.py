@@ -143,3 +143,63 @@ def test_a_folder_with_a_blank_in_its_name_is_quoted(run, policy):
     (folder / "config.yaml").write_text("preset: smoke\n")
     with pytest.raises(WaitingForRobot, match=f"then type: hts resume '{folder}'$"):
         field(folder).collect([policy], walking(0.5, SECONDS))
+
+
+def without(run, *channels):
+    path = run / "field" / "mapping.yaml"
+    mapping = yaml.safe_load(path.read_text())
+    for channel in channels:
+        del mapping["channels"][channel]
+    path.write_text(yaml.safe_dump(mapping))
+
+
+def test_a_mapping_that_lacks_what_a_model_reads_is_told_when_the_first_logs_are_read(run, policy, robot):
+    """Stored without it, the data could never be fitted to, and nobody would be asked for them again."""
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    fill_in(run)
+    without(run, "joint_velocity")
+    write_log(bundle(run) / "logs" / "00.csv", robot)
+    with pytest.raises(ConfigError, match=r"mapping\.yaml: objective 'power' needs 'joint_velocity'"):
+        field(run).collect([policy], walking(0.5, SECONDS))
+
+
+def test_so_is_one_that_lacks_what_a_comparison_is_judged_by(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+    fill_in(run)
+    without(run, "base_velocity")
+    for number in range(4):
+        write_log(bundle(run) / "logs" / f"{number:02d}.csv", robot)
+    with pytest.raises(ConfigError, match=r"mapping\.yaml: 'base_velocity' tells whether the robot did its task"):
+        field(run).head_to_head(policy, policy, [0.8])
+
+
+def test_a_final_is_walked_anew_where_a_trial_walked_the_same_policy_at_the_same_speed(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_heads([policy], policy, [0.8])
+    fill_in(run)
+    for number in range(4):
+        write_log(bundle(run) / "logs" / f"{number:02d}.csv", robot)
+    assert len(field(run).head_to_heads([policy], policy, [0.8])[0]) == 4
+    with pytest.raises(WaitingForRobot, match="4 of 4 logs"):
+        field(run).head_to_head(policy, policy, [0.8])
+
+
+def test_a_fall_is_said_of_the_walk_in_which_it_was_and_few_words_will_do(run, policy, robot):
+    schedule = walking(0.5, SECONDS)
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy, policy], schedule)
+    fill_in(run)
+    logs, path = bundle(run) / "logs", run / "field" / "mapping.yaml"
+    write_log(logs / "00.csv", robot)
+    write_log(logs / "01.csv", robot, seconds=2.0)
+    (logs / "mappings").mkdir()
+    (logs / "mappings" / "01.yaml").write_text("recording: {fell: true}\n")
+    first, second = field(run).collect([policy, policy], schedule)
+    assert (first.fell, second.fell, second.mass_kg) == (False, True, 13.2)
+    mapping = yaml.safe_load(path.read_text())
+    mapping["recording"]["fell"] = True
+    path.write_text(yaml.safe_dump(mapping))
+    with pytest.raises(RecordingError, match=r"mapping\.yaml: recording\.fell: is said of all logs.*NN\.yaml"):
+        field(run).collect([policy, policy], schedule)

@@ -61,15 +61,22 @@ class TwinWorld(World):
         return [row[0] for row in self._run(collection(paths, schedule, request), request)]
 
     def head_to_head(self, policy: Path, reference: Path, speeds: Sequence[float]) -> list[Recording]:
-        return self.head_to_heads([policy], reference, speeds)[0]
+        return self._heads("head to head", [policy], reference, speeds)[0]
 
     def head_to_heads(
         self, policies: Sequence[Path], reference: Path, speeds: Sequence[float]
     ) -> list[list[Recording]]:
-        """All policies at all speeds side by side, each pair on a twin of its own."""
+        """All policies at all speeds side by side, each pair on a twin of its own, other ones than `head_to_head` has:
+        a final repeats no trial."""
+        return self._heads("head to heads", policies, reference, speeds)
+
+    def _heads(
+        self, what: str, policies: Sequence[Path], reference: Path, speeds: Sequence[float]
+    ) -> list[list[Recording]]:
+        """what: part of the request's name, so that two of different names have different sessions."""
         paths, against, settings = [_path(policy) for policy in policies], _path(reference), self.settings
         lengths = (settings.warmup_seconds, settings.block_seconds)
-        request = self._request("head to head", [*paths, against], [list(speeds), *lengths, *self._holding()])
+        request = self._request(what, [*paths, against], [list(speeds), *lengths, *self._holding()])
         sessions = [
             head_to_head(
                 [path],
@@ -90,7 +97,7 @@ class TwinWorld(World):
         self, policy: Path, reference: Path, speeds: Sequence[float], sessions: int
     ) -> list[Recording]:
         """Each session on a twin of its own: another charge, air and floor, commands found anew."""
-        rows = self.head_to_heads([policy] * sessions, reference, speeds)
+        rows = self._heads("head to head", [policy] * sessions, reference, speeds)
         return [recording for row in rows for recording in row]
 
     def head_to_heads_in_session(

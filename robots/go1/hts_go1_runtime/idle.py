@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -47,7 +48,17 @@ def check_read(seen: Readings) -> None:
 
 
 def changed(before: Mapping[str, float], after: Mapping[str, float]) -> bool:
-    """Whether something else draws after a visit than before. The voltage sinks by itself as the pack is used, so the
-    current tells."""
-    name = "battery_current"
-    return name in before and name in after and abs(after[name] - before[name]) > AGREES * abs(before[name])
+    """Whether something else draws after a visit than before.
+
+    The voltage sinks as the pack is used, and electronics behind a converter then draw more current for the same power,
+    others less: so neither current nor power alone tells, but both together.
+    """
+
+    def differs(*names: str) -> bool:
+        first, last = (math.prod(levels[name] for name in names) for levels in (before, after))
+        return abs(last - first) > AGREES * abs(first)
+
+    current, voltage = "battery_current", "battery_voltage"
+    if not (current in before and current in after) or not differs(current):
+        return False
+    return not (voltage in before and voltage in after) or differs(current, voltage)

@@ -27,6 +27,7 @@ from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.fake import failing, standing
+from hts_go1_runtime.idle import changed
 from hts_go1_runtime.link import DAMPING, NOTHING, Command
 from hts_go1_runtime.log import CHANNELS, RowLog, samples
 from hts_go1_runtime.loop import Loop
@@ -290,3 +291,19 @@ for number in range(10_000):
     writer.stdout.close()
     assert not (tmp_path / "00.csv").exists()
     assert len(np.loadtxt(tmp_path / ".00.csv.partial", delimiter=",", skiprows=1)) == 101
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        ((1.278, 23.496), (1.334, 22.515), False),  # electronics behind a converter: 30.0 W before and after
+        ((1.278, 23.5), (1.28, 22.5), False),  # those that draw the same current
+        ((1.278, 23.5), (1.40, 22.5), True),
+        ((1.278, None), (1.334, None), True),  # no voltage, so the current alone
+    ],
+)
+def test_a_voltage_that_sank_is_nothing_else_that_draws(before, after, told):
+    def level(current, voltage):
+        return {"battery_current": current} | ({} if voltage is None else {"battery_voltage": voltage})
+
+    assert changed(level(*before), level(*after)) == told
