@@ -228,8 +228,12 @@ def fit_store(
     }
     report["compared"] = table_rows(report, rows)
     first = recordings[0]
-    notes = {"objective": objective.name, "dataset": dataset.sha256}
-    notes |= {"robot": first.robot, "joint_names": list(first.joint_names)}
+    notes = {
+        "objective": objective.name,
+        "dataset": dataset.sha256,
+        "robot": first.robot,
+        "joint_names": list(first.joint_names),
+    }
     return _written(result.model, report, Path(out), notes)
 
 
