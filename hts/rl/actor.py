@@ -27,7 +27,7 @@ class PopulationActor(TensorDictModuleBase):
 
     random: where the exploration noise comes from, a generator per candidate; None: the mean action, as under TorchRL's
     `set_exploration_type` of any type but random. `forward` is for collecting and gives no gradient; `get_dist` is for
-    losses.
+    losses. Raises ValueError for a random with another number of generators than there are candidates.
     """
 
     in_keys = ["observation"]  # noqa: RUF012 - what TensorDictModuleBase asks for
@@ -37,12 +37,17 @@ class PopulationActor(TensorDictModuleBase):
 
     def __init__(self, population: Population, random: PopulationRandom | None = None) -> None:
         super().__init__()
+        if random is not None and len(random.generators) != population.count:
+            raise ValueError(
+                f"random has {len(random.generators)} generators, expected one for each of the {population.count} "
+                "candidates: PopulationRandom takes a seed for each."
+            )
         self.population, self.random, self.members = population, random, slice(None)
 
     def of(self, members: slice) -> PopulationActor:
         """The policies of some candidates, with the same parameters and generators; for collecting."""
-        part = PopulationActor(self.population, None if self.random is None else self.random.of(members))
-        part.members = members
+        part = PopulationActor(self.population)
+        part.random, part.members = None if self.random is None else self.random.of(members), members
         return part
 
     @torch.no_grad()

@@ -7,7 +7,15 @@ import math
 import pytest
 import torch
 
-from hts.rl import EqualityMultiplier, Population, Sizes, UpperMultiplier, project_to_kl_bound
+from hts.rl import (
+    EqualityMultiplier,
+    Population,
+    PopulationActor,
+    PopulationRandom,
+    Sizes,
+    UpperMultiplier,
+    project_to_kl_bound,
+)
 
 SIZES = Sizes(3, 3, 1, (4,))
 
@@ -49,3 +57,12 @@ def test_one_price_is_not_made_a_price_for_each_instance(made):
 def test_a_scale_that_no_error_matters_against_is_refused(made, number):
     with pytest.raises(ValueError, match=f"is {number}; expected a positive number"):
         made(number)
+
+
+@pytest.mark.parametrize("seeds", [[0], [0, 1, 2]])
+def test_a_generator_for_each_candidate_is_asked_for_when_an_actor_is_made(seeds):
+    population = Population(SIZES, 2)
+    with pytest.raises(ValueError, match=f"random has {len(seeds)} generators, expected one for each of the 2 cand"):
+        PopulationActor(population, PopulationRandom(seeds, torch.device("cpu")))
+    part = PopulationActor(population, PopulationRandom([0, 1], torch.device("cpu"))).of(slice(1, 2))
+    assert part.random is not None and len(part.random.generators) == 1
