@@ -161,6 +161,21 @@ def test_a_measured_reward_of_no_number_is_refused(how, said):
         MeasuredReward(**how, in_key="effort")
 
 
+@pytest.mark.parametrize(("count", "found"), [(None, "1 mean;"), (3, "3 means;")])
+def test_candidates_are_not_centred_by_one_mean_of_all_of_them(count, found):
+    with pytest.raises(ValueError, match=rf"weight is of 2 candidates, centring has {found}.*\(0.05, count=2\)"):
+        MeasuredReward(torch.ones(2), 0.1, in_key="effort", centring=RewardCentring(0.05, count))
+    step = TensorDict({"effort": torch.tensor([[[-2.0]], [[-0.3]]]), "reward": torch.zeros(2, 1, 1)}, [2, 1])
+    for weight, centring, expected in (
+        (torch.ones(2), RewardCentring(0.05, 2), [0.0, 0.0]),  # what the message says
+        (torch.ones(2), RewardCentring(0.0), [-0.2, -0.03]),  # centres nothing
+        (1.0, RewardCentring(0.05, 2), [0.0, 0.0]),  # one weight for all
+    ):
+        measured = MeasuredReward(weight, 0.1, in_key="effort", centring=centring)
+        found = measured(TensorDict({"next": step.clone()}, [2, 1]))["next", "reward"].flatten()
+        torch.testing.assert_close(found, torch.tensor(expected))
+
+
 def test_random_numbers_of_other_candidates_are_not_gone_on_from():
     two, three = (PopulationRandom(range(count), torch.device("cpu")) for count in (2, 3))
     with pytest.raises(ValueError, match="of 2 candidates, expected those of 3: they are of another training"):
