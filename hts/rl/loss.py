@@ -49,6 +49,17 @@ def _check_actor(actor: TensorDictModuleBase) -> None:
             raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
 
 
+def _check_critic(critic: TensorDictModuleBase) -> None:
+    """Raise TypeError for a critic that reads no TensorDict."""
+    try:
+        critic.in_keys  # noqa: B018 -- of every TensorDict module
+    except AttributeError as error:
+        raise TypeError(
+            f"critic_network is a {type(critic).__name__}, which reads no TensorDict; expected a module that writes "
+            'the value into one: ValueOperator(critic, in_keys=["observation"]) of torchrl.modules makes it one.'
+        ) from error
+
+
 class KLConstrainedPPOLoss(LossModule):
     """Clipped PPO whose mean KL to a frozen reference policy is held below c by a Lagrange multiplier.
 
@@ -115,6 +126,7 @@ class KLConstrainedPPOLoss(LossModule):
     ) -> None:
         super().__init__()
         _check_actor(actor_network)
+        _check_critic(critic_network)
         if not 0.0 < clip_epsilon < math.inf:
             raise ValueError(f"clip_epsilon is {clip_epsilon}; expected a positive number, such as 0.2.")
         self.actor_network, self.critic_network = actor_network, critic_network
@@ -179,6 +191,8 @@ class KLConstrainedPPOLoss(LossModule):
                     f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. "
                     f"{gives.get(key, 'GAE')} gives it."
                 )
+        if batch.ndim:  # else only what is computed of it says whose it is
+            self._check_candidates(batch.shape)
         old_value = batch.get(keys.value, None)
         if batch[keys.sample_log_prob].requires_grad:
             raise ValueError(
@@ -187,7 +201,7 @@ class KLConstrainedPPOLoss(LossModule):
             )
         policy = self.actor_network.get_dist(batch)
         log_prob = policy.log_prob(batch[keys.action])
-        self._check_candidates(log_prob)
+        self._check_candidates(log_prob.shape)
         log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
         advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
@@ -214,9 +228,14 @@ class KLConstrainedPPOLoss(LossModule):
 
     @torch.no_grad()
     def kl_to_reference(self, tensordict: TensorDictBase) -> torch.Tensor:
-        """Mean KL(pi || reference) over the states of a batch, with the parameters as they are; [] or [P], nats."""
+        """Mean KL(pi || reference) over the states of a batch, with the parameters as they are; [] or [P], nats. Raises
+        ValueError for a batch without its candidates in front."""
         batch = tensordict.copy()
-        return self._mean(distribution_kl(self.actor_network.get_dist(batch), self._reference_in(batch)))
+        if batch.ndim:  # else only what is computed of it says whose it is
+            self._check_candidates(batch.shape)
+        kl = distribution_kl(self.actor_network.get_dist(batch), self._reference_in(batch))
+        self._check_candidates(kl.shape)
+        return self._mean(kl)
 
     def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
         """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch; see `LagrangeMultiplier`. Returns the new
@@ -227,13 +246,14 @@ class KLConstrainedPPOLoss(LossModule):
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
         return self.reference.get_dist(batch.copy())
 
-    def _check_candidates(self, log_prob: torch.Tensor) -> None:
-        """Raise ValueError unless a batch begins with as many candidates as there are bounds."""
+    def _check_candidates(self, shape: torch.Size) -> None:
+        """Raise ValueError unless a batch of this shape begins with as many candidates as there are bounds."""
         count = self.kl_bound.shape
-        if count and log_prob.shape[:1] != count:
+        if count and shape[:1] != count:
             raise ValueError(
-                f"The batch has the shape {tuple(log_prob.shape)}, kl_bound {tuple(count)}: its first dimension is to "
-                f"be the candidates, {count[0]}. Give a float as kl_bound where there is one policy."
+                f"The batch has the shape {tuple(shape)}, kl_bound {tuple(count)}: its first dimension is to be the "
+                f"candidates, {count[0]}, which flatten(1, 2) of a batch [P, N, T] keeps in front. Give a float as "
+                "kl_bound where there is one policy."
             )
 
     def _entropy_loss(self, policy: Distribution, log_ratio: torch.Tensor) -> torch.Tensor:

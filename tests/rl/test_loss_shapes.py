@@ -81,8 +81,15 @@ def test_what_a_batch_lacks_is_said_with_who_gives_it(lacks, gives):
 
 def test_a_batch_without_its_candidates_in_front_is_told():
     loss, data = loss_and_batch(kl_bound=torch.tensor([0.1, 0.2]))
-    with pytest.raises(ValueError, match=r"shape \(8,\), kl_bound \(2,\): its first dimension is to be the candidates"):
-        loss(data)
+    for ask in (loss, loss.kl_to_reference):
+        with pytest.raises(
+            ValueError, match=r"shape \(8,\), kl_bound \(2,\): its first dimension is to be the candidates"
+        ):
+            ask(data)
+        nameless = data.clone()
+        nameless.batch_size = []
+        with pytest.raises(ValueError, match=r"shape \(8,\), kl_bound \(2,\)"):
+            ask(nameless)
     assert loss(data.reshape(2, COUNT // 2)).shape == (2,)
 
 

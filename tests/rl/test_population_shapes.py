@@ -6,11 +6,15 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
+from torch import nn
 
 from hts.rl import (
     EqualityMultiplier,
+    KLConstrainedPPOLoss,
     Population,
     PopulationActor,
+    PopulationCritic,
     PopulationRandom,
     Sizes,
     UpperMultiplier,
@@ -42,6 +46,72 @@ def test_a_bound_that_cannot_be_shrinks_nobody(bounds):
     with pytest.raises(ValueError, match="expected a positive number for each of 2 candidates, infinity for no bound"):
         project_to_kl_bound(population, anchor, torch.randn(2, 5, 3), torch.tensor(bounds))
     assert all(torch.equal(vector, old) for vector, old in zip(population.vectors, before, strict=True))
+
+
+@pytest.mark.parametrize("shape", [(2, 4, 5, 3), (10, 3), (3, 5, 3), (2, 5, 1)])
+def test_states_of_another_shape_shrink_nobody(shape):
+    population = Population(SIZES, 2)
+    with pytest.raises(ValueError, match=r"observation has the shape .*, expected \(2, S, 3\).*flatten\(1, 2\)"):
+        project_to_kl_bound(population, population.frozen(), torch.randn(shape), torch.ones(2))
+
+
+def test_a_float_bound_holds_for_each_candidate():
+    def shrunk(bounds) -> list[float]:
+        population = Population(SIZES, 2)
+        anchor = population.frozen()
+        with torch.no_grad():
+            for move, vector in enumerate(population.vectors, 1):
+                vector[-1] += 0.4 * move  # log sigma
+        return project_to_kl_bound(population, anchor, torch.zeros(2, 5, 3), bounds).tolist()
+
+    assert shrunk(0.05) == shrunk(torch.tensor(0.05)) == shrunk(torch.tensor([0.05, 0.05]))
+    assert shrunk(0.05)[1] < shrunk(0.05)[0] < 1.0
+    with pytest.raises(ValueError, match=r"bounds are \[-1.0, -1.0\]; expected a positive number"):
+        shrunk(-1.0)
+
+
+def batch(*shape: int) -> TensorDict:
+    """Samples of one candidate, seen by nobody yet."""
+    alone = {"observation": torch.randn(*shape, 3), "critic_observation": torch.randn(*shape, 3)}
+    numbers = {name: torch.zeros(*shape, 1) for name in ("advantage", "value_target", "state_value", "action")}
+    return TensorDict({**alone, **numbers, "action_log_prob": torch.zeros(shape)}, shape)
+
+
+@pytest.mark.parametrize(
+    "made", [PopulationActor, PopulationCritic, lambda population: PopulationActor(population).get_dist]
+)
+@pytest.mark.parametrize("shape", [(16,), (4, 2), (3, 4), (1, 4)])
+def test_states_without_the_candidates_in_front_are_told(made, shape):
+    with pytest.raises(
+        ValueError, match=r"observation' has the shape .*, expected \(2, ..., 3\): the first dimension must be the cand"
+    ):
+        made(Population(SIZES, 2))(batch(*shape))
+    assert made(Population(SIZES, 2))(batch(2, 4)) is not None
+
+
+@pytest.mark.parametrize("asked", ["forward", "kl_to_reference"])
+@pytest.mark.parametrize("shape", [(16,), (4, 2), (3, 4)])
+def test_a_loss_of_a_population_says_what_its_batch_begins_with(asked, shape):
+    population = Population(SIZES, 2)
+    loss = KLConstrainedPPOLoss(PopulationActor(population), PopulationCritic(population), kl_bound=torch.ones(2))
+    ask = {"forward": loss, "kl_to_reference": loss.kl_to_reference}[asked]
+    with pytest.raises(
+        ValueError,
+        match=r"batch has the shape .*, kl_bound \(2,\): its first dimension is to be the cand.*flatten\(1, 2\)",
+    ):
+        ask(batch(*shape))
+    nameless = batch(*shape)
+    nameless.batch_size = []
+    with pytest.raises(ValueError, match="the first dimension must be the candidates, 2"):
+        ask(nameless)
+
+
+def test_a_critic_that_reads_no_tensordict_is_refused_with_what_makes_it_one():
+    actor = PopulationActor(Population(SIZES, 2))
+    with pytest.raises(
+        TypeError, match=r"critic_network is a Linear, which reads no TensorDict.*ValueOperator\(critic"
+    ):
+        KLConstrainedPPOLoss(actor, nn.Linear(3, 1), kl_bound=torch.ones(2))
 
 
 @pytest.mark.parametrize("made", [EqualityMultiplier, UpperMultiplier])
