@@ -18,6 +18,7 @@ from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
 
+from hts.rl.actor import PopulationActor
 from hts.rl.kl import distribution_kl
 from hts.rl.multiplier import LagrangeMultiplier
 from hts.rl.rows import row_mean, row_standardised
@@ -60,6 +61,28 @@ def _check_critic(critic: TensorDictModuleBase) -> None:
         ) from error
 
 
+def _candidates(module: nn.Module) -> int | None:
+    """P of the population that acts in a module; None where there is none."""
+    return next((one.population.count for one in module.modules() if isinstance(one, PopulationActor)), None)
+
+
+def _bound_of_each(kl_bound: float | torch.Tensor, actor: nn.Module, reference: nn.Module) -> float | torch.Tensor:
+    """kl_bound, [P] where the actor is several candidates: one mean over all of them would bound nobody. Raises
+    ValueError for bounds, or a reference, of another number of candidates."""
+    count, others = _candidates(actor), _candidates(reference)
+    if count is None:
+        return kl_bound
+    if others is not None and others != count:
+        raise ValueError(f"reference has {others} candidates, actor_network {count}; expected as many.")
+    bounds = torch.as_tensor(kl_bound)
+    if bounds.ndim == 1 and len(bounds) != count:
+        raise ValueError(
+            f"kl_bound has the shape {tuple(bounds.shape)}, actor_network {count} candidates; expected a bound for "
+            "each, or a float that holds for each."
+        )
+    return bounds.repeat(count) if bounds.ndim == 0 and count > 1 else kl_bound
+
+
 class KLConstrainedPPOLoss(LossModule):
     """Clipped PPO whose mean KL to a frozen reference policy is held below c by a Lagrange multiplier.
 
@@ -81,7 +104,8 @@ class KLConstrainedPPOLoss(LossModule):
 
     With a float kl_bound everything is a mean over the batch and every output a scalar. With a tensor [P] the batch's
     first dimension is P candidates, outputs are [P], nothing is reduced over candidates, and c = inf switches single
-    ones off. Sum the losses before `backward`: candidates share no parameter.
+    ones off. Sum the losses before `backward`: candidates share no parameter. Where the actor is a `PopulationActor` of
+    several candidates, or holds one, a float is the bound of each: it stands for [P] times itself.
 
     multiplier_rate: eta of `LagrangeMultiplier`; clip_epsilon: eps; critic_coeff: v; entropy_coeff: h; clip_value: None
     for no clipping of the value, True for eps; normalize_advantage: to mean 0 and deviation 1, of each candidate;
@@ -131,7 +155,7 @@ class KLConstrainedPPOLoss(LossModule):
             raise ValueError(f"clip_epsilon is {clip_epsilon}; expected a positive number, such as 0.2.")
         self.actor_network, self.critic_network = actor_network, critic_network
         self.reference = frozen(actor_network if reference is None else reference)
-        self.multiplier = LagrangeMultiplier(kl_bound, multiplier_rate)
+        self.multiplier = LagrangeMultiplier(_bound_of_each(kl_bound, actor_network, self.reference), multiplier_rate)
         self.clip_epsilon, self.critic_coeff, self.entropy_coeff = clip_epsilon, critic_coeff, entropy_coeff
         self.clip_value = clip_epsilon if clip_value is True else (clip_value or None)
         self.normalize_advantage = normalize_advantage

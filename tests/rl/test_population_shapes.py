@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
 from hts.rl import (
@@ -70,6 +71,19 @@ def test_a_float_bound_holds_for_each_candidate():
         shrunk(-1.0)
 
 
+class Named(TensorDictModuleBase):
+    """An actor inside a module of somebody's own."""
+
+    in_keys, out_keys = PopulationActor.in_keys, PopulationActor.out_keys
+
+    def __init__(self, actor: PopulationActor) -> None:
+        super().__init__()
+        self.actor = actor
+
+    def get_dist(self, tensordict):
+        return self.actor.get_dist(tensordict)
+
+
 def batch(*shape: int) -> TensorDict:
     """Samples of one candidate, seen by nobody yet."""
     alone = {"observation": torch.randn(*shape, 3), "critic_observation": torch.randn(*shape, 3)}
@@ -104,6 +118,33 @@ def test_a_loss_of_a_population_says_what_its_batch_begins_with(asked, shape):
     nameless.batch_size = []
     with pytest.raises(ValueError, match="the first dimension must be the candidates, 2"):
         ask(nameless)
+
+
+@pytest.mark.parametrize("bound", [0.05, torch.tensor(0.05), 1])
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_float_is_the_bound_of_each_candidate_and_not_of_their_mean(bound, inside):
+    population = Population(SIZES, 2)
+    actor = PopulationActor(population)
+    loss = KLConstrainedPPOLoss(Named(actor) if inside else actor, PopulationCritic(population), kl_bound=bound)
+    with torch.no_grad():
+        population.vectors[1][-1] += 1.0  # log sigma: (e^2 - 1) / 2 - 1 nats
+    data = batch(2, 5)
+    kl = loss.kl_to_reference(data)
+    assert kl.tolist() == [0.0, pytest.approx((math.e**2 - 3.0) / 2.0)]
+    loss.update_multiplier(kl)
+    assert loss.multiplier.value[0] == 0.0 < loss.multiplier.value[1]
+    assert loss(data).shape == (2,) and loss.kl_bound.tolist() == pytest.approx([float(bound)] * 2)
+
+
+def test_bounds_and_a_reference_of_other_candidates_are_told_when_a_loss_is_made():
+    population, three = Population(SIZES, 2), PopulationActor(Population(SIZES, 3))
+    actor, critic = PopulationActor(population), PopulationCritic(population)
+    with pytest.raises(
+        ValueError, match=r"kl_bound has the shape \(3,\), actor_network 2 candidates; expected a bound"
+    ):
+        KLConstrainedPPOLoss(actor, critic, kl_bound=torch.ones(3))
+    with pytest.raises(ValueError, match="reference has 3 candidates, actor_network 2; expected as many"):
+        KLConstrainedPPOLoss(actor, critic, reference=three)
 
 
 def test_a_critic_that_reads_no_tensordict_is_refused_with_what_makes_it_one():
