@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +24,8 @@ from hts.rl.kl import distribution_kl
 from hts.rl.multiplier import LagrangeMultiplier
 from hts.rl.rows import row_mean, row_standardised
 from hts.rl.surrogate import surrogate, value_error
+
+FORGOTTEN = 1000  # losses before the first update of alpha; 10 passes over a batch in 64 parts are 640
 
 
 def frozen(module: nn.Module) -> nn.Module:
@@ -97,6 +100,9 @@ class KLConstrainedPPOLoss(LossModule):
 
         loss.update_multiplier(loss.kl_to_reference(data))
 
+    A UserWarning, once, tells of 1000 losses with gradients, a finite bound and a multiplier_rate above 0 before the
+    first update: without any, alpha stays what it is. What torch.compile has compiled is not counted.
+
     actor_network: has `get_dist`, as a `ProbabilisticActor`; critic_network: writes the value; reference: the policy to
     stay close to, copied and frozen with everything it holds (its observation normaliser too); None: the actor as it is
     now.
@@ -159,6 +165,7 @@ class KLConstrainedPPOLoss(LossModule):
         self.clip_epsilon, self.critic_coeff, self.entropy_coeff = clip_epsilon, critic_coeff, entropy_coeff
         self.clip_value = clip_epsilon if clip_value is True else (clip_value or None)
         self.normalize_advantage = normalize_advantage
+        self._waiting = FORGOTTEN if multiplier_rate > 0.0 and bool(self.kl_bound.isfinite().any()) else 0
         parameter = next(actor_network.parameters(), None)
         if parameter is not None:
             self.multiplier.to(parameter.device)
@@ -207,6 +214,8 @@ class KLConstrainedPPOLoss(LossModule):
         """tensordict [...], or [P, ...]: see `in_keys`. Raises KeyError naming what the batch lacks, ValueError where
         its log-probabilities carry gradients: against themselves nothing would be learned, and for shapes that do not
         fit each other."""
+        if torch.is_grad_enabled() and not torch.compiler.is_compiling():  # a number that changes is compiled anew
+            self._count()
         keys, batch = self.tensor_keys, tensordict.copy()
         for key in (keys.action, keys.sample_log_prob, keys.advantage, keys.value_target):
             if batch.get(key, None) is None:
@@ -269,6 +278,19 @@ class KLConstrainedPPOLoss(LossModule):
     @torch.no_grad()
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
         return self.reference.get_dist(batch.copy())
+
+    def _count(self) -> None:
+        """Warn, once, where alpha has not been updated for so long that it may have been forgotten."""
+        if self._waiting == 0 or self.multiplier.updated:
+            return
+        self._waiting -= 1
+        if self._waiting == 0:
+            warnings.warn(
+                f"{FORGOTTEN} losses were computed and the multiplier was never updated: it stays what it is, and "
+                "nothing holds the policy to kl_bound. Call loss.update_multiplier(loss.kl_to_reference(data)) once a "
+                "batch, or make the loss with multiplier_rate=0 if that is meant.",
+                stacklevel=2,
+            )
 
     def _check_candidates(self, shape: torch.Size) -> None:
         """Raise ValueError unless a batch of this shape begins with as many candidates as there are bounds."""
