@@ -2,10 +2,10 @@
 
     collector = PopulationCollector(env, PopulationActor(population, noise), frames_per_batch=P * N * T)
     advantage = GAE(gamma=0.99, lmbda=0.95, value_network=critic, vectorized=False)   # TorchRL's own
-    loss = KLConstrainedPPOLoss(actor, critic, kl_bound=0.5)                          # a LossModule
-    for data in collector:
+    loss = KLConstrainedPPOLoss(actor, critic, kl_bound=0.5)                          # a LossModule; c of each, or [P]
+    for data in collector:                                                            # [P, N, T]
         advantage(data)
-        for batch in minibatches(data): ...                                           # loss(batch), backward, step
+        for batch in minibatches(data): ...                                           # [P, ...]: losses [P], .sum()
         loss.update_multiplier(loss.kl_to_reference(data))                            # once a batch
 
 Every piece works alone, with TorchRL's other pieces and with plain `ProbabilisticActor`s; `examples/torchrl_ppo.py` is

@@ -21,7 +21,11 @@ def mean_kl(population: Population, reference: Population, observation: torch.Te
 
 @torch.no_grad()
 def project_to_kl_bound(
-    population: Population, reference: Population, observation: torch.Tensor, bounds: torch.Tensor, steps: int = 12
+    population: Population,
+    reference: Population,
+    observation: torch.Tensor,
+    bounds: float | torch.Tensor,
+    steps: int = 12,
 ) -> torch.Tensor:
     """Shrink every candidate that ended beyond its bound towards its reference until it is inside; returns s [P].
 
@@ -29,9 +33,22 @@ def project_to_kl_bound(
     bisection. The multiplier holds the mean over batches; a single last batch may end a little beyond. Who has an
     infinite bound is left alone.
 
+    observation: [P, S, O]; bounds: c, nats, [P], or a float that holds for each candidate.
+
     Raises ValueError, with the population as it was given, if the KL of a candidate with a finite bound is NaN or
-    whoever has to be shrunk has weights that are not finite, and for bounds that are not one above 0 for each.
+    whoever has to be shrunk has weights that are not finite, for bounds that are not one above 0 for each, and for
+    observations of another shape.
     """
+    size = population.sizes.observation
+    if observation.ndim != 3 or observation.shape[0] != population.count or observation.shape[-1] != size:
+        raise ValueError(
+            f"observation has the shape {tuple(observation.shape)}, expected ({population.count}, S, {size}), S states "
+            "of each candidate: flatten(1, 2) makes that of a batch's [P, N, T, O]."
+        )
+    if not isinstance(bounds, torch.Tensor):
+        bounds = torch.as_tensor(bounds, dtype=torch.get_default_dtype(), device=population.device)
+    if bounds.ndim == 0:
+        bounds = bounds.repeat(population.count)
     if bounds.shape != (population.count,) or not bool((bounds > 0).all()):
         raise ValueError(
             f"bounds are {bounds.tolist()}; expected a positive number for each of {population.count} candidates, "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -18,10 +19,13 @@ from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
 
+from hts.rl.actor import PopulationActor
 from hts.rl.kl import distribution_kl
 from hts.rl.multiplier import LagrangeMultiplier
 from hts.rl.rows import row_mean, row_standardised
 from hts.rl.surrogate import surrogate, value_error
+
+FORGOTTEN = 1000  # losses before the first update of alpha; 10 passes over a batch in 64 parts are 640
 
 
 def frozen(module: nn.Module) -> nn.Module:
@@ -49,6 +53,39 @@ def _check_actor(actor: TensorDictModuleBase) -> None:
             raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
 
 
+def _check_critic(critic: TensorDictModuleBase) -> None:
+    """Raise TypeError for a critic that reads no TensorDict."""
+    try:
+        critic.in_keys  # noqa: B018 -- of every TensorDict module
+    except AttributeError as error:
+        raise TypeError(
+            f"critic_network is a {type(critic).__name__}, which reads no TensorDict; expected a module that writes "
+            'the value into one: ValueOperator(critic, in_keys=["observation"]) of torchrl.modules makes it one.'
+        ) from error
+
+
+def _candidates(module: nn.Module) -> int | None:
+    """P of the population that acts in a module; None where there is none."""
+    return next((one.population.count for one in module.modules() if isinstance(one, PopulationActor)), None)
+
+
+def _bound_of_each(kl_bound: float | torch.Tensor, actor: nn.Module, reference: nn.Module) -> float | torch.Tensor:
+    """kl_bound, [P] where the actor is several candidates: one mean over all of them would bound nobody. Raises
+    ValueError for bounds, or a reference, of another number of candidates."""
+    count, others = _candidates(actor), _candidates(reference)
+    if count is None:
+        return kl_bound
+    if others is not None and others != count:
+        raise ValueError(f"reference has {others} candidates, actor_network {count}; expected as many.")
+    bounds = torch.as_tensor(kl_bound)
+    if bounds.ndim == 1 and len(bounds) != count:
+        raise ValueError(
+            f"kl_bound has the shape {tuple(bounds.shape)}, actor_network {count} candidates; expected a bound for "
+            "each, or a float that holds for each."
+        )
+    return bounds.repeat(count) if bounds.ndim == 0 and count > 1 else kl_bound
+
+
 class KLConstrainedPPOLoss(LossModule):
     """Clipped PPO whose mean KL to a frozen reference policy is held below c by a Lagrange multiplier.
 
@@ -63,6 +100,9 @@ class KLConstrainedPPOLoss(LossModule):
 
         loss.update_multiplier(loss.kl_to_reference(data))
 
+    A UserWarning, once, tells of 1000 losses with gradients, a finite bound and a multiplier_rate above 0 before the
+    first update: without any, alpha stays what it is. What torch.compile has compiled is not counted.
+
     actor_network: has `get_dist`, as a `ProbabilisticActor`; critic_network: writes the value; reference: the policy to
     stay close to, copied and frozen with everything it holds (its observation normaliser too); None: the actor as it is
     now.
@@ -70,7 +110,8 @@ class KLConstrainedPPOLoss(LossModule):
 
     With a float kl_bound everything is a mean over the batch and every output a scalar. With a tensor [P] the batch's
     first dimension is P candidates, outputs are [P], nothing is reduced over candidates, and c = inf switches single
-    ones off. Sum the losses before `backward`: candidates share no parameter.
+    ones off. Sum the losses before `backward`: candidates share no parameter. Where the actor is a `PopulationActor` of
+    several candidates, or holds one, a float is the bound of each: it stands for [P] times itself.
 
     multiplier_rate: eta of `LagrangeMultiplier`; clip_epsilon: eps; critic_coeff: v; entropy_coeff: h; clip_value: None
     for no clipping of the value, True for eps; normalize_advantage: to mean 0 and deviation 1, of each candidate;
@@ -115,14 +156,16 @@ class KLConstrainedPPOLoss(LossModule):
     ) -> None:
         super().__init__()
         _check_actor(actor_network)
+        _check_critic(critic_network)
         if not 0.0 < clip_epsilon < math.inf:
             raise ValueError(f"clip_epsilon is {clip_epsilon}; expected a positive number, such as 0.2.")
         self.actor_network, self.critic_network = actor_network, critic_network
         self.reference = frozen(actor_network if reference is None else reference)
-        self.multiplier = LagrangeMultiplier(kl_bound, multiplier_rate)
+        self.multiplier = LagrangeMultiplier(_bound_of_each(kl_bound, actor_network, self.reference), multiplier_rate)
         self.clip_epsilon, self.critic_coeff, self.entropy_coeff = clip_epsilon, critic_coeff, entropy_coeff
         self.clip_value = clip_epsilon if clip_value is True else (clip_value or None)
         self.normalize_advantage = normalize_advantage
+        self._waiting = FORGOTTEN if multiplier_rate > 0.0 and bool(self.kl_bound.isfinite().any()) else 0
         parameter = next(actor_network.parameters(), None)
         if parameter is not None:
             self.multiplier.to(parameter.device)
@@ -171,6 +214,8 @@ class KLConstrainedPPOLoss(LossModule):
         """tensordict [...], or [P, ...]: see `in_keys`. Raises KeyError naming what the batch lacks, ValueError where
         its log-probabilities carry gradients: against themselves nothing would be learned, and for shapes that do not
         fit each other."""
+        if torch.is_grad_enabled() and not torch.compiler.is_compiling():  # a number that changes is compiled anew
+            self._count()
         keys, batch = self.tensor_keys, tensordict.copy()
         for key in (keys.action, keys.sample_log_prob, keys.advantage, keys.value_target):
             if batch.get(key, None) is None:
@@ -179,6 +224,8 @@ class KLConstrainedPPOLoss(LossModule):
                     f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. "
                     f"{gives.get(key, 'GAE')} gives it."
                 )
+        if batch.ndim:  # else only what is computed of it says whose it is
+            self._check_candidates(batch.shape)
         old_value = batch.get(keys.value, None)
         if batch[keys.sample_log_prob].requires_grad:
             raise ValueError(
@@ -187,7 +234,7 @@ class KLConstrainedPPOLoss(LossModule):
             )
         policy = self.actor_network.get_dist(batch)
         log_prob = policy.log_prob(batch[keys.action])
-        self._check_candidates(log_prob)
+        self._check_candidates(log_prob.shape)
         log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
         advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
@@ -214,9 +261,14 @@ class KLConstrainedPPOLoss(LossModule):
 
     @torch.no_grad()
     def kl_to_reference(self, tensordict: TensorDictBase) -> torch.Tensor:
-        """Mean KL(pi || reference) over the states of a batch, with the parameters as they are; [] or [P], nats."""
+        """Mean KL(pi || reference) over the states of a batch, with the parameters as they are; [] or [P], nats. Raises
+        ValueError for a batch without its candidates in front."""
         batch = tensordict.copy()
-        return self._mean(distribution_kl(self.actor_network.get_dist(batch), self._reference_in(batch)))
+        if batch.ndim:  # else only what is computed of it says whose it is
+            self._check_candidates(batch.shape)
+        kl = distribution_kl(self.actor_network.get_dist(batch), self._reference_in(batch))
+        self._check_candidates(kl.shape)
+        return self._mean(kl)
 
     def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
         """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch; see `LagrangeMultiplier`. Returns the new
@@ -227,13 +279,27 @@ class KLConstrainedPPOLoss(LossModule):
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
         return self.reference.get_dist(batch.copy())
 
-    def _check_candidates(self, log_prob: torch.Tensor) -> None:
-        """Raise ValueError unless a batch begins with as many candidates as there are bounds."""
+    def _count(self) -> None:
+        """Warn, once, where alpha has not been updated for so long that it may have been forgotten."""
+        if self._waiting == 0 or self.multiplier.updated:
+            return
+        self._waiting -= 1
+        if self._waiting == 0:
+            warnings.warn(
+                f"{FORGOTTEN} losses were computed and the multiplier was never updated: it stays what it is, and "
+                "nothing holds the policy to kl_bound. Call loss.update_multiplier(loss.kl_to_reference(data)) once a "
+                "batch, or make the loss with multiplier_rate=0 if that is meant.",
+                stacklevel=2,
+            )
+
+    def _check_candidates(self, shape: torch.Size) -> None:
+        """Raise ValueError unless a batch of this shape begins with as many candidates as there are bounds."""
         count = self.kl_bound.shape
-        if count and log_prob.shape[:1] != count:
+        if count and shape[:1] != count:
             raise ValueError(
-                f"The batch has the shape {tuple(log_prob.shape)}, kl_bound {tuple(count)}: its first dimension is to "
-                f"be the candidates, {count[0]}. Give a float as kl_bound where there is one policy."
+                f"The batch has the shape {tuple(shape)}, kl_bound {tuple(count)}: its first dimension is to be the "
+                f"candidates, {count[0]}, which flatten(1, 2) of a batch [P, N, T] keeps in front. Give a float as "
+                "kl_bound where there is one policy."
             )
 
     def _entropy_loss(self, policy: Distribution, log_ratio: torch.Tensor) -> torch.Tensor:

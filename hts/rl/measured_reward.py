@@ -24,7 +24,7 @@ class MeasuredReward(Transform):
     Inside an env (`TransformedEnv`) each step's reward is changed, and the centre follows step by step at its `rate`.
     On a batch from a collector (called as a module) the centre is updated once with the whole batch and then
     subtracted. Centred before anything else, never clipped; NaN stays NaN, so that it can be found. Raises ValueError
-    for a weight or dt that cannot be.
+    for a weight or dt that cannot be, and for weights of candidates with a centring of another number of them.
     """
 
     def __init__(
@@ -45,6 +45,12 @@ class MeasuredReward(Transform):
             raise ValueError(f"dt is {dt}; expected the length of a control step, s.")
         count = self.weight.numel() if self.weight.ndim else None
         self.centring = centring if centring is not None else RewardCentring(STEP_RATE, count)
+        centres = self.centring.mean.numel()
+        if count is not None and centres != count and self.centring.rate > 0.0:  # it would centre across candidates
+            raise ValueError(
+                f"weight is of {count} candidates, centring has {centres} mean{'s' * (centres > 1)}; expected one for "
+                f"each candidate: RewardCentring({self.centring.rate:g}, count={count})."
+            )
 
     def added(self, measured: torch.Tensor) -> torch.Tensor:
         """lambda dt (r_measured - centre), of measured's shape; with [P] weights its first dimension is P."""

@@ -22,7 +22,7 @@ class LagrangeMultiplier(nn.Module):
     bounds: c in nats, a float or [P]; infinity switches the bound off. rate: eta. It acts on KL / c, so that tight and
     loose bounds are approached in the same number of batches; alpha starts at 0: nothing pulls until the bound is near.
 
-    Buffers value and bounds, both of the shape of bounds.
+    Buffers value and bounds, both of the shape of bounds. updated: whether `update` or `step` was ever called.
     """
 
     value: torch.Tensor
@@ -39,7 +39,7 @@ class LagrangeMultiplier(nn.Module):
             )
         if not 0.0 <= rate < math.inf:
             raise ValueError(f"rate is {rate}; expected a number from 0 on, such as 0.05.")
-        self.rate = rate
+        self.rate, self.updated = rate, False
         self.register_buffer("bounds", limits.clone())
         self.register_buffer("value", torch.zeros_like(limits))
 
@@ -65,6 +65,7 @@ class LagrangeMultiplier(nn.Module):
         """`update` without its questions, which wait for a GPU."""
         excess = torch.where(torch.isinf(self.bounds), 0.0, kl / self.bounds - 1.0).clamp(max=LARGEST_EXCESS)
         self.value = (self.value + self.rate * excess).clamp(min=0.0)
+        self.updated = True
         return self.value
 
 

@@ -30,8 +30,10 @@ class Flagged(Walk):
 
 
 def actor(candidates: int = 2, generators: int | None = None) -> PopulationActor:
-    random = PopulationRandom(range(candidates if generators is None else generators), CPU)
-    return PopulationActor(Population(Sizes(3, 3, 2, (8,)), candidates), random)
+    """generators: given to an actor that has been made, which then looks at them no more."""
+    made = PopulationActor(Population(Sizes(3, 3, 2, (8,)), candidates))
+    made.random = PopulationRandom(range(candidates if generators is None else generators), CPU)
+    return made
 
 
 COLLECTORS = pytest.mark.parametrize(

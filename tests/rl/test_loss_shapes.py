@@ -81,8 +81,15 @@ def test_what_a_batch_lacks_is_said_with_who_gives_it(lacks, gives):
 
 def test_a_batch_without_its_candidates_in_front_is_told():
     loss, data = loss_and_batch(kl_bound=torch.tensor([0.1, 0.2]))
-    with pytest.raises(ValueError, match=r"shape \(8,\), kl_bound \(2,\): its first dimension is to be the candidates"):
-        loss(data)
+    for ask in (loss, loss.kl_to_reference):
+        with pytest.raises(
+            ValueError, match=r"shape \(8,\), kl_bound \(2,\): its first dimension is to be the candidates"
+        ):
+            ask(data)
+        nameless = data.clone()
+        nameless.batch_size = []
+        with pytest.raises(ValueError, match=r"shape \(8,\), kl_bound \(2,\)"):
+            ask(nameless)
     assert loss(data.reshape(2, COUNT // 2)).shape == (2,)
 
 
@@ -159,6 +166,21 @@ def test_a_centre_for_one_candidate_is_not_made_one_for_each_instance():
 def test_a_measured_reward_of_no_number_is_refused(how, said):
     with pytest.raises(ValueError, match=said):
         MeasuredReward(**how, in_key="effort")
+
+
+@pytest.mark.parametrize(("count", "found"), [(None, "1 mean;"), (3, "3 means;")])
+def test_candidates_are_not_centred_by_one_mean_of_all_of_them(count, found):
+    with pytest.raises(ValueError, match=rf"weight is of 2 candidates, centring has {found}.*\(0.05, count=2\)"):
+        MeasuredReward(torch.ones(2), 0.1, in_key="effort", centring=RewardCentring(0.05, count))
+    step = TensorDict({"effort": torch.tensor([[[-2.0]], [[-0.3]]]), "reward": torch.zeros(2, 1, 1)}, [2, 1])
+    for weight, centring, expected in (
+        (torch.ones(2), RewardCentring(0.05, 2), [0.0, 0.0]),  # what the message says
+        (torch.ones(2), RewardCentring(0.0), [-0.2, -0.03]),  # centres nothing
+        (1.0, RewardCentring(0.05, 2), [0.0, 0.0]),  # one weight for all
+    ):
+        measured = MeasuredReward(weight, 0.1, in_key="effort", centring=centring)
+        found = measured(TensorDict({"next": step.clone()}, [2, 1]))["next", "reward"].flatten()
+        torch.testing.assert_close(found, torch.tensor(expected))
 
 
 def test_random_numbers_of_other_candidates_are_not_gone_on_from():
