@@ -8,6 +8,7 @@ from hts.plugins import Entry, Registry
 from hts.testing.checks import (
     instruments,
     measurement_models,
+    model_fits,
     names,
     objectives,
     rest,
@@ -44,5 +45,6 @@ NEEDED: tuple[Check, ...] = (
     settings.can_be_made,
     objectives.channels_are_known,
     rewards.gives_one_number_per_world,
+    model_fits.can_be_fitted,
 )
 """Where one of these is not kept, the checks after it are not tried: they would only say the same in other words."""
