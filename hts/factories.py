@@ -8,9 +8,10 @@ from typing import Any
 
 from hts import contracts
 from hts.channels import Channel
-from hts.contracts import Objective
+from hts.contracts import MeasurementModel, Objective
 from hts.errors import ConfigError, HtsError, PluginError
 from hts.explain import explain
+from hts.guarded import guarded
 
 CONTRACTS: Mapping[str, type] = {
     "objectives": contracts.Objective,
@@ -58,6 +59,26 @@ def made_by(factory: Callable[..., Any], kind: str, who: str, name: str, package
         _check_parts(made, name, f"{_begun(who, package)}", remedy)
         _check_weights(made, _begun(who, package))
     return made
+
+
+def check_settings_kept(model: MeasurementModel, given: Mapping[str, Any], who: str, package: str) -> None:
+    """Raise PluginError unless the model's settings hold what it was made with: a saved model is made again by them.
+
+    Compared are numbers, texts and truths; lists and mappings may be written in more ways than one.
+    """
+    begun = f"{_begun(who, package)}: its `settings`"
+    held = guarded(begun, lambda: model.settings)
+    if not isinstance(held, Mapping):
+        return  # told where they are written down
+    remedy = f"Expected all settings, as self.config.model_dump(mode='json') gives them. Mend {package}."
+    for key, value in given.items():
+        if key not in held:
+            raise PluginError(f"{begun} hold no '{key}', though it was made with {key}={value!r}. {remedy}")
+        found = held[key]
+        numbers = isinstance(found, int | float) and isinstance(value, int | float)
+        texts = isinstance(found, str) and isinstance(value, str)
+        if (numbers or texts) and found != value:
+            raise PluginError(f"{begun} hold {key}={found!r}, though it was made with {key}={value!r}. {remedy}")
 
 
 def _begun(who: str, package: str) -> str:

@@ -106,8 +106,12 @@ class Registry:
 
     def make_measurement_model(self, name: str, settings: Settings | None, context: ModelContext) -> MeasurementModel:
         """A fresh, unfitted model; its factory also gets this registry, for models that are made of others."""
+        from hts.factories import check_settings_kept
+
         model = self._make("measurement_models", name, dict(settings or {}), replace(context, registry=self))
         model.name = name
+        package = self.entry("measurement_models", name).package
+        check_settings_kept(model, settings or {}, f"measurement model '{name}'", package)
         return model
 
     def make_world(self, name: str, settings: Settings | None, context: WorldContext) -> World:

@@ -304,6 +304,20 @@ BROKEN = {
         "(unknown, False,",
         "selector 'steady': takes a candidate with score 9, 2 falls",
     ),
+    "clipped reward": (
+        "objective",
+        "objective.py",
+        REWARD,
+        "return -prediction.clamp(-5, 5)",
+        "objective 'heat': reward is the same for all predictions below -5 and above 5 standard deviations",
+    ),
+    "weights of one number": (
+        "objective",
+        "objective.py",
+        "= self.settings.weights",
+        "= 1.0",
+        "objective 'heat': its weights are 1.0, expected a tuple of numbers",
+    ),
     "policy of another robot": (
         "robot",
         "robot.py",
@@ -347,6 +361,9 @@ ALONE = {
     "a unit": ("objective.py", '"W", ()', '"wattage", ()', 2),  # the instrument imports it too
     "an input": ("objective.py", '"joint_torque", "joint_velocity")', '"joint_torqe", "joint_velocity")', 1),
     "a reward of numpy": ("objective.py", REWARD, f"{REWARD}.numpy()", 1),
+    "a reward of all samples": ("objective.py", REWARD, f"{REWARD}.mean()", 1),
+    "an instrument's name": ("objective.py", 'instrument = "heat_meter"', 'instrument = "heat_metre"', 1),
+    "weights of one number": ("objective.py", "= self.settings.weights", "= 1.0", 1),
 }
 """One mistake -> where, what for what, and in how many lines it may be said: once for each thing that has it."""
 
@@ -358,3 +375,20 @@ def test_one_mistake_is_one_line_and_what_needs_it_waits(check, what):
     assert len(said.faults) == lines, said.text
     assert re.search(rf"checks, {lines} failed, \d+ wait until these are kept", said.text)
     assert "is float32" not in said.text and "KeyError" not in said.text
+
+
+FAILS = ("objective.py", "        gross = segments", "        gross = {}['no such key'] or segments")
+
+
+def test_a_mistake_is_told_with_its_line_in_the_package(check, tmp_path):
+    said = check("objective", *FAILS)
+    (file,) = tmp_path.glob("broken-objective/**/hts_heat/objective.py")
+    number = file.read_text().partition("no such key")[0].count("\n") + 1
+    assert f"KeyError: 'no such key' (at {file}:{number})" in said.text
+    assert "Traceback" not in said.text
+
+
+def test_the_traceback_is_shown_where_it_is_asked_for(check, monkeypatch):
+    monkeypatch.setenv("HTS_DEBUG", "1")
+    said = check("objective", *FAILS)
+    assert "Traceback (most recent call last)" in said.text and "in score" in said.text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -21,13 +22,16 @@ def command(
     json_: options.AsJson = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only what is not kept, and the count.")] = False,
 ) -> None:
-    """Test everything that a plugin package offers against the contracts. Exit status 1 if something is not kept."""
+    """Test everything that a plugin package offers against the contracts. Exit status 1 if something is not kept.
+
+    HTS_DEBUG=1 shows the traceback of each fault."""
     from hts.cli.commands import COMMANDS
     from hts.plugins import load
     from hts.testing.conformance import check_package, package_of
 
     name = package_of(package)
-    findings = check_package(load(), name, reserved=COMMANDS)
+    folder = package if Path(package).is_dir() else None
+    findings = check_package(load(), name, reserved=COMMANDS, folder=folder)
     failed = sum(finding.fault is not None for finding in findings)
     untried = sum(not finding.tried for finding in findings)
     if json_:

@@ -51,6 +51,17 @@ def check_unfitted(model: MeasurementModel, registry: Registry | None) -> None:
     import torch
 
     check_json(model.settings, f"{called(model, registry)}: its `settings`")
+    check_fit_arguments(model, registry)
+    give_tensors(model, {name: value.clone() for name, value in tensors_of(model).items()})
+    moved(model, model.device)
+    _check_begun(model, registry)
+    length = max(2, round(TRIED_SECONDS * model.signals.rate_hz))
+    with torch.no_grad():
+        check_prediction(model, torch.full((1, length, model.signals.num_inputs), 0.5, device=model.device), False)
+
+
+def check_fit_arguments(model: MeasurementModel, registry: Registry | None) -> None:
+    """Raise PluginError for a `fit` that does not take what its contract says that it is given."""
     given = vars(FitSettings(0, 1))
     try:
         inspect.signature(model.fit).bind([], **given)
@@ -59,12 +70,6 @@ def check_unfitted(model: MeasurementModel, registry: Registry | None) -> None:
             f"{called(model, registry)}: fit() does not take what it will be given, {error}. Expected fit(self, "
             f"recordings, *, {', '.join(given)})."
         ) from error
-    give_tensors(model, {name: value.clone() for name, value in tensors_of(model).items()})
-    moved(model, model.device)
-    _check_begun(model, registry)
-    length = max(2, round(TRIED_SECONDS * model.signals.rate_hz))
-    with torch.no_grad():
-        check_prediction(model, torch.full((1, length, model.signals.num_inputs), 0.5, device=model.device), False)
 
 
 def check_json(values: Mapping[str, Any], what: str) -> None:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import importlib.metadata
+import os
 import subprocess
 import sys
 import tomllib
+import traceback
 import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from hts.errors import ConfigError, HtsError, PluginError, unknown_name
-from hts.plugins import KINDS, Broken, Entry, Plugin, Registry
+from hts.plugins import GROUP, KINDS, Broken, Entry, Plugin, Registry
 from hts.testing.checks import CHECKS, NEEDED
 from hts.testing.packages import kit_installed
 
@@ -48,14 +53,19 @@ class Finding:
         return f"{self.package}: {self.subject}: {self.fault.rstrip('.')}. Expected: {self.demand}"
 
 
-def check_package(registry: Registry, package: str, reserved: Collection[str] = ()) -> list[Finding]:
-    """Check everything that a distribution offers; reserved: names of commands that plugins cannot have.
+def check_package(
+    registry: Registry, package: str, reserved: Collection[str] = (), folder: str | None = None
+) -> list[Finding]:
+    """Check everything that a distribution offers; reserved: names of commands that plugins cannot have; folder: by
+    which somebody named it, see `package_of`.
 
     Raises ConfigError if nothing of that name is installed.
     """
     broken = [one for one in registry.broken if one.package == package]
     plugins = [plugin for plugin in registry.plugins if plugin.package == package]
     if not broken and not plugins:
+        if folder is not None:
+            raise ConfigError(_not_there(package, folder))
         known = {p.package for p in registry.plugins} | {b.package for b in registry.broken}
         raise ConfigError(unknown_name("plugin package", package, known))
     with kit_installed():  # worlds look the kit's robot and objective up, also in processes of their own
@@ -80,6 +90,18 @@ def package_of(text: str) -> str:
         ) from error
 
 
+def _not_there(package: str, folder: str) -> str:
+    try:
+        importlib.metadata.distribution(package)
+    except importlib.metadata.PackageNotFoundError:
+        return f"{folder}: package '{package}' is not installed: pip install -e {folder}"
+    return (
+        f"{folder}: package '{package}' is installed and has no entry point of the group '{GROUP}', so hts finds "
+        f"nothing of it. Name its module under [project.entry-points.{GROUP}] in {Path(folder) / 'pyproject.toml'}, "
+        f"then: pip install -e {folder}"
+    )
+
+
 def _not_loaded(broken: Broken) -> Finding:
     return Finding(broken.package, f"entry point '{broken.entry_point}'", "It can be loaded.", broken.reason)
 
@@ -102,12 +124,13 @@ def _in_turn(
     package: str, subject: str, checks: Sequence[Callable[..., None]], entry: Entry, registry: Registry
 ) -> Iterator[Finding]:
     """Each check of one thing; those after one that they need and that is not kept are not tried."""
+    modules = [plugin.module for plugin in registry.plugins if plugin.package == package]
     possible = True
     for check in checks:
         if not possible:
             yield Finding(package, subject, _demand(check), None, tried=False)
             continue
-        finding = _tried(package, subject, check, entry, registry)
+        finding = _tried(package, subject, check, entry, registry, modules=modules)
         possible = finding.fault is None or check not in NEEDED
         yield finding
 
@@ -116,17 +139,52 @@ def _demand(check: Callable[..., None]) -> str:
     return " ".join((check.__doc__ or check.__name__).split())
 
 
-def _tried(package: str, subject: str, check: Callable[..., None], *given: Any) -> Finding:
+def _tried(
+    package: str, subject: str, check: Callable[..., None], *given: Any, modules: Collection[str] = ()
+) -> Finding:
+    """modules: of the package's plugins, in whose code the place of an exception is looked for."""
     demand = _demand(check)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of libraries; what matters is found by the checks
             check(*given)
     except Exception as error:  # noqa: BLE001 - whatever a stranger's code does is a finding, not the end of the check
+        if os.environ.get("HTS_DEBUG") == "1":
+            traceback.print_exception(error, file=sys.stderr)
         text = " ".join(str(error).split())
         known = isinstance(error, HtsError) and text
-        return Finding(package, subject, demand, text if known else f"{type(error).__name__}: {text}")
+        fault = text if known else f"{type(error).__name__}: {text}"
+        place = _place(error, modules)
+        return Finding(package, subject, demand, f"{fault.rstrip('.')} (at {place})" if place else fault)
     return Finding(package, subject, demand, None)
+
+
+def _place(error: BaseException, modules: Collection[str]) -> str | None:
+    """FILE:LINE of the innermost line of the package's own code that an unforeseen exception went through, also of one
+    that a check put into words; None for an error of hts.errors, and where the package has no part in it."""
+    cause = error.__cause__ or error.__context__
+    unforeseen = error if not isinstance(error, HtsError) else cause if isinstance(error, PluginError) else None
+    if unforeseen is None or isinstance(unforeseen, HtsError | ValidationError):
+        return None
+    packages = {_own_package(module) for module in modules}
+    found = None
+    for frame, line in traceback.walk_tb(unforeseen.__traceback__):
+        module = str(frame.f_globals.get("__name__", ""))
+        if any(module == own or module.startswith(f"{own}.") for own in packages):
+            found = f"{_shown(frame.f_code.co_filename)}:{line}"
+    return found
+
+
+def _own_package(module: str) -> str:
+    """The Python package that a plugin's module lies in: `hts_heat` of `hts_heat.plugin`; it may be the module."""
+    first = module.split(".")[0]
+    return module.rpartition(".")[0] or module if first == "hts" else first
+
+
+def _shown(file: str) -> str:
+    """Seen from the current folder where it lies in it."""
+    path = Path(file)
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else file
 
 
 def _imports_nothing_heavy(module: str) -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from hts.contracts import ModelContext
+from hts.errors import PluginError
 from hts.plugins import load
 from hts.testing.conformance import check_package
+from hts.testing.known_signals import SIGNALS
 from hts.testing.packages import on_path
 
 SOURCE = """
@@ -20,6 +23,7 @@ def make(settings, context):
     from dataclasses import replace
     from hts.channels import Channel
     from hts.contracts import Prediction
+    from hts.measurement.torch_model import TorchModel
     from hts.testing.examples.measurement_model.model import Fading, Settings
 
     class Model(Fading):
@@ -46,6 +50,10 @@ def faults(install, body: str = "", head: str = "", made: str = MADE) -> list[st
 
 def test_a_sound_model_passes(install):
     assert faults(install) == []
+
+
+def test_a_network_whose_layers_are_made_from_a_seed_of_their_own_passes(install):
+    assert faults(install, **network(), made=OWN_SEED) == []
 
 
 def test_a_file_of_that_name_in_the_current_folder_takes_no_ones_place(install, tmp_path, monkeypatch):
@@ -92,6 +100,61 @@ GAIN = """
             return Prediction(self.gain * super()._read(averages).mean)
 """
 
+NETWORK = """
+        def __init__(self, config, signals):
+            TorchModel.__init__(self, signals, config.products)
+            self.config = config
+            self.memory = torch.nn.GRU(self.num_features, 8, batch_first=True)
+            self.head = torch.nn.Linear(8, 1)
+            self.eval()
+
+        def fit(self, recordings, *, seed=0, epochs=20, max_seconds=1e9, progress=None, warm_start=None):
+            from hts.measurement.data import training_data
+            pieces = training_data(self.signals, recordings)
+            inputs = torch.stack([one.inputs for one in pieces])
+            target = torch.stack([one.target for one in pieces])
+            self.set_statistics(inputs.flatten(0, 1), target.flatten())
+            optimiser = torch.optim.Adam(self.parameters(), 3e-2)
+            for epoch in range(epochs):
+                error = (self.sequence(inputs)[0].mean - {target}).square().mean()
+                optimiser.zero_grad()
+                error.backward()
+                optimiser.step()
+                if progress is not None:
+                    progress(epoch + 1, epochs, float(error))
+            return {{"epochs": epochs}}
+
+        def initial_state(self, num_worlds):
+            return torch.zeros(num_worlds, 8, device=self.device)
+
+        def step(self, inputs, state):
+            with torch.no_grad():
+                prediction, state = self.sequence(inputs[:, None], state)
+            return Prediction(prediction.mean[:, 0]), state
+
+        def sequence(self, inputs, state=None):
+            past = None if state is None else state[None].contiguous()
+            output, state = self.memory(self.scaled_features(inputs), past)
+            return Prediction(self.head(output)[..., 0] + 0 * inputs.sum(-1)), state[0]
+"""
+
+
+def network(target: str = "self.normalise_target(target)") -> dict[str, str]:
+    """A GRU that is fitted by passes to what is made of the target."""
+    return {"body": NETWORK.format(target=target)}
+
+
+OWN_SEED = f"with torch.random.fork_rng(devices=[]):\n        torch.manual_seed(0)\n        {MADE}"
+NO_LIMIT = """
+        def fit(self, recordings, *, seed=0, epochs=20):
+            return super().fit(recordings, seed=seed, epochs=epochs)
+"""
+
+
+def settings(given: str) -> dict[str, str]:
+    return {"body": f"        @property\n        def settings(self):\n            return {given}"}
+
+
 OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V')); " + MADE
 
 
@@ -109,6 +172,40 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
                 "body": "        def normalise_target(self, target):\n            return target",
             },
             "along the recordings that it was fitted to, where standard deviations are about 0 ± 1",
+        ),
+        (network(), "is made with numbers from a global random generator, as layers of torch.nn draw them"),
+        (
+            fit(before="torch.manual_seed(0)"),
+            "fit draws from a global random generator",
+        ),
+        (
+            network("(target - self.target_mean)") | {"made": OWN_SEED},
+            "along the recordings that it was fitted to, where standard deviations are about 0 ± 1",
+        ),
+        ({"body": NO_LIMIT}, "fit() does not take what it will be given, got an unexpected keyword argument"),
+        (fit(after="how['progress'](0, 1, 0.5)"), "fit tells progress(0, 1, …), expected whole numbers"),
+        (
+            fit(after="how['progress'](1, 1, torch.tensor(0.5))"),
+            "fit tells progress an error of tensor(0.5000), expected a finite float",
+        ),
+        (fit(after="how['warm_start'] and how['warm_start'].no_such_thing"), "has no attribute 'no_such_thing'"),
+        (settings("{}"), "its settings hold [], no 'products'"),
+        (settings("Settings().model_dump(mode='json')"), "its settings hold products=True when it is made with prod"),
+        (
+            {"body": "        def normalise_target(self, target):\n            return target - self.target_mean"},
+            "where standard deviations are about 0 ± 1 (the target is 60 ± 20 W)",
+        ),
+        (
+            {
+                "body": "        def normalise_target(self, target):\n"
+                "            return (target - self.target_mean) / self.target_std**2"
+            },
+            "follows the target (correlation 0.98) with",
+        ),
+        (step(after="prediction = prediction.mean"), "step gives a Tensor as its prediction, expected"),
+        (
+            {"body": "        def step(self, inputs, state):\n            return super().step(inputs, state)[0]"},
+            "step gives a Prediction, expected hts.contracts.Prediction and the state",
         ),
         (fit(before="len(recordings[0].channels)"), "no recordings ends in a traceback, IndexError"),
         ({"body": GAIN}, "it predicts something else after it was saved and loaded"),
@@ -150,3 +247,16 @@ def test_a_faulty_model_is_named_with_its_fault(install, broken, fault):
     assert any(fault in line for line in found), found
     assert all(line.startswith(("odd-lab: measurement model 'odd': ", "odd-lab: module odd_lab: ")) for line in found)
     assert all("\n" not in line for line in found)
+
+
+@pytest.mark.parametrize(
+    ("given", "fault"),
+    [
+        ("{}", "hold no 'ridge', though it was made with ridge=0.5"),
+        ("Settings().model_dump(mode='json')", "hold ridge=0.001, though it was made with ridge=0.5"),
+    ],
+)
+def test_settings_that_a_model_forgets_end_what_would_save_it(install, given, fault):
+    install("odd-lab", {"odd_lab": SOURCE.format(**{"head": "", "made": MADE} | settings(given))}, {"odd": "odd_lab"})
+    with pytest.raises(PluginError, match=rf"Measurement model 'odd' \(from odd-lab\): its `settings` {fault}"):
+        load().make_measurement_model("odd", {"ridge": 0.5}, ModelContext(SIGNALS))

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from hts.cli.commands import COMMANDS
 from hts.cli.main import main
 from hts.errors import ConfigError
-from hts.plugins import KINDS, load
+from hts.plugins import KINDS, Entry, load
 from hts.testing.checks import CHECKS
+from hts.testing.checks.rewards import clips_nothing
 from hts.testing.conformance import Finding, check_package, package_of
 from hts.testing.packages import KIT, kit_installed
 
@@ -43,6 +45,14 @@ def test_every_kind_has_checks_and_every_check_a_demand_of_one_paragraph():
         assert checks
         for check in checks:
             assert check.__doc__ and check.__doc__.strip().endswith(".") and "\n\n" not in check.__doc__.strip()
+
+
+@pytest.mark.parametrize(
+    "reward",
+    [lambda z: -z.tanh(), lambda z: (-20 * z).sigmoid(), lambda z: -(z - 1).relu(), lambda z: (1 - z.abs()).relu()],
+)
+def test_a_reward_that_saturates_is_not_called_clipped(reward):
+    clips_nothing(Entry("odd", lambda settings: SimpleNamespace(reward=reward), "odd-lab"), load())
 
 
 # -------------------------------------------------------------------------------------------------- worlds
@@ -271,6 +281,20 @@ def test_a_package_may_be_named_by_its_folder(tmp_path):
     (tmp_path / "pyproject.toml").write_text('[project]\nname = "hard-to-sim-go1"\n')
     assert package_of(str(tmp_path)) == "hard-to-sim-go1"
     assert package_of("hard-to-sim-go1") == "hard-to-sim-go1"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("hts-nowhere", "package 'hts-nowhere' is not installed: pip install -e {folder}"),
+        ("pydantic", "package 'pydantic' is installed and has no entry point of the group 'hts'"),
+    ],
+)
+def test_a_folder_whose_package_is_not_there_is_told_how_to_be_installed(tmp_path, capsys, name, said):
+    (tmp_path / "pyproject.toml").write_text(f'[project]\nname = "{name}"\n')
+    assert main(["check", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and said.format(folder=tmp_path) in error and "Did you mean" not in error
 
 
 @pytest.mark.parametrize("text", [None, "no toml [", "[project]\n"])

@@ -8,6 +8,7 @@ from hts.plugins import Entry, Registry
 from hts.testing.checks import (
     instruments,
     measurement_models,
+    model_fits,
     names,
     objectives,
     rest,
@@ -29,7 +30,7 @@ MADE: tuple[Check, ...] = (
 """Of everything that a factory makes from settings."""
 
 CHECKS: Mapping[str, tuple[Check, ...]] = {
-    "objectives": (*MADE, *objectives.CHECKS, *rewards.CHECKS),
+    "objectives": (*MADE, *objectives.CHECKS, *rewards.CHECKS, objectives.reward_and_score_agree),
     "measurement_models": (*MADE, *measurement_models.CHECKS),
     "robots": (*MADE, *robots.CHECKS),
     "worlds": (*MADE, *worlds.CHECKS),
@@ -42,7 +43,10 @@ CHECKS: Mapping[str, tuple[Check, ...]] = {
 
 NEEDED: tuple[Check, ...] = (
     settings.can_be_made,
+    objectives.has_its_parts,
     objectives.channels_are_known,
+    objectives.instrument_measures_the_target,
     rewards.gives_one_number_per_world,
+    model_fits.can_be_fitted,
 )
 """Where one of these is not kept, the checks after it are not tried: they would only say the same in other words."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from hts.config import Named
 from hts.contracts import MeasurementModel, ModelContext
@@ -16,6 +19,8 @@ from hts.testing.known_signals import SIGNALS, known_heat
 
 if TYPE_CHECKING:
     import torch
+
+    from hts.contracts.measurement_model import Progress
 
 WORLDS, STEPS = 5, 12
 MEMBER = Named(name="linear", lags=2)  # stands for the objective's own model, for models that are made of others
@@ -69,7 +74,42 @@ def fitted_model(entry: Entry, registry: Registry) -> MeasurementModel:
 def fitted_anew(entry: Entry, registry: Registry) -> tuple[MeasurementModel, dict[str, Any]]:
     context, recordings = context_for(entry, registry)
     model = registry.make_measurement_model(entry.name, {}, context)
-    return model, model.fit(recordings, epochs=1)
+    return model, fit_as_in_a_run(model, recordings)
+
+
+def fit_as_in_a_run(
+    model: MeasurementModel,
+    recordings: Sequence[Recording],
+    epochs: int = 1,
+    max_seconds: float = 600.0,
+    progress: Progress | None = None,
+    warm_start: MeasurementModel | None = None,
+) -> dict[str, Any]:
+    """Its report; `fit` is given all that its contract names."""
+    from hts.measurement.fit_settings import FitSettings
+
+    told = progress if progress is not None else _nobody_is_told
+    return model.fit(recordings, **vars(FitSettings(0, epochs, max_seconds, told, warm_start)))
+
+
+def _nobody_is_told(epoch: int, epochs: int, error: float) -> None:
+    """A progress that shows nothing."""
+
+
+def of_known_scale(context: ModelContext, recordings: Sequence[Recording], spread: float) -> list[Recording]:
+    """The recordings with another target, that follows the inputs and their squares: 3 · spread ± spread."""
+    from hts.measurement.data import input_tensor
+
+    signals, made = context.signals, []
+    inputs = [input_tensor(signals, one).double().numpy() for one in recordings]
+    whole = np.concatenate(inputs)
+    low, scale = whole.mean(0), whole.std(0) + 1e-9
+    shown = [((one - low) / scale).sum(1) + (((one - low) / scale) ** 2).sum(1) for one in inputs]
+    mean, std = np.concatenate(shown).mean(), np.concatenate(shown).std()
+    for recording, values in zip(recordings, shown, strict=True):
+        target = (spread * (3.0 + (values - mean) / std)).reshape(len(values), *signals.target.shape)
+        made.append(with_series(recording, Series(signals.target, target)))
+    return made
 
 
 def samples_of_worlds(entry: Entry, registry: Registry) -> torch.Tensor:

@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hts.contracts import Instrument
+from hts.contracts import Instrument, PhysicsSample
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import ensure, listed, same
-from hts.testing.checks.made_up import WORLDS, arrays, physics, sim_channels
+from hts.testing.checks.made_up import WORLDS, arrays, physics, rest, sim_channels
 from hts.testing.examples.robot.robot import Tiny
 
 STEPS = 60  # of 1 ms: three control steps
+AT_ONCE = 20  # of them between two readings
+WALKS = ((300, 1.0), (3_000, 3.0), (60_000, 3.0))
+"""Physics steps and how strong they are: a slow sensor gets longer to show that something moved."""
+
+Readings = Mapping[str, np.ndarray]
 
 
 def reads_its_channels(entry: Entry, registry: Registry) -> None:
-    """Made without settings, it reads its channels, no sim channel, of all robots at once, as finite numbers."""
+    """Made without settings, it reads its channels, no sim channel, of all robots at once (one too), as finite
+    numbers."""
     instrument = _made(entry)
     named = {channel.name: channel for channel in instrument.channels}
-    readings = _used(instrument)
-    ensure(set(readings) == set(named), f"read() gives {listed(readings)}, its channels are {listed(named)}")
-    ensure(
-        not set(named) & set(sim_channels(registry)),
-        f"{listed(set(named) & set(sim_channels(registry)))} is a sim channel",
-    )
-    for name, channel in named.items():
-        shape, wanted = np.shape(readings[name]), (WORLDS, *channel.shape)
-        ensure(shape == wanted, f"'{name}' has shape {shape} for {WORLDS} robots, not {wanted}")
-        ensure(bool(np.isfinite(readings[name]).all()), f"'{name}' is not finite (NaN or inf)")
+    for worlds in (WORLDS, 1):
+        readings, robots = _used(instrument, worlds=worlds), f"{worlds} robot{'s' if worlds > 1 else ''}"
+        ensure(set(readings) == set(named), f"read() gives {listed(readings)}, its channels are {listed(named)}")
+        for name, channel in named.items():
+            shape, wanted = np.shape(readings[name]), (worlds, *channel.shape)
+            ensure(shape == wanted, f"'{name}' has shape {shape} for {robots}, not {wanted}")
+            ensure(bool(np.isfinite(readings[name]).all()), f"'{name}' is not finite (NaN or inf)")
+    known = set(named) & set(sim_channels(registry))
+    ensure(not known, f"{listed(known)} is a sim channel")
 
 
 def knows_idle(entry: Entry, registry: Registry) -> None:
@@ -58,6 +64,50 @@ def reads_each_robot_alone(entry: Entry, registry: Registry) -> None:
         ensure(same(values[0], other[name][0], 1e-9), f"'{name}' of a robot depends on the robots beside it")
 
 
+def sees_the_motion(entry: Entry, registry: Registry) -> None:
+    """What it reads of robots that move is not what it reads, from the same random numbers, of robots at rest."""
+    for count, strength in WALKS:
+        moving, still = (_made(entry) for _ in range(2))
+        for instrument in (moving, still):
+            instrument.reset(WORLDS, np.random.default_rng(7))
+        made_up, standing = np.random.default_rng(1), rest()
+        for _ in range(count):
+            moving.step(_weaker(physics(made_up), strength))
+            still.step(standing)
+        shown, idle = _read(moving), _read(still)
+        if any(not same(values, idle[name]) for name, values in shown.items()):
+            return
+    ensure(False, f"reads of {count / 1000:g} s of motion what it reads of robots at rest: step() changes no reading")
+
+
+def advances_as_it_steps(entry: Entry, registry: Registry) -> None:
+    """advance() of the K steps between two readings, (K, W, ...), and step() for each read the same, to the bit."""
+    for irregular in (False, True):
+        stepped, advanced = (_made(entry) for _ in range(2))
+        for instrument in (stepped, advanced):
+            instrument.reset(WORLDS, np.random.default_rng(7))
+        made_up, block = np.random.default_rng(1), None
+        for _ in range(STEPS // AT_ONCE):
+            samples = [physics(made_up) for _ in range(AT_ONCE)]
+            for sample in samples if irregular else ():
+                sample.current_torque = 1.1 * sample.motor_torque
+            for sample in samples:
+                stepped.step(sample)
+            block = _stacked(samples, block)
+            before = {name: value.copy() for name, value in arrays(block).items()}
+            advanced.advance(block)
+            changed = [name for name, value in arrays(block).items() if not same(value, before[name])]
+            ensure(not changed, f"advance() changes {listed(changed)} in place")
+            one, other = _read(stepped), _read(advanced)
+            for name, values in one.items():
+                off = np.abs(values - other[name]).max() if values.shape == other[name].shape else math.inf
+                ensure(
+                    same(values, other[name]),
+                    f"'{name}' after advance() of {AT_ONCE} steps is off by up to {off:.3g} from {AT_ONCE} times "
+                    "step(): leave advance() out, or make it do what step() does",
+                )
+
+
 def leaves_physics_alone(entry: Entry, registry: Registry) -> None:
     """step() only reads the sample: other instruments get the same one."""
     instrument = _made(entry)
@@ -69,11 +119,22 @@ def leaves_physics_alone(entry: Entry, registry: Registry) -> None:
     ensure(not changed, f"step() changes {listed(changed)} in place")
 
 
+def reads_on_after_settling(entry: Entry, registry: Registry) -> None:
+    """settle() runs, of one robot too; what is read after it and further steps is finite, and of each robot alone."""
+    for worlds in (1, WORLDS):
+        first, other = (_settled(_made(entry), worlds, others) for others in (1.0, 0.3))
+        for name, values in first.items():
+            wanted = values.shape[:1] == (worlds,)
+            ensure(wanted, f"after settle() '{name}' has shape {values.shape} for {worlds} robot(s)")
+            ensure(bool(np.isfinite(values).all()), f"after settle() '{name}' is not finite (NaN or inf)")
+            alone = same(values[0], other[name][0], 1e-9)
+            ensure(alone, f"after settle() '{name}' of a robot depends on the robots beside it")
+
+
 def describes_itself(entry: Entry, registry: Registry) -> None:
-    """settle() runs, and describe() gives values that JSON can hold: they go into the twin's hash."""
+    """describe() gives values that JSON can hold: they go into the twin's hash."""
     instrument = _made(entry)
     _used(instrument)
-    instrument.settle()
     json.dumps(instrument.describe(), allow_nan=False)
 
 
@@ -94,16 +155,47 @@ def _made(entry: Entry) -> Instrument:
     return instrument
 
 
-def _used(instrument: Instrument, others: float = 1.0) -> Mapping[str, np.ndarray]:
+def _used(instrument: Instrument, others: float = 1.0, worlds: int = WORLDS) -> Readings:
     """What it reads after a reset and STEPS steps; others: factor on what all robots but the first do."""
-    instrument.reset(WORLDS, np.random.default_rng(7))
+    instrument.reset(worlds, np.random.default_rng(7))
+    _walked(instrument, np.random.default_rng(1), worlds, others)
+    return _read(instrument)
+
+
+def _settled(instrument: Instrument, worlds: int, others: float) -> Readings:
+    """What it reads after steps, settle() and as many steps again."""
+    instrument.reset(worlds, np.random.default_rng(7))
     made_up = np.random.default_rng(1)
-    factor = np.array([1.0] + [others] * (WORLDS - 1))[:, None]
+    _walked(instrument, made_up, worlds, others)
+    instrument.settle()
+    _walked(instrument, made_up, worlds, others)
+    return _read(instrument)
+
+
+def _walked(instrument: Instrument, made_up: np.random.Generator, worlds: int, others: float) -> None:
+    factor = np.array([1.0] + [others] * (worlds - 1))[:, None]
     for _ in range(STEPS):
-        sample = physics(made_up)
-        for name in ("motor_torque", "joint_velocity", "foot_force", "foot_speed"):
-            setattr(sample, name, getattr(sample, name) * factor)
-        instrument.step(sample)
+        instrument.step(_weaker(physics(made_up, worlds), factor))
+
+
+def _weaker(sample: PhysicsSample, factor: np.ndarray | float) -> PhysicsSample:
+    """The same with all that moves times a factor, in place."""
+    for name in ("motor_torque", "joint_velocity", "foot_force", "foot_speed"):
+        setattr(sample, name, getattr(sample, name) * factor)
+    return sample
+
+
+def _stacked(samples: Sequence[PhysicsSample], before: PhysicsSample | None) -> PhysicsSample:
+    """The steps as one block, written into the arrays of the block before: a twin uses the same ones again."""
+    whole = {name: np.stack([arrays(one)[name] for one in samples]) for name in arrays(samples[0])}
+    if before is None:
+        return PhysicsSample(**whole, dt=samples[0].dt)
+    for name, values in whole.items():
+        arrays(before)[name][:] = values
+    return before
+
+
+def _read(instrument: Instrument) -> Readings:
     return {name: np.array(value, dtype=float) for name, value in instrument.read().items()}
 
 
@@ -111,7 +203,10 @@ CHECKS = (
     reads_its_channels,
     knows_idle,
     repeats_itself,
+    sees_the_motion,
     reads_each_robot_alone,
+    advances_as_it_steps,
+    reads_on_after_settling,
     leaves_physics_alone,
     describes_itself,
     tells_of_its_own_channels,

@@ -126,10 +126,10 @@ def segments(objective: Objective, registry: Registry, factor: float = 1.0) -> S
     return cut([walk(objective, registry, factor=factor)])
 
 
-def physics(rng: np.random.Generator) -> PhysicsSample:
-    """One made-up millisecond of WORLDS robots."""
+def physics(rng: np.random.Generator, worlds: int = WORLDS) -> PhysicsSample:
+    """One made-up millisecond of so many robots."""
     spec = Tiny().spec
-    joints, feet = (WORLDS, spec.num_joints), (WORLDS, len(spec.foot_sites))
+    joints, feet = (worlds, spec.num_joints), (worlds, len(spec.foot_sites))
     return PhysicsSample(
         motor_torque=rng.normal(0, 0.5, joints),
         joint_velocity=rng.normal(0, 5, joints),
@@ -138,6 +138,13 @@ def physics(rng: np.random.Generator) -> PhysicsSample:
         foot_mass=np.full(feet, 0.5),
         dt=0.001,
     )
+
+
+def rest(worlds: int = WORLDS) -> PhysicsSample:
+    """One millisecond of so many robots that stand still with their motors off."""
+    spec = Tiny().spec
+    joints, feet = np.zeros((worlds, spec.num_joints)), np.zeros((worlds, len(spec.foot_sites)))
+    return PhysicsSample(joints, joints.copy(), feet + 10.0, feet, feet + 0.5, dt=0.001)
 
 
 def arrays(sample: PhysicsSample) -> Mapping[str, np.ndarray]:

@@ -1,19 +1,20 @@
-"""Measurement models: fitted to made-up recordings, then run as the training env runs them."""
+"""Measurement models: run as the training env runs them, saved and moved. Making and fitting them is in
+`model_fits`."""
 
 from __future__ import annotations
 
-import json
 import tempfile
-from collections.abc import Callable, Sequence
-from functools import wraps
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hts.contracts import MeasurementModel
+from hts.contracts import Prediction
 from hts.errors import HtsError, PolicyError
 from hts.plugins import Entry, Registry
 from hts.recordings.recording import Series
+from hts.testing.checks import model_fits
 from hts.testing.checks.ensure import ensure
 from hts.testing.checks.fitted_models import (
     STEPS,
@@ -27,94 +28,23 @@ from hts.testing.checks.fitted_models import (
     step_by_step,
     with_series,
 )
+from hts.testing.checks.model_fits import Check, after, is_made_unfitted
 
-Check = Callable[[Entry, Registry], None]
+if TYPE_CHECKING:
+    import torch
 
-FAR_OFF = 1.0  # standard deviations that a model fitted in haste may be off, in mean and in spread
 LONG = 500  # samples: longer than any sensor is late
 
 
-def is_made_unfitted(entry: Entry, registry: Registry) -> None:
-    """Made without settings for the given channels and units; its settings are JSON and make it again."""
-    context, _ = context_for(entry, registry)
-    model = entry.factory({}, context)
-    ensure(isinstance(model, MeasurementModel), f"is a {type(model).__name__}, not a hts.contracts.MeasurementModel")
-    found, wanted = model.signals, context.signals
-    for was, now in zip((*wanted.inputs, wanted.target), (*found.inputs, found.target), strict=False):
-        ensure(now == was, f"is made for '{was.name}' in {was.unit} and says '{now.name}' in {now.unit}")
-    ensure(found == wanted, f"is made for {len(wanted.inputs)} inputs at {wanted.rate_hz:g} Hz and says {found}")
-    settings = json.loads(json.dumps(dict(model.settings), allow_nan=False))
-    again = registry.make_measurement_model(entry.name, settings, context)
-    ensure(dict(again.settings) == dict(model.settings), "its settings, given to its factory, make another model")
-
-
-def after(*first: Check) -> Callable[[Check], Check]:
-    """A check that is worth its line only where others are kept: a model that cannot be made would fail all of them."""
-
-    def gated(check: Check) -> Check:
-        @wraps(check)
-        def tried(entry: Entry, registry: Registry) -> None:
-            try:
-                for one in first:
-                    one(entry, registry)
-            except Exception:  # noqa: BLE001 - it is said already, in the line of that check
-                return
-            check(entry, registry)
-
-        return tried
-
-    return gated
-
-
-@after(is_made_unfitted)
-def is_fitted_the_same_again(entry: Entry, registry: Registry) -> None:
-    """fit gives a JSON report and the same numbers from the same seed, and draws from no global generator."""
-    import torch
-
-    before = torch.random.get_rng_state(), str(np.random.get_state())  # noqa: NPY002 - global on purpose
-    first, report = fitted_anew(entry, registry)
-    after = torch.random.get_rng_state(), str(np.random.get_state())  # noqa: NPY002
-    json.dumps(report, allow_nan=False)
-    second, _ = fitted_anew(entry, registry)
-    for name, value in first.tensors().items():
-        ensure(bool(torch.equal(value, second.tensors()[name])), f"fitting it twice gives two '{name}'")
-    ensure(bool(torch.equal(before[0], after[0])) and before[1] == after[1], "fit draws from a global random generator")
-
-
-@after(is_made_unfitted)
-def counts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None:
-    """target_mean and target_std are those of the recordings, in the target's unit: rewards count in them."""
-    context, recordings = context_for(entry, registry)
-    model = fitted_model(entry, registry)
-    target = np.concatenate([one.values(context.signals.target.name).reshape(-1) for one in recordings])
-    for name, found, wanted in (("mean", model.target_mean, target.mean()), ("std", model.target_std, target.std())):
-        ensure(
-            abs(float(found) - wanted) <= 0.05 * target.std(),
-            f"target_{name} is {float(found):g}, of the recordings it is {wanted:g} {context.signals.target.unit}",
-        )
-
-
-@after(is_made_unfitted)
-def predicts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None:
-    """Its predictions along the recordings that it was fitted to are in standard deviations: about 0 ± 1."""
-    import torch
-
-    from hts.measurement.data import input_tensor
-
-    context, recordings = context_for(entry, registry)
-    model = fitted_model(entry, registry)
-    run_in = round(context.signals.rate_hz)  # a second, in which a memory fills
-    with torch.no_grad():
-        along = [model.sequence(input_tensor(context.signals, one)[None])[0].mean[0, run_in:] for one in recordings]
-    found = torch.cat(along)
-    mean, spread = float(found.mean()), float(found.std())
-    unit = context.signals.target.unit
-    ensure(
-        abs(mean) <= FAR_OFF and spread <= 1 + FAR_OFF,
-        f"predicts {mean:.3g} ± {spread:.3g} along the recordings that it was fitted to, where standard deviations are "
-        f"about 0 ± 1 (the target is {float(model.target_mean):.3g} ± {float(model.target_std):.3g} {unit}): fit to "
-        "(target - target_mean) / target_std",
-    )
+def _pair(what: str, found: Any) -> tuple[Prediction, torch.Tensor]:
+    """What a method of that name gave. Raises PluginError for anything but a prediction and a state."""
+    expected = f"expected hts.contracts.Prediction and the state: `return Prediction(mean), state` in {what}"
+    pair = isinstance(found, tuple) and not isinstance(found, Prediction) and len(found) == 2
+    ensure(pair, f"{what} gives a {type(found).__name__}, {expected}")
+    prediction, state = found
+    kept = isinstance(prediction, Prediction)
+    ensure(kept, f"{what} gives a {type(prediction).__name__} as its prediction, {expected}")
+    return prediction, state
 
 
 @after(is_made_unfitted)
@@ -124,8 +54,8 @@ def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
 
     model = fitted_model(entry, registry)
     data = samples_of_worlds(entry, registry)
-    found, after = model.step(data[0], model.initial_state(WORLDS))
-    along, last = model.sequence(data.movedim(0, 1))
+    found, after = _pair("step", model.step(data[0], model.initial_state(WORLDS)))
+    along, last = _pair("sequence", model.sequence(data.movedim(0, 1)))
     for what, prediction, shape in (("step", found, (WORLDS,)), ("sequence", along, (WORLDS, STEPS))):
         for name, values in (("mean", prediction.mean), ("std", prediction.std)):
             if values is None:
@@ -149,11 +79,12 @@ def step_and_sequence_agree(entry: Entry, registry: Registry) -> None:
     data = samples_of_worlds(entry, registry)
     walked, state = step_by_step(model, data)
     along, last = model.sequence(data.movedim(0, 1))
-    together, end = model.steps(data, model.initial_state(WORLDS), torch.zeros(STEPS, WORLDS, dtype=torch.bool))
-    for what, mean, after in (("sequence", along.mean.t(), last), ("steps", together.mean, end)):
+    ended = torch.zeros(STEPS, WORLDS, dtype=torch.bool)
+    together, end = _pair("steps", model.steps(data, model.initial_state(WORLDS), ended))
+    for what, mean, left in (("sequence", along.mean.t(), last), ("steps", together.mean, end)):
         off = float((mean - walked).abs().max())
         ensure(nearly_equal(mean, walked), f"{what} is off from step after step by up to {off:g} standard deviations")
-        ensure(nearly_equal(after, state), f"{what} leaves another state than step after step")
+        ensure(nearly_equal(left, state), f"{what} leaves another state than step after step")
 
 
 @after(is_made_unfitted, predicts_for_each_world)
@@ -344,12 +275,17 @@ def stays_on_its_device(entry: Entry, registry: Registry) -> None:
         ensure(tensor.device.type == device.type, f"{what} is on {tensor.device}, the model on {device}")
 
 
+@after(is_made_unfitted, predicts_for_each_world)
+def predicts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None:
+    """Its predictions along the recordings that it was fitted to are in standard deviations: about 0 ± 1."""
+    model_fits.counts_in_deviations(entry, registry)
+
+
 CHECKS: Sequence[Check] = (
     is_made_unfitted,
-    is_fitted_the_same_again,
-    counts_in_deviations_of_the_target,
-    predicts_in_deviations_of_the_target,
+    *model_fits.CHECKS,
     predicts_for_each_world,
+    predicts_in_deviations_of_the_target,
     step_and_sequence_agree,
     keeps_worlds_apart,
     forgets_only_who_begins,

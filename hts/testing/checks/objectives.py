@@ -32,6 +32,8 @@ def has_its_parts(entry: Entry, registry: Registry) -> None:
     ensure(bool(objective.inputs) and not isinstance(objective.inputs, str), f"its inputs are {objective.inputs!r}")
     for what in ("weights", "baseline_weights"):
         values = getattr(objective, what)
+        numbers = isinstance(values, tuple | list) and all(isinstance(v, int | float) for v in values)
+        ensure(numbers, f"its {what} are {values!r}, expected a tuple of numbers, such as (0.5, 1.0)")
         ensure(all(math.isfinite(v) and v > 0 for v in values), f"{what} are {tuple(values)}")
     ensure(bool(objective.weights), "weights are empty, so nothing is swept")
 
@@ -203,14 +205,14 @@ def _all_values(made_up: Segments) -> dict[str, np.ndarray]:
 
 CHECKS = (
     has_its_parts,
-    own_weights_fit_any_sensor,
-    wrong_weights_are_told,
     channels_are_known,
     instrument_measures_the_target,
+    own_weights_fit_any_sensor,
+    wrong_weights_are_told,
     model_is_registered,
     model_is_fitted_saved_and_loaded,
     scores_each_segment,
     score_lets_nan_through,
     compares_means,
-    reward_and_score_agree,
 )
+"""Before those of the reward; `reward_and_score_agree` comes after them."""

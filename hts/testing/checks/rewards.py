@@ -12,6 +12,10 @@ from hts.testing.checks.made_up import sim_channels
 
 CANDIDATES, PER_CANDIDATE = 3, 4
 
+FAR = 20.0  # standard deviations to which a reward is followed
+FEW = 10  # steps of 0.05 standard deviations: a reward that changes in fewer is a threshold
+SUDDEN = 0.5  # of the steepest step: a clip ends with more, what saturates smoothly with next to nothing
+
 Tensors = dict[str, Any]  # name -> torch.Tensor [P, N, …]; torch is imported when something is checked
 Function = Callable[[Tensors], Any]
 
@@ -51,7 +55,11 @@ def gives_one_number_per_world(entry: Entry, registry: Registry) -> None:
         found = function(_copy(given))
         wanted = (CANDIDATES, PER_CANDIDATE)
         ensure(isinstance(found, torch.Tensor), f"{what} gives a {type(found).__name__}, not a torch.Tensor")
-        ensure(tuple(found.shape) == wanted, f"{what} has shape {tuple(found.shape)} for [P, N] = {wanted}")
+        ensure(
+            tuple(found.shape) == wanted,
+            f"{what} has shape {tuple(found.shape)} for [P, N] = {wanted}: it gives one number per sample, in the "
+            "shape of what it is given",
+        )
         ensure(bool(torch.isfinite(found).all()), f"{what} gives NaN or infinity for ordinary numbers")
         ensure(float(found.std()) > 0, f"{what} is the same number whatever it is given")
         ensure(bool(torch.equal(found, function(_copy(given)))), f"{what} differs from one time to the next")
@@ -87,6 +95,27 @@ def lets_nan_through(entry: Entry, registry: Registry) -> None:
         ensure(not bool(torch.isfinite(found[1, 2])), f"{what} makes {float(found[1, 2]):g} of a NaN")
         found[1, 2] = clean[1, 2]
         ensure(bool(torch.allclose(found, clean, rtol=1e-5, atol=1e-6)), f"a NaN in one world changes {what} of others")
+
+
+def clips_nothing(entry: Entry, registry: Registry) -> None:
+    """reward is not clipped at both ends: beyond a bound it would say nothing of better and worse. It may saturate
+    smoothly, and it may stay the same on one side."""
+    import torch
+
+    objective = entry.factory({})
+    prediction = torch.linspace(-FAR, FAR, 801)
+    reward = objective.reward(prediction[:, None])[:, 0].double()
+    steps = (reward[1:] - reward[:-1]).abs()
+    moving = steps.nonzero()[:, 0]
+    if len(moving) < FEW or len(moving) == len(steps) or reward[0] == reward[-1]:
+        return  # a threshold, nothing flat, or a reward of being near a value
+    first, last = int(moving[0]), int(moving[-1])
+    at_once = min(float(steps[first + 1]), float(steps[last - 1])) > SUDDEN * float(steps.max())
+    ensure(
+        not (first > 0 and last < len(steps) - 1 and at_once),
+        f"reward is the same for all predictions below {prediction[first]:.2g} and above {prediction[last + 1]:.2g} "
+        "standard deviations: leave clamp out",
+    )
 
 
 def changes_nothing(entry: Entry, registry: Registry) -> None:
@@ -136,6 +165,7 @@ CHECKS = (
     gives_one_number_per_world,
     does_not_depend_on_neighbours,
     lets_nan_through,
+    clips_nothing,
     changes_nothing,
     stays_on_its_device,
     proxy_has_weights,

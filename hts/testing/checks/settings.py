@@ -68,8 +68,10 @@ def _refusal(entry: Entry, registry: Registry, settings: dict[str, Any], key: st
     """What a user would read; None if the settings are taken. Raises PluginError for a text that helps nobody."""
     kind = kind_of(entry, registry)
     make, rest = getattr(registry, f"make_{kind.removesuffix('s')}"), rest_of(kind, entry, registry)
+    taken = False
     try:
         entry.factory(dict(settings), *rest)
+        taken = True
     except (HtsError, ValidationError):
         pass  # what comes of it for a user is looked at below
     except Exception as error:
@@ -78,6 +80,8 @@ def _refusal(entry: Entry, registry: Registry, settings: dict[str, Any], key: st
     try:
         make(entry.name, settings, *rest)
     except HtsError as error:
+        if taken and isinstance(error, PluginError):  # of what was made, not of the settings
+            return None
         text = str(error)
         ensure("\n" not in text and key in text, f"says of the setting '{key}': {text}")
         return text
