@@ -104,22 +104,39 @@ def _per_joint(path: Path, what: str, values: Values, names: Sequence[str]) -> t
     return tuple(_number(path, what, value) for value in values)
 
 
+def completed(path: Path, what: str, values: Values, robot: RobotSpec) -> Values:
+    """The same, and for joints that a mapping leaves out the robot's own numbers: what `rest: robot` means."""
+    if not isinstance(values, Mapping):
+        return values
+    own = dict(zip(robot.joint_names, getattr(robot, what), strict=True))
+    return {**values, **{name: own[name] for name in own if not _found(path, what, values, name)}}
+
+
 def _matching(path: Path, what: str, values: Mapping[str, float], name: str) -> Any:
+    found = _found(path, what, values, name)
+    if len(set(found.values())) != 1:
+        which, rest = f"several ({', '.join(map(str, found))})", ""
+        if not found:
+            which, rest = "no number", ", or `rest: robot` there if it is the robot's own"
+        raise PolicyError(
+            f"{path}: {what} gives joint '{name}' {which}. State it by the joint's name in the layout{rest}."
+        )
+    return next(iter(found.values()))
+
+
+def _found(path: Path, what: str, values: Mapping[str, float], name: str) -> dict[str, float]:
+    """The entries of a mapping that mean a joint: its name, or else the patterns that match it."""
     if name in values:
-        return values[name]
+        return {name: values[name]}
     slow = [key for key in values if len(str(key)) > 200 or re.search(r"\)\s*[*+{?]", str(key))]
     if slow:  # such a pattern can take for ever
         raise PolicyError(
             f"{path}: {what} has the pattern '{str(slow[0])[:60]}'. Name the joints in the layout instead."
         )
     try:
-        found = {key: value for key, value in values.items() if re.fullmatch(str(key), name)}
+        return {key: value for key, value in values.items() if re.fullmatch(str(key), name)}
     except re.error as error:
         raise PolicyError(f"{path}: {what} has a pattern that is none ({error}).") from error
-    if len(set(found.values())) != 1:
-        which = "no number" if not found else f"several ({', '.join(map(str, found))})"
-        raise PolicyError(f"{path}: {what} gives joint '{name}' {which}. State it by the joint's name in the layout.")
-    return next(iter(found.values()))
 
 
 def _number(path: Path, what: str, value: Any) -> float:
@@ -134,6 +151,14 @@ def ask(path: Path, contract: Contract) -> None:
     if missing:
         wanted = "; ".join(f"{key} ({ASKED[key]})" for key in missing)
         raise PolicyError(
-            f"{path}: neither it nor what lies beside it says {wanted}. State them in a layout (--layout L.yaml); "
-            "`rest: robot` there says that what it leaves out is the robot's own."
+            f"{path}: neither it nor what lies beside it says {wanted}. State them in a layout (--layout L.yaml)"
+            f"{_of_rest(missing)}."
         )
+
+
+def _of_rest(missing: Sequence[str]) -> str:
+    """What `rest: robot` does for what is missing: nothing for a delay."""
+    if missing == ["delay_seconds"]:
+        return "; `rest: robot` does not say it: a delay is of the policy's training, the robot has none to take"
+    but = ", but for delay_seconds: the robot has none to take" if "delay_seconds" in missing else ""
+    return f"; `rest: robot` there says that what it leaves out is the robot's own{but}"

@@ -24,6 +24,7 @@ from hts.contracts import RobotSpec
 from hts.errors import PolicyError
 from hts.policies import proof
 from hts.policies.contract import Contract, ask
+from hts.policies.contract_checks import check_values
 from hts.policies.files import Policy, load_policy, make_card
 from hts.policies.layers import holds_layers, layers_of, replay_examples
 from hts.policies.layout import Layout, Seen, seen_in_velocity_task
@@ -145,6 +146,7 @@ def _finished(
             f"{robot.num_joints} for robot '{robot.name}'. Say with a layout (--layout) what it observes, or use a "
             "policy of this robot."
         )
+    check_values(path, contract, robot)
     maps = translation(path, robot, layout, seen, contract)
     proof.check_rate(path, contract, robot)
     tensors = translated(path, robot, network, maps, seen, headroom)

@@ -17,7 +17,7 @@ from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError
 from hts.explain import explain
 from hts.policies.card_checks import LARGEST_OBSERVATION
-from hts.policies.contract import GAINS, Contract
+from hts.policies.contract import GAINS, Contract, completed
 from hts.rl.task_env import TaskEnv
 from hts.yaml_text import load_mapping_file
 
@@ -114,9 +114,13 @@ def load_layout(file: Path, robot: RobotSpec | None = None) -> Layout:
     said = {key: getattr(found, key) for key in keys if getattr(found, key) is not None}
     if delay is not None:
         said["delay_seconds"] = (float(least), float(most))
-    contract = Contract(**said, said_by=dict.fromkeys(said, file.name))
+    said_by = dict.fromkeys(said, file.name)
+    contract = Contract(**said, said_by=said_by)
     if found.rest == "robot" and robot is not None:
-        contract = contract.of_robot(robot)
+        for key in ("default_pose", "action_scale", "kp", "kd"):
+            if key in said and (whole := completed(file, key, said[key], robot)) != said[key]:
+                said[key], said_by[key] = whole, f"{file.name} and the robot"
+        contract = Contract(**said, said_by=said_by).of_robot(robot)
     parts = tuple(part.model_dump(exclude_none=True) for part in found.observation or ())
     return Layout(parts, found.joint_names, contract)
 

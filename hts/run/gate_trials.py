@@ -26,7 +26,8 @@ from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 from hts.rl.task_env import TaskEnv
 from hts.run.gate_checks import NEEDS, Worst, limits
-from hts.sim.models import FLOOR, check_added_mass, compile_model, variants
+from hts.sim.conventions import FLOOR
+from hts.sim.models import check_added_mass, compile_model, variants
 
 SETTLING = 1.0  # s
 PACKETS = 9341  # so that losing them shares no random number with anything else of a seed

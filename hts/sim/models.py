@@ -10,8 +10,7 @@ import numpy as np
 from hts.config import RandomisationConfig
 from hts.contracts import Robot
 from hts.errors import ConfigError
-
-FLOOR = "floor"  # name of the ground geom in a robot's MJCF; its friction must win (priority) over the feet's
+from hts.sim.conventions import FLOOR, check_conventions
 
 
 def compile_model(robot: Robot) -> mujoco.MjModel:
@@ -42,15 +41,17 @@ def check_added_mass(model: mujoco.MjModel, robot: Robot, added: tuple[float, fl
 
 
 def variants(robot: Robot, config: RandomisationConfig, seed: int, count: int | None = None) -> list[mujoco.MjModel]:
-    """A pool of randomised models; just the nominal one if randomisation is off.
+    """A pool of randomised models; just the nominal one if randomisation is off. Raises ConfigError for a model that
+    is not as the velocity task takes it for granted (`hts.sim.conventions`).
 
     The pool depends on `seed` alone, never on the number of candidates, so that a candidate meets the same
     worlds whoever trains beside it. One model per world would cost time and copies for no gain.
     """
-    if not config.enabled:
-        return [compile_model(robot)]
-    rng = np.random.default_rng([seed, 7201])
     nominal = compile_model(robot)  # once: a copy takes a hundredth of the time
+    check_conventions(nominal, robot.spec)
+    if not config.enabled:
+        return [nominal]
+    rng = np.random.default_rng([seed, 7201])
     check_added_mass(nominal, robot, config.added_mass, "randomisation.added_mass")
     return [vary(copy.copy(nominal), robot, config, rng) for _ in range(count or config.models)]
 

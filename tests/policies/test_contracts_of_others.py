@@ -250,6 +250,14 @@ CHANGES = {
     "not counted from the default pose": (MJLAB.replace("use_default_offset: true", "use_default_offset: false"), None),
     "clips targets": (MJLAB.replace("true\n    clip: null", "true\n    clip: {.*: [-1, 1]}"), None),
     "action_scale gives joint 'FR_calf' no number": (MJLAB.replace("0.3, .*_calf: 0.2", "0.3"), None),
+    "'FR_calf' no number.*by the joint's name in the layout, or `rest: robot` there": (
+        MJLAB.replace("0.3, .*_calf: 0.2", "0.3"),
+        None,
+    ),
+    "default_pose .stated by params/env.yaml. of joint 'FR_calf' is -103 rad.*, and 1 more; in degrees": (
+        MJLAB.replace(".*calf: -1.8", ".*calf: -103.0"),
+        None,
+    ),
     "has the pattern": (MJLAB.replace(".*calf: -1.8", "(.*)+calf: -1.8"), None),
     "only plain networks can be read": (MJLAB, "policy: {class_name: ActorCriticRecurrent}"),
     "not as mjlab or Isaac Lab writes it": ("decimation: 4", None),

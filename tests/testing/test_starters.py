@@ -81,6 +81,19 @@ def test_its_own_tests_are_green(kind, site):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_the_tests_of_a_robot_without_a_policy_skip_what_needs_one(tmp_path):
+    folder = write_starter("robot", "hopper", tmp_path)
+    file = folder / "hts_hopper" / "robot.py"
+    source = file.read_text()
+    assert "return self.settings.policy or POLICY" in source
+    file.write_text(source.replace("return self.settings.policy or POLICY", "return self.settings.policy"))
+    command = ("-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", "-k", "not contracts", folder)
+    done = python(*command, path=[folder], cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "3 skipped, 1 deselected" in done.stdout
+    assert "the robot ships no policy yet" in done.stdout
+
+
 @pytest.mark.slow
 def test_all_of_them_run_smoke_together(site, hts, tmp_path):
     command = ["run", "--objective", "heat", "--robot", "hopper", "--preset", "smoke", "--out", tmp_path / "run"]

@@ -17,6 +17,8 @@ from hts.errors import unknown_name
 from hts.measurement.physics_steps import IN_STEPS
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import ensure, listed, same
+from hts.testing.checks.robot_models import CHECKS as ROBOT_MODEL_CHECKS
+from hts.testing.checks.robot_models import usable_model
 
 STEPS, WORLDS, SEED = 12, 2, 11
 PER_JOINT = ("default_pose", "kp", "kd", "action_scale", "torque_limit", "velocity_limit", "position_limit")
@@ -77,21 +79,13 @@ def model_matches(entry: Entry, registry: Registry) -> None:
     if root is None:
         return
     ensure(robot.mjcf() is not root, "mjcf() gives the same object twice: a change to one would change the other")
-    import mujoco
-
+    from hts.sim.conventions import missing
     from hts.sim.models import compile_model
     from hts.worlds.twin.model import build
     from hts.worlds.twin.parameters import DynamicsParameters
 
-    model = compile_model(robot)
-    for kind, names in (
-        ("joint", robot.spec.joint_names),
-        ("body", (robot.spec.trunk_body,)),
-        ("site", robot.spec.foot_sites),
-    ):
-        number = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
-        for name in names:
-            ensure(mujoco.mj_name2id(model, number, name) >= 0, f"its model has no {kind} '{name}'")
+    lacking = missing(compile_model(robot), robot.spec, isinstance(robot, VelocityRobot))
+    ensure(not lacking, lacking)
     if isinstance(robot.task(), FollowVelocity):  # a twin knows no other
         build(robot, DynamicsParameters())
 
@@ -207,8 +201,10 @@ def env_does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
 
 
 def _has_env(robot: Robot) -> bool:
-    own = type(robot).make_env not in (Robot.make_env, VelocityRobot.make_env)
-    return own or robot.mjcf() is not None
+    if robot.mjcf() is None:
+        return type(robot).make_env not in (Robot.make_env, VelocityRobot.make_env)
+    # What the velocity task refuses of a model has been said by then, in one line.
+    return not isinstance(robot, VelocityRobot) or usable_model(robot) is not None
 
 
 def _config() -> EnvConfig:
@@ -251,6 +247,7 @@ CHECKS = (
     times_fit,
     channels_are_standard,
     model_matches,
+    *ROBOT_MODEL_CHECKS,
     task_is_seen_in_channels,
     policy_fits,
     env_gives_what_was_asked,

@@ -1,0 +1,147 @@
+"""What the velocity task takes for granted of a robot's model: names that are there, and everything in one order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import mujoco
+
+from hts.contracts import RobotSpec
+from hts.errors import ConfigError
+from hts.sim.engine import sensor_slices
+
+FLOOR = "floor"  # name of the ground geom in a robot's MJCF; its friction must win (priority) over the feet's
+TRUNK_TOUCH = "trunk_touch"
+WHERE = "docs/authors/robot.md, 'The velocity task', lists what a model needs"
+NAMELESS = "(a joint without a name)"
+ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+
+
+def check_conventions(model: mujoco.MjModel, spec: RobotSpec) -> None:
+    """Raises ConfigError, in one line, for a model that lacks something or has it in another order than the spec: the
+    env reads and writes joints, actuators and sensors by their place."""
+    fault = missing(model, spec) or out_of_order(model, spec)
+    if fault:
+        raise ConfigError(f"Robot '{spec.name}': {fault}")
+
+
+def sensor_groups(spec: RobotSpec) -> dict[str, list[str]]:
+    """Kind -> the names of its sensors, which lie side by side in this order."""
+    legs = [site.removesuffix("_foot") for site in spec.foot_sites]
+    return {
+        "torque": [f"torque_{name}" for name in spec.joint_names],
+        "touch": [f"touch_{leg}" for leg in legs],
+        "foot_velocity": [f"foot_velocity_{leg}" for leg in legs],
+    }
+
+
+def missing(model: mujoco.MjModel, spec: RobotSpec, velocity_task: bool = True) -> str:
+    """All that the model lacks, in words; empty for nothing. velocity_task: also what only that looks for."""
+    wanted = {"body": [spec.trunk_body], "joint": list(spec.joint_names), "site": list(spec.foot_sites)}
+    if velocity_task:
+        sensors = [name for group in sensor_groups(spec).values() for name in group]
+        wanted |= {"geom": [FLOOR], "sensor": [*sensors, TRUNK_TOUCH]}
+    kinds = mujoco.mjtObj
+    numbers = {
+        "body": kinds.mjOBJ_BODY,
+        "joint": kinds.mjOBJ_JOINT,
+        "site": kinds.mjOBJ_SITE,
+        "geom": kinds.mjOBJ_GEOM,
+        "sensor": kinds.mjOBJ_SENSOR,
+    }
+    lacking = {
+        kind: [name for name in names if mujoco.mj_name2id(model, numbers[kind], name) < 0]
+        for kind, names in wanted.items()
+    }
+    parts = [f"no {kind} {quoted(names)}" for kind, names in lacking.items() if names]
+    if velocity_task:
+        driven = set(driven_joints(model))
+        idle = [name for name in spec.joint_names if name not in driven and name not in lacking["joint"]]
+        parts += [f"no actuator of joint {quoted(idle)}"] * bool(idle)
+    if not parts:
+        return ""
+    return f"its model has {', '.join(parts)}. Add what is missing to the MJCF, under these names ({WHERE})."
+
+
+def out_of_order(model: mujoco.MjModel, spec: RobotSpec) -> str:
+    """The first thing whose place in the model is not the spec's, in words; empty for none. Nothing may be missing."""
+    trunk = model.body(spec.trunk_body)
+    if model.njnt == 0 or model.jnt_type[0] != FREE or model.jnt_bodyid[0] != trunk.id:
+        return (
+            f"the first joint of its model is {_first_joint(model)}, expected a free joint of body "
+            f"'{spec.trunk_body}'. Give that body a <freejoint/>, before all other joints ({WHERE})."
+        )
+    tree = [model.joint(index).name or NAMELESS for index in range(1, model.njnt)]
+    if tree != list(spec.joint_names):
+        advice = "Write SPEC.joint_names, and every tuple that follows it, in the order of the tree"
+        if sorted(tree) != sorted(spec.joint_names):
+            advice = "Take joints that are not in SPEC.joint_names out of the model, or put them into the spec"
+        return _places("joint", "in the tree of its model", tree, spec.joint_names, advice)
+    driven = driven_joints(model)
+    if driven != list(spec.joint_names):
+        advice = "Write the actuators in the order of SPEC.joint_names, one a joint"
+        return _places("the actuator of joint", "among the actuators of its model", driven, spec.joint_names, advice)
+    slices = sensor_slices(model)
+    for kind, names in sensor_groups(spec).items():
+        found = sorted(names, key=lambda name: slices[name].start)
+        if found != names:
+            advice = f"Write the sensors {kind}_… in the order of the spec"
+            return _places("sensor", f"among the sensors {kind}_… of its model", found, names, advice)
+        between = _between(slices, names)
+        if between:
+            return (
+                f"sensor '{between}' of its model stands between the sensors {kind}_…, which are expected side by side "
+                f"({', '.join(names)}). Move it before or behind them ({WHERE})."
+            )
+    return ""
+
+
+def driven_joints(model: mujoco.MjModel) -> list[str]:
+    """The joint that each actuator drives, in the order of the actuators; what drives none stands in brackets."""
+    found = []
+    for index in range(model.nu):
+        if model.actuator_trntype[index] in ON_JOINTS:
+            found.append(model.joint(int(model.actuator_trnid[index, 0])).name or NAMELESS)
+        else:
+            found.append(f"(actuator '{model.actuator(index).name}', on no joint)")
+    return found
+
+
+def actuator_of(model: mujoco.MjModel) -> dict[str, int]:
+    """Joint -> the number of its (first) actuator."""
+    numbers: dict[str, int] = {}
+    for index, joint in enumerate(driven_joints(model)):
+        numbers.setdefault(joint, index)
+    return numbers
+
+
+def quoted(names: Sequence[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)
+
+
+def _first_joint(model: mujoco.MjModel) -> str:
+    if model.njnt == 0:
+        return "none at all"
+    return f"'{model.joint(0).name}' of body '{model.body(int(model.jnt_bodyid[0])).name}'"
+
+
+def _places(what: str, where: str, found: Sequence[str], wanted: Sequence[str], advice: str) -> str:
+    """First that is out of place, and both orders."""
+    (place, here, expected) = next(_unequal(found, wanted))
+    stands = f"{what} '{here}' is number {place + 1} {where}" if here else f"number {place + 1} {where} is none"
+    after = f"'{expected}' is expected there" if expected else "none is expected there"
+    return f"{stands}, {after}: found {', '.join(found)}; expected {', '.join(wanted)}. {advice} ({WHERE})."
+
+
+def _unequal(found: Sequence[str], wanted: Sequence[str]) -> Iterator[tuple[int, str, str]]:
+    for place in range(max(len(found), len(wanted))):
+        pair = found[place] if place < len(found) else "", wanted[place] if place < len(wanted) else ""
+        if pair[0] != pair[1]:
+            yield place, *pair
+
+
+def _between(slices: dict[str, slice], names: Sequence[str]) -> str:
+    """A sensor that lies between those of a group in their order; empty for none."""
+    inside = range(slices[names[0]].start, slices[names[-1]].stop) if names else range(0)
+    return next((name for name, own in slices.items() if own.start in inside and name not in names), "")

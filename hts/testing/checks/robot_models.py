@@ -1,0 +1,273 @@
+"""Models of robots that follow velocities: does the simulation have the numbers that the spec says?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hts.contracts import Robot
+from hts.envs.velocity_robot import VelocityRobot
+from hts.plugins import Entry, Registry
+from hts.testing.checks.ensure import ensure
+
+if TYPE_CHECKING:
+    import mujoco
+
+RELATIVE = 1e-3  # of gains and torques: a rounded number is no other one
+ANGLE = 2e-3  # rad, of limits: degrees with one decimal are
+ENDLESS = 60.0  # rad: a joint without a range may have any limit in the spec that is as wide as some ten turns
+DEPTH = 1e-3  # m that a foot is put into the floor
+
+Row = tuple[str, str, str]
+"""Joint, found, expected."""
+
+
+def usable_model(robot: Robot) -> mujoco.MjModel | None:
+    """The model of a robot that follows velocities in our env, if that takes it; None for any other, such as one with
+    an env of its own."""
+    from hts.sim.conventions import out_of_order
+
+    model = comparable_model(robot)
+    return None if model is None or out_of_order(model, robot.spec) else model
+
+
+def comparable_model(robot: Robot) -> mujoco.MjModel | None:
+    """The same, in whatever order; None where something is missing, which `model_matches` says."""
+    from hts.sim.conventions import missing
+    from hts.sim.models import compile_model
+
+    if not isinstance(robot, VelocityRobot):
+        return None
+    try:
+        model = None if robot.mjcf() is None else compile_model(robot)
+    except Exception:  # noqa: BLE001 - whatever a stranger's model does has been said by `model_matches`
+        return None
+    return None if model is None or missing(model, robot.spec) else model
+
+
+def model_is_in_order(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task joints of the tree, actuators and sensors come in the order of the spec."""
+    from hts.sim.conventions import out_of_order
+
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is not None:
+        fault = out_of_order(model, robot.spec)
+        ensure(not fault, fault)
+
+
+def actuators_are_servos(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task every actuator is a position servo without gear: its input is a joint target."""
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is None:
+        return
+    actuators = _actuators(model, robot)
+    rows = [(joint, _kind(model, index), "position") for joint, index in actuators]
+    _compare("actuators of its model", rows, 'Write <position kp="…" kv="…"/>')
+    gears = [(joint, f"{model.actuator_gear[index, 0]:g}", "1") for joint, index in actuators]
+    _compare("gear of its model's actuators", gears, "Leave `gear` out: gains and torques are at the joint")
+
+
+def gains_match(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task the actuators have kp and kd of the spec: the simulation takes them from the
+    model, everything else from the spec."""
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is None:
+        return
+    spec, rows = robot.spec, []
+    for (joint, index), kp, kd in zip(_actuators(model, robot), spec.kp, spec.kd, strict=True):
+        if _kind(model, index) != "position":
+            continue  # said by `actuators_are_servos`
+        found = model.actuator_gainprm[index, 0], 0.0 - model.actuator_biasprm[index, 2]
+        for name, value, wanted in zip(("kp", "kd"), found, (kp, kd), strict=True):
+            if not math.isclose(value, wanted, rel_tol=RELATIVE, abs_tol=1e-6):
+                rows.append((joint, f"{name} {value:.6g}", f"{name} {wanted:.6g}"))
+    _compare("gains in its model", rows, "kd is kv of the actuator, not damping of the joint")
+
+
+def torque_limits_match(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task each actuator has the spec's torque_limit, both ways, as its forcerange."""
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is None:
+        return
+    rows = []
+    for (joint, index), limit in zip(_actuators(model, robot), robot.spec.torque_limit, strict=True):
+        low, high = model.actuator_forcerange[index]
+        limited = bool(model.actuator_forcelimited[index])
+        if not (limited and np.allclose((low, high), (-limit, limit), rtol=RELATIVE, atol=1e-6)):
+            rows.append((joint, f"{low:.6g} to {high:.6g}" if limited else "none", f"{-limit:.6g} to {limit:.6g}"))
+    _compare("forcerange in its model, N*m", rows, "Correct the actuators or SPEC.torque_limit")
+
+
+def position_limits_match(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task each joint's range is the spec's position_limit; wheels may have none."""
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is None:
+        return
+    rows = []
+    for joint, (low, high) in zip(robot.spec.joint_names, robot.spec.position_limit, strict=True):
+        index = model.joint(joint).id
+        limited, found = bool(model.jnt_limited[index]), model.jnt_range[index]
+        if limited and np.allclose(found, (low, high), rtol=0, atol=ANGLE):
+            continue
+        if not limited and high - low > ENDLESS:
+            continue
+        rows.append((joint, f"{found[0]:.6g} to {found[1]:.6g}" if limited else "none", f"{low:.6g} to {high:.6g}"))
+    _compare("range of joints in its model, rad", rows, "Correct the model or SPEC.position_limit")
+
+
+def floor_decides_the_grip(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task the geom `floor` has a higher priority than all of the robot: its friction is
+    the one that is varied."""
+    from hts.sim.conventions import FLOOR
+
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is None:
+        return
+    own = int(model.geom(FLOOR).priority[0])
+    others = [i for i in range(model.ngeom) if model.geom_bodyid[i] != 0 and model.geom_priority[i] >= own]
+    touching = [i for i in others if _meets(model, model.geom(FLOOR).id, i)]
+    if touching:
+        first = model.geom(touching[0])
+        body = model.body(int(model.geom_bodyid[touching[0]])).name
+        ensure(
+            False,
+            f"geom '{FLOOR}' of its model has priority {own}, geom '{first.name}' of body '{body}' has "
+            f'{int(first.priority[0])}. Give the floor a higher one (priority="1" where the others have none)',
+        )
+
+
+def feet_are_felt(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task the site of each foot holds the points at which its body touches the floor in
+    the default pose: a touch sensor sees no others."""
+    import mujoco
+
+    from hts.sim.conventions import FLOOR, FREE
+
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is None or model.jnt_type[0] != FREE or model.geom(FLOOR).type[0] != int(mujoco.mjtGeom.mjGEOM_PLANE):
+        return
+    rows = []
+    for name in robot.spec.foot_sites:
+        body = model.body(int(model.site_bodyid[model.site(name).id])).name
+        size = " x ".join(dict.fromkeys(f"{1000 * one:.3g}" for one in model.site(name).size if one > 0))
+        points = _on_the_floor(model, robot, name)
+        if not points:
+            rows.append((name, f"no geom of body '{body}' touches the floor", "the body that touches it"))
+        elif max(points) > 0:
+            rows.append((name, f"{size} mm", f"one that reaches {1000 * max(points):.2g} mm further"))
+    _compare("foot sites of its model", rows, "Make the site a little larger than the foot", "site")
+
+
+def _on_the_floor(model: mujoco.MjModel, robot: Robot, foot: str) -> list[float]:
+    """Of each point at which the foot's body touches the floor, just so: how far it lies outside the site, m (at
+    least); 0 inside."""
+    import mujoco
+
+    from hts.sim.conventions import FLOOR
+
+    site = model.site(foot).id
+    body, floor = int(model.site_bodyid[site]), model.geom(FLOOR).id
+    data = mujoco.MjData(model)
+    places = [int(model.joint(name).qposadr[0]) for name in robot.spec.joint_names]
+
+    def points(height: float) -> list[np.ndarray]:
+        data.qpos[:] = model.qpos0
+        data.qpos[:3], data.qpos[3:7] = (0, 0, height), (1, 0, 0, 0)
+        data.qpos[places] = robot.spec.default_pose
+        mujoco.mj_fwdPosition(model, data)
+        return [
+            contact.pos.copy()
+            for contact in data.contact
+            if contact.dist < 0
+            and floor in contact.geom
+            and body in (model.geom_bodyid[contact.geom[0]], model.geom_bodyid[contact.geom[1]])
+        ]
+
+    low, high = -1.0 - robot.spec.base_height, 3 * robot.spec.base_height + 1.0
+    if not points(low):
+        return []
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if points(middle) else (low, middle)
+    found = points(low - DEPTH)
+    return [_outside(model, data, site, point) for point in found]
+
+
+def _outside(model: mujoco.MjModel, data: mujoco.MjData, site: int, point: np.ndarray) -> float:
+    """How much wider the site has to be in order to hold a point, m; 0 if it holds it."""
+    import mujoco
+
+    def held(more: float) -> bool:
+        size, ray = model.site_size[site] + more, np.array([0.0, 0.0, -1.0])  # as a touch sensor looks for its site
+        place, turned, kind = data.site_xpos[site], data.site_xmat[site], int(model.site_type[site])
+        return bool(mujoco.mju_rayGeom(place, turned, size, point, ray, kind) >= 0)
+
+    if held(0.0):
+        return 0.0
+    return next((more for more in np.arange(1, 500) * DEPTH if held(more)), math.inf)
+
+
+def _meets(model: mujoco.MjModel, first: int, second: int) -> bool:
+    """Whether two geoms can touch as their contype and conaffinity say."""
+    kinds, others = model.geom_contype, model.geom_conaffinity
+    return bool(kinds[first] & others[second] or kinds[second] & others[first])
+
+
+def _actuators(model: mujoco.MjModel, robot: Robot) -> list[tuple[str, int]]:
+    """Each joint, in the spec's order, with the number of its actuator."""
+    from hts.sim.conventions import actuator_of
+
+    numbers = actuator_of(model)
+    return [(joint, numbers[joint]) for joint in robot.spec.joint_names]
+
+
+def _kind(model: mujoco.MjModel, index: int) -> str:
+    """What an actuator is called in MJCF, by its numbers."""
+    import mujoco
+
+    gain, bias = model.actuator_gainprm[index], model.actuator_biasprm[index]
+    gain_type, bias_type = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
+    state = int(model.actuator_dyntype[index])
+    if gain_type != int(mujoco.mjtGain.mjGAIN_FIXED):
+        return "general"
+    if bias_type == int(mujoco.mjtBias.mjBIAS_NONE):
+        return "motor"
+    if bias_type != int(mujoco.mjtBias.mjBIAS_AFFINE):
+        return "general"
+    if state != int(mujoco.mjtDyn.mjDYN_NONE):
+        return "intvelocity" if state == int(mujoco.mjtDyn.mjDYN_INTEGRATOR) else "one with a state of its own"
+    if bias[1] == 0 and bias[2] == -gain[0]:
+        return "velocity"
+    servo = bias[0] == 0 and math.isclose(-bias[1], gain[0], rel_tol=RELATIVE, abs_tol=1e-9)
+    return "position" if servo else "general"
+
+
+def _compare(what: str, rows: Sequence[Row], advice: str, kind: str = "joint") -> None:
+    """Raises PluginError that says all rows whose found is not the expected; joints with the same fault together."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for name, found, expected in rows:
+        if found != expected:
+            alike.setdefault((found, expected), []).append(f"'{name}'")
+    said = [f"{kind} {', '.join(names)}: {found}, expected {expected}" for (found, expected), names in alike.items()]
+    ensure(not said, f"{what}: {'; '.join(said)}. {advice}")
+
+
+CHECKS = (
+    model_is_in_order,
+    actuators_are_servos,
+    gains_match,
+    torque_limits_match,
+    position_limits_match,
+    floor_decides_the_grip,
+    feet_are_felt,
+)

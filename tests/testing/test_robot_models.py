@@ -1,0 +1,159 @@
+"""Models that are not what their spec says: `hts check` and the velocity env say so, a line for each kind of fault."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from legged_model import FLOOR, ISAAC, LEGS, dog, text
+
+from hts.config import EnvConfig
+from hts.errors import ConfigError
+from hts.plugins import Entry, load
+from hts.testing.checks import robots
+
+MODEL = text()
+SERVO = ' kp="25" kv="0.5"'
+
+
+def faults(robot) -> list[str]:
+    """What each check of robots says."""
+    entry, registry, said = Entry("dog", lambda settings: robot, "lab"), load(()), []
+    for check in robots.CHECKS:
+        try:
+            check(entry, registry)
+        except Exception as error:  # noqa: BLE001 - as `hts check` takes it
+            said.append(f"{type(error).__name__}: {error}")
+    return said
+
+
+def env_of(robot):
+    return robot.make_env("mujoco", 1, 1, EnvConfig(threads=1), seeds=[0])
+
+
+def test_a_sound_model_passes_and_its_env_is_made():
+    assert faults(dog(MODEL)) == []
+    env_of(dog(MODEL)).close()
+
+
+WRONG = {
+    "motors": (
+        MODEL.replace("<position", "<motor").replace(SERVO, ""),
+        r"actuators of its model: joint 'LF_HAA', .*'RH_KFE': motor, expected position",
+    ),
+    "speed servo": (
+        MODEL.replace('<position name="RF_HFE" joint="RF_HFE" kp="25"', '<velocity name="RF_HFE" joint="RF_HFE"'),
+        r"actuators of its model: joint 'RF_HFE': velocity, expected position",
+    ),
+    "gear": (MODEL.replace('kp="25"', 'kp="25" gear="3"', 1), r"gear of .*: joint 'LF_HAA': 3, expected 1"),
+    "kp": (MODEL.replace('kp="25"', 'kp="100"', 2), r"gains .*joint 'LF_HAA', 'LF_HFE': kp 100, expected kp 25\. "),
+    "kd": (MODEL.replace(' kv="0.5"', "", 1), r"gains .*joint 'LF_HAA': kd 0, expected kd 0.5\. kd is kv of"),
+    "no limit": (MODEL.replace(' forcerange="-40 40"', "", 1), r"forcerange .*'LF_HAA': none, expected -40 to 40"),
+    "more": (MODEL.replace("-40 40", "-120 120", 1), r"forcerange .*'LF_HAA': -120 to 120, expected -40 to 40"),
+    "range": (MODEL.replace("-0.8 0.8", "-20 20", 1), r"range .*rad: joint 'LF_HAA': -20 to 20, expected -0.8 to 0.8"),
+    "endless": (MODEL.replace(' range="-0.8 0.8"', "", 1), r"range .*'LF_HAA': none, expected -0.8 to 0.8"),
+    "slippery": (
+        MODEL.replace(' priority="1"', ""),
+        r"geom 'floor' of its model has priority 0, geom 'trunk' .*has 0\.",
+    ),
+    "blind feet": (text(site=0.005), r"site 'LF_foot', .*'RH_foot': 5 mm, expected one that reaches 15 mm further"),
+    "no contact": (
+        MODEL.replace('name="RH_foot" type="sphere"', 'name="RH_foot" type="sphere" contype="0" conaffinity="0"'),
+        r"site 'RH_foot': no geom of body 'RH_shank' touches the floor",
+    ),
+}
+
+
+@pytest.mark.parametrize(("model", "words"), WRONG.values(), ids=WRONG)
+def test_what_the_simulation_has_otherwise_is_said_in_one_line(model, words):
+    (line,) = faults(dog(model))
+    assert re.search(words, line) and line.startswith("PluginError: ") and "\n" not in line
+
+
+def test_everything_that_is_wrong_is_said_at_once():
+    model = text(ISAAC, ISAAC, site=0.005).replace('kp="25"', 'kp="100"', 1).replace("-40 40", "-120 120", 2)
+    found = faults(dog(model.replace("-0.8 0.8", "-20 20", 1).replace(' priority="1"', ""), ISAAC))
+    words = ("in the tree", "'LF_HAA': kp 100", "'LF_HAA', 'RF_HAA': -120", "-20 to 20", "priority 0", "15 mm")
+    assert len(found) == len(words)
+    for line, word in zip(found, words, strict=True):
+        assert word in line
+
+
+def test_a_rounded_number_is_no_other_one():
+    model = (
+        MODEL.replace('kp="25"', 'kp="25.01"').replace("-0.8 0.8", "-0.8009 0.8009").replace("-40 40", "-40.01 40.01")
+    )
+    assert faults(dog(model)) == []
+
+
+ORDERS = {
+    "tree": (
+        dog(text(ISAAC, ISAAC), ISAAC),
+        r"joint 'LF_HFE' is number 2 in the tree .*'RF_HAA' is expected there: found LF_HAA, LF.*; expected LF_HAA, R",
+    ),
+    "actuators": (dog(text(actuators=ISAAC)), r"actuator of joint 'RF_HAA' is number 2 .*'LF_HFE' is expected there"),
+    "torques": (dog(text(sensors=ISAAC)), r"sensor 'torque_RF_HAA' is number 2 .*'torque_LF_HFE' is expected there"),
+    "feet": (dog(text(touch=LEGS[::-1])), r"sensor 'touch_RH' is number 1 .*'touch_LF' is expected there"),
+    "apart": (
+        dog(MODEL.replace('<touch name="touch_RH"', '<gyro name="imu" site="trunk_shell"/><touch name="touch_RH"')),
+        r"sensor 'imu' of its model stands between the sensors touch_",
+    ),
+    "fixed": (
+        dog(MODEL.replace('<freejoint name="root"/>', "")),
+        r"first joint .*'LF_HAA' of body 'LF_hip', expected a",
+    ),
+}
+
+
+@pytest.mark.parametrize(("robot", "words"), ORDERS.values(), ids=ORDERS)
+def test_another_order_is_refused_by_check_and_env_alike(robot, words):
+    (line,) = faults(robot)
+    assert re.search(words, line) and "\n" not in line
+    with pytest.raises(ConfigError, match=words) as caught:
+        env_of(robot)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_joint_too_many_is_named():
+    spring = '<body name="spring"><joint name="soft"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+    (line,) = faults(dog(MODEL.replace("</body></worldbody>", spring + "</body></worldbody>")))
+    assert "joint 'soft' is number 13 in the tree of its model, none is expected there" in line
+
+
+MISSING = {
+    "floor": (MODEL.replace(FLOOR, ""), r"its model has no geom 'floor'\. "),
+    "sensors": (
+        re.sub("<sensor>.*</sensor>", "", MODEL),
+        r"no sensor 'torque_LF_HAA', .*'touch_LF', .*'foot_velocity_RH', 'trunk_touch'\. ",
+    ),
+    "actuator": (
+        re.sub('<(position|actuatorfrc) name="(torque_)?RH_KFE"[^>]*>', "", MODEL),
+        r"its model has no sensor 'torque_RH_KFE', no actuator of joint 'RH_KFE'\. ",
+    ),
+    "several": (
+        MODEL.replace(FLOOR, "").replace("trunk_touch", "touch_trunk").replace('"trunk"', '"base"'),
+        r"its model has no body 'trunk', no geom 'floor', no sensor 'trunk_touch'\. ",
+    ),
+}
+
+
+@pytest.mark.parametrize(("model", "words"), MISSING.values(), ids=MISSING)
+def test_all_that_is_missing_is_said_in_one_line_once(model, words):
+    (line,) = faults(dog(model))
+    assert re.search(words, line) and "docs/authors/robot.md" in line and "\n" not in line
+    with pytest.raises(ConfigError, match=words):
+        env_of(dog(model))
+
+
+def test_a_robot_with_an_env_of_its_own_needs_only_what_a_twin_looks_for():
+    from hts.contracts import Robot
+
+    model = re.sub("<sensor>.*</sensor>", "", text(ISAAC, ISAAC)).replace(FLOOR, "").replace("<position", "<motor")
+    sound = dog(model.replace(SERVO, ""), ISAAC)
+
+    class Own(Robot):
+        spec, mjcf, channels = sound.spec, sound.mjcf, sound.channels
+        pretrained_policy = sound.pretrained_policy
+
+    said = faults(Own())
+    assert len(said) == 2 and all("has no env to train in" in line for line in said)
