@@ -108,7 +108,7 @@ def _what_is_wrong(path: Path, log: CsvMapping, names: Sequence[str], what: str)
         number = _line_number(path, log, index) if index >= 0 else int(row[1])
         place = f"row {index + 1} of the data" if number is None else f"line {number} of the file"
         what = what[: row.start()] + place + what[row.end() :]
-    shown = "".join(letter if letter.isprintable() else "\ufffd" for letter in what[:300])
+    shown = "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in what[:300])
     if number is not None and number > _before(log) + 1 and _cut_off(path, number, what):
         whole = path.with_stem(path.stem + "-whole")
         return (

@@ -38,8 +38,8 @@ def not_plain(path: Path) -> str:
     for begin, encoding in MARKS.items():
         if head.startswith(begin):
             return f"begins with the bytes {begin.hex(' ')}, which is {encoding}. {_converted(path, encoding)}"
-    halves = head[0::2], head[1::2]
-    for zeros, letters, encoding in ((*halves, "UTF-16BE"), (*reversed(halves), "UTF-16LE")):
+    even, odd = head[0::2], head[1::2]
+    for zeros, letters, encoding in ((even, odd, "UTF-16BE"), (odd, even, "UTF-16LE")):
         if len(head) > 7 and zeros.count(0) > 0.9 * len(zeros) and letters.count(0) == 0:
             return f"every second byte is 0, so it is {encoding}. {_converted(path, encoding)}"
     return ""

@@ -73,8 +73,8 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
     idle: name -> level with electronics on and motors idle, in the channel's unit; 0 says nothing. where: begins the
     message. The median is compared: of the other sign it was counted the other way, a hundred times larger or smaller
     it is in another unit. Amperes of which both are negative were counted the other way too: a machine that idles draws
-    some, and gives none back. A current or power that lies below its idle level nearly always while the joints move,
-    as `joint_velocity` in `channels` shows, has a wrong idle level; a voltage may.
+    some, and gives none back. What is drawn, in A or W, may not lie below its idle level nearly always while the joints
+    move, as `joint_velocity` in `channels` shows; a voltage may.
     """
     for name, level in idle.items():
         series = channels[name]
@@ -102,7 +102,7 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
 
 
 def _draws(unit: str) -> bool:
-    """Whether it is a unit of what a machine draws: of current or power."""
+    """Whether it is a unit of what a machine draws, such as A, mA or W."""
     for drawn in ("A", "W"):
         with suppress(RecordingError):
             units.conversion(unit, drawn)
