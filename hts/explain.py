@@ -77,7 +77,7 @@ def _fault(
     if fault["type"] == "missing":
         return f"{where}: this key is needed and missing."
     if fault["type"] == "value_error" and not where:  # of a whole model, whose own words name the key
-        return f"{fault['msg'].removeprefix('Value error, ')}."
+        return f"{_expected(fault)}."
     if fault["type"] == "value_error" and isinstance(fault["input"], Mapping):  # the rest of a section says nothing
         return f"{where}: {_expected(fault)}."
     found = f"{_expected(fault)}, found {shortened(fault['input'])}{_as_whole(fault)}."
@@ -102,7 +102,7 @@ def _expected(fault: Mapping[str, Any]) -> str:
     """What should stand there, in words that need no Python."""
     words = EXPECTED.get(fault["type"])
     if words is None:
-        return fault["msg"].removeprefix("Value error, ").removeprefix("Input ")
+        return fault["msg"].removeprefix("Value error, ").removeprefix("Input ").removesuffix(".")
     return words.format(**(fault.get("ctx") or {}))
 
 

@@ -30,7 +30,8 @@ def stamps_of(path: Path, time: ColumnName, unit: str, column: Any) -> tuple[np.
     kind, dates = column.type, pa.types.is_timestamp(column.type)
     numbers = pa.types.is_integer(kind) or pa.types.is_floating(kind)
     if (len(present) and dates != (unit == DATES)) or not (dates or numbers or not len(present)):
-        raise not_a_time(path, time, unit, _first(present))
+        odd = None if unit == DATES else _no_number(present)
+        raise not_a_time(path, time, unit, *((_first(present),) if odd is None else (odd, "in a later row")))
     if dates:
         present = present.cast(pa.timestamp("ns", tz=kind.tz)).cast(pa.int64())
     values = present.to_numpy()
@@ -48,6 +49,20 @@ def numbers_of(path: Path, column: ColumnName, chunked: Any) -> np.ndarray:
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind) or kind == pa.null()):
         raise RecordingError(f"{path}: column '{column}' holds {kind}, not numbers. Correct the mapping.")
     return np.asarray(chunked.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
+
+
+def _no_number(column: Any) -> str | None:
+    """The first text in it that is no number, where a number stands before it; None elsewhere."""
+    import pyarrow as pa
+
+    if not (pa.types.is_string(column.type) or pa.types.is_large_string(column.type)):
+        return None
+    for at, text in enumerate(column.to_pylist()):
+        try:
+            float(text)
+        except ValueError:
+            return str(text) if at else None
+    return None
 
 
 def _first(column: Any) -> str:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import itertools
 import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
+from hts.recordings.encoding import not_plain, not_utf8
 from hts.recordings.table import ColumnName, Table, no_column, whole_rows
 
 if TYPE_CHECKING:
     from hts.recordings.csv_reader import CsvMapping
 
 DELIMITERS = ";\t|,"
+MOST_TEXT = 100  # lines before a table
 MISSING = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "NULL", "None"]
 
 
@@ -56,43 +59,94 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
             table = csv.read_csv(file, read_options=reading, parse_options=parsing, convert_options=converting)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
+    except RecordingError as error:  # a column that is not there: perhaps since nothing of it could be read
+        raise (RecordingError(f"{path}: {why}") if (why := not_plain(path)) else error) from error
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
-        what = _in_words(path, log, names, " ".join(str(error).split()))
-        raise RecordingError(
-            f"{path}: not the table that the mapping describes: {what:.300}.{_hint(path, log, what)} Repair the file "
-            "or the mapping."
-        ) from error
+        raise RecordingError(f"{path}: {_what_is_wrong(path, log, names, ' '.join(str(error).split()))}") from error
     stamps, there = stamps_of(path, time, log.time.unit, table.column(time_name))
     columns = {column: numbers_of(path, column, table.column(name)) for column, name in by_column.items()}
     run = log.runs.column if log.runs else None
-    return whole_rows(path, time, stamps, there, columns, run, lambda index: _line(path, log, index))
+    return whole_rows(path, time, stamps, there, columns, run, lambda index: _line(path, log, index), log.time.unit)
 
 
-def _line(path: Path, log: CsvMapping, index: int) -> str:
-    """Where a row of data is. index: from 0; empty lines are no rows, those before the table are all counted."""
-    before = log.preamble + int(log.header) + int(log.units_row)
+def _before(log: CsvMapping) -> int:
+    """Lines before the first row of data."""
+    return log.preamble + int(log.header) + int(log.units_row)
+
+
+def _line_number(path: Path, log: CsvMapping, index: int) -> int | None:
+    """The line of a row of data, from 1. index: from 0; empty lines are no rows, those before the table are all
+    counted."""
     left = index + 1
     with path.open("rb") as file:
         for number, line in enumerate(file, 1):
-            if number <= before:
+            if number <= _before(log):
                 continue
             left -= line.strip(b"\r\n") != b""
             if left == 0:
-                return f"line {number} of the file"
-    return f"row {index + 1} of the data"
+                return number
+    return None
 
 
-def _in_words(path: Path, log: CsvMapping, names: Sequence[str], what: str) -> str:
-    """What pyarrow says, with the column's name and the line of the file instead of its own numbers."""
+def _line(path: Path, log: CsvMapping, index: int) -> str:
+    """Where a row of data is, in words. index: from 0."""
+    number = _line_number(path, log, index)
+    return f"row {index + 1} of the data" if number is None else f"line {number} of the file"
+
+
+def _what_is_wrong(path: Path, log: CsvMapping, names: Sequence[str], what: str) -> str:
+    """What pyarrow says, with the column's name and the line of the file instead of its own numbers, and what to do."""
+    no_text = "can't decode" in what or "\ufffd" in what or "UTF8" in what
+    if why := not_plain(path) or (not_utf8(path) if no_text else ""):
+        return why
     column = re.match(r"In CSV column #(\d+): ", what)
     if column is not None and int(column[1]) < len(names):
         what = f"column '{names[int(column[1])]}': {what[column.end() :]}"
-    row = re.search(r"Row #(\d+)", what)
-    if row is None:
-        return what
-    index = int(row[1]) - 1 - log.preamble - int(log.header) - int(log.units_row)
-    place = _line(path, log, index) if index >= 0 else f"line {row[1]} of the file"
-    return what[: row.start()] + place + what[row.end() :]
+    number: int | None = None
+    if row := re.search(r"Row #(\d+)", what):
+        index = int(row[1]) - 1 - _before(log)
+        number = _line_number(path, log, index) if index >= 0 else int(row[1])
+        place = f"row {index + 1} of the data" if number is None else f"line {number} of the file"
+        what = what[: row.start()] + place + what[row.end() :]
+    shown = "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in what[:300])
+    if number is not None and number > _before(log) + 1 and _cut_off(path, number, what):
+        whole = path.with_stem(path.stem + "-whole")
+        return (
+            f"line {number}, the last one, is cut off, as a logger leaves it that is killed ({shown}). Leave it out, "
+            f"and import that: sed {number}d {shlex.quote(str(path))} > {shlex.quote(str(whole))}"
+        )
+    hint = _hint(path, log, what, number)
+    return f"not the table that the mapping describes: {shown}.{hint} Repair the file or the mapping."
+
+
+def _cut_off(path: Path, number: int, what: str) -> bool:
+    """Whether this line, from 1, is the last one with anything in it and its end is missing."""
+    last, whole = 0, True
+    with path.open("rb") as file:
+        for at, line in enumerate(file, 1):
+            if line.strip(b"\r\n"):
+                last, whole = at, line.endswith((b"\r", b"\n"))
+    counts = re.search(r"Expected (\d+) columns, got (\d+)", what)
+    if counts is not None:
+        return last == number and int(counts[2]) < int(counts[1])
+    return last == number and not whole
+
+
+def _text_before(path: Path, log: CsvMapping, number: int) -> bool:
+    """Whether everything before this line, from 1, is text: no row of numbers that could be the table's."""
+    if number > MOST_TEXT:
+        return False
+    with path.open(encoding="utf-8", errors="replace") as file:
+        lines = [line for line in itertools.islice(file, log.preamble + int(log.header), number - 1) if line.strip()]
+    return not any(all(_is_number(cell, log.decimal) for cell in line.split(log.delimiter)) for line in lines)
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    try:
+        float(cell.strip().replace(decimal, ".") or "nan")
+    except ValueError:
+        return False
+    return True
 
 
 def _other_delimiter(path: Path, log: CsvMapping) -> str:
@@ -110,16 +164,16 @@ def _other_delimiter(path: Path, log: CsvMapping) -> str:
     return f' If "{shown}" stands between columns, say delimiter: "{shown}".'
 
 
-def _hint(path: Path, log: CsvMapping, what: str) -> str:
-    """What a mapping can say about the commonest reasons."""
+def _hint(path: Path, log: CsvMapping, what: str, number: int | None) -> str:
+    """What a mapping can say about the commonest reasons. number: the line in question, from 1."""
     if other := _other_delimiter(path, log):
         return other + (' If numbers have a decimal comma, say decimal: "," too.' if log.decimal == "." else "")
     value = what.partition("invalid value '")[2].partition("'")[0]
     if "," in value and value.replace(",", "").lstrip("-+").isdecimal():
         return ' If that is a decimal comma, say decimal: "," and delimiter: ";".'
-    if value and any(letter.isalpha() for letter in value):
+    if value and any(letter.isalpha() for letter in value) and number == _before(log) + 1 and not log.units_row:
         return " If the second line holds units, say units_row: true."
-    if "Expected" in what and "columns, got" in what:
+    if "Expected" in what and "columns, got" in what and number is not None and _text_before(path, log, number):
         return " If text stands before the table, say preamble: the number of its lines."
     return ""
 

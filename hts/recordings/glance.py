@@ -13,6 +13,7 @@ import numpy as np
 
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow
+from hts.recordings.encoding import not_plain, not_utf8
 from hts.recordings.messages import fields_of, messages, topics
 
 MOST_ROWS = 5000
@@ -42,6 +43,8 @@ def glance(path: Path) -> Glance:
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
     except (ValueError, LookupError, csv.Error) as error:
+        if isinstance(error, UnicodeDecodeError) and (why := not_utf8(path)):
+            raise RecordingError(f"{path}: {why}") from error
         what = " ".join(str(error).split())
         raise RecordingError(
             f"{path}: not a log of a known format ({what:.160}). Write its mapping by hand."
@@ -63,6 +66,8 @@ def _reader_of(path: Path) -> Callable[[Path], Glance]:
 
 
 def _csv(path: Path) -> Glance:
+    if why := not_plain(path):
+        raise RecordingError(f"{path}: {why}")
     with path.open(encoding="utf-8-sig", errors="strict", newline="") as file:
         lines = list(islice(iter(lambda: file.readline(MOST_LINE), ""), MOST_ROWS))
     if not lines:

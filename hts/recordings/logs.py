@@ -32,6 +32,7 @@ from hts.recordings.mapping import (
     ChannelMapping,
     LogMapping,
     Mapped,
+    check_held,
     check_joint_order,
     column_names,
     follows_joints,
@@ -42,7 +43,7 @@ from hts.recordings.motion import check_motion
 from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.plausible import check_facts, check_idle, check_limits
 from hts.recordings.recording import Recording, Series
-from hts.recordings.samples import Samples, common_grid, interpolated, listed, resampled, samples_of
+from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
 from hts.recordings.stretches import Stretch, stretches
 from hts.recordings.table import ColumnName, Table, table_of
@@ -55,6 +56,7 @@ __all__ = [
     "check_limits",
     "check_motion",
     "common_grid",
+    "held",
     "recording_from_columns",
     "recording_from_tables",
     "recordings_from_columns",
@@ -117,6 +119,7 @@ def recordings_from_tables(
 ) -> list[Recording]:
     """One recording for each run that the mapping's `runs` or `labels` tell apart; one where it has neither."""
     check_joint_order(log, robot.spec.joint_names)
+    check_held(log, robot)
     columns = {name: column_names(name, one, log, robot.spec.joint_names) for name, one in log.channels.items()}
     assigned = assign(files, log)
     tables = read_tables(assigned, log, columns, read)
@@ -151,9 +154,11 @@ def _one(
         limits = outlier_limits(name, one, robot)
         values, dropped[name] = without_outliers(name, values[kept], one, limits, table.path)
         names = [f"column {column}" if isinstance(column, int) else column for column in columns[name]]
-        samples[name] = samples_of(name, when[kept], values, str(table.path), listed(names), names)
+        found = samples_of(name, when[kept], values, str(table.path), listed(names), names)
+        samples[name] = held(found, log.max_gap_seconds, one.max_age_seconds) if one.resample == "hold" else found
     where = ", ".join(str(path) for path in files)
-    grid = common_grid(samples, log.rate_hz, log.max_gap_seconds)
+    gauges, own_rate = samples.keys() - robot.channels().keys(), robot.spec.control_rate_hz
+    grid = common_grid(samples, log.rate_hz, log.max_gap_seconds, gauges=gauges, control_rate_hz=own_rate)
     channels = {name: _series(one, log, robot, grid) for name, one in samples.items()}
     told = _notes(files, tables, samples, grid, log, dropped)
     recording = _recording(channels, grid, log, robot, {**told, **notes}, where)
@@ -255,19 +260,23 @@ def _notes(
         notes["empty_rows_dropped"] = str(empty)
     if any(dropped.values()):
         notes["rows_outside_limits_dropped"] = ", ".join(f"{name} {count}" for name, count in dropped.items() if count)
-    inside = {name: int(((one.left_out > grid[0]) & (one.left_out < grid[-1])).sum()) for name, one in samples.items()}
+    drawn = {name: one for name, one in samples.items() if one.oldest is None}
+    inside = {name: int(((one.left_out > grid[0]) & (one.left_out < grid[-1])).sum()) for name, one in drawn.items()}
     filled = [f"{name} {count - dropped[name]}" for name, count in inside.items() if count > dropped[name]]
     if filled:
         notes["incomplete_rows_filled"] = ", ".join(filled)
-    lines = {name: interpolated(one, grid, log.rate_hz) for name, one in samples.items()}
+    lines = {name: interpolated(one, grid, log.rate_hz) for name, one in drawn.items()}
     if any(lines.values()):
         notes["samples_interpolated_in_gaps"] = ", ".join(f"{name} {count}" for name, count in lines.items() if count)
+    stand = [f"{n} from {one.rate_hz:.4g} Hz, for up to {one.oldest:.3g} s" for n, one in samples.items() if one.oldest]
+    if stand:
+        notes["readings_held"] = "; ".join(stand)
     if grid[0] > 0:
         notes["starts_after_first_stamp"] = f"{grid[0]:.6f} s"
     last = {name: max([one.times[-1], *one.left_out]) for name, one in samples.items()}
     lost = max(last.values()) - grid[-1]
     if lost > 1.0 / log.rate_hz:
-        first = min(samples, key=lambda name: samples[name].times[-1])
+        first = min(samples, key=lambda name: samples[name].end)
         notes["ends_before_last_stamp"] = f"{lost:.6f} s ('{first}' ends first)"
     return notes
 

@@ -21,6 +21,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from hts import units
 from hts.config import Config, ScheduleConfig
 from hts.config_base import MayBeEndless
+from hts.contracts import Robot
 from hts.errors import ConfigError, unknown_name
 from hts.explain import explain
 from hts.recordings.commanded import without_end
@@ -54,8 +55,16 @@ class ChannelMapping(Config):
     sign: Literal[1, -1] = Field(1, description="-1 where the log counts the other way")
     scale: float = Field(1.0, description="factor to the unit above, where the log has none that has a name")
     offset: float = Field(0.0, description="added after the factor, in the unit above")
-    resample: Literal["interpolate", "mean"] = Field(
-        "interpolate", description="value at each sample's instant, or mean over one sample period around it"
+    resample: Literal["interpolate", "mean", "hold"] = Field(
+        "interpolate",
+        description="value at each sample's instant; mean over one sample period around it; or, of what only the "
+        "robot measures, hold: the last reading at or before it",
+    )
+    max_age_seconds: float | None = Field(
+        None,
+        gt=0,
+        description="of resample: hold, how old a reading may become, s; left out: three median times between "
+        "readings, at most 3 s, or max_gap_seconds if that is longer",
     )
     per_joint: bool | None = Field(None, description="columns follow the joints; default: the name begins with joint_")
     idle: float | None = Field(None, description="level with electronics on and motors idle; makes it a real channel")
@@ -181,6 +190,16 @@ class LogMapping(Config):
                 raise ValueError(f"channel '{name}' follows the joints, so it is no `sum`; say per_joint: false")
             if channel.limits is not None and not channel.limits[0] < channel.limits[1]:
                 raise ValueError(f"channel '{name}': limits are {list(channel.limits)}; the lower one comes first")
+        return self
+
+    @model_validator(mode="after")
+    def _ages_are_of_held_ones(self) -> LogMapping:
+        for name, channel in self.channels.items():
+            if channel.max_age_seconds is not None and channel.resample != "hold":
+                raise ValueError(
+                    f"channel '{name}': max_age_seconds goes with resample: hold, this one is resampled by "
+                    f"{channel.resample}; say hold, or leave it out"
+                )
         return self
 
     @model_validator(mode="after")
@@ -323,6 +342,17 @@ def check_joint_order(mapping: LogMapping, joint_names: tuple[str, ...]) -> None
             "{joint} are found by the names in `joints`. Leave joint_order out, or list the columns in that order (and "
             "say per_joint: true of channels whose name does not begin with joint_)."
         )
+
+
+def check_held(mapping: LogMapping, robot: Robot) -> None:
+    """Raise ConfigError for `resample: hold` of a channel that the robot has in simulation too."""
+    for name, channel in mapping.channels.items():
+        if channel.resample == "hold" and name in robot.channels():
+            raise ConfigError(
+                f"Mapping: channels.{name}.resample is hold, but robot '{robot.spec.name}' has '{name}' in simulation "
+                "too, where it changes with every step: a model would learn from stairs that it never meets there. Say "
+                "interpolate or mean, and log it at rate_hz or faster."
+            )
 
 
 def _range(name: str, columns: str) -> tuple[ColumnName, ...]:

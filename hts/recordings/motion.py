@@ -17,7 +17,10 @@ from hts.recordings.recording import Series
 MOVING = 0.1
 """rad/s of standard deviation, of slope and of velocity: a joint that moves less tells nothing."""
 LEAST_SAMPLES = 50
-UNLIKE, ALIKE = 0.3, 0.7
+UNLIKE, ALIKE, SURE = 0.3, 0.7, 0.9
+BETTER = 0.15
+"""By so much another joint's velocity must fit a joint's positions better than its own does. In an honest log of a trot
+the leg on the other side fits by up to 0.96, but no better than the own one."""
 OTHER_UNIT = 5.0
 """Ratio of velocity to slope, either way; degrees are 57, turns a minute 9.5."""
 
@@ -42,11 +45,18 @@ def check_motion(
     (slopes, slope_spread), (speeds, speed_spread) = _standard(slope[:, moving]), _standard(velocity[:, moving])
     alike = slopes.T @ speeds / len(position)  # [position's joint, velocity's joint]
     own, ratio = np.median(np.diag(alike)), float(np.median(speed_spread / slope_spread))
-    hint = ""
-    if own < -ALIKE:
-        hint = "one of them is counted the other way: say sign: -1"
+    hint = _another_order(alike, [spec.joint_names[joint] for joint in moving], own)
+    if hint:  # first: in a trot a leg moves against the one on the other side, as if it were counted the other way
+        pass
+    elif own < -SURE:
+        hint = "one of them is counted the other way: say sign: -1" + _or_another_order(alike)
+    elif own < -ALIKE:
+        hint = (
+            "they go against each other, but not as closely as one that is only counted the other way (-1): look at "
+            "the order of the columns first, then at their sign"
+        )
     elif own < UNLIKE:
-        hint = _another_order(alike, [spec.joint_names[joint] for joint in moving])
+        hint = "the columns are probably others than the mapping says"
     elif own > ALIKE and not 1 / OTHER_UNIT < ratio < OTHER_UNIT:
         hint = f"it is {ratio:.3g} times the slope of the positions: one of them is in another unit"
     if hint:
@@ -63,14 +73,34 @@ def _standard(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (values - values.mean(0)) / spread, spread
 
 
-def _another_order(alike: np.ndarray, joints: list[str]) -> str:
-    best = alike.argmax(axis=1)
-    found = [at for at, other in enumerate(best) if other != at and alike[at, other] > ALIKE]
-    if found:
-        at = found[0]
-        return (
-            f"the position of {joints[at]} moves as the velocity of {joints[best[at]]} says "
-            f"({alike[at, best[at]]:.2f}), so "
-            "they are in different joint orders"
-        )
-    return "the columns are probably others than the mapping says"
+def _another_order(alike: np.ndarray, joints: list[str], own: float) -> str:
+    """What to say where joints fit each other's velocities much better than their own; "" elsewhere.
+
+    alike: (k, k) correlations [position's joint, velocity's joint]; own: of a joint with itself, the one in the middle.
+    Where that is near 0 one joint is enough; else those that fit better must have each taken another's place.
+    """
+    least = SURE if own >= UNLIKE else ALIKE
+    size, at = np.abs(alike), np.arange(len(joints))
+    best = size.argmax(axis=1)
+    moved = np.flatnonzero((size[at, best] > least) & (size[at, best] > size[at, at] + BETTER))
+    if not len(moved) or (abs(own) >= UNLIKE and sorted(best[moved]) != moved.tolist()):
+        return ""
+    first, other = moved[0], best[moved[0]]
+    found = float(alike[first, other])
+    turned = ", counted the other way (correct the order first, then the sign)" if found < 0 else ""
+    return (
+        f"the position of {joints[first]} moves as the velocity of {joints[other]} says ({found:.2f}){turned}, so they "
+        "are in different joint orders"
+    )
+
+
+def _or_another_order(alike: np.ndarray) -> str:
+    """A warning where another order of the columns would explain a log that looks as if it were counted the other way,
+    since legs that move against each other look so too."""
+    others = np.where(np.eye(len(alike), dtype=np.bool_), -1.0, alike).max(axis=1)
+    if np.median(others) < SURE:
+        return ""
+    return (
+        f"; or columns of left and right are swapped, which fits as well ({np.median(others):.2f}), so look at the "
+        "order first"
+    )

@@ -44,7 +44,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
     picked = {column: _picked(path, column, table.column(name), entry) for column, (name, entry) in found.items()}
     stamps, there = stamps_of(path, time, log.time.unit, picked[time])
     columns = {column: numbers_of(path, column, picked[column]) for column in wanted}
-    return whole_rows(path, time, stamps, there, columns, log.runs.column if log.runs else None)
+    return whole_rows(path, time, stamps, there, columns, log.runs.column if log.runs else None, unit=log.time.unit)
 
 
 def _column(path: Path, name: str, schema: Any) -> tuple[str, int | None]:

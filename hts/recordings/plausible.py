@@ -6,9 +6,11 @@ Logs exist whose header says torque over columns that hold motor temperatures. U
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 
+from hts import units
 from hts.contracts import Robot, RobotSpec
 from hts.errors import RecordingError
 from hts.recordings.recording import Recording, Series
@@ -22,6 +24,10 @@ POSITION_MARGIN = 0.35
 ABSURD_FACTOR = 20.0
 # A robot at work takes several times what it takes idle. A thousandfold is another unit.
 IDLE_FACTOR = 100.0
+# While joints move (rad/s, the fastest of them) in half of a log or more, a machine draws more than idle: not less in
+# this share of those samples, and at their median not by a tenth. Standing, or between two days, levels may lie closer.
+MOVING_SPEED, MOVING_SHARE = 1.0, 0.5
+BELOW_IDLE, LESS_THAN_IDLE = 0.95, 0.9
 # Nobody walks with four times its own mass on its back, nor without four fifths of it. Grams are 1000 to 1.
 MASS_FACTOR = 5.0
 # m/s and rad/s: legged robots run at some m/s. Written in mm/s these are thousands, in cm/s hundreds.
@@ -67,7 +73,8 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
     idle: name -> level with electronics on and motors idle, in the channel's unit; 0 says nothing. where: begins the
     message. The median is compared: of the other sign it was counted the other way, a hundred times larger or smaller
     it is in another unit. Amperes of which both are negative were counted the other way too: a machine that idles draws
-    some, and gives none back.
+    some, and gives none back. What is drawn, in A or W, may not lie below its idle level nearly always while the joints
+    move, as `joint_velocity` in `channels` shows; a voltage may.
     """
     for name, level in idle.items():
         series = channels[name]
@@ -82,11 +89,38 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
             hint = "The log probably counts the other way: say sign: -1"
         elif abs(ratio) > IDLE_FACTOR or abs(ratio) < 1 / IDLE_FACTOR:
             hint = "One of them is probably in another unit (mA are no A): correct unit or scale, or the idle level"
+        elif level > 0 and _draws(unit) and (below := _below_idle(series, level, channels)):
+            hint = (
+                f"While the joints move {below:.0%} of its samples lie below that, but a machine that moves draws more "
+                "than one that idles: measure the idle level again (electronics on, motors idle; standing is not idle)"
+            )
         if hint:
             raise RecordingError(
                 f"{where}: '{name}' is {median:.4g} {unit} at the median, its idle level {level:g} {unit}. {hint}; if "
                 "it is right, say so with `limits`."
             )
+
+
+def _draws(unit: str) -> bool:
+    """Whether it is a unit of what a machine draws, such as A, mA or W."""
+    for drawn in ("A", "W"):
+        with suppress(RecordingError):
+            units.conversion(unit, drawn)
+            return True
+    return False
+
+
+def _below_idle(series: Series, level: float, channels: Mapping[str, Series]) -> float:
+    """Share of the samples below the idle level while the joints move, if that cannot be; else 0."""
+    speed = channels.get("joint_velocity")
+    if speed is None or speed.channel.unit != "rad/s" or series.values.ndim != 1:
+        return 0.0
+    moving = np.abs(speed.values).reshape(len(speed.values), -1).max(axis=1) > MOVING_SPEED
+    if len(moving) != len(series.values) or moving.mean() < MOVING_SHARE:
+        return 0.0
+    drawn = series.values[moving]
+    below = float((drawn < level).mean())
+    return below if below >= BELOW_IDLE and np.median(drawn) < LESS_THAN_IDLE * level else 0.0
 
 
 def check_facts(recording: Recording, robot: Robot, where: str) -> None:

@@ -13,6 +13,16 @@ def interpolate(times: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.n
     return np.stack([np.interp(grid, times, column) for column in values.T], axis=1)
 
 
+def hold(times: np.ndarray, values: np.ndarray, grid: np.ndarray, slack: float = 0.0) -> np.ndarray:
+    """The last value at or before each instant, as a logger writes that repeats what a slow gauge shows.
+
+    Shapes as in `interpolate`; slack: s, by so much an instant may lie before a sample and still be at it. Before the
+    first sample it is the first.
+    """
+    last = np.searchsorted(times, grid + slack, side="right") - 1
+    return values[np.clip(last, 0, len(times) - 1)]
+
+
 def window_mean(times: np.ndarray, values: np.ndarray, grid: np.ndarray, width: float) -> np.ndarray:
     """Mean of the straight lines between samples over [t - width/2, t + width/2], cut at the ends of the log.
 

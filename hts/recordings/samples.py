@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hts.errors import RecordingError
-from hts.recordings.resample import interpolate, window_mean
+from hts.recordings.resample import hold, interpolate, window_mean
 
 # A log that is this much faster than wanted is one whose stamps were read in the wrong unit.
 TOO_FAST = 500.0
@@ -18,6 +18,12 @@ TOO_SLOW = 50.0
 GAP = 1.5
 # Eleven days at 50 Hz: nobody records that, but a clock that jumps does.
 MOST_SAMPLES = 50_000_000
+# So many of its own periods the last reading of a slow gauge stands for what came after it.
+OLDEST = 3.0
+# s: and no longer, unless somebody says so. Seconds read in another unit look like a gauge that is read once a minute.
+OLDEST_SECONDS = 3.0
+SLACK = 1e-6
+"""Sample periods by which an instant may miss a stamp and still be at it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +32,8 @@ class Samples:
 
     times: (rows,) s, increasing; values: (rows, k), as in the log; where: begins every message, such as the file;
     columns: where in it the channel is, for messages; left_out: times of the rows that were, s;
-    holes: name of each component's column -> times of the rows in which it has no number, (h,) s, for messages.
-    Made by `samples_of`, which checks them.
+    holes: name of each component's column -> times of the rows in which it has no number, (h,) s, for messages;
+    oldest: how long a reading is held, s; None where none is. Made by `samples_of`, which checks them, and by `held`.
     """
 
     name: str
@@ -37,11 +43,17 @@ class Samples:
     columns: str = ""
     left_out: np.ndarray = field(default_factory=lambda: np.empty(0))
     holes: Mapping[str, np.ndarray] = field(default_factory=dict)
+    oldest: float | None = None
 
     @property
     def rate_hz(self) -> float:
         """Of the log: one over the median step."""
         return 1.0 / float(np.median(np.diff(self.times)))
+
+    @property
+    def end(self) -> float:
+        """Until when it has data, s: a reading that is held stands until the next one is due."""
+        return float(self.times[-1]) + (0.0 if self.oldest is None else 1.0 / self.rate_hz)
 
     def empty_between(self, start: float, end: float) -> str:
         """In words, the columns that lack numbers between two times, s; empty where whole rows are missing."""
@@ -95,26 +107,48 @@ def samples_of(
     return Samples(name, times[there], values[there], where, columns, times[~there], holes)
 
 
-def common_grid(samples: Mapping[str, Samples], rate_hz: float, max_gap_seconds: float = 0.1) -> np.ndarray:
+def held(samples: Samples, max_gap_seconds: float = 0.1, max_age_seconds: float | None = None) -> Samples:
+    """The same samples as readings that each stand until the next: for `resampled(…, "hold")`, and a `common_grid` that
+    such a gauge may be slower than.
+
+    max_age_seconds: how old a reading may become; left out: three median steps of the samples, at most 3 s, or
+    `max_gap_seconds` if that is longer.
+    """
+    usual = min(OLDEST / samples.rate_hz, OLDEST_SECONDS)
+    longest = max(usual, max_gap_seconds) if max_age_seconds is None else max_age_seconds
+    return replace(samples, oldest=longest)
+
+
+def common_grid(
+    samples: Mapping[str, Samples],
+    rate_hz: float,
+    max_gap_seconds: float = 0.1,
+    *,
+    gauges: Collection[str] = (),
+    control_rate_hz: float | None = None,
+) -> np.ndarray:
     """Even sample times, s, over the stretch where every channel has data.
 
-    Raises RecordingError for channels that share no stretch, a gap longer than `max_gap_seconds`, a log slower than
-    `rate_hz` (samples cannot be invented) or so much faster that the unit of its stamps must be wrong.
+    gauges: names of channels that only the real robot has, and control_rate_hz: of the robot's policy, Hz; both for
+    what messages advise. Raises RecordingError for channels that share no stretch, a gap longer than `max_gap_seconds`
+    (of those that are `held`: longer than a reading is), a log slower than `rate_hz` (samples cannot be invented) or so
+    much faster that the unit of its stamps must be wrong.
     """
     start = max(one.times[0] for one in samples.values())
-    end = min(one.times[-1] for one in samples.values())
+    end = min(one.end for one in samples.values())
     for name, one in samples.items():
         rate = one.rate_hz
-        if rate < 0.9 * rate_hz:
+        if rate < 0.9 * rate_hz and one.oldest is None:
             found = f"'{name}' was logged at {rate:.4g} Hz, the mapping wants {rate_hz:g}"
+            what_to_do = _slow(name, rate, name in gauges, control_rate_hz)
             if TOO_SLOW * rate < rate_hz:
                 raise RecordingError(
                     f"{one.where}: by its stamps {found}. The unit of the stamps is probably another (time.unit); if "
-                    f"not, set rate_hz to {rate:.4g} or less: samples cannot be invented."
+                    f"not, {what_to_do}: samples cannot be invented."
                 )
             raise RecordingError(
-                f"{one.where}: {found}. Set rate_hz to {rate:.4g} or less; samples cannot be invented. If the log is "
-                "faster than that, correct time.unit."
+                f"{one.where}: {found}. {what_to_do[:1].upper()}{what_to_do[1:]}; samples cannot be invented. If the "
+                "log is faster than that, correct time.unit."
             )
         if rate > TOO_FAST * rate_hz:
             raise RecordingError(
@@ -125,12 +159,12 @@ def common_grid(samples: Mapping[str, Samples], rate_hz: float, max_gap_seconds:
         steps = np.diff(one.times)
         widths = np.where((one.times[1:] > start) & (one.times[:-1] < end), steps, 0.0)
         longest = int(np.argmax(widths))
-        if widths[longest] > max_gap_seconds:
+        allowed = max_gap_seconds if one.oldest is None else one.oldest * (1 + SLACK)
+        if widths[longest] > allowed:
             said = one.empty_between(one.times[longest], one.times[longest + 1]) or one.columns
             raise RecordingError(
                 f"{one.where}: '{name}'{f' ({said})' if said else ''} has nothing for {widths[longest]:.3g} s, "
-                f"from {one.times[longest]:.3f} s on; gaps up to {max_gap_seconds:g} s are filled. "
-                "Cut the log there, or raise max_gap_seconds if that is harmless."
+                f"from {one.times[longest]:.3f} s on; {_until(one, max_gap_seconds, rate_hz)}"
             )
     if (end - start) * rate_hz > MOST_SAMPLES:
         where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
@@ -145,8 +179,41 @@ def common_grid(samples: Mapping[str, Samples], rate_hz: float, max_gap_seconds:
     return np.minimum(start + np.arange(count) / rate_hz, end)
 
 
+def _slow(name: str, rate: float, gauge: bool, control_rate_hz: float | None) -> str:
+    """What to do with a channel that was logged at `rate`, too slow for what is wanted."""
+    if gauge:
+        return f"if '{name}' is a gauge whose last reading stands until the next, say resample: hold of it"
+    if control_rate_hz is not None and rate < 0.9 * control_rate_hz:
+        return (
+            f"log '{name}' at {control_rate_hz:g} Hz or faster, the rate of the robot's policy, or leave it out "
+            f"(--drop {name})"
+        )
+    if control_rate_hz is not None:
+        return f"set rate_hz to {control_rate_hz:g}, the rate of the robot's policy"
+    return f"set rate_hz to {rate:.4g} or less"
+
+
+def _until(one: Samples, max_gap_seconds: float, rate_hz: float) -> str:
+    """How long a gap may be, and what to do with a longer one."""
+    if one.oldest is None:
+        return (
+            f"gaps up to {max_gap_seconds:g} s are filled. Cut the log there, or raise max_gap_seconds if that is "
+            "harmless."
+        )
+    unit = " If it is faster than that, correct time.unit." if TOO_SLOW * one.rate_hz < rate_hz else ""
+    return (
+        f"a reading of it is held for up to {one.oldest:.3g} s (it comes at {one.rate_hz:.4g} Hz). Cut the log there, "
+        f"or state its max_age_seconds if older readings are harmless.{unit}"
+    )
+
+
 def resampled(samples: Samples, grid: np.ndarray, rate_hz: float, how: str = "interpolate") -> np.ndarray:
-    """Values (T, k) on the grid (T,), s. how: "interpolate", the value at each instant; "mean", over one period."""
+    """Values (T, k) on the grid (T,), s.
+
+    how: "interpolate", the value at each instant; "mean", over one period; "hold", the last sample at or before it.
+    """
+    if how == "hold":
+        return hold(samples.times, samples.values, grid, SLACK / rate_hz)
     if how == "mean":
         return window_mean(samples.times, samples.values, grid, 1.0 / rate_hz)
     return interpolate(samples.times, samples.values, grid)
@@ -156,6 +223,6 @@ def interpolated(samples: Samples, grid: np.ndarray, rate_hz: float) -> int:
     """How many instants of the grid lie inside a gap of the log, where only a straight line says what was."""
     after = np.clip(np.searchsorted(samples.times, grid, side="left"), 1, len(samples.times) - 1)
     low, high = samples.times[after - 1], samples.times[after]
-    slack = 1e-6 / rate_hz
+    slack = SLACK / rate_hz
     inside = (grid > low + slack) & (grid < high - slack) & (high - low > GAP / rate_hz)
     return int(inside.sum())

@@ -37,7 +37,8 @@ def assign(files: Sequence[Path], log: LogMapping) -> dict[str | None, Path]:
     if log.files is None:
         if len(files) != 1:
             raise ConfigError(
-                f"Mapping: {len(files)} files for one recording; name them under `files`, or import one by one."
+                f"Mapping: {len(files)} files for one recording: {', '.join(str(path) for path in files)}. Take away "
+                "those that are no log of it (a copy, a note), name them under `files`, or import one by one."
             )
         return {None: files[0]}
     assigned: dict[str | None, Path] = {}

@@ -30,6 +30,8 @@ GAUGES: dict[str, set[str]] = {
     "W": {"w", "watt", "watts"},
 }
 MILLI = {"ma": "mA", "mv": "mV", "mw": "mW"}
+SELDOM = 0.75
+"""Share of the rows in which a gauge shows something, below which it is slower than the log around it."""
 NOT_MEANS = {"std", "max", "min", "var", "target", "desired", "raw"}
 
 
@@ -229,7 +231,8 @@ def _gauges(
         channel = channel if channel.isidentifier() and channel != "time" else f"gauge_{len(taken)}"
         sign = ", sign: -1" if np.nanmedian(values) < 0 and unit.endswith(("A", "W")) else ""
         why = "sign: its values are negative; " if sign else ""
-        text = f"  {channel}: {{columns: {_text(name, seen)}, unit: {unit}{sign}, idle: {CHECK}}}"
+        slow = ", resample: hold" if np.isfinite(values).mean() < SELDOM else ""
+        text = f"  {channel}: {{columns: {_text(name, seen)}, unit: {unit}{sign}{slow}, idle: {CHECK}}}"
         lines.append(f"{text}  # {CHECK}: {why}idle level, unit, and the channel's name, which an objective asks for")
         taken.add(name)
     return lines, taken

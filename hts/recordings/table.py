@@ -57,7 +57,7 @@ def table_of(
             raise RecordingError(f"{path}: {no_column(str(column), [str(name) for name in columns])}")
     stamps, there = _stamps(path, time, unit, np.asarray(columns[time]))
     values = {column: _numbers(path, column, columns[column], len(there)) for column in wanted}
-    return whole_rows(path, time, stamps, there, values, run)
+    return whole_rows(path, time, stamps, there, values, run, unit=unit)
 
 
 def whole_rows(
@@ -68,12 +68,13 @@ def whole_rows(
     columns: dict[ColumnName, np.ndarray],
     run: ColumnName | None = None,
     place: Callable[[int], str] = row_of_data,
+    unit: str = "",
 ) -> Table:
     """A table without the rows in which there is nothing but a time.
 
     stamps: those that are there, in order; there: (rows,) bool, which rows have one; columns: (rows,) float64;
     run: the column among them that numbers the runs of the file, each of which has a clock that may begin anew;
-    place: what messages call a row, from its index.
+    place: what messages call a row, from its index; unit: of the stamps, so that messages show dates as such.
     Raises RecordingError for infinite numbers, data without a time, time that does not increase, less than two rows.
     """
     if not there.any():
@@ -109,10 +110,28 @@ def whole_rows(
     if len(back):
         at = int(back[0])
         raise RecordingError(
-            f"{path}: time does not increase in {place(int(rows[at + 1]))}: column '{time}' reads {kept[at]}, "
-            f"then {kept[at + 1]}. Sort or repair the log, or name another time column."
+            f"{path}: time does not increase in {place(int(rows[at + 1]))}: column '{time}' reads "
+            f"{_shown(kept[at], unit)}, then {_shown(kept[at + 1], unit)}. {_put_back(kept[at] - kept[at + 1], unit)}"
+            "Sort or repair the log, or name another time column."
         )
     return Table(path, kept, {column: values[rows] for column, values in columns.items()}, len(there) - len(rows))
+
+
+def _shown(stamp: np.generic, unit: str) -> str:
+    """A stamp as a person wrote it: dates are kept as whole nanoseconds."""
+    if unit != DATES:
+        return str(stamp)
+    return str(np.datetime64(int(stamp), "ns")).rstrip("0").rstrip(".").replace("T", " ")
+
+
+def _put_back(step: np.generic, unit: str) -> str:
+    """What to say of dates that go back by an hour, to within a minute."""
+    if unit != DATES or abs(int(step) * 1e-9 - 3600) > 60:
+        return ""
+    return (
+        "That is an hour: local time was probably put back there (the end of daylight saving). Log in UTC, or add an "
+        "hour from there on. "
+    )
 
 
 def no_column(name: str, names: Sequence[str]) -> str:
@@ -122,15 +141,15 @@ def no_column(name: str, names: Sequence[str]) -> str:
     return f"{hint} The file has: {', '.join(shown)}."
 
 
-def not_a_time(path: Path, time: ColumnName, unit: str, first: object) -> RecordingError:
-    """The error for stamps that are not what the mapping says."""
+def not_a_time(path: Path, time: ColumnName, unit: str, first: object, how: str = "it begins with") -> RecordingError:
+    """The error for stamps that are not what the mapping says. first: one that is not, found as `how` says."""
     if unit == DATES:
         return RecordingError(
-            f"{path}: time column '{time}' does not hold dates and times such as 2026-03-01T12:00:00.020 (it "
-            f"begins with {first!r:.60}), but time.unit says {DATES}. Say s, ms, us or ns for numbers."
+            f"{path}: time column '{time}' does not hold dates and times such as 2026-03-01T12:00:00.020 "
+            f"({how} {first!r:.60}), but time.unit says {DATES}. Say s, ms, us or ns for numbers."
         )
     return RecordingError(
-        f"{path}: time column '{time}' does not hold numbers (it begins with {first!r:.60}). "
+        f"{path}: time column '{time}' does not hold numbers ({how} {first!r:.60}). "
         f"Name the column with stamps in s, ms, us or ns, or say unit: {DATES} for dates and times."
     )
 

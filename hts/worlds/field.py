@@ -263,7 +263,7 @@ class FieldWorld(World):
         try:
             recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)
         except ConfigError as error:
-            raise ConfigError(f"{where}: {error}") from error
+            raise ConfigError(f"Row {order.name}: {where}: {error}") from error
         longer = recording.seconds - order.schedule.seconds
         if abs(longer) > 0.1 * order.schedule.seconds and not (longer < 0 and recording.fell):
             raise RecordingError(

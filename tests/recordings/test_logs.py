@@ -199,6 +199,42 @@ def test_a_machine_that_gives_current_back_while_it_idles_is_counted_the_other_w
     check_idle(warm, {"warmth": -1.9}, "log")
 
 
+def walking(level: float, unit: str = "A", speed: float = 5.0, swing: float = 1.0) -> dict[str, Series]:
+    """What is drawn, about `level`, while the fastest joint reaches `speed`, rad/s."""
+    steps = np.arange(400)
+    velocity = speed * np.stack([np.sin(steps / 3), np.cos(steps / 3)], 1)
+    return {
+        "draw": Series(Channel("draw", unit), level + swing * np.sin(steps / 5)),
+        "joint_velocity": Series(Channel("joint_velocity", "rad/s", (2,)), velocity),
+    }
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("A", 1), ("mA", 1000), ("W", 25)])
+def test_an_idle_level_above_what_moving_draws_is_refused(unit, scale):
+    with pytest.raises(RecordingError) as refused:
+        check_idle(walking(9.9 * scale, unit, swing=scale), {"draw": 12.1 * scale}, "log")
+    assert f"its idle level {12.1 * scale:g} {unit}. While the joints move 100% of its samples lie" in str(
+        refused.value
+    )
+    assert str(refused.value).endswith("standing is not idle); if it is right, say so with `limits`.")
+
+
+@pytest.mark.parametrize(
+    ("channels", "level"),
+    [
+        (walking(9.9), 9.0),
+        (walking(9.9, "V"), 12.1),  # a battery sags while one walks
+        (walking(9.9, speed=0.1), 12.1),  # it stands, or lies
+        (walking(9.9, swing=0.2), 10.5),  # too near: idle was measured on another day
+        (walking(9.9, swing=8.0), 12.1),  # some of it is more than idle
+        ({"draw": walking(9.9)["draw"]}, 12.1),  # nothing says that it moves
+    ],
+    ids=["less", "voltage", "standing", "near", "swings", "unknown"],
+)
+def test_an_idle_level_that_may_be_right_passes(channels, level):
+    check_idle(channels, {"draw": level}, "log")
+
+
 def test_milliamperes_in_a_csv_are_noticed_unless_limits_say_they_are_right(tmp_path, two_joints, mapping):
     log = json_log(tmp_path / "walk.jsonl")
     columns = json_columns(log)

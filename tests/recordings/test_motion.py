@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from two_joint_log import LogOnly
 
 from hts.channels import Channel
 from hts.errors import RecordingError
@@ -67,3 +68,67 @@ def test_columns_swapped_in_a_log_are_noticed(tmp_path, two_joints, mapping):
     }
     with pytest.raises(RecordingError, match="log: 'joint_velocity' is not how fast"):
         recording_from_columns([tmp_path / "log"], mapping, two_joints, lambda path: columns)
+
+
+# ------------------------------------------------------------------------------------------------ legs that trot
+
+LEGS = ("FL", "FR", "RL", "RR")
+TROT = LogOnly(LEGS, torque=20.0)
+SWAPPED = [1, 0, 3, 2]
+
+
+def trot(order=(0, 1, 2, 3), sign=1, noise=0.15, alone=0.6):
+    """Diagonal legs together, those of one side against each other, each with a motion of its own beside.
+
+    order: which leg's velocity stands in each column; alone: size of what a leg does by itself, of the common 1.
+    """
+    chance = np.random.default_rng(1)
+    phase = 2 * np.pi * 2.0 * TIMES
+    speed = np.stack([np.cos(phase) * side for side in (1, -1, -1, 1)], 1)
+    speed = speed + alone * np.stack([np.cos(phase * rate) for rate in (0.55, 0.7, 0.85, 1.3)], 1)
+    position = np.cumsum(speed, 0) / 50
+    velocity = sign * (speed + chance.normal(0, noise, speed.shape))[:, list(order)]
+    shape = (4,)
+    return {
+        "joint_position": Series(Channel("joint_position", "rad", shape), position),
+        "joint_velocity": Series(Channel("joint_velocity", "rad/s", shape), velocity),
+    }
+
+
+def refusal(channels):
+    with pytest.raises(RecordingError, match="log: 'joint_velocity' is not how fast") as refused:
+        check_motion(channels, TROT.spec, 50.0, "log")
+    return str(refused.value)
+
+
+def test_left_and_right_swapped_in_a_trot_is_an_order_and_no_sign():
+    """Each leg moves against the one whose column it has got, as if it were counted the other way."""
+    check_motion(trot(), TROT.spec, 50.0, "log")
+    said = refusal(trot(SWAPPED))
+    assert "(correlation -0.7" in said and "sign" not in said
+    assert "the position of FL moves as the velocity of FR says (0.9" in said and "different joint orders" in said
+
+
+def test_what_a_wrong_sign_would_hide_is_still_found():
+    """The same log after somebody wrote sign: -1: its correlation is +0.7, but the columns are in the wrong order."""
+    said = refusal(trot(SWAPPED, sign=-1))
+    assert "the position of FL moves as the velocity of FR says (-0.9" in said and "different joint orders" in said
+
+
+def test_two_columns_swapped_among_many_are_found():
+    assert "the position of FL moves as the velocity of FR says" in refusal(trot([1, 0, 2, 3]))
+
+
+def test_a_trot_that_is_counted_the_other_way_is_told_its_sign():
+    said = refusal(trot(sign=-1))
+    assert "say sign: -1. Correct the mapping" in said and "order" not in said
+
+
+def test_legs_that_do_nothing_by_themselves_leave_order_and_sign_open():
+    said = refusal(trot(SWAPPED, alone=0.0))
+    assert "say sign: -1; or columns of left and right are swapped, which fits as well" in said
+
+
+def test_a_sign_is_advised_only_where_nothing_else_is_wrong_with_the_velocities():
+    said = refusal(trot(sign=-1, noise=0.8))
+    assert "(correlation -0.7" in said and "look at the order of the columns first" in said and "sign: -1" not in said

@@ -107,6 +107,19 @@ def test_a_mapping_with_a_misspelt_key_is_named_with_its_file(run, policy, robot
         field(run).collect([policy], walking(0.5, SECONDS))
 
 
+def test_a_copy_beside_a_log_is_named_with_its_row(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    fill_in(run)
+    logs = bundle(run) / "logs"
+    write_log(logs / "00.csv", robot)
+    shutil.copy(logs / "00.csv", logs / "00.bak.csv")
+    with pytest.raises(
+        ConfigError, match=r"^Row 00: .*mapping\.yaml: .* 2 files for .*/00\.bak\.csv, .*/00\.csv\. Take"
+    ):
+        field(run).collect([policy], walking(0.5, SECONDS))
+
+
 def test_each_round_of_a_race_is_one_bundle_and_its_policies_share_the_reference(run, policy, robot):
     asked = ([policy, policy], policy, 0.8)
     with pytest.raises(WaitingForRobot, match="6 of 6 logs"):
