@@ -11,8 +11,8 @@ from hts.errors import PolicyError
 from hts.policies.contract import Contract, known_joints, per_joint
 
 STIFFEST = 30.0
-"""1/rad: kp over torque limit. Such a servo is at its limit after 1.9 degrees, a switch and no spring. Go1, Go2, ANYmal
-and Spot have about 1, the stiffest legged robots (Digit, Spot in MuJoCo Menagerie) about 11."""
+"""1/rad: kp over torque limit. Such a servo is at its limit after 1.9 degrees, a switch and no spring. Quadrupeds
+have about 1, the stiffest legged robots about 11 (docs/policies-from-elsewhere.md)."""
 MOST_DAMPED = 5.0
 """s/rad: kd over torque limit: at its limit at 0.2 rad/s. The robots above have 0.03 to 0.5."""
 ROUNDED = 0.01
