@@ -11,10 +11,10 @@ from hts.errors import PolicyError
 from hts.policies.contract import Contract, known_joints, per_joint
 
 STIFFEST = 30.0
-"""1/rad: kp over torque limit. Such a servo is at its limit after 1.9 degrees, a switch and no spring. Quadrupeds
-have about 1, the stiffest legged robots about 11 (docs/policies-from-elsewhere.md)."""
+"""1/rad: kp over torque limit. Such a servo is at its limit after 1.9 degrees, a switch and no spring: a
+bound of ours, far from what a leg needs."""
 MOST_DAMPED = 5.0
-"""s/rad: kd over torque limit: at its limit at 0.2 rad/s. The robots above have 0.03 to 0.5."""
+"""s/rad: kd over torque limit: at its limit at 0.2 rad/s; likewise."""
 ROUNDED = 0.01
 """rad: so far may a default pose be outside its range, which is rounded somewhere."""
 
