@@ -263,6 +263,10 @@ OF_ONE = "replace(TARGET, shape=(1,))"
             "Instrument 'odd_meter': read() gives no 'fake_level', only fake_levl",
         ),
         (
+            *("TARGET", "TARGET", "{'fake_level': self.level[[0, 0, 0]]}"),
+            "Instrument 'odd_meter': read() gives 'fake_level' in shape (3,) for 1 robot; its channel says () each",
+        ),
+        (
             *("TARGET", "TARGET", "{'fake_level': self.levl}"),
             "Instrument 'odd_meter': reading it failed, AttributeError",
         ),

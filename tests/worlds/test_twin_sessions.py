@@ -17,9 +17,8 @@ from onnx import TensorProto, helper, numpy_helper
 from witness import Witness
 
 from hts import plugins
-from hts.channels import Channel
 from hts.contracts import WorldContext
-from hts.errors import PluginError, PolicyError, WorldError
+from hts.errors import PolicyError, WorldError
 from hts.worlds.base import request_id, seed_sequence, walking
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.programme import Block, Session, head_to_head
@@ -234,18 +233,3 @@ def test_the_twins_process_has_no_learning_code(tmp_path):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
     assert done.stdout.strip() == "False"
-
-
-class ForThree(Witness):
-    """Reads three robots, however many there are."""
-
-    channels = (Channel("warmth", "K"),)
-
-    def read(self):
-        return {"warmth": np.zeros(3)}
-
-
-def test_readings_of_another_shape_end_in_one_line_that_names_the_instrument(robot):
-    made = batch(robot, 1, instruments={"thermometer": ForThree()})
-    with pytest.raises(PluginError, match=r"'thermometer': read\(\) gives 'warmth' in shape \(3,\) .* expected \(1,\)"):
-        made.run([stand(0.1)], "twin")

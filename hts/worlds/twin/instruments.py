@@ -81,10 +81,16 @@ def maker(
 
 def check_readings(instruments: Mapping[str, Instrument], robot: Robot) -> None:
     """Raise UnfitWorldError for an instrument that does not give what its channels say: it is read once, after one
-    made-up physics step of WORLDS robots that stand still, before any robot has walked."""
+    made-up physics step of WORLDS robots that stand still, then of one, before any robot has walked."""
+    for name, instrument in instruments.items():
+        for worlds in (WORLDS, 1):
+            _check_reading(name, instrument, robot, worlds)
+
+
+def _check_reading(name: str, instrument: Instrument, robot: Robot, worlds: int) -> None:
     import numpy as np
 
-    joints, feet = (WORLDS, robot.spec.num_joints), (WORLDS, len(robot.spec.foot_sites))
+    joints, feet = (worlds, robot.spec.num_joints), (worlds, len(robot.spec.foot_sites))
     still = PhysicsSample(
         motor_torque=np.full(joints, 0.1),
         joint_velocity=np.zeros(joints),
@@ -93,27 +99,27 @@ def check_readings(instruments: Mapping[str, Instrument], robot: Robot) -> None:
         foot_mass=np.ones(feet),
         dt=robot.spec.physics_dt,
     )
-    for name, instrument in instruments.items():
 
-        def read(instrument: Instrument = instrument) -> Mapping[str, np.ndarray]:
-            instrument.reset(WORLDS, np.random.default_rng(0))
-            instrument.step(still)
-            return instrument.read()
+    def read() -> Mapping[str, np.ndarray]:
+        instrument.reset(worlds, np.random.default_rng(0))
+        instrument.step(still)
+        return instrument.read()
 
-        given = guarded(f"Instrument '{name}': reading it", read)
-        for channel in instrument.channels:
-            wanted = (WORLDS, *channel.shape)
-            if channel.name not in given:
-                raise UnfitWorldError(
-                    f"Instrument '{name}': read() gives no '{channel.name}', only "
-                    f"{', '.join(sorted(given)) or 'nothing'}. It must give every one of its channels."
-                )
-            found = np.shape(given[channel.name])
-            if found != wanted:
-                raise UnfitWorldError(
-                    f"Instrument '{name}': read() gives '{channel.name}' in shape {found} for {WORLDS} robots; its "
-                    f"channel says {channel.shape} each, so {wanted}. Correct read(), or the shape of the Channel."
-                )
+    robots = f"{worlds} robot{'s' if worlds > 1 else ''}"
+    given = guarded(f"Instrument '{name}': reading it", read)
+    for channel in instrument.channels:
+        wanted = (worlds, *channel.shape)
+        if channel.name not in given:
+            raise UnfitWorldError(
+                f"Instrument '{name}': read() gives no '{channel.name}', only "
+                f"{', '.join(sorted(given)) or 'nothing'}. It must give every one of its channels."
+            )
+        found = np.shape(given[channel.name])
+        if found != wanted:
+            raise UnfitWorldError(
+                f"Instrument '{name}': read() gives '{channel.name}' in shape {found} for {robots}; its "
+                f"channel says {channel.shape} each, so {wanted}. Correct read(), or the shape of the Channel."
+            )
 
 
 class Unread(Instrument):

@@ -11,7 +11,7 @@ import numpy as np
 
 from hts.channels import Channel
 from hts.contracts import Instrument, Robot
-from hts.errors import PluginError, PolicyError
+from hts.errors import PolicyError
 from hts.recordings.recording import Recording, Series
 from hts.worlds.base import Operator, commands
 from hts.worlds.twin.dynamics import Dynamics
@@ -148,11 +148,8 @@ class Batch:
                 commanded[:, step, 0] = trimming.command
             readings["command"] = self.operator.command(commanded[:, step], self.body.heading())
             readings["joint_target"] = policy_batch.targets(readings)
-            for name, instrument in self.instruments.items():
-                shown = instrument.read()
-                if step == 0:
-                    check_readings(name, instrument, shown, len(blocks))
-                readings.update(shown)
+            for instrument in self.instruments.values():
+                readings.update(instrument.read())
             fell = self._fallen(readings)
             recorder.write(step, self._ticks * self.period, readings, fell)
             if fell.any():  # picked up and set down again
@@ -196,17 +193,6 @@ class Batch:
 
     def close(self) -> None:
         self.body.close()
-
-
-def check_readings(name: str, instrument: Instrument, shown: Mapping[str, np.ndarray], num_worlds: int) -> None:
-    """Raise PluginError for readings of an instrument that do not have the shape of their channel, robots first."""
-    for channel in instrument.channels:
-        wanted = (num_worlds, *channel.shape)
-        if channel.name in shown and np.shape(shown[channel.name]) != wanted:
-            raise PluginError(
-                f"Instrument '{name}': read() gives '{channel.name}' in shape {np.shape(shown[channel.name])} for "
-                f"{num_worlds} robot(s), expected {wanted}, robots first. Mend its package; `hts check` looks at it."
-            )
 
 
 def _held_key(block: Block) -> tuple[str | None, float]:
