@@ -19,8 +19,9 @@ MOVING = 0.1
 LEAST_SAMPLES = 50
 UNLIKE, ALIKE, SURE = 0.3, 0.7, 0.9
 BETTER = 0.15
-"""By so much another joint's velocity must fit a joint's positions better than its own does. In public logs of a walking
-quadruped (tests/recordings/test_real_logs.py) that of the other side fits by up to 0.96, by 0.06 better at most."""
+"""By so much another joint's velocity must fit a joint's positions better than its own does. In public logs of a
+walking quadruped (tests/recordings/test_real_logs.py) that of the other side fits by up to 0.96, by 0.06 better at
+most."""
 OTHER_UNIT = 5.0
 """Ratio of velocity to slope, either way; degrees are 57, turns a minute 9.5."""
 
