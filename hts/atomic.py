@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from pathlib import Path
 
@@ -29,8 +30,7 @@ def atomic_write(path: Path, content: bytes | str, *, temporary: Path | None = N
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)
-        with contextlib.suppress(OSError):  # the file is there, whole; some file systems know no such request
-            sync(path.parent)
+        sync(path.parent)
     except OSError as error:
         with contextlib.suppress(OSError):  # why nothing was written matters more than what may be left of it
             part.unlink(missing_ok=True)
@@ -38,10 +38,17 @@ def atomic_write(path: Path, content: bytes | str, *, temporary: Path | None = N
     return path
 
 
+UNABLE = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP)
+"""What file systems answer that cannot sync a folder."""
+
+
 def sync(path: Path) -> None:
-    """What is known of a file or folder is on the disk. Raises OSError."""
+    """What is known of a file is on the disk, or of a folder, where its file system can do that. Raises OSError."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as error:
+        if error.errno not in UNABLE or not path.is_dir():
+            raise
     finally:
         os.close(handle)

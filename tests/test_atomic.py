@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from contextlib import nullcontext
 
 import pytest
 
@@ -55,14 +56,18 @@ def test_everything_is_flushed_before_it_is_moved(tmp_path, monkeypatch):
     assert order == ["fsync", "replace", "fsync"]  # the file, then the folder that names it
 
 
-def test_a_file_system_that_cannot_sync_a_folder_has_the_file_all_the_same(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("number", "raises"), [(errno.EINVAL, False), (errno.EIO, True)])
+def test_a_folder_that_its_file_system_cannot_sync_is_no_fault_and_a_broken_disk_is_one(
+    tmp_path, monkeypatch, number, raises
+):
     fsync = os.fsync
 
     def files_alone(handle):
         if stat.S_ISDIR(os.fstat(handle).st_mode):
-            raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+            raise OSError(number, os.strerror(number))
         fsync(handle)
 
     monkeypatch.setattr(os, "fsync", files_alone)
-    assert atomic_write(tmp_path / "a", "text").read_text() == "text"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a"]
+    with pytest.raises(OSError, match="Input/output error") if raises else nullcontext():
+        atomic_write(tmp_path / "a", "text")
+    assert (tmp_path / "a").read_text() == "text" and [entry.name for entry in tmp_path.iterdir()] == ["a"]
