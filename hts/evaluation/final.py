@@ -49,19 +49,22 @@ def walked_speeds(
     config: EvaluationConfig,
     seed: int = 0,
     task: Task = VELOCITY,
-) -> tuple[Results, dict[str, str]]:
-    """`head_to_heads`, but a speed that the policy does not keep is refused alone: results, and speed key -> why.
+) -> tuple[Results, dict[str, NotComparable]]:
+    """`judged_speeds`, where there is something to report.
 
-    A run ends with what it measured: a policy chosen at one speed may walk too slowly at another. Raises
-    EvaluationError if no speed is left, or if the reference itself cannot be judged.
+    A run ends with what it measured: a policy chosen at one speed may walk too slowly at another, and so may the
+    reference. Raises NotComparable if no speed is left: for what the policy did, where it did something.
     """
     results, refusals = judged_speeds(objective, recordings, config, seed, task)
-    for error in refusals.values():
-        if error.role == "reference":
-            raise error
     if refusals and not results:
-        raise list(refusals.values())[-1]
-    return results, {key: str(error) for key, error in refusals.items()}
+        raise worst(refusals)
+    return results, refusals
+
+
+def worst(refusals: Mapping[str, NotComparable]) -> NotComparable:
+    """Of why nothing could be compared at any speed, what is to be said: what the policy did before what the reference
+    did."""
+    return min(refusals.values(), key=lambda error: error.role == "reference")
 
 
 def judged_speeds(
@@ -101,20 +104,22 @@ def entry_both_ways(
     results, refusals = judged_speeds(objective, held, config, seed, task)
     beside, refusals_beside = judged_speeds(objective, open_loop, config, seed, task)
     if not results and not beside:
-        raise min(refusals.values(), key=lambda error: error.role == "reference")
+        raise worst(refusals)
     entry = entry_of(objective, results)
     entry["open_loop"] = {"speeds": entry_of(objective, beside)["speeds"]}
     for place, why, recordings in ((entry, refusals, held), (entry["open_loop"], refusals_beside, open_loop)):
         if why:
-            said = {key: str(error) for key, error in why.items()}
-            place |= refused_and_fallen(said, recordings, task)
+            place |= refused_and_fallen(why, recordings, task)
     return entry, segment_scores(results or beside), refusals
 
 
-def refused_and_fallen(refused: Mapping[str, str], recordings: Sequence[Recording], task: Task) -> dict[str, Any]:
+def refused_and_fallen(
+    refused: Mapping[str, NotComparable], recordings: Sequence[Recording], task: Task
+) -> dict[str, Any]:
     """`refused` of an entry: speed key -> why; `refused_falls`: how often the policy fell there, where it did."""
     fallen = {key: count for key, count in falls_by_speed(recordings, task).items() if key in refused}
-    return {"refused": dict(refused), **({"refused_falls": fallen} if fallen else {})}
+    why = {key: str(error) for key, error in refused.items()}
+    return {"refused": why, **({"refused_falls": fallen} if fallen else {})}
 
 
 def entry_of(objective: Objective, results: Mapping[float, HeadToHead]) -> dict[str, Any]:

@@ -72,7 +72,7 @@ def final(job: Job, finalists: Sequence[str], report: Report) -> dict[str, Any]:
     """The first of the finalists who keeps every speed, else the one who loses fewest; also writes policies/best.*
 
     Where the run holds the speed it is done twice: held, and at equal commands as in the paper. Where none of them
-    keeps any speed the policy to start from stays the best. Raises EvaluationError if it is what cannot be judged.
+    keeps any speed the policy to start from stays the best. Raises EvaluationError if that one cannot be judged at any.
     """
     if finalists[0] == PRETRAINED:
         return _stays(job, [])
@@ -137,6 +137,11 @@ def _as_best(job: Job, name: str) -> None:
         job.onnx_path("best").with_suffix(".gate.json").unlink(missing_ok=True)
 
 
+def blamed(refused: Mapping[str, NotComparable]) -> set[str]:
+    """Speeds that are refused for what the policy did; the reference's are no reason to take another policy."""
+    return {speed for speed, why in refused.items() if why.role == "policy"}
+
+
 def _final_of(job: Job, name: str, report: Report) -> Tried:
     """The final of one policy."""
     config, tried = job.config, Tried(name)
@@ -158,14 +163,14 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
         for key, objective in job.objectives.items():
             if job.hold is not None:
                 both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
-                tried.entries[key], tried.scores[key], why = both
-                tried.blamed |= {key for key, one in why.items() if one.role == "policy"}
+                tried.entries[key], tried.scores[key], refused = both
+                tried.blamed |= blamed(refused)
                 continue
             results, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
             tried.entries[key], tried.scores[key] = entry_of(objective, results), segment_scores(results)
-            if refused:  # for what the policy did: a reference that cannot be judged raises
+            if refused:
                 tried.entries[key] |= refused_and_fallen(refused, recordings, task)
-                tried.blamed |= refused.keys()
+            tried.blamed |= blamed(refused)
     except NotComparable as error:
         tried.error = error
     return tried

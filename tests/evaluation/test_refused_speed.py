@@ -13,6 +13,7 @@ from hts.config import Command, EvaluationConfig, ScheduleConfig
 from hts.contracts.task import VELOCITY
 from hts.evaluation.final import entry_of, refused_and_fallen, walked_speeds
 from hts.evaluation.head_to_head import TooFewSegments
+from hts.evaluation.held import NotComparable
 from hts.recordings.recording import Recording, Series
 from hts.report.table import print_table
 from hts.testing.made_up_recordings import CostObjective
@@ -67,8 +68,8 @@ def test_a_speed_that_is_not_kept_is_refused_alone():
     results, refused = walked_speeds(CostObjective(), recordings, CONFIG)
     assert list(results) == [0.8]
     assert results[0.8].comparison.improvement == pytest.approx(0.2, abs=0.01)
-    assert list(refused) == ["0.5"] and "0 of 40 segments of the policy are valid" in refused["0.5"]
-    assert "it went 0.40 m/s on average" in refused["0.5"]
+    assert list(refused) == ["0.5"] and "0 of 40 segments of the policy are valid" in str(refused["0.5"])
+    assert "it went 0.40 m/s on average" in str(refused["0.5"])
 
 
 def test_falls_at_a_refused_speed_are_told_with_it():
@@ -76,8 +77,23 @@ def test_falls_at_a_refused_speed_are_told_with_it():
     recordings = slow + session(0.8, policy=0.8, reference=0.8)
     _, refused = walked_speeds(CostObjective(), recordings, CONFIG)
     told = refused_and_fallen(refused, recordings, VELOCITY)
-    assert told == {"refused": refused, "refused_falls": {"0.5": 2}}
-    assert refused_and_fallen({"0.8": "too slow"}, recordings, VELOCITY) == {"refused": {"0.8": "too slow"}}
+    assert told == {"refused": {"0.5": str(refused["0.5"])}, "refused_falls": {"0.5": 2}}
+    fast = {"0.8": NotComparable("too slow")}
+    assert refused_and_fallen(fast, recordings, VELOCITY) == {"refused": {"0.8": "too slow"}}
+
+
+def test_a_speed_that_the_reference_does_not_keep_is_refused_alone():
+    recordings = session(0.5, policy=0.5, reference=0.56) + session(0.8, policy=0.8, reference=0.8)
+    results, refused = walked_speeds(CostObjective(), recordings, CONFIG)
+    assert list(results) == [0.8] and refused["0.5"].role == "reference"
+    assert "0 of 40 segments of the reference policy are valid" in str(refused["0.5"])
+
+
+def test_where_both_miss_a_speed_and_none_is_left_it_is_the_policy_that_is_said():
+    recordings = session(0.5, policy=0.5, reference=0.4) + session(0.8, policy=0.6, reference=0.8)
+    with pytest.raises(TooFewSegments) as caught:
+        walked_speeds(CostObjective(), recordings, CONFIG)
+    assert caught.value.role == "policy" and "at 0.8 m/s" in str(caught.value)
 
 
 def test_nothing_is_refused_of_a_policy_that_keeps_all_speeds():
@@ -98,7 +114,7 @@ def test_the_table_and_the_page_name_the_refused_speed():
 
     recordings = session(0.5, policy=0.4, reference=0.5) + session(0.8, policy=0.8, reference=0.8)
     results, refused = walked_speeds(CostObjective(), recordings, CONFIG)
-    entry = entry_of(CostObjective(), results) | {"refused": refused}
+    entry = entry_of(CostObjective(), results) | refused_and_fallen(refused, recordings, VELOCITY)
     out = Console(file=io.StringIO(), width=200)
     print_table({"final": {"policy": "01-00", "objectives": {"cost": entry}}}, out)
     assert "Head-to-head at 0.5 m/s: 0 of 40 segments of the policy are valid" in out.file.getvalue()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from hts.errors import EvaluationError
@@ -130,6 +132,30 @@ def test_a_reference_that_cannot_be_judged_ends_the_run_in_one_line(tmp_path, lo
     with pytest.raises(EvaluationError, match="segments of the policy are valid"):
         ended(tmp_path)
     assert len(losing[1]) == 1
+
+
+def test_a_speed_that_the_reference_misses_costs_nobody_the_final(tmp_path, monkeypatch):
+    plain, order = KnownWorld.head_to_head, []
+
+    def head_to_head(self, policy, reference, speeds):
+        order.append(file_hash(policy))
+        return [
+            one.replace(channels={**one.channels, "base_velocity": _slower(one.channels["base_velocity"])})
+            if one.role == "reference" and one.schedule.commands[0].vx == 0.5
+            else one
+            for one in plain(self, policy, reference, speeds)
+        ]
+
+    monkeypatch.setattr(KnownWorld, "head_to_head", head_to_head)
+    run, (best, *_), final = ended(tmp_path)
+    assert final["policy"] == best and final["given_up"] == [] and len(order) == 1
+    entry = run.summary["final"]["objectives"]["fake"]
+    assert list(entry["speeds"]) == ["0.8"]
+    assert "segments of the reference policy are valid" in entry["refused"]["0.5"]
+
+
+def _slower(series):
+    return replace(series, values=series.values * np.float32(0.6))
 
 
 def test_a_final_that_can_be_judged_counts_whatever_a_later_reference_does(tmp_path, losing, monkeypatch):
