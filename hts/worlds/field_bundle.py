@@ -18,6 +18,7 @@ from hts.contracts import VELOCITY, FollowVelocity, RobotSpec, Task
 from hts.errors import WorldError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
+from hts.policies.gate_notes import refusal
 from hts.policies.proof import unproven
 from hts.worlds.field_manifest import Facts, first_runs, gate_of, manifest, policy_entry
 
@@ -75,8 +76,10 @@ def instructions(
     task: Task,
     hold: Sequence[str],
     first: Mapping[str, float],
+    entries: Sequence[Mapping[str, Any]],
 ) -> str:
-    """README of the bundle. hold: lines about holding the speed, where it is to be held; first: `first_runs`."""
+    """README of the bundle. hold: lines about holding the speed, where it is to be held; first: `first_runs`; entries:
+    of the manifest's policies."""
     rows = [
         f"| {order.name} | {order.session} | {order.block} | {order.role} | policies/{order.policy.name} | "
         + ", then ".join(_asked(task, one) for one in order.schedule.commands)
@@ -118,7 +121,7 @@ def instructions(
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
         f"4. Type: `{command}`",
         "",
-        _watch(first, task),
+        _watch(first, task, _gates(entries)),
         "",
     ]
     return "\n".join(lines)
@@ -134,7 +137,18 @@ A policy that explores has its noise inside its graph: run it as any other, add 
 its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`."""
 
 
-def _watch(first: Mapping[str, float], task: Task) -> str:
+def _gates(entries: Sequence[Mapping[str, Any]]) -> str:
+    """What the gate found of the policies, in sentences, a line each."""
+    failed = [entry for entry in entries if entry["gate"] is not None and not entry["gate"]["passed"]]
+    untried = [entry for entry in entries if entry["gate"] is None]
+    lines = [f"- `{one['file']}` **failed the gate**: {refusal(one['gate'], one['file'])}." for one in failed]
+    if untried:
+        files = ", ".join(f"`{entry['file']}`" for entry in untried)
+        lines.append(f"- **No gate is known to have tried** {files}.")
+    return "\n".join(lines) or "- All policies of this bundle passed it."
+
+
+def _watch(first: Mapping[str, float], task: Task, gates: str) -> str:
     walks = isinstance(task, FollowVelocity)
     return f"""\
 ## Before a policy {"walks" if walks else "moves"} for the first time on this machine
@@ -143,7 +157,10 @@ Hang the robot, or lay it down with its limbs folded and keep a hand on it: its 
 that stands. {"Walk" if walks else "Run"} each new policy for {first["seconds"]:g} s at
 {first["speed_scale"]:.0%} of the {"speed" if walks else "set-point"} with the torque limited to
 {first["torque_scale"]:.0%}, record nothing, and look whether it {"walks" if walks else "moves"} as in simulation.
-`manifest.json` says under `gate` whether it was tried over many simulated machines (null: it was not) and `passed`.
+The gate tries policies over many simulated machines before a real one (`gate` of each in `manifest.json`; null: it was
+not asked):
+
+{gates}
 
 ## What to watch
 
@@ -216,7 +233,7 @@ def _fill(
     _write_json(temporary / "plan.json", plan)
     _write_json(temporary / "manifest.json", manifest(facts, entries, rows))
     (temporary / "README.md").write_text(
-        instructions(shown, mapping, command, task, hold, first_runs(facts.run)), encoding="utf-8"
+        instructions(shown, mapping, command, task, hold, first_runs(facts.run), entries), encoding="utf-8"
     )
     (temporary / CHECKSUMS).write_text(checksums(temporary), encoding="utf-8")
 
