@@ -18,6 +18,7 @@ from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
 from hts.contracts import HoldSpeed, Installed, Robot, Settings, World, WorldContext
+from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
 from hts.recordings.needs import check_mapping
@@ -326,7 +327,18 @@ class FieldWorld(World):
         hold = self._hold if held else None
         frozen = Frozen(self.settings.frozen_seconds, self.settings.frozen_real_seconds)
         sim, real = robot.channels(), self._real_channels()
-        return Facts(robot.spec, request, hold, sim, real, run_configuration(run), run, frozen)
+        return Facts(
+            robot.spec,
+            request,
+            hold,
+            sim,
+            real,
+            run_configuration(run),
+            run,
+            frozen,
+            commands=robot.bundle_commands,
+            own_env=not isinstance(robot, VelocityRobot),
+        )
 
     @staticmethod
     def _idle_levels(mapping: Mapping[str, Any]) -> dict[str, float | None]:

@@ -80,6 +80,8 @@ class Facts:
     run: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
     frozen: Frozen = field(default_factory=Frozen)
+    commands: Sequence[str] = ()
+    own_env: bool = False
 
 
 def run_configuration(folder: Path) -> Mapping[str, Any]:

@@ -72,6 +72,48 @@ def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, p
     assert manifest["first_runs"] == {"speed_scale": 0.4, "torque_scale": 0.7, "seconds": 20.0}
 
 
+def test_a_bundle_names_the_runtime_that_the_robots_package_brings(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    text = (bundle(run) / "README.md").read_text()
+    assert robot.bundle_commands  # and each is there to be typed
+    assert all(f"    {command}\n" in text for command in robot.bundle_commands)
+    assert "What your runner has to do" not in text
+
+
+def test_a_bundle_without_a_runtime_has_the_loop_of_each_kind_of_policy(robot):
+    """Joint targets of a velocity robot; a policy with a past and other gains has a loop of its own."""
+    from hts.worlds.field_runner import runner
+
+    spec = robot.spec
+    entry = {
+        "file": "policies/00-a.onnx",
+        "joint_names": list(spec.joint_names),
+        "default_pose": list(spec.default_pose),
+        "action_scale": [0.25] * 12,
+        "kp": [30.0] * 12,
+        "kd": [0.5] * 12,
+        "control_rate_hz": 50.0,
+        "observation": [
+            {"name": "angular_velocity", "size": 3, "unit": "rad/s", "meaning": "of the trunk"},
+            {"name": "joint_velocity", "size": 12, "unit": "rad/s", "meaning": "joint speed"},
+        ],
+        "history": 1,
+    }
+    first = {"speed_scale": 0.5, "torque_scale": 0.7, "seconds": 20.0}
+    alone = runner(spec, [entry, {**entry, "file": "policies/01-b.onnx"}], first, walks=True, own_env=False)
+    assert alone.count("**Loop.** 50 times a second, each 20 ms") == 1 and "###" not in alone
+    assert "| 0 | 2 | angular_velocity | rad/s | of the trunk |\n| 3 | 14 | joint_velocity |" in alone
+    assert "**Actions.** An action moves the joints' targets: joint target, rad = default_pose" in alone
+    assert "70% of it, at 50% of the command, for 20 s" in alone and "the trunk leans too far" in alone
+    assert alone.count("| 0.25 | 30 | 0.5 |") == 12
+    other = {**entry, "file": "policies/01-b.onnx", "history": 3, "kp": [20.0] * 12}
+    both = runner(spec, [entry, other], first, walks=True, own_env=False)
+    assert "### `policies/00-a.onnx`" in both and "### `policies/01-b.onnx`" in both
+    assert "float32 (1, 45)" in both and "The last 3 of them" in both
+    assert both.count("| 0.25 | 20 | 0.5 |") == 12
+
+
 def test_a_delay_in_shares_of_a_control_step_is_told_in_seconds(robot):
     from types import SimpleNamespace
 
