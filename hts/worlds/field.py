@@ -25,7 +25,7 @@ from hts.recordings.needs import check_mapping
 from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
-from hts.worlds.field_bundle import Order, mapping_template, write_bundle
+from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits, write_bundle
 from hts.worlds.field_logs import (
     FOLDER,
     check_all_differ,
@@ -91,10 +91,18 @@ class FieldWorld(World):
             )
         return {name: float(level) for name, level in levels.items() if level is not None}
 
+    def beside(self, requests: int, comparisons: int) -> str:
+        return visits(requests, comparisons)
+
     def check(self) -> None:
-        """The mapping that the settings name can be read, by a reader that is there, and has every channel needed."""
+        """The policy to start from would be bundled: what an imported one needs has been shown, or somebody vouches for
+        it. The mapping that the settings name can be read, by a reader that is there, and has every channel needed."""
+        from hts.policies.files import load_policy
         from hts.recordings.reading import reader_name
 
+        start = self._robot.pretrained_policy()
+        if start is not None:
+            check_shown(start, load_policy(start).card)
         if self.settings.mapping is None:
             self._template()
             return

@@ -20,7 +20,7 @@ from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
 from hts.policies.gate_notes import refusal
 from hts.policies.proof import unproven
-from hts.worlds.field_manifest import Facts, first_runs, gate_of, manifest, policy_entry
+from hts.worlds.field_manifest import WARMUP_SECONDS, Facts, first_runs, gate_of, manifest, policy_entry
 from hts.worlds.field_runner import runner, who_does_the_rows
 
 UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
@@ -251,6 +251,28 @@ def _fill(
     (temporary / CHECKSUMS).write_text(checksums(temporary), encoding="utf-8")
 
 
+def visits(requests: int, comparisons: int) -> str:
+    """What so many requests at least, `comparisons` of them head-to-heads, ask of a person beside the robot."""
+    minutes = comparisons * WARMUP_SECONDS / 60
+    return (
+        f"Beside the robot: {requests} deploy bundles, a visit each, where nobody is refused; {comparisons} of them "
+        f"compare policies and begin with {WARMUP_SECONDS / 60:g} minutes of warming up, {minutes:g} in all. The "
+        "minutes of walking do not hold these, nor first runs of new policies, nor rows that are recorded again. A "
+        "speed whose commands were not found asks for more bundles, and so does a policy that loses its final."
+    )
+
+
+def check_shown(policy: Path, card: Any) -> None:
+    """Raise WorldError for an imported policy of which somebody has still to show or to vouch for something. card: the
+    policy's, a PolicyCard or a mapping."""
+    if still_open := unproven(card):
+        raise WorldError(
+            f"{policy}: comes from elsewhere, and nobody has shown or vouched for its "
+            f"{', '.join(still_open)}. It is not bundled for a machine: import it with a log that shows them "
+            "(hts policy import … --log LOG), or put your name to them (--accept ITEM --by NAME), and begin anew."
+        )
+
+
 def checksums(folder: Path) -> str:
     """Lines as `sha256sum` writes and checks them, of every file in a folder."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
@@ -268,12 +290,7 @@ def _write_policies(folder: Path, orders: Sequence[Order], facts: Facts) -> tupl
     entries, shown = [], []
     for order in orders:
         card = DeployedPolicy(order.policy).card
-        if still_open := unproven(vars(card)):
-            raise WorldError(
-                f"{order.policy}: comes from elsewhere, and nobody has shown or vouched for its "
-                f"{', '.join(still_open)}. It is not bundled for a machine: import it with a log that shows them "
-                "(hts policy import … --log LOG), or put your name to them (--accept ITEM --by NAME), and begin anew."
-            )
+        check_shown(order.policy, vars(card))
         gate = gate_of(order.policy, card, facts)
         explores = bool(card.exploration_std)
         key = (order.policy, order.name if explores else "")

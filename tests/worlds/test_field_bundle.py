@@ -157,6 +157,38 @@ def test_a_policy_that_nobody_vouches_for_is_not_bundled(run, tmp_path, robot):
         field(run).collect([walk(proof)], walking(0.5, SECONDS))
 
 
+def test_a_run_from_a_policy_that_nobody_vouches_for_is_refused_before_anything_is_spent(tmp_path, robot, capsys):
+    from hts.cli.main import main
+    from hts.policies.files import Policy, load_policy, save_policy
+
+    pretrained = load_policy(robot.pretrained_policy())
+    proof = {item: {"state": "proven", "why": "a log", "by": ""} for item in ITEMS}
+
+    def dry_run(states):
+        card = dataclasses.replace(pretrained.card, made={"kind": "rsl_rl", "proof": states})
+        start = save_policy(tmp_path / "mine", Policy(pretrained.tensors, card))
+        given = ["--objective", "power", "--robot", "go1", "--world", "field", "--preset", "smoke", "--dry-run"]
+        code = main(["run", *given, "--set", f"robot.policy={start}"])
+        return code, " ".join(capsys.readouterr().err.split())
+
+    code, said = dry_run({**proof, "delay": {"state": "not proven", "why": "no log"}})
+    assert code == 2
+    assert "mine.safetensors: comes from elsewhere, and nobody has shown or vouched for its delay. It is not" in said
+    assert "(--accept ITEM --by NAME)" in said
+
+
+def test_a_start_that_somebody_vouches_for_is_as_good_as_one_that_was_trained_here(tmp_path, robot):
+    from hts.contracts import WorldContext
+    from hts.policies.files import Policy, load_policy, save_policy
+    from hts.worlds.field import make_field
+
+    pretrained = load_policy(robot.pretrained_policy())
+    proof = {item: {"state": "accepted", "why": "no log", "by": "Ada Lovelace"} for item in ITEMS}
+    card = dataclasses.replace(pretrained.card, made={"kind": "rsl_rl", "proof": proof})
+    start = save_policy(tmp_path / "mine", Policy(pretrained.tensors, card))
+    make_field({}, WorldContext("go1", {"policy": start}, {"power": {}}, 0, tmp_path)).check()
+
+
 def test_a_bundle_of_before_is_left_as_it_is_and_read(run, policy, robot):
     with pytest.raises(WaitingForRobot):
         field(run).collect([policy], walking(0.5, SECONDS))
