@@ -111,15 +111,22 @@ class Walk:
         import mujoco
 
         from hts.policies.deploy import DeployedPolicy
+        from hts.sim.conventions import check_joints
         from hts.sim.models import compile_model
 
         self.robot, self.speed, self._file = robot, speed, policy
         self.model = compile_model(robot)
+        check_joints(self.model, robot.spec)  # below, joints are read and driven by their place
         self.data = mujoco.MjData(self.model)
         self.policy = DeployedPolicy(policy)
         made_for = self.policy.card.robot
         if made_for != robot.spec.name:
             raise ConfigError(f"{policy}: made for robot '{made_for}', this robot is '{robot.spec.name}'.")
+        if (order := self.policy.card.joint_names) != list(robot.spec.joint_names):
+            raise ConfigError(
+                f"{policy}: its joints are {', '.join(order)}, those of robot '{made_for}' here are "
+                f"{', '.join(robot.spec.joint_names)}, in this order. Play it with the package that it was made with."
+            )
         self._step = mujoco.mj_step
         joints = robot.spec.num_joints
         self.data.qpos[:3] = 0.0, 0.0, robot.spec.base_height

@@ -61,7 +61,7 @@ def command(
     chosen = run_or_policy_file(folder, policy)
     from hts.plugins import load
     from hts.policies.export_command import export_policy
-    from hts.policies.gate_notes import refused_beside
+    from hts.policies.gate_notes import warning_beside
 
     spec = None if robot is None else load().make_robot(robot).spec
     if held_speed and folder is not None:
@@ -69,6 +69,6 @@ def command(
 
         typer.echo(held_commands_of(folder, chosen).said(), err=True)
     written = export_policy(folder, policy=chosen, format=format_, to=to, robot=spec, held_speed=held_speed)
-    if refused := refused_beside(written):
-        typer.echo(f"{refused}. It is not bundled for a machine (docs/safety.md).", err=True)
+    if warning := warning_beside(written):
+        typer.echo(warning, err=True)
     typer.echo(str(written))

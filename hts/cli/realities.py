@@ -86,11 +86,13 @@ def draw(
 @app.command()
 def show(reality: Which, as_json: AsJson = False) -> None:
     """Show what a reality is: its structures, and where it differs from the default twin."""
-    from hts.worlds.realities.batch import read_whole
+    from hts.worlds.realities.batch import read_to_show
     from hts.worlds.twin.parameters import TwinSettings
     from hts.worlds.twin.reality import locate, sha256
 
-    found = read_whole(reality)
+    found, unchecked = read_to_show(reality)
+    if unchecked:
+        typer.echo(unchecked, err=True)
     if as_json:
         typer.echo(json.dumps({**found.model_dump(mode="json"), "sha256": sha256(locate(reality))}, indent=1))
         return

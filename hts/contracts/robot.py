@@ -132,6 +132,11 @@ class Robot(ABC):
     0 in no mean here either. The velocity task keeps `speed_missed_slow` below 0.08 and `speed_missed_fast` below 0.04.
     By default there is none."""
 
+    bundle_commands: Sequence[str] = ()
+    """What a person types on the robot's computer, in the folder of a deploy bundle, to check it and to do its rows:
+    one command each, in that order, for the bundle's README. By default there is none: the package brings no runtime,
+    and the README says what a runner of one's own has to do."""
+
     @abstractmethod
     def mjcf(self) -> Any | None:
         """A fresh `dm_control.mjcf.RootElement` with floor, actuators and sensors; None if log-only."""

@@ -153,6 +153,11 @@ class World(ABC):
         """What so many seconds of walking will cost here, e.g. {"robot_minutes": 5.3, "wall_seconds": 12.0}."""
         return {"robot_minutes": robot_seconds / 60.0}
 
+    def beside(self, requests: int, comparisons: int) -> str:
+        """What a person has to do for a run that makes at least so many requests for recordings, `comparisons` of them
+        head-to-heads: one line for `--dry-run`. By default nothing is said: no person is needed."""
+        return ""
+
     def check(self) -> None:  # noqa: B027 - most find out when they are made
         """Raise an HtsError, one line, if this world cannot serve the robot and the objectives of its context.
 

@@ -22,14 +22,15 @@ def export_policy(
     "onnx" or "torchscript"; robot: whose the policy must be, None for any; held_speed: with the commands in front that
     the run's final found (`HeldCommands`).
     Before it is there, its actions are compared with the policy's on random observations, and on those of the run's
-    recordings. What the gate found of it goes into a file beside it, `gate_notes.place`.
+    recordings. What the gate found of it, or that nobody is known to have tried it, goes into a file beside it,
+    `gate_notes.place`.
     Raises PolicyError for a policy that is not there, is damaged or another robot's, RunError if `to` exists (nothing
     is overwritten) or cannot be made, ConfigError for a held speed without a run.
     """
     from hts.policies import export
     from hts.policies.export_checks import check_export, random_observations, recorded_observations
     from hts.policies.files import load_policy
-    from hts.policies.gate_notes import note_of, place
+    from hts.policies.gate_notes import note_of, place, untried
     from hts.policies.held_commands import held_commands_of
 
     if held_speed and folder is None:
@@ -45,10 +46,13 @@ def export_policy(
         path = find_policy(folder, policy)
     found = load_policy(path, robot)
     held = held_commands_of(folder, policy) if held_speed and folder is not None else None
-    gate, beside = note_of(path, vars(found.card), folder), place(to)
-    note = None if gate is None else json.dumps(gate, indent=1) + "\n"
+    gate = note_of(path, vars(found.card), folder) or untried(vars(found.card), folder)
+    beside, note = place(to), json.dumps(gate, indent=1) + "\n"
     if beside.exists() and note != beside.read_text(encoding="utf-8", errors="replace"):
-        raise RunError(f"{beside}: exists already, and tells of another policy. Move it away, or choose another --to.")
+        raise RunError(
+            f"{beside}: exists already, and tells of another policy, or something else of this one. Move it away, or "
+            "choose another --to."
+        )
     observations = [random_observations(found)]
     if folder is not None and (folder / "data.zarr").is_dir():
         observations.append(recorded_observations(found, folder / "data.zarr"))
@@ -58,8 +62,7 @@ def export_policy(
         write = export.to_onnx if format == "onnx" else export.to_torchscript
         written = write(found, trial, held)
         check_export(found, written, format, observations, held)
-        if note is not None:  # first, so that no policy lies there without it
-            atomic_write(beside, note)
+        atomic_write(beside, note)  # first, so that no policy lies there without it
         return atomic_write(to, written.read_bytes())
 
 

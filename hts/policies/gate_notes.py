@@ -3,6 +3,9 @@
 A verdict goes with the policy, not with the file's name: an export, a copy or a renamed file of a policy that a run's
 gate refused is still that policy. So the notes of the whole run are looked at, and one whose hash is another policy's
 is not believed.
+
+`passed` is true, false, or null: no gate that is known tried it, and `untried` says why. A run writes none of these,
+`hts export` does, so that an exported file never comes without a word.
 """
 
 from __future__ import annotations
@@ -34,8 +37,8 @@ def hashes_of(card: Mapping[str, Any]) -> tuple[str, ...]:
 
 def note_of(source: Path, card: Mapping[str, Any], run: Path | None = None) -> Note | None:
     """What the gate found of a policy: the note beside its file, or one of the same hash in the run's folder; None
-    where nobody tried it. Of several, one that says that it failed; but that a training was stopped is said of the
-    candidate: its policy is the anchor's again, which may have passed.
+    where nobody tried it, also where a note says so. Of several, one that says that it failed; but that a training was
+    stopped is said of the candidate: its policy is the anchor's again, which may have passed.
 
     card: the policy's. Raises PolicyError for a note beside it that is another policy's, and for one that cannot be
     read, since nobody knows whom it refuses.
@@ -46,6 +49,7 @@ def note_of(source: Path, card: Mapping[str, Any], run: Path | None = None) -> N
     found = [] if beside is None else [beside]
     elsewhere = [(path, note) for path in notes(run) if (note := _read(path)) is not None]
     found += [note for path, note in elsewhere if _hash_in(path, note) in hashes and note.get("failed") != STOPPED]
+    found = [note for note in found if note["passed"] is not None]
     return next((note for note in found if note.get("passed") is not True), found[0] if found else None)
 
 
@@ -53,17 +57,38 @@ def lost(source: Path, card: Mapping[str, Any], run: Path | None) -> Note | None
     """What stands for the note of a policy that another run fine-tuned, and that came without it: nobody here knows
     whether that run's gate refused it, so it counts as refused. None for any other policy: one that nobody fine-tuned,
     or that lies in this run, its policy to start from too: what another run's gate found of that one is not asked."""
-    made = card.get("made")
-    if not isinstance(made, Mapping) or "anchor" not in made or _is_of(run, hashes_of(card)):
+    if not _fine_tuned(card) or _is_of(run, hashes_of(card)):
         return None
+    why = (
+        f"{place(source).name}, which a run and `hts export` write beside a policy that was tried, did not come along, "
+        "or it was never tried"
+    )
+    if (beside := _read(place(source))) is not None:
+        why = f"{place(source).name} says that {beside.get('untried')}"
     return {
         "passed": False,
         "failed": ["not known"],
         "policy_hash": str(card["policy_hash"]),
         "refused": f"{source.stem} was fine-tuned in another run, and what the gate found of it there is not known "
-        f"here: {place(source).name}, which a run and `hts export` write beside a policy that was tried, did not come "
-        "along, or it was never tried",
+        f"here: {why}",
     }
+
+
+def untried(card: Mapping[str, Any], run: Path | None) -> Note:
+    """The note beside an export of a policy of which no gate is known to have found anything. card: the policy's; run:
+    the folder that it was exported from, None of a policy file."""
+    if _is_of(run, hashes_of(card)):
+        why = "its run keeps no finding of a gate about it"
+    elif _fine_tuned(card):
+        why = "a run fine-tuned it, and what its gate found of it was not known where it was exported"
+    else:
+        why = "no run fine-tuned it, and no finding of a gate about it is known"
+    return {"passed": None, "untried": why, "policy_hash": str(card["policy_hash"])}
+
+
+def _fine_tuned(card: Mapping[str, Any]) -> bool:
+    made = card.get("made")
+    return isinstance(made, Mapping) and "anchor" in made
 
 
 def _is_of(run: Path | None, hashes: Sequence[str]) -> bool:
@@ -88,9 +113,19 @@ def refusal(note: Note | None, name: str) -> str:
     return str(note.get("refused") or f"{name} is refused by the gate")
 
 
-def refused_beside(policy: Path) -> str:
-    """Why the gate refused the policy of a file, as the note beside it says; "" if it did not."""
-    return refusal(_read(place(policy)), policy.name)
+def warning_beside(policy: Path) -> str:
+    """What the note beside a policy's file says against walking it on a machine, one sentence: the gate refused it, or
+    nobody is known to have tried it; "" where it passed."""
+    note = _read(place(policy))
+    if refused := refusal(note, policy.name):
+        return f"{refused}. It is not bundled for a machine (docs/safety.md)."
+    if note is not None and note["passed"] is True:
+        return ""
+    why = "" if note is None else f" ({note['untried']})"
+    return (
+        f"{policy.name}: no gate before a machine is known to have tried this policy{why}. {place(policy).name} says "
+        "so too; what such a gate looks at: docs/safety.md."
+    )
 
 
 def _check_whose(path: Path, note: Note, source: Path, hashes: Sequence[str]) -> None:
@@ -132,9 +167,13 @@ def _read(path: Path) -> Note | None:
             f"{path}: cannot be read as JSON ({' '.join(str(error).split())[:120]}), so nobody knows whether the gate "
             "refused its policy. Restore the file, or take a policy that passed."
         ) from error
-    if not isinstance(found, Mapping) or not isinstance(found.get("passed"), bool):
+    tried = isinstance(found, Mapping) and isinstance(found.get("passed"), bool)
+    says_untried = (
+        isinstance(found, Mapping) and found.get("passed", "") is None and isinstance(found.get("untried"), str)
+    )
+    if not (tried or says_untried):
         raise PolicyError(
-            f"{path}: found {str(found)[:60]}, expected `passed` true or false. Restore the file, or take a policy "
-            "that passed."
+            f"{path}: found {str(found)[:60]}, expected `passed` true or false, or null with `untried`, why. Restore "
+            "the file, or take a policy that passed."
         )
-    return found
+    return dict(found)

@@ -74,6 +74,10 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     together = min(max(counts), config.finetune.max_candidates)
     samples = together * config.finetune.num_envs * config.finetune.ppo.horizon
     cost = dict(world.cost(robot_seconds))
+    # Trials of an iteration's elites are one request, or one a round; of a final at held speed there are two.
+    comparisons = len(budget.elites) + (budget.confirm > 1) + (1 if hold is None else 2)
+    recorded = config.records_first and collected > 0
+    beside = world.beside(comparisons + recorded, comparisons)
     world.close()
     batch_gb = samples * BYTES_PER_SAMPLE / 1e9
     measured = "measured here" if steps_per_second else f"as on {assumed}; not measured here"
@@ -86,6 +90,7 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
         "real_samples": budget.samples,
         "robot_minutes": robot_seconds / 60.0,
         "charges": robot_seconds / 60.0 / robot.spec.endurance_minutes if robot.spec.endurance_minutes else None,
+        "beside": beside or None,
         "simulation_steps": steps,
         "speed": f"{rate:,.0f} a second, {measured}",
         "wall_minutes": (steps / rate + cost.get("wall_seconds", robot_seconds)) / 60.0,
@@ -130,7 +135,7 @@ def _shown(weights: Mapping[str, float]) -> str:
 
 
 def print_estimate(cost: dict[str, Any]) -> None:
-    """One line each."""
+    """One line each; last what a person has to do, where the world says it."""
     from rich.console import Console
     from rich.table import Table
 
@@ -156,6 +161,8 @@ def print_estimate(cost: dict[str, Any]) -> None:
             shown = value if isinstance(value, str) else f"{value:,.1f}" if isinstance(value, float) else f"{value:,}"
             table.add_row(labels[key], shown)
     Console(highlight=False).print(table)
+    if cost.get("beside"):
+        Console(highlight=False).print(cost["beside"], soft_wrap=True, markup=False)
 
 
 def print_ready(config: RunConfig) -> None:

@@ -26,6 +26,13 @@ def check_conventions(model: mujoco.MjModel, spec: RobotSpec) -> None:
         raise ConfigError(f"Robot '{spec.name}': {fault}")
 
 
+def check_joints(model: mujoco.MjModel, spec: RobotSpec) -> None:
+    """The same for who reads joints and drives actuators by place and looks for no sensors, such as `hts play`."""
+    fault = missing(model, spec, velocity_task=False) or joints_out_of_order(model, spec)
+    if fault:
+        raise ConfigError(f"Robot '{spec.name}': {fault}")
+
+
 def sensor_groups(spec: RobotSpec) -> dict[str, list[str]]:
     """Kind -> the names of its sensors, which lie side by side in this order."""
     legs = [site.removesuffix("_foot") for site in spec.foot_sites]
@@ -64,8 +71,9 @@ def missing(model: mujoco.MjModel, spec: RobotSpec, velocity_task: bool = True) 
     return f"its model has {', '.join(parts)}. Add what is missing to the MJCF, under these names ({WHERE})."
 
 
-def out_of_order(model: mujoco.MjModel, spec: RobotSpec) -> str:
-    """The first thing whose place in the model is not the spec's, in words; empty for none. Nothing may be missing."""
+def joints_out_of_order(model: mujoco.MjModel, spec: RobotSpec) -> str:
+    """The first joint or actuator whose place in the model is not the spec's, in words; empty for none. No body and no
+    joint may be missing."""
     trunk = model.body(spec.trunk_body)
     if model.njnt == 0 or model.jnt_type[0] != FREE or model.jnt_bodyid[0] != trunk.id:
         return (
@@ -82,6 +90,13 @@ def out_of_order(model: mujoco.MjModel, spec: RobotSpec) -> str:
     if driven != list(spec.joint_names):
         advice = "Write the actuators in the order of SPEC.joint_names, one a joint"
         return _places("the actuator of joint", "among the actuators of its model", driven, spec.joint_names, advice)
+    return ""
+
+
+def out_of_order(model: mujoco.MjModel, spec: RobotSpec) -> str:
+    """The first thing whose place in the model is not the spec's, in words; empty for none. Nothing may be missing."""
+    if joints := joints_out_of_order(model, spec):
+        return joints
     slices = sensor_slices(model)
     for kind, names in sensor_groups(spec).items():
         found = sorted(names, key=lambda name: slices[name].start)

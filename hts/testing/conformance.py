@@ -19,6 +19,7 @@ from pydantic import ValidationError
 from hts.errors import ConfigError, HtsError, PluginError, unknown_name
 from hts.plugins import GROUP, KINDS, Broken, Entry, Plugin, Registry
 from hts.testing.checks import CHECKS, NEEDED
+from hts.testing.checks.ensure import NotTried
 from hts.testing.packages import kit_installed
 
 HEAVY = ("torch", "mujoco", "dm_control", "jax", "tensorflow")
@@ -148,6 +149,8 @@ def _tried(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of libraries; what matters is found by the checks
             check(*given)
+    except NotTried:
+        return Finding(package, subject, demand, None, tried=False)
     except Exception as error:  # noqa: BLE001 - whatever a stranger's code does is a finding, not the end of the check
         if os.environ.get("HTS_DEBUG") == "1":
             traceback.print_exception(error, file=sys.stderr)

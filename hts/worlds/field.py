@@ -18,13 +18,14 @@ from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
 from hts.contracts import HoldSpeed, Installed, Robot, Settings, World, WorldContext
+from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
 from hts.recordings.needs import check_mapping
 from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
-from hts.worlds.field_bundle import Order, mapping_template, write_bundle
+from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits, write_bundle
 from hts.worlds.field_logs import (
     FOLDER,
     check_all_differ,
@@ -90,10 +91,18 @@ class FieldWorld(World):
             )
         return {name: float(level) for name, level in levels.items() if level is not None}
 
+    def beside(self, requests: int, comparisons: int) -> str:
+        return visits(requests, comparisons)
+
     def check(self) -> None:
-        """The mapping that the settings name can be read, by a reader that is there, and has every channel needed."""
+        """The policy to start from would be bundled: what an imported one needs has been shown, or somebody vouches for
+        it. The mapping that the settings name can be read, by a reader that is there, and has every channel needed."""
+        from hts.policies.files import load_policy
         from hts.recordings.reading import reader_name
 
+        start = self._robot.pretrained_policy()
+        if start is not None:
+            check_shown(start, load_policy(start).card)
         if self.settings.mapping is None:
             self._template()
             return
@@ -326,7 +335,18 @@ class FieldWorld(World):
         hold = self._hold if held else None
         frozen = Frozen(self.settings.frozen_seconds, self.settings.frozen_real_seconds)
         sim, real = robot.channels(), self._real_channels()
-        return Facts(robot.spec, request, hold, sim, real, run_configuration(run), run, frozen)
+        return Facts(
+            robot.spec,
+            request,
+            hold,
+            sim,
+            real,
+            run_configuration(run),
+            run,
+            frozen,
+            commands=robot.bundle_commands,
+            own_env=not isinstance(robot, VelocityRobot),
+        )
 
     @staticmethod
     def _idle_levels(mapping: Mapping[str, Any]) -> dict[str, float | None]:

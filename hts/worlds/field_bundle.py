@@ -18,8 +18,10 @@ from hts.contracts import VELOCITY, FollowVelocity, RobotSpec, Task
 from hts.errors import WorldError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
+from hts.policies.gate_notes import refusal
 from hts.policies.proof import unproven
-from hts.worlds.field_manifest import Facts, first_runs, gate_of, manifest, policy_entry
+from hts.worlds.field_manifest import WARMUP_SECONDS, Facts, first_runs, gate_of, manifest, policy_entry
+from hts.worlds.field_runner import runner, who_does_the_rows
 
 UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
 CHECKSUMS = "SHA256SUMS"
@@ -74,9 +76,12 @@ def instructions(
     command: str,
     task: Task,
     hold: Sequence[str],
-    first: Mapping[str, float],
+    facts: Facts,
+    entries: Sequence[Mapping[str, Any]],
 ) -> str:
-    """README of the bundle. hold: lines about holding the speed, where it is to be held; first: `first_runs`."""
+    """README of the bundle. hold: lines about holding the speed, where it is to be held; entries: of the manifest's
+    policies."""
+    first = first_runs(facts.run)
     rows = [
         f"| {order.name} | {order.session} | {order.block} | {order.role} | policies/{order.policy.name} | "
         + ", then ".join(_asked(task, one) for one in order.schedule.commands)
@@ -94,15 +99,21 @@ def instructions(
         + ("Keep the heading by hand. If it falls, stand it up and go on." if walks else "If it fails, begin it again.")
     )
     policies = (
-        "Each policy is an ONNX file: input `observation`, output `action`; joint target = default_pose + "
-        "action_scale * action. Its `.json` states joint order, default pose, gains, rate and the parts of the "
-        "observation."
+        "Each policy is an ONNX file: input `observation`, output `action`"
+        + ("" if facts.own_env else "; joint target = default_pose + action_scale * action")
+        + ". Its `.json` states joint order, default pose, gains, rate and the parts of the observation."
     )
+    if not facts.commands:
+        policies += "\n\n" + runner(facts.spec, entries, first, walks, facts.own_env)
     idle = "Before or after, with electronics on and motors idle, read off the idle level of each measured channel."
     lines = [
         "# What to record",
         "",
         _BEFORE,
+        "",
+        who_does_the_rows(facts.spec.name, facts.commands),
+        "",
+        _EXPLORING,
         "",
         session,
         "",
@@ -112,13 +123,13 @@ def instructions(
         "",
         policies,
         "",
-        *hold,
+        *(hold or ["## Then", ""]),
         f"1. {idle}",
         f"2. Write it, and the names of your log's columns, into `{mapping}`.",
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
         f"4. Type: `{command}`",
         "",
-        _watch(first, task),
+        _watch(first, task, _gates(entries)),
         "",
     ]
     return "\n".join(lines)
@@ -126,35 +137,54 @@ def instructions(
 
 _BEFORE = f"""\
 Everything for one visit to the robot is in this folder: the policies, `manifest.json` (what a robot's computer must
-know of them), `plan.json`, this page. `sha256sum -c {CHECKSUMS}` in this folder says whether it arrived whole. A
-runtime that comes with the robot's package does the rows by itself, writes `logs/` and what describes them; steps 2 and
-3 below are then done.
+know of them), `plan.json`, this page. `sha256sum -c {CHECKSUMS}` in this folder says whether it arrived whole."""
 
+_EXPLORING = """\
 A policy that explores has its noise inside its graph: run it as any other, add none. Each exploring row has a graph of
 its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`."""
 
 
-def _watch(first: Mapping[str, float], task: Task) -> str:
-    walks = isinstance(task, FollowVelocity)
-    return f"""\
-## Before a policy {"walks" if walks else "moves"} for the first time on this machine
+def _gates(entries: Sequence[Mapping[str, Any]]) -> str:
+    """What the gate found of the policies, in sentences, a line each."""
+    failed = [entry for entry in entries if entry["gate"] is not None and not entry["gate"]["passed"]]
+    untried = [entry for entry in entries if entry["gate"] is None]
+    lines = [f"- `{one['file']}` **failed the gate**: {refusal(one['gate'], one['file'])}." for one in failed]
+    if untried:
+        files = ", ".join(f"`{entry['file']}`" for entry in untried)
+        lines.append(f"- **No gate is known to have tried** {files}.")
+    return "\n".join(lines) or "- All policies of this bundle passed it."
 
-Hang the robot, or lay it down with its limbs folded and keep a hand on it: its motors may idle at first, and drop one
-that stands. {"Walk" if walks else "Run"} each new policy for {first["seconds"]:g} s at
+
+def _watch(first: Mapping[str, float], task: Task, gates: str) -> str:
+    walks = isinstance(task, FollowVelocity)
+    rests = "lay it down with its limbs folded and keep a hand on it" if walks else "let it rest where it cannot fall"
+    watched, struck, after = "", "a joint strikes", "look at joints and plugs"
+    if walks:
+        watched, after = " slipping feet, a gait that becomes uneven,", "look at legs, feet and plugs"
+        struck = "the trunk leans and does not come back, a leg strikes"
+    does, go, holds = ("walks", "Walk", "stands") if walks else ("moves", "Run", "holds itself up")
+    return f"""\
+## Before a policy {does} for the first time on this machine
+
+Hang the robot, or {rests}: its motors may idle at first, and drop one
+that {holds}. {go} each new policy for {first["seconds"]:g} s at
 {first["speed_scale"]:.0%} of the {"speed" if walks else "set-point"} with the torque limited to
-{first["torque_scale"]:.0%}, record nothing, and look whether it {"walks" if walks else "moves"} as in simulation.
-`manifest.json` says under `gate` whether it was tried over many simulated machines (null: it was not) and `passed`.
+{first["torque_scale"]:.0%}, record nothing, and look whether it {does} as in simulation.
+The gate tries policies over many simulated machines before a real one (`gate` of each in `manifest.json`; null: it was
+not asked):
+
+{gates}
 
 ## What to watch
 
-Motor temperatures and their rise, supply voltage, slipping feet, a gait that becomes uneven, noise from a gear, people
-and cables near the legs. One person looks at the robot only, with the stop key in the hand.
+Motor temperatures and their rise, supply voltage,{watched} noise from a gear, people
+and cables near the {"legs" if walks else "robot"}. One person looks at the robot only, with the stop key in the hand.
 
 ## When to stop
 
-At once, by the stop key: the trunk leans and does not come back, a leg strikes an end stop, a motor smells or passes
+At once, by the stop key: {struck} an end stop, a motor smells or passes
 its temperature limit, the link or the log stutters, anybody is unsure. A row that was stopped is recorded again from
-its start; rows that are done stay. After a fall look at legs, feet and plugs before going on."""
+its start; rows that are done stay. After a {"fall" if walks else "stop"} {after} before going on."""
 
 
 def _asked(task: Task, command: Command) -> str:
@@ -216,9 +246,31 @@ def _fill(
     _write_json(temporary / "plan.json", plan)
     _write_json(temporary / "manifest.json", manifest(facts, entries, rows))
     (temporary / "README.md").write_text(
-        instructions(shown, mapping, command, task, hold, first_runs(facts.run)), encoding="utf-8"
+        instructions(shown, mapping, command, task, hold, facts, entries), encoding="utf-8"
     )
     (temporary / CHECKSUMS).write_text(checksums(temporary), encoding="utf-8")
+
+
+def visits(requests: int, comparisons: int) -> str:
+    """What so many requests at least, `comparisons` of them head-to-heads, ask of a person beside the robot."""
+    minutes = comparisons * WARMUP_SECONDS / 60
+    return (
+        f"Beside the robot: {requests} deploy bundles, a visit each, where nobody is refused; {comparisons} of them "
+        f"compare policies and begin with {WARMUP_SECONDS / 60:g} minutes of warming up, {minutes:g} in all. The "
+        "minutes of walking do not hold these, nor first runs of new policies, nor rows that are recorded again. A "
+        "speed whose commands were not found asks for more bundles, and so does a policy that loses its final."
+    )
+
+
+def check_shown(policy: Path, card: Any) -> None:
+    """Raise WorldError for an imported policy of which somebody has still to show or to vouch for something. card: the
+    policy's, a PolicyCard or a mapping."""
+    if still_open := unproven(card):
+        raise WorldError(
+            f"{policy}: comes from elsewhere, and nobody has shown or vouched for its "
+            f"{', '.join(still_open)}. It is not bundled for a machine: import it with a log that shows them "
+            "(hts policy import … --log LOG), or put your name to them (--accept ITEM --by NAME), and begin anew."
+        )
 
 
 def checksums(folder: Path) -> str:
@@ -238,12 +290,7 @@ def _write_policies(folder: Path, orders: Sequence[Order], facts: Facts) -> tupl
     entries, shown = [], []
     for order in orders:
         card = DeployedPolicy(order.policy).card
-        if still_open := unproven(vars(card)):
-            raise WorldError(
-                f"{order.policy}: comes from elsewhere, and nobody has shown or vouched for its "
-                f"{', '.join(still_open)}. It is not bundled for a machine: import it with a log that shows them "
-                "(hts policy import … --log LOG), or put your name to them (--accept ITEM --by NAME), and begin anew."
-            )
+        check_shown(order.policy, vars(card))
         gate = gate_of(order.policy, card, facts)
         explores = bool(card.exploration_std)
         key = (order.policy, order.name if explores else "")

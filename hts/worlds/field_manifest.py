@@ -80,6 +80,8 @@ class Facts:
     run: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
     frozen: Frozen = field(default_factory=Frozen)
+    commands: Sequence[str] = ()
+    own_env: bool = False
 
 
 def run_configuration(folder: Path) -> Mapping[str, Any]:
@@ -214,7 +216,11 @@ def gate_of(source: Path, card: SimpleNamespace, facts: Facts) -> Mapping[str, A
     found = away or found
     refused = refusal(found, source.name)
     if refused and _inside(facts.run, "gate", "strict") is not False:
-        remedy = f"put {place(source).name} beside the policy that you named" if away else "give a policy that passed"
+        remedy = "give a policy that passed"
+        if away and place(source).exists():
+            remedy = "export it from the folder of its run, which knows, or give a policy that passed"
+        elif away:
+            remedy = f"put {place(source).name} beside the policy that you named"
         raise WorldError(
             f"{source}: {refused}. It is not bundled for a machine: {remedy}. A run that lets a "
             "machine have who fails the gate is begun with --set gate.strict=false (docs/safety.md)."

@@ -68,6 +68,39 @@ def test_a_policy_of_another_robot_is_refused_by_name(walk, run_folder, monkeypa
         module.Walk(robot, run_folder / "policies" / "pretrained.onnx", 0.8)
 
 
+def test_a_model_with_its_joints_in_another_order_is_refused_as_training_refuses_it(walk, run_folder, monkeypatch):
+    """Joints are read, and actuators driven, by their place: such a walk would be of scrambled legs."""
+    robot = walk.robot
+
+    def other():
+        root = type(robot).mjcf(robot)
+        first = root.actuator.position[0]
+        given = first.get_attributes()
+        first.remove()
+        root.actuator.add("position", **given)  # now the last one
+        return root
+
+    monkeypatch.setattr(robot, "mjcf", other)
+    joint = robot.spec.joint_names[0]
+    with pytest.raises(
+        ConfigError, match=rf"number 1 among the actuators of its model, '{joint}' is expected"
+    ) as caught:
+        module.Walk(robot, run_folder / "policies" / "pretrained.onnx", 0.8)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_policy_whose_joints_are_in_another_order_is_refused(walk, run_folder, monkeypatch):
+    from dataclasses import replace
+
+    robot = walk.robot
+    turned = (*robot.spec.joint_names[1:], robot.spec.joint_names[0])
+    monkeypatch.setattr(robot, "spec", replace(robot.spec, joint_names=turned), raising=False)
+    monkeypatch.setattr("hts.sim.conventions.check_joints", lambda model, spec: None)  # a model that goes with it
+    with pytest.raises(ConfigError, match=r"pretrained.onnx: its joints are .*, in this order") as caught:
+        module.Walk(robot, run_folder / "policies" / "pretrained.onnx", 0.8)
+    assert "\n" not in str(caught.value)
+
+
 def test_without_a_display_the_error_says_to_write_a_video(run_folder, monkeypatch):
     monkeypatch.setattr(module.sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)

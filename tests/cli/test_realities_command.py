@@ -60,6 +60,31 @@ def test_parameters_that_no_twin_takes_are_one_line_that_names_the_file(tmp_path
     assert "TwinSettings" not in line
 
 
+@pytest.mark.parametrize(
+    ("changed", "absent"),
+    [({"robot": "no_such_robot"}, "robot 'no_such_robot'"), ({"instrument": "no_such_gauge"}, "instrument 'no_such_g")],
+)
+def test_a_reality_is_shown_without_the_package_of_its_robot_or_instrument(tmp_path, capsys, changed, absent):
+    content = json.loads(locate("dev-00").read_text())
+    if "instrument" in changed:
+        content["parameters"]["instruments"][changed["instrument"]] = {"noise": 0.5}
+    content["robot"] = changed.get("robot", content["robot"])
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps(content))
+    assert main(["realities", "show", str(file)]) == 0
+    shown = capsys.readouterr()
+    assert f"dev-00: a {content['robot']}, draw " in shown.out and "dynamics.trunk_mass_scale: " in shown.out
+    assert f"Not installed here: {absent}" in shown.err and "was not checked" in shown.err
+    assert shown.err.count("\n") == 1
+    assert main(["realities", "show", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["robot"] == content["robot"]
+    assert main(["realities", "check", str(file)]) == 2  # which needs a twin
+    content["parameters"]["dynamics"]["trunk_mass_scale"] = 99
+    file.write_text(json.dumps(content))
+    assert main(["realities", "show", str(file)]) == 2  # what needs no package is checked as ever
+    assert "parameters.dynamics.trunk_mass_scale: expected" in capsys.readouterr().err
+
+
 def verdict(why: str) -> Verdict:
     return Verdict((Measured(name="standing", value=70.0 if why else 60.0, low=53, high=65, unit="W"),), why)
 

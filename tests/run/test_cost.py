@@ -40,6 +40,24 @@ def test_a_smoke_run_costs_what_its_configuration_says():
     assert cost["wall_minutes"] >= cost["simulation_steps"] / STEPS_PER_SECOND["mujoco"] / 60
 
 
+def test_a_run_beside_a_robot_says_how_many_visits_it_asks_for(capsys):
+    from hts.run.cost import print_estimate
+
+    assert cost_of("smoke")["beside"] is None  # nobody is needed
+    plain = cost_of("smoke", world="field")  # first data, a trial, a final
+    assert plain["beside"].startswith("Beside the robot: 3 deploy bundles, a visit each, where nobody is refused; 2 of")
+    assert "begin with 10 minutes of warming up, 20 in all." in plain["beside"]
+    baseline = cost_of("smoke", world="field", baseline=True)  # collects nothing
+    assert "2 deploy bundles" in baseline["beside"] and "; 2 of them compare" in baseline["beside"]
+    # first data, trials of three iterations, second trials, a final at held speed and one at equal commands
+    held = cost_of("quick", world="field")
+    assert "7 deploy bundles" in held["beside"] and "; 6 of them compare" in held["beside"]
+    assert "60 in all" in held["beside"]
+    assert "6 deploy bundles" in cost_of("quick", "selection.confirm=0", world="field")["beside"]
+    print_estimate(held)
+    assert capsys.readouterr().out.count("Beside the robot: 7 deploy bundles") == 1
+
+
 def test_the_papers_run_trains_63_candidates_and_tests_24():
     cost = cost_of("paper-exact")
     assert cost["candidates"] == 9 + 3 * 18  # the first iteration has one anchor

@@ -293,6 +293,24 @@ def test_the_field_asks_for_the_set_point_and_not_for_a_speed(tmp_path, policy):
     assert '"set_point": 0.8' in (bundle / "plan.json").read_text()
 
 
+def test_a_bundle_of_a_robot_without_a_runtime_says_what_its_runner_has_to_do(tmp_path, policy, crane):
+    world = make_field({"block_seconds": 5.0}, WorldContext("crane", {}, {"thrift": {}}, 0, tmp_path))
+    with pytest.raises(WaitingForRobot):
+        world.head_to_head(policy, policy, (0.4,))
+    (bundle,) = (path for path in (tmp_path / "field").iterdir() if path.is_dir())
+    text, spec = (bundle / "README.md").read_text(), crane.Crane.spec
+    assert "The package of the robot 'crane' brings no runtime" in text
+    assert "does the rows by itself" not in text and "steps 2 and" not in text  # which would be true of another robot
+    assert f"**Loop.** {spec.control_rate_hz:g} times a second, each 50 ms" in text
+    assert "`observation`, float32 (1, 2), and gives `action`, float32 (1, 1)." in text
+    assert (
+        "| 0 | 0 | hook_height | see there | as the robot's env in its package writes it |\n| 1 | 1 | wanted |" in text
+    )
+    assert "What an action does is what the env in the robot's package makes of it" in text  # here it is a speed, m/s
+    assert "| winch | 0 | 1 | 0 | 0 | -10 to 10 | 10 | 1 |" in text
+    assert "damping" in text and "trunk" not in text and "legs" not in text
+
+
 @pytest.mark.parametrize(
     ("set_points", "words"),
     [((), "each elite gets one."), ((0.4, 0.8), "each set-point gets one of its own.")],

@@ -11,6 +11,8 @@ from hts.config import EnvConfig
 from hts.errors import ConfigError
 from hts.plugins import Entry, load
 from hts.testing.checks import robots
+from hts.testing.checks.ensure import NotTried
+from hts.testing.conformance import _in_turn
 
 MODEL = text()
 SERVO = ' kp="25" kv="0.5"'
@@ -22,9 +24,24 @@ def faults(robot) -> list[str]:
     for check in robots.CHECKS:
         try:
             check(entry, registry)
+        except NotTried:  # neither kept nor a fault
+            continue
         except Exception as error:  # noqa: BLE001 - as `hts check` takes it
             said.append(f"{type(error).__name__}: {error}")
     return said
+
+
+def untried(robot) -> set[str]:
+    """The checks that could not be made."""
+    entry, registry, found = Entry("dog", lambda settings: robot, "lab"), load(()), set()
+    for check in robots.CHECKS:
+        try:
+            check(entry, registry)
+        except NotTried:
+            found.add(check.__name__)
+        except Exception:  # noqa: BLE001, S112 - a fault
+            continue
+    return found
 
 
 def env_of(robot):
@@ -143,6 +160,39 @@ def test_all_that_is_missing_is_said_in_one_line_once(model, words):
     assert re.search(words, line) and "docs/authors/robot.md" in line and "\n" not in line
     with pytest.raises(ConfigError, match=words):
         env_of(dog(model))
+
+
+ENV = {
+    "env_gives_what_was_asked",
+    "env_keeps_the_physics_steps_it_promises",
+    "env_does_not_depend_on_neighbours",
+}
+OF_THE_MODEL = {check.__name__ for check in robots.ROBOT_MODEL_CHECKS}
+
+
+@pytest.mark.parametrize("robot", [robot for robot, _ in ORDERS.values()], ids=ORDERS)
+def test_of_a_model_that_is_refused_for_its_order_no_check_of_its_env_passes(robot):
+    """They cannot be made, and must not count as kept."""
+    assert untried(robot) - {"feet_are_felt"} == ENV
+
+
+@pytest.mark.parametrize("model", [model for model, _ in MISSING.values()], ids=MISSING)
+def test_of_a_model_that_lacks_something_no_check_of_model_or_env_passes(model):
+    assert untried(dog(model)) == ENV | OF_THE_MODEL
+
+
+def test_gains_of_actuators_that_are_no_servos_are_not_compared_and_not_kept():
+    assert untried(dog(WRONG["motors"][0])) == {"gains_match"}
+    assert untried(dog(MODEL)) == set()
+
+
+def test_what_was_not_tried_is_a_finding_that_waits():
+    entry = Entry("dog", lambda settings: dog(MODEL.replace(FLOOR, "")), "lab")
+    found = list(_in_turn("lab", "robot 'dog'", robots.CHECKS, entry, load(())))
+    assert sum(one.fault is not None for one in found) == 1  # the floor
+    waiting = [one.demand for one in found if not one.tried]
+    assert len(waiting) == len(ENV | OF_THE_MODEL)
+    assert any(demand.startswith("Its env has batch size [P, N]") for demand in waiting)
 
 
 def test_a_robot_with_an_env_of_its_own_needs_only_what_a_twin_looks_for():

@@ -72,6 +72,48 @@ def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, p
     assert manifest["first_runs"] == {"speed_scale": 0.4, "torque_scale": 0.7, "seconds": 20.0}
 
 
+def test_a_bundle_names_the_runtime_that_the_robots_package_brings(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    text = (bundle(run) / "README.md").read_text()
+    assert robot.bundle_commands  # and each is there to be typed
+    assert all(f"    {command}\n" in text for command in robot.bundle_commands)
+    assert "What your runner has to do" not in text
+
+
+def test_a_bundle_without_a_runtime_has_the_loop_of_each_kind_of_policy(robot):
+    """Joint targets of a velocity robot; a policy with a past and other gains has a loop of its own."""
+    from hts.worlds.field_runner import runner
+
+    spec = robot.spec
+    entry = {
+        "file": "policies/00-a.onnx",
+        "joint_names": list(spec.joint_names),
+        "default_pose": list(spec.default_pose),
+        "action_scale": [0.25] * 12,
+        "kp": [30.0] * 12,
+        "kd": [0.5] * 12,
+        "control_rate_hz": 50.0,
+        "observation": [
+            {"name": "angular_velocity", "size": 3, "unit": "rad/s", "meaning": "of the trunk"},
+            {"name": "joint_velocity", "size": 12, "unit": "rad/s", "meaning": "joint speed"},
+        ],
+        "history": 1,
+    }
+    first = {"speed_scale": 0.5, "torque_scale": 0.7, "seconds": 20.0}
+    alone = runner(spec, [entry, {**entry, "file": "policies/01-b.onnx"}], first, walks=True, own_env=False)
+    assert alone.count("**Loop.** 50 times a second, each 20 ms") == 1 and "###" not in alone
+    assert "| 0 | 2 | angular_velocity | rad/s | of the trunk |\n| 3 | 14 | joint_velocity |" in alone
+    assert "**Actions.** An action moves the joints' targets: joint target, rad = default_pose" in alone
+    assert "70% of it, at 50% of the command, for 20 s" in alone and "the trunk leans too far" in alone
+    assert alone.count("| 0.25 | 30 | 0.5 |") == 12
+    other = {**entry, "file": "policies/01-b.onnx", "history": 3, "kp": [20.0] * 12}
+    both = runner(spec, [entry, other], first, walks=True, own_env=False)
+    assert "### `policies/00-a.onnx`" in both and "### `policies/01-b.onnx`" in both
+    assert "float32 (1, 45)" in both and "The last 3 of them" in both
+    assert both.count("| 0.25 | 20 | 0.5 |") == 12
+
+
 def test_a_delay_in_shares_of_a_control_step_is_told_in_seconds(robot):
     from types import SimpleNamespace
 
@@ -113,6 +155,38 @@ def test_a_policy_that_nobody_vouches_for_is_not_bundled(run, tmp_path, robot):
     assert not list(run.rglob("policies"))  # nor half of it
     with pytest.raises(WaitingForRobot):
         field(run).collect([walk(proof)], walking(0.5, SECONDS))
+
+
+def test_a_run_from_a_policy_that_nobody_vouches_for_is_refused_before_anything_is_spent(tmp_path, robot, capsys):
+    from hts.cli.main import main
+    from hts.policies.files import Policy, load_policy, save_policy
+
+    pretrained = load_policy(robot.pretrained_policy())
+    proof = {item: {"state": "proven", "why": "a log", "by": ""} for item in ITEMS}
+
+    def dry_run(states):
+        card = dataclasses.replace(pretrained.card, made={"kind": "rsl_rl", "proof": states})
+        start = save_policy(tmp_path / "mine", Policy(pretrained.tensors, card))
+        given = ["--objective", "power", "--robot", "go1", "--world", "field", "--preset", "smoke", "--dry-run"]
+        code = main(["run", *given, "--set", f"robot.policy={start}"])
+        return code, " ".join(capsys.readouterr().err.split())
+
+    code, said = dry_run({**proof, "delay": {"state": "not proven", "why": "no log"}})
+    assert code == 2
+    assert "mine.safetensors: comes from elsewhere, and nobody has shown or vouched for its delay. It is not" in said
+    assert "(--accept ITEM --by NAME)" in said
+
+
+def test_a_start_that_somebody_vouches_for_is_as_good_as_one_that_was_trained_here(tmp_path, robot):
+    from hts.contracts import WorldContext
+    from hts.policies.files import Policy, load_policy, save_policy
+    from hts.worlds.field import make_field
+
+    pretrained = load_policy(robot.pretrained_policy())
+    proof = {item: {"state": "accepted", "why": "no log", "by": "Ada Lovelace"} for item in ITEMS}
+    card = dataclasses.replace(pretrained.card, made={"kind": "rsl_rl", "proof": proof})
+    start = save_policy(tmp_path / "mine", Policy(pretrained.tensors, card))
+    make_field({}, WorldContext("go1", {"policy": start}, {"power": {}}, 0, tmp_path)).check()
 
 
 def test_a_bundle_of_before_is_left_as_it_is_and_read(run, policy, robot):

@@ -168,6 +168,74 @@ def test_an_export_takes_along_what_the_gate_found_and_says_that_it_refused(run,
         field(run).head_to_head(target, target, [0.8])
 
 
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("00-01", "its run keeps no finding of a gate about it"),  # the run trained it; its gate never tried it
+        ("carried.safetensors", "a run fine-tuned it, and what its gate found of it was not known"),
+        ("imported.safetensors", "no run fine-tuned it, and no finding of a gate about it is known"),
+    ],
+)
+def test_an_export_of_a_policy_that_no_gate_tried_says_so(run, robot, tuned, tmp_path, capsys, name, why):
+    save_policy(run / "iterations" / "00" / "candidates" / "00-01", tuned)
+    save_policy(tmp_path / "carried", tuned)
+    save_policy(tmp_path / "imported", load_policy(robot.pretrained_policy()))
+    target, is_file = tmp_path / "out" / "x.onnx", name.endswith(".safetensors")
+    given = ["--policy", str(tmp_path / name)] if is_file else [str(run), "--policy", name]
+    assert main(["export", *given, "--to", str(target)]) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"x.onnx: no gate before a machine is known to have tried this policy ({why}" in said
+    note = json.loads(target.with_suffix(".gate.json").read_text())
+    assert note["passed"] is None
+    assert note["untried"].startswith(why)
+    assert note["policy_hash"] == DeployedPolicy(target).card.policy_hash
+
+
+def test_an_export_of_a_policy_that_passed_says_nothing(run, refused, tmp_path, capsys):
+    note = {"passed": True, "policy_hash": load_policy(refused).card.policy_hash}
+    refused.with_suffix(".gate.json").write_text(json.dumps(note))
+    assert main(["export", str(run), "--policy", "00-00", "--to", str(tmp_path / "x.onnx")]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_note_that_says_untried_is_none_of_the_gate(run, policy, fine_tuned, robot):
+    """It refuses nobody, stands behind what a run found, and of a fine-tuned policy of another run nothing is known."""
+
+    def untried(onnx: Path) -> None:
+        note = {"passed": None, "untried": "no gate was asked", "policy_hash": DeployedPolicy(onnx).card.policy_hash}
+        onnx.with_suffix(".gate.json").write_text(json.dumps(note))
+
+    untried(policy)
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+    (only,) = json.loads((bundle(run) / "manifest.json").read_text())["policies"]
+    assert only["gate"] is None
+    assert "**No gate is known to have tried** `policies/00-walk.onnx`." in (bundle(run) / "README.md").read_text()
+    untried(fine_tuned)
+    with pytest.raises(
+        WorldError, match=r"carried.gate.json says that no gate was asked\..*: export it from the folder"
+    ):
+        field(run).head_to_head(fine_tuned, policy, [0.8])
+    save_policy(run / "iterations" / "00" / "candidates" / "00-00", load_policy(robot.pretrained_policy()))
+    (run / "iterations" / "00" / "candidates" / "00-00.gate.json").write_text(REFUSED)
+    with pytest.raises(WorldError, match=r"walk.onnx: 00-00 is refused by the gate"):
+        field(run).head_to_head(policy, policy, [0.9])
+
+
+def test_a_bundle_says_who_failed_the_gate_and_who_passed(run, policy):
+    (run / "config.yaml").write_text("gate: {strict: false}\n")
+    own = {"policy_hash": DeployedPolicy(policy).card.policy_hash}
+    policy.with_suffix(".gate.json").write_text(json.dumps({"passed": True, **own}))
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+    assert "- All policies of this bundle passed it." in (bundle(run) / "README.md").read_text()
+    shutil.rmtree(bundle(run))
+    policy.with_suffix(".gate.json").write_text(REFUSED)
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+    assert "`policies/00-walk.onnx` **failed the gate**: 00-00 is refused" in (bundle(run) / "README.md").read_text()
+
+
 def test_a_copied_policy_file_of_a_run_is_known_too(run, refused, tmp_path):
     for suffix in (".safetensors", ".json"):
         shutil.copyfile(refused.with_suffix(suffix), tmp_path / f"mine{suffix}")

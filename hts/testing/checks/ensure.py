@@ -9,6 +9,10 @@ import numpy as np
 from hts.errors import PluginError
 
 
+class NotTried(PluginError):
+    """A check cannot be made of a thing that an earlier demand is not kept of: it is neither kept nor a fault."""
+
+
 def ensure(kept: bool, found: str) -> None:
     """Raises PluginError saying what was found."""
     if not kept:

@@ -11,7 +11,7 @@ import numpy as np
 from hts.contracts import Robot
 from hts.envs.velocity_robot import VelocityRobot
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import ensure
+from hts.testing.checks.ensure import NotTried, ensure
 
 if TYPE_CHECKING:
     import mujoco
@@ -26,16 +26,19 @@ Row = tuple[str, str, str]
 
 
 def usable_model(robot: Robot) -> mujoco.MjModel | None:
-    """The model of a robot that follows velocities in our env, if that takes it; None for any other, such as one with
-    an env of its own."""
+    """The model of a robot that follows velocities in our env; None for any other, such as one with an env of its own.
+    Raises NotTried for a model that this env refuses, which `model_matches` or `model_is_in_order` says."""
     from hts.sim.conventions import out_of_order
 
     model = comparable_model(robot)
-    return None if model is None or out_of_order(model, robot.spec) else model
+    if model is not None and out_of_order(model, robot.spec):
+        raise NotTried("its model is in another order than its spec")
+    return model
 
 
 def comparable_model(robot: Robot) -> mujoco.MjModel | None:
-    """The same, in whatever order; None where something is missing, which `model_matches` says."""
+    """The same, in whatever order. Raises NotTried where it cannot be made, or something is missing, which
+    `model_matches` says."""
     from hts.sim.conventions import missing
     from hts.sim.models import compile_model
 
@@ -43,9 +46,11 @@ def comparable_model(robot: Robot) -> mujoco.MjModel | None:
         return None
     try:
         model = None if robot.mjcf() is None else compile_model(robot)
-    except Exception:  # noqa: BLE001 - whatever a stranger's model does has been said by `model_matches`
-        return None
-    return None if model is None or missing(model, robot.spec) else model
+    except Exception as error:  # whatever a stranger's model does has been said by `model_matches`
+        raise NotTried("its model cannot be made") from error
+    if model is not None and missing(model, robot.spec):
+        raise NotTried("its model lacks something")
+    return model
 
 
 def model_is_in_order(entry: Entry, registry: Registry) -> None:
@@ -79,15 +84,18 @@ def gains_match(entry: Entry, registry: Registry) -> None:
     model = comparable_model(robot)
     if model is None:
         return
-    spec, rows = robot.spec, []
+    spec, rows, others = robot.spec, list[Row](), list[str]()
     for (joint, index), kp, kd in zip(_actuators(model, robot), spec.kp, spec.kd, strict=True):
         if _kind(model, index) != "position":
-            continue  # said by `actuators_are_servos`
+            others.append(joint)  # said by `actuators_are_servos`
+            continue
         found = model.actuator_gainprm[index, 0], 0.0 - model.actuator_biasprm[index, 2]
         for name, value, wanted in zip(("kp", "kd"), found, (kp, kd), strict=True):
             if not math.isclose(value, wanted, rel_tol=RELATIVE, abs_tol=1e-6):
                 rows.append((joint, f"{name} {value:.6g}", f"{name} {wanted:.6g}"))
     _compare("gains in its model", rows, "kd is kv of the actuator, not damping of the joint")
+    if others:
+        raise NotTried(f"actuators of {', '.join(others)} are no position servos")
 
 
 def torque_limits_match(entry: Entry, registry: Registry) -> None:
@@ -154,8 +162,10 @@ def feet_are_felt(entry: Entry, registry: Registry) -> None:
 
     robot = entry.factory({})
     model = comparable_model(robot)
-    if model is None or model.jnt_type[0] != FREE or model.geom(FLOOR).type[0] != int(mujoco.mjtGeom.mjGEOM_PLANE):
+    if model is None or model.geom(FLOOR).type[0] != int(mujoco.mjtGeom.mjGEOM_PLANE):
         return
+    if model.njnt == 0 or model.jnt_type[0] != FREE:
+        raise NotTried("its trunk cannot be put anywhere")  # said by `model_is_in_order`
     rows = []
     for name in robot.spec.foot_sites:
         body = model.body(int(model.site_bodyid[model.site(name).id])).name

@@ -201,9 +201,10 @@ def env_does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
 
 
 def _has_env(robot: Robot) -> bool:
+    """Whether there is an env to try. Raises NotTried for one whose model the velocity task refuses, in one line, by
+    then."""
     if robot.mjcf() is None:
         return type(robot).make_env not in (Robot.make_env, VelocityRobot.make_env)
-    # What the velocity task refuses of a model has been said by then, in one line.
     return not isinstance(robot, VelocityRobot) or usable_model(robot) is not None
 
 

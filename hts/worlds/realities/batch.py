@@ -66,10 +66,7 @@ def machine_of(reality: Reality) -> tuple[Robot, TwinSettings, dict[str, Instrum
     """The robot, the twin and its instruments. Raises ConfigError for parameters that they do not take."""
     registry = plugins.load()
     robot = registry.make_robot(reality.robot)
-    try:
-        settings = TwinSettings.model_validate(dict(reality.parameters))
-    except ValidationError as error:
-        raise ConfigError(explain(error, TwinSettings, lambda at: f"parameters.{dotted(at)}")) from error
+    settings = _settings_of(reality)
     instruments = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
     return robot, settings, instruments
 
@@ -82,6 +79,34 @@ def read_whole(reference: str) -> Reality:
     except ConfigError as error:
         raise ConfigError(f"reality {reference}: {error}") from error
     return reality
+
+
+def read_to_show(reference: str) -> tuple[Reality, str]:
+    """As `read_whole`; and where its robot or an instrument is not installed here, what could not be checked for that,
+    one line, else "". Raises ConfigError."""
+    reality, registry = read(reference), plugins.load()
+    named = {f"robot '{reality.robot}'": reality.robot in registry.robots}
+    for name in reality.parameters.get("instruments", {}):
+        named[f"instrument '{name}'"] = name in registry.offered("instruments")
+    absent = [what for what, there in named.items() if not there]
+    if not absent:
+        return read_whole(reference), ""
+    try:
+        _settings_of(reality)
+    except ConfigError as error:
+        raise ConfigError(f"reality {reference}: {error}") from error
+    return reality, (
+        f"Not installed here: {', '.join(absent)}. Shown is what the file says; whether a twin takes all of it was not "
+        "checked. Install the package that brings it, or see `hts plugins` why it does not load."
+    )
+
+
+def _settings_of(reality: Reality) -> TwinSettings:
+    """The twin's own settings. Raises ConfigError for what it does not take."""
+    try:
+        return TwinSettings.model_validate(dict(reality.parameters))
+    except ValidationError as error:
+        raise ConfigError(explain(error, TwinSettings, lambda at: f"parameters.{dotted(at)}")) from error
 
 
 def examine(reality: Reality, policy: Path) -> Verdict:

@@ -60,6 +60,10 @@ class Go1(VelocityRobot):
     """Unitree Go1: 12 joints, 13.1 kg, velocity task."""
 
     spec = SPEC
+    bundle_commands = (
+        "python -m hts_go1_runtime check .",
+        "python -m hts_go1_runtime run . --link udp://127.0.0.1:9870",
+    )
 
     def __init__(self, settings: Go1Settings) -> None:
         self.settings = settings
