@@ -6,8 +6,8 @@
 
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
-the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion` and `check_idle`
-for values.
+the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle` and
+`torque_notes` for values.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ from hts.recordings.mapping import (
 )
 from hts.recordings.motion import check_motion
 from hts.recordings.outliers import outlier_limits, without_outliers
+from hts.recordings.pd_torque import torque_notes
 from hts.recordings.plausible import check_facts, check_idle, check_limits
 from hts.recordings.recording import Recording, Series
 from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
@@ -64,6 +65,7 @@ __all__ = [
     "resampled",
     "samples_of",
     "table_of",
+    "torque_notes",
 ]
 
 Columns = Mapping[str, Any]
@@ -169,7 +171,8 @@ def _one(
     check(recording, where)
     check_motion(channels, robot.spec, log.rate_hz, where, stated)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
-    return recording
+    doubts = torque_notes(recording, robot.spec, where, stated)
+    return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 
 def _times(tables: Tables, log: LogMapping) -> dict[Source, np.ndarray]:
