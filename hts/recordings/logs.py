@@ -6,8 +6,8 @@
 
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
-the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle` and
-`torque_notes` for values.
+the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle`,
+`torque_notes` and `velocity_notes` for values.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
 from hts.errors import ConfigError, HtsError, RecordingError, unknown_name
+from hts.recordings.base_speed import velocity_notes
 from hts.recordings.checks import check
 from hts.recordings.commanded import until_the_end
 from hts.recordings.joining import joined
@@ -66,6 +67,7 @@ __all__ = [
     "samples_of",
     "table_of",
     "torque_notes",
+    "velocity_notes",
 ]
 
 Columns = Mapping[str, Any]
@@ -171,7 +173,7 @@ def _one(
     check(recording, where)
     check_motion(channels, robot.spec, log.rate_hz, where, stated)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
-    doubts = torque_notes(recording, robot.spec, where, stated)
+    doubts = torque_notes(recording, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 
