@@ -263,6 +263,11 @@ def _notes(
     empty = sum(table.empty_rows for table in tables.values())
     if empty:
         notes["empty_rows_dropped"] = str(empty)
+    for key, gone in (("last_line_dropped", True), ("last_line_kept", False)):
+        ends = [table for table in tables.values() if table.last_line and table.last_line_dropped == gone]
+        if ends:
+            named = len(tables) > 1
+            notes[key] = ", ".join(f"{one.path.name}: {one.last_line}" if named else one.last_line for one in ends)
     if any(dropped.values()):
         notes["rows_outside_limits_dropped"] = ", ".join(f"{name} {count}" for name, count in dropped.items() if count)
     drawn = {name: one for name, one in samples.items() if one.oldest is None}
