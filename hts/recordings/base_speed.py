@@ -65,9 +65,9 @@ def velocity_notes(recording: Recording, robot: Robot, where: str, stated: Colle
     if steady.sum() < LEAST_SECONDS * recording.rate_hz:
         return {}
     told, mean = told[steady, :2], _mean(velocity, round(recording.rate_hz))[steady]
-    power = float((told**2).sum())
-    along = float((mean * told).sum()) / power
-    aside = float((mean[:, 1] * told[:, 0] - mean[:, 0] * told[:, 1]).sum()) / power
+    squares = float((told**2).sum())
+    along = float((mean * told).sum()) / squares
+    aside = float((mean[:, 1] * told[:, 0] - mean[:, 0] * told[:, 1]).sum()) / squares
     size = float(np.hypot(*mean.T).mean() / np.hypot(*told.T).mean())
     if size > OTHER_UNIT:
         raise _refusal(where, f"is {size:.3g} times as fast as the commands")
