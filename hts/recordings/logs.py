@@ -7,7 +7,7 @@
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
 the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle`,
-`torque_notes` and `velocity_notes` for values.
+`torque_notes`, `velocity_notes` and `repeated_notes` for values.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.pd_torque import torque_notes
 from hts.recordings.plausible import check_facts, check_idle, check_limits
 from hts.recordings.recording import Recording, Series
+from hts.recordings.repeated import repeated_notes
 from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
 from hts.recordings.stretches import Stretch, stretches
@@ -63,6 +64,7 @@ __all__ = [
     "recording_from_tables",
     "recordings_from_columns",
     "recordings_from_tables",
+    "repeated_notes",
     "resampled",
     "samples_of",
     "table_of",
@@ -174,6 +176,7 @@ def _one(
     check_motion(channels, robot.spec, log.rate_hz, where, stated)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
     doubts = torque_notes(recording, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
+    doubts |= repeated_notes(channels, log.rate_hz)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 
