@@ -126,6 +126,7 @@ def recordings_from_tables(
     """One recording for each run that the mapping's `runs` or `labels` tell apart; one where it has neither."""
     check_joint_order(log, robot.spec.joint_names)
     check_held(log, robot)
+    _check_real(log, robot)
     columns = {name: column_names(name, one, log, robot.spec.joint_names) for name, one in log.channels.items()}
     assigned = assign(files, log)
     tables = read_tables(assigned, log, columns, read)
@@ -180,6 +181,18 @@ def _one(
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 
+def _check_real(log: LogMapping, robot: Robot) -> None:
+    """Raise ConfigError for a channel that only the real robot measures and whose idle level is not given."""
+    own = robot.channels()
+    for name, channel in log.channels.items():
+        if name not in own and channel.real and channel.idle is None:
+            unknown = unknown_name(f"channel of robot '{robot.spec.name}'", name, own)
+            raise ConfigError(
+                f"Mapping: {unknown} If only the real robot measures it, give its `idle` level (electronics on, motors "
+                "idle); if not, say real: false."
+            )
+
+
 def _times(tables: Tables, log: LogMapping) -> dict[Source, np.ndarray]:
     """Times of each table's rows, s after the first stamp of all; stamps of today in ns are too long for a float."""
     scale = SECONDS[log.time.unit]
@@ -217,12 +230,6 @@ def _channel(name: str, one: ChannelMapping, components: int, robot: Robot) -> C
     """The robot's own channel if it has one of that name, else a new one. Raises ConfigError if they disagree."""
     own = robot.channels().get(name)
     if own is None:
-        if one.real and one.idle is None:
-            unknown = unknown_name(f"channel of robot '{robot.spec.name}'", name, robot.channels())
-            raise ConfigError(
-                f"Mapping: {unknown} If only the real robot measures it, give its `idle` level (electronics on, motors "
-                "idle); if not, say real: false."
-            )
         shape = () if components == 1 else (components,)
         return Channel(name, one.unit, shape, one.description, one.may_be_constant)
     try:
