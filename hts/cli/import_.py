@@ -55,7 +55,7 @@ def command(
     from hts.plugins import load
     from hts.recordings.drawing import check_picture, draw
     from hts.recordings.mapping import assumed_order, load_mapping
-    from hts.recordings.needs import check_mapping, in_units_of
+    from hts.recordings.needs import check_mapping, check_measured, in_units_of
 
     registry = load()
     machine = registry.make_robot(robot)
@@ -77,6 +77,7 @@ def command(
     objectives = [registry.make_objective(name) for name in objective or []]
     for one in objectives:
         check_mapping(one, given, mapping)
+        check_measured(one, given, machine.channels(), mapping)
     groups = [files] if given.get("files") else [[file] for file in files]
     own = machine.channels()
     read = [

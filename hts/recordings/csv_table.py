@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import re
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
+from hts.recordings.csv_end import Unended, of_last_line, unended_line
 from hts.recordings.encoding import not_plain, not_utf8
 from hts.recordings.table import ColumnName, Table, no_column, whole_rows
 
@@ -23,7 +26,8 @@ MISSING = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "NULL", "None"]
 
 
 def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Table:
-    """Read the time column and those wanted; rows that are empty but for the time are dropped.
+    """Read the time column and those wanted; rows that are empty but for the time are dropped, and so is a last line
+    that is cut off (csv_end.py).
 
     Without a header line columns are numbers from 0. Raises RecordingError naming file, column and line of the file.
     """
@@ -41,8 +45,12 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
     parsing = csv.ParseOptions(delimiter=log.delimiter)
     names: list[str] = []
     try:
+        end, note, cut = unended_line(path, _before(log)), "", False
         # Opened here: pyarrow cannot take the name of a file that is no text.
-        with path.open("rb") as file, csv.open_csv(file, read_options=reading, parse_options=parsing) as opened:
+        with (
+            path.open("rb") as file,
+            csv.open_csv(_until(file, end), read_options=reading, parse_options=parsing) as opened,
+        ):
             names = opened.schema.names
         time_name = _column(path, time, names, log)
         by_column = {column: _column(path, column, names, log) for column in wanted}
@@ -55,8 +63,11 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
             strings_can_be_null=True,
             decimal_point=log.decimal,
         )
+        if end is not None:
+            note, cut = of_last_line(end, log, names, {time_name, *by_column.values()}, MISSING)
         with path.open("rb") as file:
-            table = csv.read_csv(file, read_options=reading, parse_options=parsing, convert_options=converting)
+            text = _until(file, end if cut else None)
+            table = csv.read_csv(text, read_options=reading, parse_options=parsing, convert_options=converting)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
     except RecordingError as error:  # a column that is not there: perhaps since nothing of it could be read
@@ -66,7 +77,13 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
     stamps, there = stamps_of(path, time, log.time.unit, table.column(time_name))
     columns = {column: numbers_of(path, column, table.column(name)) for column, name in by_column.items()}
     run = log.runs.column if log.runs else None
-    return whole_rows(path, time, stamps, there, columns, run, lambda index: _line(path, log, index), log.time.unit)
+    rows = whole_rows(path, time, stamps, there, columns, run, lambda index: _line(path, log, index), log.time.unit)
+    return replace(rows, last_line=note, last_line_dropped=cut)
+
+
+def _until(file: BinaryIO, end: Unended | None) -> BinaryIO:
+    """The file, or what is in it before its last line."""
+    return file if end is None else io.BytesIO(file.read(end.size))
 
 
 def _before(log: CsvMapping) -> int:

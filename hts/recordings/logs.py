@@ -6,8 +6,8 @@
 
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
-the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion` and `check_idle`
-for values.
+the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle`,
+`torque_notes`, `velocity_notes` and `repeated_notes` for values.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
 from hts.errors import ConfigError, HtsError, RecordingError, unknown_name
+from hts.recordings.base_speed import velocity_notes
 from hts.recordings.checks import check
 from hts.recordings.commanded import until_the_end
 from hts.recordings.joining import joined
@@ -41,8 +42,10 @@ from hts.recordings.mapping import (
 )
 from hts.recordings.motion import check_motion
 from hts.recordings.outliers import outlier_limits, without_outliers
+from hts.recordings.pd_torque import torque_notes
 from hts.recordings.plausible import check_facts, check_idle, check_limits
 from hts.recordings.recording import Recording, Series
+from hts.recordings.repeated import repeated_notes
 from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
 from hts.recordings.stretches import Stretch, stretches
@@ -61,9 +64,12 @@ __all__ = [
     "recording_from_tables",
     "recordings_from_columns",
     "recordings_from_tables",
+    "repeated_notes",
     "resampled",
     "samples_of",
     "table_of",
+    "torque_notes",
+    "velocity_notes",
 ]
 
 Columns = Mapping[str, Any]
@@ -120,6 +126,7 @@ def recordings_from_tables(
     """One recording for each run that the mapping's `runs` or `labels` tell apart; one where it has neither."""
     check_joint_order(log, robot.spec.joint_names)
     check_held(log, robot)
+    _check_real(log, robot)
     columns = {name: column_names(name, one, log, robot.spec.joint_names) for name, one in log.channels.items()}
     assigned = assign(files, log)
     tables = read_tables(assigned, log, columns, read)
@@ -169,7 +176,21 @@ def _one(
     check(recording, where)
     check_motion(channels, robot.spec, log.rate_hz, where, stated)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
-    return recording
+    doubts = torque_notes(recording, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
+    doubts |= repeated_notes(channels, log.rate_hz)
+    return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
+
+
+def _check_real(log: LogMapping, robot: Robot) -> None:
+    """Raise ConfigError for a channel that only the real robot measures and whose idle level is not given."""
+    own = robot.channels()
+    for name, channel in log.channels.items():
+        if name not in own and channel.real and channel.idle is None:
+            unknown = unknown_name(f"channel of robot '{robot.spec.name}'", name, own)
+            raise ConfigError(
+                f"Mapping: {unknown} If only the real robot measures it, give its `idle` level (electronics on, motors "
+                "idle); if not, say real: false."
+            )
 
 
 def _times(tables: Tables, log: LogMapping) -> dict[Source, np.ndarray]:
@@ -209,12 +230,6 @@ def _channel(name: str, one: ChannelMapping, components: int, robot: Robot) -> C
     """The robot's own channel if it has one of that name, else a new one. Raises ConfigError if they disagree."""
     own = robot.channels().get(name)
     if own is None:
-        if one.real and one.idle is None:
-            unknown = unknown_name(f"channel of robot '{robot.spec.name}'", name, robot.channels())
-            raise ConfigError(
-                f"Mapping: {unknown} If only the real robot measures it, give its `idle` level (electronics on, motors "
-                "idle); if not, say real: false."
-            )
         shape = () if components == 1 else (components,)
         return Channel(name, one.unit, shape, one.description, one.may_be_constant)
     try:
@@ -258,6 +273,11 @@ def _notes(
     empty = sum(table.empty_rows for table in tables.values())
     if empty:
         notes["empty_rows_dropped"] = str(empty)
+    for key, gone in (("last_line_dropped", True), ("last_line_kept", False)):
+        ends = [table for table in tables.values() if table.last_line and table.last_line_dropped == gone]
+        if ends:
+            named = len(tables) > 1
+            notes[key] = ", ".join(f"{one.path.name}: {one.last_line}" if named else one.last_line for one in ends)
     if any(dropped.values()):
         notes["rows_outside_limits_dropped"] = ", ".join(f"{name} {count}" for name, count in dropped.items() if count)
     drawn = {name: one for name, one in samples.items() if one.oldest is None}

@@ -43,7 +43,7 @@ def check_motion(
     moving = np.flatnonzero((slope.std(0) > MOVING) & (velocity.std(0) > MOVING))
     if not len(moving):
         return
-    (slopes, slope_spread), (speeds, speed_spread) = _standard(slope[:, moving]), _standard(velocity[:, moving])
+    (slopes, slope_spread), (speeds, speed_spread) = standardized(slope[:, moving]), standardized(velocity[:, moving])
     alike = slopes.T @ speeds / len(position)  # [position's joint, velocity's joint]
     own, ratio = np.median(np.diag(alike)), float(np.median(speed_spread / slope_spread))
     hint = _another_order(alike, [spec.joint_names[joint] for joint in moving], own)
@@ -68,10 +68,18 @@ def check_motion(
         )
 
 
-def _standard(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def standardized(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of mean 0 and deviation 1, (T, k), and the deviations, (k,)."""
     spread = values.std(0)
     return (values - values.mean(0)) / spread, spread
+
+
+def exchanged(alike: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
+    """Joints (m,) that fit another one's quantity by more than `least`, either way, and by BETTER more than their own;
+    and whose each joint fits best, (k,). alike: (k, k) correlations [one's joint, the other's joint]."""
+    size, at = np.abs(alike), np.arange(len(alike))
+    best = size.argmax(axis=1)
+    return np.flatnonzero((size[at, best] > least) & (size[at, best] > size[at, at] + BETTER)), best
 
 
 def _another_order(alike: np.ndarray, joints: list[str], own: float) -> str:
@@ -80,10 +88,7 @@ def _another_order(alike: np.ndarray, joints: list[str], own: float) -> str:
     alike: (k, k) correlations [position's joint, velocity's joint]; own: of a joint with itself, the one in the middle.
     Where that is near 0 one joint is enough; else those that fit better must have each taken another's place.
     """
-    least = SURE if own >= UNLIKE else ALIKE
-    size, at = np.abs(alike), np.arange(len(joints))
-    best = size.argmax(axis=1)
-    moved = np.flatnonzero((size[at, best] > least) & (size[at, best] > size[at, at] + BETTER))
+    moved, best = exchanged(alike, SURE if own >= UNLIKE else ALIKE)
     if not len(moved) or (abs(own) >= UNLIKE and sorted(best[moved]) != moved.tolist()):
         return ""
     first, other = moved[0], best[moved[0]]

@@ -29,6 +29,21 @@ def check_mapping(objective: Objective, mapping: Mapping[str, Any], where: objec
             raise ConfigError(f"{where}: objective '{objective.name}' needs '{wanted}'. {text}")
 
 
+def check_measured(objective: Objective, mapping: Mapping[str, Any], own: Mapping[str, Channel], where: object) -> None:
+    """The mapping does not say `real: false`, without an idle level, of what the objective is to learn.
+
+    own: the robot's channels in simulation, which need no level; where: what the mapping is called in messages. Raises
+    ConfigError.
+    """
+    channels, target = mapping.get("channels"), objective.real_channels[0].name
+    one = channels.get(target) if isinstance(channels, Mapping) else None
+    if isinstance(one, Mapping) and one.get("real") is False and one.get("idle") is None and target not in own:
+        raise ConfigError(
+            f"{where}: channels.{target}: says real: false, but objective '{objective.name}' measures it and needs its "
+            "idle level: read it off with electronics on and motors idle, and say that in the place of real: false."
+        )
+
+
 def in_units_of(
     objectives: Sequence[Objective], recording: Recording, own: Mapping[str, Channel], where: object
 ) -> Recording:

@@ -20,17 +20,22 @@ DATES = "iso"
 @dataclass(frozen=True, eq=False)
 class Table:
     """stamps: (rows,) as in the file, increasing, integers kept exact; columns: (rows,) float64, NaN where empty;
-    empty_rows: how many were left out because nothing but their time was in them."""
+    empty_rows: how many were left out because nothing but their time was in them; last_line: what is to be noted of a
+    last line of the file that has no end; last_line_dropped: whether it was left out, or kept."""
 
     path: Path
     stamps: np.ndarray
     columns: dict[ColumnName, np.ndarray]
     empty_rows: int
+    last_line: str = ""
+    last_line_dropped: bool = False
 
     def rows(self, kept: np.ndarray) -> Table:
-        """The same with some of the rows. kept: (rows,) bool."""
+        """The same with some of the rows. kept: (rows,) bool, or their numbers."""
         columns = {name: values[kept] for name, values in self.columns.items()}
-        return Table(self.path, self.stamps[kept], columns, self.empty_rows)
+        at_end = len(self.stamps) - 1 in np.arange(len(self.stamps))[kept]
+        note = self.last_line if at_end else ""
+        return Table(self.path, self.stamps[kept], columns, self.empty_rows, note, self.last_line_dropped)
 
 
 def row_of_data(index: int) -> str:

@@ -50,9 +50,10 @@ def ragged_row(made: Case) -> None:
 
 
 @bad
-def cut_in_the_middle_of_a_row(made: Case) -> None:
-    whole = made.table()
-    made.write(whole[: whole.rindex(",", 0, whole.rindex(","))])
+def cut_in_the_middle_of_a_row_and_gone_on_with(made: Case) -> None:
+    at = made.place()
+    made.rows[at : at + 2] = [[*made.rows[at][:2], *made.rows[at + 1]]]
+    made.write()
 
 
 @bad

@@ -61,13 +61,11 @@ def test_several_lines_of_text_before_the_table_are(tmp_path):
     assert "say preamble: the number" in refusal(written(tmp_path, "a robot\nwalks\nagain\n" + TEXT))
 
 
-@pytest.mark.parametrize(
-    ("end", "line"), [("\n12", 602), ("\n12000,3", 602), ("\n12000,3,-2,-", 602), ("\n12000,3,-2,1e", 602)]
-)
-def test_a_last_line_that_is_cut_off_is_called_so_and_the_command_leaves_it_out(tmp_path, end, line):
+@pytest.mark.parametrize("end", ["\n12\n", "\n12000,3\n", "\n12000,3,-2\n\n"])
+def test_a_last_line_that_lacks_cells_but_has_an_end_is_called_cut_off_and_the_command_leaves_it_out(tmp_path, end):
     log = written(tmp_path, TEXT.rstrip() + end, "my log.csv")
     said = refusal(log)
-    assert f"line {line}, the last one, is cut off" in said and "preamble" not in said and "units_row" not in said
+    assert "line 602, the last one, is cut off" in said and "preamble" not in said and "units_row" not in said
     assert np.array_equal(
         read(type(log)(run(said)), a_mapping()).values("draw"),
         read(written(tmp_path, TEXT), a_mapping()).values("draw"),

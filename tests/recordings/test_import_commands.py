@@ -264,3 +264,18 @@ def test_the_idle_level_of_one_of_the_robots_channels_is_converted_as_its_values
     hts_import(commands, a_log(commands))
     store = RecordingStore(commands / "data.zarr")
     assert store.read(store.ids()[0]).idle == {"joint_torque": pytest.approx(0.05)}
+
+
+def test_what_an_objective_measures_is_real_and_said_so_before_a_log_is_read(commands: Path) -> None:
+    mapping = a_mapping()
+    del mapping["channels"]["draw"]["idle"]
+    (commands / "m.yaml").write_text(yaml.safe_dump(mapping))
+    nowhere, to = commands / "nowhere.csv", commands / "new.zarr"
+    with pytest.raises(ConfigError, match="m.yaml: Mapping: .* named 'draw'.*give its `idle` level"):
+        import_.command([nowhere], "logger", commands / "m.yaml", to)
+    mapping["channels"]["draw"]["real"] = False
+    (commands / "m.yaml").write_text(yaml.safe_dump(mapping))
+    with pytest.raises(ConfigError, match="m.yaml: channels.draw: says real: false, but objective 'plain' measures it"):
+        import_.command([nowhere], "logger", commands / "m.yaml", to, objective=["plain"])
+    with pytest.raises(RecordingError, match="nowhere.csv: cannot be read"):
+        import_.command([nowhere], "logger", commands / "m.yaml", to)

@@ -55,9 +55,8 @@ def test_such_a_reader_and_ours_for_csv_give_the_same(tmp_path, two_joints, mapp
     columns["amps"][7] = None
     csv = tmp_path / "walk.csv"
     rows = zip(*columns.values(), strict=True)
-    csv.write_text(
-        "\n".join([",".join(columns), *(",".join("" if v is None else repr(v) for v in row) for row in rows)])
-    )
+    lines = [",".join(columns), *(",".join("" if v is None else repr(v) for v in row) for row in rows)]
+    csv.write_text("\n".join(lines) + "\n")
     mine = recording_from_columns([log], mapping, two_joints, lambda path: columns)
     ours = make({}).read([csv], mapping, two_joints)
     for name in ("joint_torque", "draw"):

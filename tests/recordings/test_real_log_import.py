@@ -72,6 +72,7 @@ def test_a_log_with_no_header_and_targets_in_another_file_is_read() -> None:
     files = [LOGS / "go2_rl" / f"test_1__{name}_history.csv" for name in ("state", "command")]
     recording = read(files, mapping, QUADRUPED)
     assert recording.seconds == pytest.approx(15.1, abs=0.1)
+    assert "repeated_while_moving" not in recording.notes  # it is let go at its end, with targets that stay
     position = recording.values("joint_position")
     assert position[0, 3] == pytest.approx(0.0217, abs=1e-3)  # FR_hip, first in the log, fourth in the robot
     # velocity is nearly the derivative of position: same joint, same time, same unit
@@ -92,7 +93,9 @@ def test_an_irregular_walking_log_is_read() -> None:
         },
     }
     for name, seconds in (("walking5.csv", 8.7), ("back_both_wire2.csv", 5.5)):
-        assert read(LOGS / "go2_walk" / name, mapping, QUADRUPED).seconds == pytest.approx(seconds, abs=0.1)
+        recording = read(LOGS / "go2_walk" / name, mapping, QUADRUPED)
+        assert recording.seconds == pytest.approx(seconds, abs=0.1)
+        assert "repeated_while_moving" not in recording.notes
 
 
 def test_every_log_of_an_arm_is_read_although_their_line_ends_differ() -> None:
@@ -108,5 +111,7 @@ def test_every_log_of_an_arm_is_read_although_their_line_ends_differ() -> None:
             "supply": {"columns": "actual_robot_current", "unit": "A", "idle": 0.3},
         },
     }
-    lengths = {path.stem: read(path, mapping, arm).num_samples for path in sorted((LOGS / "ur3e").glob("*.csv"))}
+    recordings = {path.stem: read(path, mapping, arm) for path in sorted((LOGS / "ur3e").glob("*.csv"))}
+    lengths = {name: recording.num_samples for name, recording in recordings.items()}
+    assert not any("repeated_while_moving" in recording.notes for recording in recordings.values())
     assert lengths == {"L0L1": 29, "L1L2": 65, "L2L3": 40, "L3L4": 49, "L4L5": 42, "fig9": 888}

@@ -98,6 +98,38 @@ def test_labelled_stretches_of_an_irregular_walk_become_recordings(quadruped, na
         assert one.rate_hz == 50 and np.allclose(np.diff(one.time), 0.02)
 
 
+@pytest.mark.parametrize(("kp", "kd"), [(20.0, 0.5), (40.0, 1.0), (60.0, 2.0)])
+def test_torques_of_a_walking_robot_are_those_of_its_joint_controllers(tmp_path, quadruped, kp, kd):
+    """Its gains are nobody's to know; it stands, walks, and is let go. The other way round its torques are refused."""
+    order = [f"{leg}_{part}" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf")]
+    columns = {
+        "joint_position": ("1..12", "rad", "state"),
+        "joint_velocity": ("13..24", "rad/s", "state"),
+        "joint_torque": ("25..36", "N*m", "state"),
+        "joint_target": ("1..12", "rad", "command"),
+    }
+    given = {
+        "header": False,
+        "files": {"state": "*state*", "command": "*command*"},
+        "time": {"column": 0, "unit": "ns"},
+        "rate_hz": 50,
+        "joint_order": order,
+        "channels": {
+            name: {"columns": wanted, "unit": unit, "file": file, "real": False}
+            for name, (wanted, unit, file) in columns.items()
+        },
+        "recording": {"kp": [kp] * 12, "kd": [kd] * 12},
+    }
+    files = [LOGS / "go2_rl" / f"test_1__{name}_history.csv" for name in ("state", "command")]
+    notes = make({}).read(files, given, quadruped).notes
+    assert not [key for key in notes if key.startswith("joint_torque")]
+    given["channels"]["joint_torque"]["scale"] = 1 / 6.33
+    assert "joint_torque_scale" in make({}).read(files, given, quadruped).notes
+    given["channels"]["joint_torque"] |= {"scale": 1.0, "sign": -1}
+    with pytest.raises(RecordingError, match="'joint_torque' is not what the joint controllers give.*say sign: -1"):
+        make({}).read(files, given, quadruped)
+
+
 def test_two_halves_of_a_real_walk_with_clocks_of_their_own_are_joined(tmp_path, quadruped):
     """Positions in one file, velocities in another that began 1.3 s later, counts from 0 and lost every third row. The
     hip's position is in both."""

@@ -228,6 +228,9 @@ class Meter(Sound):
     def read(self):
         return {read}
 
+    def idle(self):
+        return {idle}
+
 class Broken(Fake):
     name, instrument = "broken", "odd_meter"
     target = {target}
@@ -276,9 +279,36 @@ def test_a_sensor_that_cannot_be_read_is_found_before_a_robot_walks(install, cha
     from hts.hookspecs import API_VERSION
     from hts.testing.packages import on_path
 
-    source = SENSOR.format(api=API_VERSION, channel=channel, target=target, read=read)
+    source = SENSOR.format(api=API_VERSION, channel=channel, target=target, read=read, idle="super().idle()")
     with on_path(install("stranger", {"stranger": source}, {"stranger": "stranger"})):
         assert said in refusal(HtsError, "broken", "twin")
+
+
+@pytest.mark.parametrize(
+    ("idle", "said"),
+    [
+        ("{}", "idle() gives no level of 'fake_level', only nothing, and objective 'broken' needs it"),
+        (
+            "{'fake_levl': 9.0}",
+            "idle() gives no level of 'fake_level', only fake_levl, and objective 'broken' needs it",
+        ),
+        (
+            "{'fake_level': 9.0, 'other': 1.0}",
+            "idle() gives a level of 'other', which is no channel of it (fake_level)",
+        ),
+        ("{'fake_level': None}", "idle() gives None for 'fake_level', expected a finite number"),
+        ("{'fake_level': float('nan')}", "idle() gives nan for 'fake_level', expected a finite number"),
+        ("None", "idle() gives NoneType, expected the level of each channel by name"),
+        ("{'fake_level': self.levl}", "idle() failed, AttributeError"),
+    ],
+)
+def test_a_sensor_without_an_idle_level_is_found_before_a_robot_walks(install, idle, said):
+    from hts.hookspecs import API_VERSION
+    from hts.testing.packages import on_path
+
+    source = SENSOR.format(api=API_VERSION, channel="TARGET", target="TARGET", read="super().read()", idle=idle)
+    with on_path(install("stranger", {"stranger": source}, {"stranger": "stranger"})):
+        assert f"Instrument 'odd_meter': {said}" in refusal(HtsError, "broken", "twin")
 
 
 @pytest.mark.parametrize("key", ["finetune.env.randomisation.added_mass", "gate.payload"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -85,6 +86,46 @@ def check_readings(instruments: Mapping[str, Instrument], robot: Robot) -> None:
     for name, instrument in instruments.items():
         for worlds in (WORLDS, 1):
             _check_reading(name, instrument, robot, worlds)
+
+
+def check_idle_levels(instruments: Mapping[str, Instrument], targets: Mapping[str, str]) -> None:
+    """Raise UnfitWorldError for an instrument without idle levels that can be used: `idle()` gives finite numbers of
+    its own channels, and that of each target which it measures, since savings are of what moving takes beyond it.
+
+    targets: by name of the objective, the channel whose level is needed. Reset an instrument before.
+    """
+    for name, instrument in instruments.items():
+        levels = guarded(f"Instrument '{name}': idle()", instrument.idle)
+        own = [channel.name for channel in instrument.channels]
+        if not isinstance(levels, Mapping):
+            raise UnfitWorldError(
+                f"Instrument '{name}': idle() gives {type(levels).__name__}, expected the level of each channel by "
+                "name."
+            )
+        for objective, target in targets.items():
+            if target in own and target not in levels:
+                raise UnfitWorldError(
+                    f"Instrument '{name}': idle() gives no level of '{target}', only "
+                    f"{', '.join(sorted(map(str, levels))) or 'nothing'}, and objective '{objective}' needs it: what "
+                    "it reads with electronics on and motors idle. Return it by the channel's name."
+                )
+        for channel, level in levels.items():
+            if channel not in own:
+                raise UnfitWorldError(
+                    f"Instrument '{name}': idle() gives a level of '{channel}', which is no channel of it "
+                    f"({', '.join(sorted(own))})."
+                )
+            if not _is_finite(level):
+                raise UnfitWorldError(
+                    f"Instrument '{name}': idle() gives {level!s:.40} for '{channel}', expected a finite number."
+                )
+
+
+def _is_finite(level: Any) -> bool:
+    try:
+        return not isinstance(level, str) and math.isfinite(level)
+    except (TypeError, ValueError):
+        return False
 
 
 def _check_reading(name: str, instrument: Instrument, robot: Robot, worlds: int) -> None:

@@ -66,7 +66,7 @@ class Twin:
 
     def check(self) -> str:
         """A twin of this robot can be made, and its instruments measure what every objective wants."""
-        from hts.worlds.twin.instruments import check_readings
+        from hts.worlds.twin.instruments import check_idle_levels, check_readings
         from hts.worlds.twin.model import build
 
         if not isinstance(self.robot.task(), FollowVelocity):
@@ -89,6 +89,7 @@ class Twin:
                     f"'{which}' measures it in {given.unit}, shape {given.shape}. Use one Channel for both."
                 )
         check_readings(instruments, self.robot)
+        check_idle_levels(instruments, {name: wanted[0].name for name, wanted in self.wanted.items()})
         build(self.robot, self.settings.dynamics)
         return "ready"
 
