@@ -115,16 +115,15 @@ def refusal(note: Note | None, name: str) -> str:
 
 def warning_beside(policy: Path) -> str:
     """What the note beside a policy's file says against walking it on a machine, one sentence: the gate refused it, or
-    nobody is known to have tried it; "" where it passed."""
+    nobody is known to have tried it; "" where it passed, or without a note."""
     note = _read(place(policy))
     if refused := refusal(note, policy.name):
         return f"{refused}. It is not bundled for a machine (docs/safety.md)."
-    if note is not None and note["passed"] is True:
+    if note is None or note["passed"] is True:
         return ""
-    why = "" if note is None else f" ({note['untried']})"
     return (
-        f"{policy.name}: no gate before a machine is known to have tried this policy{why}. {place(policy).name} says "
-        "so too; what such a gate looks at: docs/safety.md."
+        f"{policy.name}: no gate before a machine is known to have tried this policy ({note['untried']}). "
+        f"{place(policy).name} says so too; what such a gate looks at: docs/safety.md."
     )
 
 
