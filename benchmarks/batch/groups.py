@@ -200,7 +200,7 @@ def groups_of(
     for line in wanted:
         version = ("", "") if line.method in as_one else (line.method_hash, line.commit)
         rows = parted.setdefault((line.method, *version), [])
-        if line.method in as_one and any((one.reality, one.seed) == (line.reality, line.seed) for one in rows):
+        if line.method in as_one and any(_twice(one, line) for one in rows):
             raise EvaluationError(
                 f"{line.method} has two runs on {line.reality} at seed {line.seed}, of different versions, so they are "
                 "not one. Leave one of the files of lines out."
@@ -212,6 +212,12 @@ def groups_of(
     ]
     order = list(methods) if methods else list(dict.fromkeys(line.method for line in wanted))
     return sorted(found, key=lambda group: order.index(group.lines[0].method))
+
+
+def _twice(one: Line, other: Line) -> bool:
+    """Whether both are results of the same thing; one that failed is counted beside the run that was made for it."""
+    same = (one.reality, one.seed) == (other.reality, other.seed)
+    return same and one.status == other.status == "done"
 
 
 def objectives_of(line: Line) -> list[str]:

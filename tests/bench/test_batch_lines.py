@@ -349,6 +349,14 @@ def test_versions_that_do_the_same_may_count_as_one(tmp_path):
         blocks.written(asked.format(" as-one=ours"), tmp_path)
 
 
+def test_a_failed_run_that_another_version_made_again_is_counted_beside_it(tmp_path):
+    failed = line(reality="a", key="1", seed=0).model_copy(update={"status": "failed", "error": "no", "result": None})
+    again = line(reality="a", key="2", seed=0, saved=(0.3, 0.3, 0.3), commit="d" * 40)
+    (tmp_path / "a.jsonl").write_text("".join(one.model_dump_json() + "\n" for one in (failed, again)))
+    made = blocks.written("<!-- results: methods lines=a.jsonl as-one=ours --><!-- end -->", tmp_path)
+    assert "| ours | 1 × 1 | 1 | 30.0 % |" in made
+
+
 def test_versions_as_one_may_have_been_asked_other_speeds():
     older, newer = line(reality="a"), line(reality="b", commit="d" * 40, saved=(0.3, 0.4, None))
     result = newer.result.model_copy(update={"asked_speeds": [0.8, 1.1]})
