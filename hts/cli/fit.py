@@ -55,7 +55,7 @@ def command(
     from hts.cli.fit_progress import FitProgress
     from hts.cli.printable import printable
     from hts.measurement.fit_command import FitChecks, Wanted, fit_store
-    from hts.measurement.fit_report import cautions, doubts, summary_line, table
+    from hts.measurement.fit_report import cautions, doubts, session_note, summary_line, table
     from hts.measurement.splits import SplitRule
 
     checks = FitChecks(
@@ -74,6 +74,8 @@ def command(
     if report["held_out"]["recordings"]:
         for line in table(report):
             typer.echo(printable(line))
-    for line in (summary_line(report), *doubts(report), *cautions(report)):
+    note = session_note(report)
+    beside = [f"{report['target']}: {note}. Whole sessions are held out by --split session."] if note else []
+    for line in (summary_line(report), *beside, *doubts(report), *cautions(report)):
         typer.echo(printable(line))
     typer.echo(str(written))

@@ -275,6 +275,12 @@ def _likeness(store: Path, robot: str, policy: Path, discrepancy: float) -> Like
     how = "recorded warm, at one speed each" if found.schedule is None else "recorded from cold, schedule and all"
     text = table(found.figures)
     typer.echo(f"{len(found.figures)} figures of {store} ({how}), instead of the public ones:\n\n{text}\n", err=True)
+    typer.echo(
+        f"From and to: by how far all stretches of a figure lie apart, within a session and from one to the next taken "
+        f"together, and {discrepancy:.0%} of the mean on top. They are not the error of a sensor, and stretches of one "
+        "session do not say how far another day lies from them.\n",
+        err=True,
+    )
     return found
 
 

@@ -24,7 +24,7 @@ from hts.contracts.robot import JointMotors, LogOnlyRobot, Robot, RobotSpec
 from hts.contracts.selector import FineTuning, RacedCandidate, Rounds, Selector, SimulatedCandidate, TestedCandidate
 from hts.contracts.settings import Settings
 from hts.contracts.task import VELOCITY, FollowVelocity, Task
-from hts.contracts.world import HoldSpeed, World, WorldContext
+from hts.contracts.world import HoldSpeed, Requests, World, WorldContext
 
 __all__ = [
     "MODEL",
@@ -46,6 +46,7 @@ __all__ = [
     "Prediction",
     "RacedCandidate",
     "Reading",
+    "Requests",
     "Robot",
     "RobotSpec",
     "Rounds",

@@ -55,6 +55,24 @@ class HoldSpeed:
         return {key: value for key, value in asdict(self).items() if key != "again" or value}
 
 
+@dataclass(frozen=True)
+class Requests:
+    """How often a run asks its world for recordings, counted before it begins.
+
+    least: where nobody is refused and every command is found at once; comparisons: how many of these are head-to-heads;
+    more: why -> at most so many head-to-heads more.
+    """
+
+    least: int
+    comparisons: int
+    more: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def at_most_more(self) -> int:
+        """For all reasons together."""
+        return sum(self.more.values())
+
+
 class World(ABC):
     """Where policies run "for real". It gets exported policies and returns recordings, nothing else.
 
@@ -153,9 +171,9 @@ class World(ABC):
         """What so many seconds of walking will cost here, e.g. {"robot_minutes": 5.3, "wall_seconds": 12.0}."""
         return {"robot_minutes": robot_seconds / 60.0}
 
-    def beside(self, requests: int, comparisons: int) -> str:
-        """What a person has to do for a run that makes at least so many requests for recordings, `comparisons` of them
-        head-to-heads: one line for `--dry-run`. By default nothing is said: no person is needed."""
+    def beside(self, requests: Requests) -> str:
+        """What a person has to do for a run that makes so many requests for recordings: one line for `--dry-run`. By
+        default nothing is said: no person is needed."""
         return ""
 
     def check(self) -> None:  # noqa: B027 - most find out when they are made

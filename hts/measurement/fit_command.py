@@ -33,7 +33,7 @@ from hts.measurement.physics_steps import NEEDED
 from hts.measurement.plain import Plain
 from hts.measurement.proxy import proxy_along
 from hts.measurement.shared import Shared, shared_samples, without_shared
-from hts.measurement.split import split
+from hts.measurement.split import of_fitted_sessions, split
 from hts.measurement.splits import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
 from hts.overrides import Override, nested, parsed
 from hts.places import check_place
@@ -91,7 +91,8 @@ def fit_and_check(
 
     model: name and settings; fit: see the model's `fit`; held_out: see `checks.check`; training: ids fitted to;
     held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing, such as the first
-    with one recording); split: how it was split; masked: samples left out as no machine makes them, see `outliers`;
+    with one recording); split: how it was split; same_session: how many of those held out
+    are of sessions that were fitted to, too; masked: samples left out as no machine makes them, see `outliers`;
     refit: the same as fit, of the model that is returned, which has seen what was held out too (None where
     `config.refit` says no).
     settings, registry, physics_steps: see `new_model`; keep: hashes of policies never held out whole.
@@ -143,6 +144,7 @@ def fit_split(
         "held_out": checked,
         "training": [recording.id for recording in training],
         "split": parts.how,
+        "same_session": {"held_out": of_fitted_sessions(parts.training, parts.held_out), "of": len(parts.held_out)},
         "masked": asdict(masked),
         "fit": fitted,
     }

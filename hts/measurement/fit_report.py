@@ -43,6 +43,25 @@ def summary_line(report: Mapping[str, Any]) -> str:
     )
 
 
+def session_note(report: Mapping[str, Any]) -> str:
+    """What makes held-out R² look better than another day would, a sentence to stand beside it; "" where nothing does.
+
+    report: that of `fit_and_check`; one of an earlier version does not know.
+    """
+    shared = report.get("same_session") or {}
+    count = shared.get("held_out", 0)
+    if not count:
+        return ""
+    if count == shared["of"]:
+        who = "what was held out is" if count == 1 else f"all {count} held-out recordings are"
+    else:
+        who = f"{count} of {shared['of']} held-out recordings {'is' if count == 1 else 'are'}"
+    return (
+        f"{who} of a session that was fitted to as well, so held-out R² says little of another day and may be lower "
+        "there"
+    )
+
+
 def doubts(report: Mapping[str, Any]) -> list[str]:
     """What a person should know before a model is trusted, one line each; empty where nothing is wrong.
 

@@ -57,6 +57,19 @@ def split(
     )
 
 
+def of_fitted_sessions(training: Sequence[Recording], held_out: Sequence[Recording]) -> int:
+    """How many of those held out are of a session, or of a recording, of which others were fitted to. A session without
+    a name is nobody's."""
+    known = {name for one in training for name in _whence(one)}
+    return sum(bool(known.intersection(_whence(one))) for one in held_out)
+
+
+def _whence(recording: Recording) -> list[tuple[str, str]]:
+    """The session and the recording that it is, or is a part of (`named_part`); without those that have no name."""
+    names = {"session": recording.session, "recording": recording.id.partition("[")[0]}
+    return [(key, name) for key, name in names.items() if name]
+
+
 def left_out_together(recordings: Sequence[Recording], most: int) -> list[int]:
     """For a cross-validation, the fold of each recording, below `most`: whole policies from four on, else single
     recordings. One that stands several times in the list, as in a bootstrap, is left out with its twins, which know

@@ -12,6 +12,7 @@ import yaml
 import hts
 from hts.atomic import atomic_write
 from hts.errors import RunError
+from hts.measurement.fit_report import session_note
 from hts.report import wording
 from hts.report.data import Json, RunData, read_run
 from hts.report.front import front_part
@@ -140,6 +141,7 @@ def _objective(run: RunData, name: str) -> dict[str, Any]:
         **shown,
         "headline": headline(run, name, result),
         "figures": _figures(run, name),
+        "sessions": _session_lines(run, name),
         "models": [
             {
                 "index": iteration["index"],
@@ -152,6 +154,12 @@ def _objective(run: RunData, name: str) -> dict[str, Any]:
             if (model := (iteration.get("measurement_models") or {}).get(name))
         ],
     }
+
+
+def _session_lines(run: RunData, name: str) -> list[str]:
+    """Beside held-out R²: in which iterations sessions were on both sides, one line each."""
+    notes = {int(one["index"]): session_note(run.fit(int(one["index"]), name)) for one in run.iterations}
+    return [f"Iteration {index}: {note}." for index, note in notes.items() if note]
 
 
 def _later(run: RunData) -> dict[str, Any] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Mapping
@@ -14,8 +15,10 @@ from hts.contracts import WorldContext
 from hts.errors import ConfigError
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.evaluation.simulation import trial_seconds
+from hts.guarded import guarded
 from hts.plugins import Registry
-from hts.run.budget import candidate_counts, plan, seconds_per_elite
+from hts.run.asked import asked_of
+from hts.run.budget import candidate_counts, plan
 from hts.training.sweep import combinations, own_weights
 
 STEPS_PER_SECOND = {"mujoco": 4_500.0, "warp": 500_000.0}
@@ -35,7 +38,8 @@ CONTAINER_LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memo
 
 
 def estimate(config: RunConfig, registry: Registry, steps_per_second: float | None = None) -> dict[str, Any]:
-    """Numbers of a run that hold if nothing is refused; times are rough.
+    """Numbers of a run that hold if nothing is refused; times are rough. Those that end in `_most`: where all is done
+    again that the settings allow.
 
     steps_per_second: control steps from collection to update as measured on this machine;
     None: those of STEPS_PER_SECOND.
@@ -55,16 +59,9 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     ask_to_hold(world, hold)
     budget = plan(config, registry, world)
     counts = candidate_counts(config, registry)[: len(budget.elites)]
-    per_elite = seconds_per_elite(config, world)
-    per_final = world.head_to_head_seconds()
-    if hold is not None:  # the final is held, and done at equal commands beside
-        ask_to_hold(world, None)
-        per_final += world.head_to_head_seconds()
-    elites = sum(budget.elites)
-    tests = elites + budget.confirm
-    collected = config.collection.repeats + config.collection.exploring
-    robot_seconds = budget.schedule.seconds * collected if config.records_first else 0.0
-    robot_seconds += per_elite * tests + per_final * len(config.evaluation.speeds) * config.evaluation.sessions
+    asked = asked_of(config, registry, world, budget)
+    least, most = asked.seconds
+    walked, walked_most = (math.ceil(seconds * robot.spec.control_rate_hz) for seconds in asked.before)
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test
     test_steps = test.num_envs * len(test.speeds) * trial_seconds(test) * robot.spec.control_rate_hz
@@ -73,27 +70,29 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     steps += round((judged + len(counts)) * test_steps)
     together = min(max(counts), config.finetune.max_candidates)
     samples = together * config.finetune.num_envs * config.finetune.ppo.horizon
-    cost = dict(world.cost(robot_seconds))
-    # Trials of an iteration's elites are one request, or one a round; of a final at held speed there are two.
-    comparisons = len(budget.elites) + (budget.confirm > 1) + (1 if hold is None else 2)
-    recorded = config.records_first and collected > 0
-    beside = world.beside(comparisons + recorded, comparisons)
+    walls = [dict(world.cost(seconds)).get("wall_seconds", seconds) for seconds in (least, most)]
+    beside = guarded(f"World '{config.world.name}': beside()", lambda: world.beside(asked.requests))
     world.close()
+    endurance = robot.spec.endurance_minutes
     batch_gb = samples * BYTES_PER_SAMPLE / 1e9
     measured = "measured here" if steps_per_second else f"as on {assumed}; not measured here"
     return {
         "combinations": ", ".join(_shown(one) for one in weights) if len(objectives) > 1 else None,
         "selector": config.selection.selector.name,
         "candidates": sum(counts),
-        "tested on the robot": elites,
+        "tested on the robot": sum(budget.elites),
         "iterations": len(budget.elites) if len(budget.elites) < config.iterations else None,
-        "real_samples": budget.samples,
-        "robot_minutes": robot_seconds / 60.0,
-        "charges": robot_seconds / 60.0 / robot.spec.endurance_minutes if robot.spec.endurance_minutes else None,
+        "real_samples": walked if asked.raced else budget.samples,
+        "real_samples_most": walked_most if asked.raced else max(budget.samples, walked_most),
+        "robot_minutes": least / 60.0,
+        "robot_minutes_most": most / 60.0,
+        "charges": least / 60.0 / endurance if endurance else None,
+        "charges_most": most / 60.0 / endurance if endurance else None,
         "beside": beside or None,
         "simulation_steps": steps,
         "speed": f"{rate:,.0f} a second, {measured}",
-        "wall_minutes": (steps / rate + cost.get("wall_seconds", robot_seconds)) / 60.0,
+        "wall_minutes": (steps / rate + walls[0]) / 60.0,
+        "wall_minutes_most": (steps / rate + walls[1]) / 60.0,
         "memory_gb": BASE_MEMORY_GB + batch_gb,
         "host_memory_gb": BASE_MEMORY_GB + (0.0 if _on_gpu(config) else batch_gb),
     }
@@ -134,6 +133,15 @@ def _shown(weights: Mapping[str, float]) -> str:
     return " + ".join(f"{value:g} {name}" for name, value in weights.items() if value)
 
 
+def _number(value: Any) -> str:
+    return value if isinstance(value, str) else f"{value:,.1f}" if isinstance(value, float) else f"{value:,}"
+
+
+def _from_to(least: str, most: str) -> str:
+    """A range; one of them where both look the same."""
+    return least if least == most else f"{least} to {most}"
+
+
 def print_estimate(cost: dict[str, Any]) -> None:
     """One line each; last what a person has to do, where the world says it."""
     from rich.console import Console
@@ -158,8 +166,7 @@ def print_estimate(cost: dict[str, Any]) -> None:
     }
     for key, value in cost.items():
         if value is not None and key in labels:
-            shown = value if isinstance(value, str) else f"{value:,.1f}" if isinstance(value, float) else f"{value:,}"
-            table.add_row(labels[key], shown)
+            table.add_row(labels[key], _from_to(_number(value), _number(cost.get(f"{key}_most", value))))
     Console(highlight=False).print(table)
     if cost.get("beside"):
         Console(highlight=False).print(cost["beside"], soft_wrap=True, markup=False)

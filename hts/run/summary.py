@@ -126,13 +126,15 @@ def _usual_speed(checks: Sequence[Mapping[str, Any]]) -> float | None:
 
 
 def _model(report: dict[str, Any], checked: dict[str, Any] | None) -> dict[str, Any]:
-    """held_out_r2: on recordings kept from the fit; elites_r2 and rank_correlation: over all recordings of the trials,
+    """held_out_r2: on recordings kept from the fit; same_session, where any of these are of a session that was fitted
+    to as well: how many, of how many; elites_r2 and rank_correlation: over all recordings of the trials,
     of elites, which the model had not seen, and of the reference beside them, which it had."""
     checked = checked or {}
     proxy, tried = report["held_out"].get("proxy"), checked.get("proxy")
     return {
         "dataset": report["dataset"],
         "held_out_r2": report["held_out_r2"],
+        **({"same_session": shared} if (shared := report.get("same_session", {})).get("held_out") else {}),
         "rank_correlation": checked.get("rank_correlation", report["rank_correlation"]),
         "elites_r2": checked.get("r2"),
         "proxy_held_out_r2": proxy,

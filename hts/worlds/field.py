@@ -17,7 +17,7 @@ from pydantic import Field
 from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import HoldSpeed, Installed, Robot, Settings, World, WorldContext
+from hts.contracts import HoldSpeed, Installed, Requests, Robot, Settings, World, WorldContext
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
@@ -91,8 +91,8 @@ class FieldWorld(World):
             )
         return {name: float(level) for name, level in levels.items() if level is not None}
 
-    def beside(self, requests: int, comparisons: int) -> str:
-        return visits(requests, comparisons)
+    def beside(self, requests: Requests) -> str:
+        return visits(requests)
 
     def check(self) -> None:
         """The policy to start from would be bundled: what an imported one needs has been shown, or somebody vouches for

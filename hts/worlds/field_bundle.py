@@ -14,7 +14,7 @@ import yaml
 
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
-from hts.contracts import VELOCITY, FollowVelocity, RobotSpec, Task
+from hts.contracts import VELOCITY, FollowVelocity, Requests, RobotSpec, Task
 from hts.errors import WorldError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
@@ -251,15 +251,25 @@ def _fill(
     (temporary / CHECKSUMS).write_text(checksums(temporary), encoding="utf-8")
 
 
-def visits(requests: int, comparisons: int) -> str:
-    """What so many requests at least, `comparisons` of them head-to-heads, ask of a person beside the robot."""
-    minutes = comparisons * WARMUP_SECONDS / 60
+def visits(requests: Requests) -> str:
+    """What so many requests ask of a person beside the robot."""
+    more, compared = requests.at_most_more, requests.comparisons
+    minutes = WARMUP_SECONDS / 60
+    unless = ", where nobody is refused" if not more else ""
+    why = ", ".join(f"up to {count} {reason}" for reason, count in requests.more.items() if count)
     return (
-        f"Beside the robot: {requests} deploy bundles, a visit each, where nobody is refused; {comparisons} of them "
-        f"compare policies and begin with {WARMUP_SECONDS / 60:g} minutes of warming up, {minutes:g} in all. The "
-        "minutes of walking do not hold these, nor first runs of new policies, nor rows that are recorded again. A "
-        "speed whose commands were not found asks for more bundles, and so does a policy that loses its final."
+        f"Beside the robot: {_range(requests.least, more)} deploy bundles, a visit each{unless}; "
+        f"{_range(compared, more)} of them compare policies and begin with {minutes:g} minutes of warming up, "
+        f"{_range(compared * minutes, more * minutes)} in all. "
+        + (f"More than {requests.least}: {why}. " if more else "")
+        + "Fewer where the gate keeps all of an iteration out, or nobody is good enough for a final. The minutes of "
+        "walking do not hold the warming up, nor first runs of new policies, nor rows that are recorded again."
     )
+
+
+def _range(least: float, more: float) -> str:
+    """In words, "6 to 9"; one number where there is nothing more."""
+    return f"{least:g} to {least + more:g}" if more else f"{least:g}"
 
 
 def check_shown(policy: Path, card: Any) -> None:

@@ -42,6 +42,45 @@ def store(tmp_path, monkeypatch):
     return made
 
 
+def test_a_block_held_out_of_a_session_that_was_fitted_to_is_said_beside_the_figure(tmp_path, monkeypatch, capsys):
+    from hts import plugins
+    from hts.cli.main import main
+    from hts.recordings.store import RecordingStore
+
+    cool = {"cool": plugins.Entry("cool", lambda settings: KnownHeat(), "test")}
+    known = replace(plugins.load(), objectives=cool)
+    monkeypatch.setattr(plugins, "load", lambda: known)
+
+    def said(name, *sessions):
+        made = RecordingStore(tmp_path / f"{name}.zarr", create=True)
+        for seed, session in enumerate(sessions):
+            made.write(recording(seed).replace(session=session))
+        out, options = tmp_path / name, ("--set", "measurement.epochs=1")
+        assert main(["fit", "--objective", "cool", "--data", str(made.path), "--out", str(out), *options]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        return json.loads((out / "fit.json").read_text())["same_session"], lines
+
+    count, lines = said("one", "monday", "monday", "monday")
+    assert count == {"held_out": 1, "of": 1}
+    figure = next(index for index, line in enumerate(lines) if line.startswith("heat: R² "))
+    assert lines[figure + 1] == (
+        "heat: what was held out is of a session that was fitted to as well, so held-out R² says little of another day "
+        "and may be lower there. Whole sessions are held out by --split session."
+    )
+    count, lines = said("apart", "monday", "tuesday", "wednesday")
+    assert count == {"held_out": 0, "of": 1} and not any("fitted to as well" in line for line in lines)
+
+
+def test_how_many_are_of_a_session_that_was_fitted_to_is_said_in_words():
+    def note(held_out, of):
+        return fit_report.session_note({"same_session": {"held_out": held_out, "of": of}})
+
+    assert note(2, 3).startswith("2 of 3 held-out recordings are of a session")
+    assert note(1, 3).startswith("1 of 3 held-out recordings is of a session")
+    assert note(3, 3).startswith("all 3 held-out recordings are of a session")
+    assert note(0, 3) == fit_report.session_note({}) == ""
+
+
 def test_fit_writes_a_model_and_its_checks_and_overwrites_nothing(store, tmp_path):
     few = ("measurement.epochs=3", "measurement.held_out=0.3")
     path = fit_command.fit_store("cool", store.path, tmp_path / "out", overrides=few)

@@ -6,7 +6,7 @@ import pytest
 from hts.config import Command, ScheduleConfig
 from hts.errors import ConfigError, RecordingError
 from hts.measurement.scoring import commanded_speed
-from hts.measurement.split import named_part
+from hts.measurement.split import named_part, of_fitted_sessions
 from hts.measurement.splits import SplitRule, split_by
 from hts.testing.known_signals import known_heat
 
@@ -48,6 +48,16 @@ def test_what_belongs_together_is_held_out_together(text, key, values):
     parts = split_by(SplitRule.parsed(text), recordings, 0.2)
     training, held = ({getattr(one, key) for one in side} for side in (parts.training, parts.held_out))
     assert len(parts.training) == len(parts.held_out) == 2 and not training & held
+
+
+def test_recordings_of_a_session_that_was_fitted_to_are_counted():
+    monday, tuesday, nobody = (
+        [one.replace(session=name, id=f"{name}{one.id}") for one in many(2)] for name in ("monday", "tuesday", "")
+    )
+    assert of_fitted_sessions([monday[0], nobody[0]], [monday[1], tuesday[0], nobody[1]]) == 1
+    assert of_fitted_sessions(monday, tuesday) == 0
+    parts = split_by(SplitRule.parsed("chronological=0.7"), nobody, 0.2)
+    assert of_fitted_sessions(parts.training, parts.held_out) == 2  # the end of a walk is of that walk
 
 
 def test_names_say_what_is_held_out_and_files_are_known_by_their_source():

@@ -50,12 +50,79 @@ def test_a_run_beside_a_robot_says_how_many_visits_it_asks_for(capsys):
     baseline = cost_of("smoke", world="field", baseline=True)  # collects nothing
     assert "2 deploy bundles" in baseline["beside"] and "; 2 of them compare" in baseline["beside"]
     # first data, trials of three iterations, second trials, a final at held speed and one at equal commands
-    held = cost_of("quick", world="field")
+    once = ("selection.trims_again=0", "evaluation.trims_again=0", "evaluation.finals=1")
+    held = cost_of("quick", *once, world="field")
     assert "7 deploy bundles" in held["beside"] and "; 6 of them compare" in held["beside"]
     assert "60 in all" in held["beside"]
-    assert "6 deploy bundles" in cost_of("quick", "selection.confirm=0", world="field")["beside"]
+    assert "6 deploy bundles" in cost_of("quick", *once, "selection.confirm=0", world="field")["beside"]
     print_estimate(held)
     assert capsys.readouterr().out.count("Beside the robot: 7 deploy bundles") == 1
+
+
+def test_visits_that_settings_allow_on_top_are_counted_and_named():
+    said = cost_of("quick", world="field")["beside"]
+    # 6 + 2 trials may be walked again once, the final four times, and two more finals are two bundles and four each
+    assert said.startswith("Beside the robot: 7 to 31 deploy bundles, a visit each; 6 to 30 of them compare")
+    assert "10 minutes of warming up, 60 to 300 in all." in said
+    for words in (
+        "More than 7: up to 8 for trials that did not find their commands (selection.trims_again), ",
+        "up to 4 for a final that did not find its commands (evaluation.trims_again), ",
+        "up to 12 for finals of the next best where one is given up (evaluation.finals). ",
+    ):
+        assert words in said
+    assert "to" not in cost_of("smoke", "evaluation.finals=1", world="field")["beside"].split(";")[0]
+
+
+def test_the_best_so_far_is_measured_at_most_once_an_iteration_and_the_last_of_them_goes_to_the_final():
+    each = ("iterations=3", "evaluation.each_iteration=true")
+    cost = cost_of("smoke", *each, world="field")
+    # first data, three trials, a final; the logs of the last best serve in the final too, where nobody is confirmed
+    assert cost["beside"].startswith("Beside the robot: 5 to 7 deploy bundles")
+    assert "up to 2 for the best so far after each iteration (evaluation.each_iteration). " in cost["beside"]
+    assert cost["robot_minutes_most"] - cost["robot_minutes"] == pytest.approx(2 * 320 / 60)
+    confirmed = cost_of("smoke", *each, "selection.confirm=2", "selection.speeds=[0.5, 0.8]", world="field")
+    assert confirmed["beside"].startswith("Beside the robot: 6 to 9 deploy bundles")
+
+
+def test_the_time_of_what_is_walked_again_is_said_as_a_range(capsys):
+    from hts.run.cost import print_estimate
+
+    held = ("evaluation.hold_speed=true", "evaluation.trims_again=3", "selection.trims_again=1")
+    cost = cost_of("smoke", *held, world="field")
+    # 3 recordings of 12 s; 2 trials and a final trim 12 s each of both and walk 320 s; the final at equal commands
+    least = 3 * 12 + 3 * (2 * 12 + 320) + 320
+    # again: both trials, trimmed for 24 s; the final, for 24, 48 and 48 s
+    most = least + 2 * (2 * 24 + 320) + (2 * (24 + 48 + 48) + 3 * 320)
+    assert cost["robot_minutes"] == pytest.approx(least / 60)
+    assert cost["robot_minutes_most"] == pytest.approx(most / 60)
+    # the next finals would be that of the other trial: once, at equal commands, and three times again
+    again = cost_of("smoke", *held, "evaluation.finals=5", world="field")
+    final = (2 * 12 + 320) + 320 + (2 * (24 + 48 + 48) + 3 * 320)
+    assert again["robot_minutes_most"] == pytest.approx((most + final) / 60)
+    print_estimate(cost)
+    assert f"{least / 60:.1f} to {most / 60:.1f}" in capsys.readouterr().out
+
+
+def test_a_cap_holds_for_what_is_walked_again_too():
+    cost = cost_of("quick", "max_real_samples=96000", world="field")
+    assert cost["real_samples"] <= cost["real_samples_most"] == 96_000
+    assert "up to 1 for second trials, if the cap leaves room for them (selection.confirm)" in cost["beside"]
+
+
+def test_a_race_is_a_visit_a_round():
+    cost = cost_of("smoke", "selection.selector.name=racing", world="field")
+    # first data, one to four rounds, a final; a round of two is six blocks of 15 s
+    assert cost["beside"].startswith("Beside the robot: 3 to 6 deploy bundles")
+    assert "up to 3 for the rounds of selector 'racing'" in cost["beside"]
+    assert cost["robot_minutes"] == pytest.approx((3 * 12 + 90 + 320) / 60)
+    assert cost["robot_minutes_most"] == pytest.approx((3 * 12 + 4 * 90 + 320) / 60)
+    assert cost["real_samples"] == (3 * 12 + 90) * 50
+
+
+def test_a_final_is_made_once_in_a_world_that_makes_no_sessions():
+    cost = cost_of("smoke", "evaluation.sessions=4", world="field")
+    assert cost["robot_minutes"] == pytest.approx((3 * 12 + 3 * 320) / 60)
+    assert cost_of("smoke", "evaluation.sessions=4")["robot_minutes"] == pytest.approx((3 * 12 + (2 + 4) * 25) / 60)
 
 
 def test_the_papers_run_trains_63_candidates_and_tests_24():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from hts.run.summary import _model as of_model
 from hts.run.summary import pooled_ranks
 
 
@@ -34,3 +35,11 @@ def test_costs_at_another_speed_are_not_ranked_with_the_others():
 
 def test_one_policy_has_no_rank():
     assert pooled_ranks([check([3.0], [3.1], [2.9])])["rank_correlation"] is None
+
+
+def test_a_session_on_both_sides_stands_beside_held_out_r2_and_nothing_does_without():
+    report = {"dataset": "d", "held_out_r2": 0.9, "rank_correlation": None, "held_out": {}}
+    shared = {"held_out": 1, "of": 2}
+    assert of_model({**report, "same_session": shared}, None)["same_session"] == shared
+    assert "same_session" not in of_model({**report, "same_session": {"held_out": 0, "of": 2}}, None)
+    assert "same_session" not in of_model(report, None)  # of an earlier version

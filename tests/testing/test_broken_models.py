@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import time
+
 import pytest
 
 from hts.contracts import ModelContext
@@ -54,6 +57,15 @@ def test_a_sound_model_passes(install):
 
 def test_a_network_whose_layers_are_made_from_a_seed_of_their_own_passes(install):
     assert faults(install, **network(), made=OWN_SEED) == []
+
+
+def test_a_slow_machine_finds_the_same_fault(install, monkeypatch):
+    """Whatever the clock says, here half an hour from one look at it to the next."""
+    hours = itertools.count(0.0, 1800.0)
+    monkeypatch.setattr(time, "monotonic", lambda: next(hours))
+    squared = "return (target - self.target_mean) / self.target_std**2"
+    found = faults(install, body=f"        def normalise_target(self, target):\n            {squared}")
+    assert any("follows the target (correlation 0.98) with" in line for line in found)
 
 
 def test_a_file_of_that_name_in_the_current_folder_takes_no_ones_place(install, tmp_path, monkeypatch):

@@ -199,6 +199,16 @@ def test_a_final_is_walked_anew_where_a_trial_walked_the_same_policy_at_the_same
         field(run).head_to_head(policy, policy, [0.8])
 
 
+def test_a_head_to_head_of_the_same_policy_under_another_name_has_its_logs_already(run, policy):
+    """As the best so far, measured like the final, has that go on to it: a dry run counts one visit for both."""
+    best = policy.with_name("best.onnx")
+    best.write_bytes(policy.read_bytes())
+    for one in (policy, best):
+        with pytest.raises(WaitingForRobot):
+            field(run).head_to_head(one, policy, [0.8])
+    assert len([place for place in (run / "field").iterdir() if place.is_dir()]) == 1
+
+
 def test_a_fall_is_said_of_the_walk_in_which_it_was_and_few_words_will_do(run, policy, robot):
     schedule = walking(0.5, SECONDS)
     with pytest.raises(WaitingForRobot):

@@ -96,6 +96,18 @@ def test_the_tolerance_is_where_the_next_stretch_lies_and_a_share_for_what_no_tw
     assert tolerance([50.0, 150.0]) == MOST * 100.0
 
 
+def test_what_the_ends_of_a_figure_are_is_said_below_the_table(tmp_path, monkeypatch, capsys):
+    from hts.cli.realities import _likeness
+    from hts.worlds.realities import like
+
+    nothing = like.Likeness(figures=(), schedule=None)
+    monkeypatch.setattr(like, "of_store", lambda *given: nothing)
+    assert _likeness(tmp_path, "go1", tmp_path / "policy", 0.05) is nothing
+    said = capsys.readouterr().err
+    assert "within a session and from one to the next taken together, and 5% of the mean on top" in said
+    assert "not the error of a sensor" in said
+
+
 def test_standing_is_a_command_of_zero_in_which_no_joint_moves():
     still = made([2.2], speeds=(0.0,), moving=0.01, hash_="")
     stepping = made([3.0], speeds=(0.0,), moving=4.0, hash_="")

@@ -1,5 +1,8 @@
 """What the gate in simulation said of a bundle's policies: one that failed is walked only if a person vouches for it.
 
+Whoever vouches is beside the robot now. Nothing keeps it: a hash says which policy, and not who typed it, whether the
+same person stands there at the next visit, and on which floor. So each command asks anew.
+
 A policy's `gate` in the manifest is null (nobody tried it, as with the policy that data are collected with), or what
 `hts` found: `passed`, and if not, `failed` (the checks) and `refused` (a line that says how).
 """
@@ -76,7 +79,8 @@ def vouched_for(files: Iterable[str], policies: Mapping[str, Policy], vouched: S
         options = " ".join(dict.fromkeys(f"--vouch {hashes[file][:LEAST_DIGITS]}" for file in nobody))
         raise RuntimeFault(
             f"{', '.join(nobody)} failed the gate in simulation ({failed[nobody[0]]}). Record other rows (--rows), or, "
-            f"if you have looked at that and put your name to it: {options}."
+            f"if you have looked at that and put your name to it: {options}. Each command and each bundle asks anew, "
+            "also where somebody vouched before: it is for whoever is beside the robot now to say."
         )
     return asked
 

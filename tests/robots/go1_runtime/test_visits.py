@@ -131,6 +131,16 @@ def test_a_person_vouches_for_a_policy_by_its_hash(change, visit, capsys, digits
     assert f"--vouch '{digits}'" in line and "eeeeeeeeeeee" in line
 
 
+def test_who_vouched_for_one_command_is_asked_again_by_the_next_and_told_why(change, visit, capsys):
+    bundle = change(failing_gate)
+    assert cli.main(["check", str(bundle), "--vouch", "eeeeeeeeeeee"]) == 0
+    assert visit("--yes", "--vouch", "eeeeeeeeeeee") == 0
+    capsys.readouterr()
+    assert cli.main(["check", str(bundle)]) == 2
+    line = refused(capsys)
+    assert "Each command and each bundle asks anew" in line and "whoever is beside the robot now" in line
+
+
 def test_a_policy_that_passed_the_gate_says_so(change, visit, capsys):
     bundle = change(lambda manifest: failing_gate(manifest, True))
     assert cli.main(["check", str(bundle)]) == 0
