@@ -54,7 +54,8 @@ def comparable_model(robot: Robot) -> mujoco.MjModel | None:
 
 
 def model_is_in_order(entry: Entry, registry: Registry) -> None:
-    """In a model for the velocity task joints of the tree, actuators and sensors come in the order of the spec."""
+    """In a model for the velocity task joints of the tree, actuators and sensors come in the order of the spec, and
+    sensors measure what they are named for."""
     from hts.sim.conventions import out_of_order
 
     robot = entry.factory({})
@@ -111,6 +112,29 @@ def torque_limits_match(entry: Entry, registry: Registry) -> None:
         if not (limited and np.allclose((low, high), (-limit, limit), rtol=RELATIVE, atol=1e-6)):
             rows.append((joint, f"{low:.6g} to {high:.6g}" if limited else "none", f"{-limit:.6g} to {limit:.6g}"))
     _compare("forcerange in its model, N*m", rows, "Correct the actuators or SPEC.torque_limit")
+
+
+def targets_are_not_clipped(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task no actuator clips joint targets: it has no ctrlrange, or one that is wider than
+    position_limit by torque_limit / kp, so far that the torque is at its limit anyway."""
+    import mujoco
+
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is None or model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL):
+        return
+    spec, rows = robot.spec, []
+    numbers = zip(_actuators(model, robot), spec.kp, spec.torque_limit, spec.position_limit, strict=True)
+    for (joint, index), kp, limit, (low, high) in numbers:
+        if not model.actuator_ctrllimited[index] or kp <= 0:
+            continue
+        first, last = model.actuator_ctrlrange[index]
+        reach = limit / kp  # rad: a target so far from the joint asks for all of its torque
+        if first > low - reach + ANGLE or last < high + reach - ANGLE:
+            wanted = f"none, or at least {low - reach:.6g} to {high + reach:.6g}"
+            rows.append((joint, f"{first:.6g} to {last:.6g}", wanted))
+    advice = 'It clips the targets of a policy, in training alone: write ctrllimited="false"'
+    _compare("ctrlrange of its model's actuators, rad", rows, advice)
 
 
 def position_limits_match(entry: Entry, registry: Registry) -> None:
@@ -277,6 +301,7 @@ CHECKS = (
     actuators_are_servos,
     gains_match,
     torque_limits_match,
+    targets_are_not_clipped,
     position_limits_match,
     floor_decides_the_grip,
     feet_are_felt,
