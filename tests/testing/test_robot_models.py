@@ -261,3 +261,18 @@ def test_a_robot_with_an_env_of_its_own_needs_only_what_a_twin_looks_for():
 
     said = faults(Own())
     assert len(said) == 2 and all("has no env to train in" in line for line in said)
+
+
+def test_a_robot_of_the_velocity_task_without_a_model_is_refused_and_nothing_of_its_env_counts_as_kept():
+    robot = dog(MODEL)
+    type(robot).mjcf = lambda self: None
+    (line,) = faults(robot)
+    assert "mjcf() gives None, so there is nothing to train in" in line and "LogOnlyRobot" in line
+    assert untried(robot) == ENV | OF_THE_MODEL
+
+
+def test_a_log_only_robot_passes_without_a_model():
+    from hts.contracts import LogOnlyRobot
+
+    sound = dog(MODEL)
+    assert faults(LogOnlyRobot(sound.spec, sound.channels().values())) == []

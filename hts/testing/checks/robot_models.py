@@ -25,6 +25,12 @@ Row = tuple[str, str, str]
 """Joint, found, expected."""
 
 
+def lacks_its_model(robot: Robot) -> bool:
+    """Whether a robot is to be trained in the velocity task, and brings no model to make that env of."""
+    own_env = type(robot).make_env is not VelocityRobot.make_env
+    return isinstance(robot, VelocityRobot) and not own_env and robot.mjcf() is None
+
+
 def usable_model(robot: Robot) -> mujoco.MjModel | None:
     """The model of a robot that follows velocities in our env; None for any other, such as one with an env of its own.
     Raises NotTried for a model that this env refuses, which `model_matches` or `model_is_in_order` says."""
@@ -37,13 +43,15 @@ def usable_model(robot: Robot) -> mujoco.MjModel | None:
 
 
 def comparable_model(robot: Robot) -> mujoco.MjModel | None:
-    """The same, in whatever order. Raises NotTried where it cannot be made, or something is missing, which
-    `model_matches` says."""
+    """The same, in whatever order. Raises NotTried where there is none although its env needs it, it cannot be made, or
+    something is missing, which `model_matches` says."""
     from hts.sim.conventions import missing
     from hts.sim.models import compile_model
 
     if not isinstance(robot, VelocityRobot):
         return None
+    if lacks_its_model(robot):
+        raise NotTried("it has no model")
     try:
         model = None if robot.mjcf() is None else compile_model(robot)
     except Exception as error:  # whatever a stranger's model does has been said by `model_matches`
