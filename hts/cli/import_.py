@@ -12,6 +12,11 @@ if TYPE_CHECKING:
     from hts.contracts import Installed, Robot
     from hts.recordings.recording import Recording
 
+SAME = " (was there already)"
+OTHER_NOTES = (
+    " (was there already, with other notes, which it keeps; to have these, delete its folder and import again)"
+)
+
 
 def command(
     files: Annotated[
@@ -89,11 +94,10 @@ def command(
     stored = _dry(read) if dry_run or to is None else _store(to, groups, read)
     order = assumed_order(given, machine.spec.joint_names)
     for group, recordings, ids in zip(groups, read, stored, strict=True):
-        for recording, (recording_id, known) in zip(recordings, ids, strict=True):
+        for recording, (recording_id, again) in zip(recordings, ids, strict=True):
             notes = "; ".join(f"{key} {text}" for key, text in recording.notes.items() if key != "source")
             notes = "; ".join(filter(None, (notes, order)))
             names = ", ".join(path.name for path in group)
-            again = " (was there already)" if known else ""
             line = f"{recording_id}  {names}: {recording.seconds:.2f} s at {recording.rate_hz:g} Hz, "
             line += f"{', '.join(recording.channels)}{again}" + (f" [{notes}]" if notes else "")
             typer.echo(printable(line))
@@ -146,22 +150,29 @@ def _read(
     return read
 
 
-def _dry(read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, bool]]]:
-    return [[("not stored", False) for _ in recordings] for recordings in read]
+def _dry(read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, str]]]:
+    return [[("not stored", "") for _ in recordings] for recordings in read]
 
 
-def _store(to: Path, groups: Sequence[list[Path]], read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, bool]]]:
-    """The id of each recording, and whether it was there already."""
+def _store(to: Path, groups: Sequence[list[Path]], read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, str]]]:
+    """The id of each recording, and what is said of one that was there already; "" of others."""
     from hts.recordings.kinship import check_kinship
+    from hts.recordings.same_data import Known
     from hts.recordings.store import RecordingStore
 
     everything = [one for recordings in read for one in recordings]
     check_kinship(RecordingStore(to) if (to / "zarr.json").exists() else None, everything)
     store = RecordingStore(to, create=True)
-    before = set(store.ids())
+    known = Known(store)
     stored = []
     for group, recordings in zip(groups, read, strict=True):
         where = ", ".join(str(path) for path in group)
-        ids = [store.write(recording, where) for recording in recordings]
-        stored.append([(one, one in before) for one in ids])
+        ids = []
+        for recording in recordings:
+            there = known.find(recording)
+            if there is None:
+                ids.append((store.write(recording, where), ""))
+            else:
+                ids.append((there[0], SAME if there[1] else OTHER_NOTES))
+        stored.append(ids)
     return stored

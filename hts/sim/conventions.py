@@ -109,7 +109,52 @@ def out_of_order(model: mujoco.MjModel, spec: RobotSpec) -> str:
                 f"sensor '{between}' of its model stands between the sensors {kind}_…, which are expected side by side "
                 f"({', '.join(names)}). Move it before or behind them ({WHERE})."
             )
-    return ""
+    return mismeasured(model, spec)
+
+
+def mismeasured(model: mujoco.MjModel, spec: RobotSpec) -> str:
+    """All sensors that measure something else than they are named for, in words; empty for none. No sensor may be
+    missing. Sensors of the kinds `user` and `plugin` are passed over: what they measure, only their code knows."""
+    wanted = {f"torque_{name}": f"actuator force of joint '{name}'" for name in spec.joint_names}
+    for site in spec.foot_sites:
+        leg = site.removesuffix("_foot")
+        wanted[f"touch_{leg}"] = f"touch at site '{site}'"
+        wanted[f"foot_velocity_{leg}"] = f"velocity of body '{model.body(int(model.site(site).bodyid[0])).name}'"
+    found = {name: _measured(model, model.sensor(name).id) for name in wanted}
+    wrong = [
+        f"'{name}' measures {found[name]}, expected {here}"
+        for name, here in wanted.items()
+        if found[name] not in (here, "")
+    ]
+    if not wrong:
+        return ""
+    return f"sensors of its model: {'; '.join(wrong)}. Correct what they refer to, or their names ({WHERE})."
+
+
+def _measured(model: mujoco.MjModel, sensor: int) -> str:
+    """What a sensor measures, and of what; empty if only its code knows."""
+    kinds, kind, of = mujoco.mjtSensor, int(model.sensor_type[sensor]), int(model.sensor_objid[sensor])
+    if kind in (int(kinds.mjSENS_USER), int(kinds.mjSENS_PLUGIN)):
+        return ""
+    if kind == int(kinds.mjSENS_ACTUATORFRC):
+        return f"actuator force of joint '{driven_joints(model)[of]}'"
+    if kind == int(kinds.mjSENS_JOINTACTFRC):
+        return f"actuator force of joint '{model.joint(of).name or NAMELESS}'"
+    if kind == int(kinds.mjSENS_TOUCH):
+        return f"touch at site '{model.site(of).name}'"
+    if kind in (int(kinds.mjSENS_FRAMELINVEL), int(kinds.mjSENS_VELOCIMETER)):
+        return f"velocity of body '{model.body(_body_of(model, int(model.sensor_objtype[sensor]), of)).name}'"
+    return kinds(kind).name.removeprefix("mjSENS_").lower()
+
+
+def _body_of(model: mujoco.MjModel, kind: int, index: int) -> int:
+    """The body that an object of a kind (mjtObj) lies on."""
+    on = {
+        int(mujoco.mjtObj.mjOBJ_SITE): model.site_bodyid,
+        int(mujoco.mjtObj.mjOBJ_GEOM): model.geom_bodyid,
+        int(mujoco.mjtObj.mjOBJ_CAMERA): model.cam_bodyid,
+    }
+    return int(on[kind][index]) if kind in on else index  # else a body, by its inertia or its frame
 
 
 def driven_joints(model: mujoco.MjModel) -> list[str]:

@@ -1,7 +1,8 @@
-"""Torques that are not those of the joint controllers: another sign, order of joints or unit."""
+"""Torques that are not those of the joint controllers: another sign, order of joints or unit, or late."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,13 @@ RATE, SAMPLES = 50.0, 400
 SWAPPED = [1, 0, 3, 2]
 
 
-def walk(target_lag=1, torque_lag=0, noise=0.3, strides=2.0):
+def walk(target_lag=1, torque_lag=0, noise=0.3, strides=2.0, own=0.2):
     """Diagonal legs together, each with a motion of its own beside: positions follow targets late and too little."""
     chance = np.random.default_rng(2)
     time = np.arange(SAMPLES + 20) / RATE
     phase = 2 * np.pi * strides * time
     swing = np.stack([np.sin(phase) * side for side in (1, -1, -1, 1)], 1)
-    target = 0.3 * swing + 0.2 * np.stack([np.sin(phase * rate) for rate in (0.55, 0.7, 0.85, 1.3)], 1)
+    target = 0.3 * swing + own * np.stack([np.sin(phase * rate) for rate in (0.55, 0.7, 0.85, 1.3)], 1)
     position = 0.6 * np.roll(target, 3, axis=0)
     velocity = np.gradient(position, 1 / RATE, axis=0)
     torque = 20.0 * (np.roll(target, target_lag, axis=0) - position) - 0.5 * velocity + 4.0  # it carries its weight
@@ -87,6 +88,38 @@ def test_torques_in_another_joint_order_are_refused(order):
 def test_another_order_and_another_sign_are_told_in_that_order():
     said = refusal(with_torque(lambda torque: -torque[:, SWAPPED]))
     assert "of FR (-0.9" in said and "correct the order first, then the sign" in said
+
+
+@pytest.mark.parametrize(("strides", "late"), [(2.0, 12), (2.0, 13), (3.0, 10)])
+@pytest.mark.parametrize("noise", [0.3, 1.5])
+def test_torques_that_are_late_by_half_of_a_stride_are_not_taken_for_reversed_ones(strides, late, noise):
+    notes = torque_notes(recording(walk(torque_lag=late, strides=strides, noise=noise)), WALKER.spec, "log")
+    assert list(notes) == ["joint_torque_late"]
+    said = re.match(
+        r"about (\d+) ms later than what kp \(target - position\) - kd velocity", notes["joint_torque_late"]
+    )
+    assert said and abs(int(said[1]) - 20 * late) <= 40
+
+
+def test_torques_that_are_early_are_told_so_too():
+    values = walk()
+    early = {**values, "joint_torque": np.roll(values["joint_torque"], -12, axis=0)}
+    assert torque_notes(recording(early), WALKER.spec, "log")["joint_torque_late"].startswith(
+        "about 240 ms earlier than"
+    )
+
+
+def test_torques_that_may_be_late_or_reversed_are_refused_and_told_both():
+    """Legs that swing alike for ever are the same half of a stride later and with the other sign."""
+    for values in (walk(own=0.0, torque_lag=13), {**walk(own=0.0), "joint_torque": -walk(own=0.0)["joint_torque"]}):
+        said = refusal(recording(values))
+        both = r"counted the other way: say sign: -1; or it is about \d+ ms (later|earlier) than what they give, which"
+        assert re.search(both, said) and "so look at the stamps first" in said
+
+
+def test_of_torques_of_other_joints_or_another_sign_no_lag_is_said():
+    for change in (lambda torque: -torque, lambda torque: torque[:, SWAPPED], lambda torque: -torque[:, SWAPPED]):
+        assert "ms later" not in refusal(with_torque(change)) and "ms earlier" not in refusal(with_torque(change))
 
 
 @pytest.mark.parametrize(("factor", "shown"), [(1 / 6.33, "0.16"), (10.0, "10")])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from legged_model import FLOOR, ISAAC, LEGS, dog, text
+from legged_model import FLOOR, ISAAC, JOINTS, LEGS, dog, text
 
 from hts.config import EnvConfig
 from hts.errors import ConfigError
@@ -67,6 +67,14 @@ WRONG = {
     "kd": (MODEL.replace(' kv="0.5"', "", 1), r"gains .*joint 'LF_HAA': kd 0, expected kd 0.5\. kd is kv of"),
     "no limit": (MODEL.replace(' forcerange="-40 40"', "", 1), r"forcerange .*'LF_HAA': none, expected -40 to 40"),
     "more": (MODEL.replace("-40 40", "-120 120", 1), r"forcerange .*'LF_HAA': -120 to 120, expected -40 to 40"),
+    "clipped targets": (
+        MODEL.replace('joint="LF_HAA" kp', 'joint="LF_HAA" ctrlrange="-0.8 0.8" kp'),
+        r"ctrlrange .*, rad: joint 'LF_HAA': -0.8 to 0.8, expected none, or at least -2.4 to 2.4\. .*ctrllimited=",
+    ),
+    "clipped on one side": (
+        MODEL.replace('joint="RH_KFE" kp', 'joint="RH_KFE" ctrlrange="-4.2 0" kp'),
+        r"ctrlrange .*: joint 'RH_KFE': -4.2 to 0, expected none, or at least -4.2 to 1.1\. ",
+    ),
     "range": (MODEL.replace("-0.8 0.8", "-20 20", 1), r"range .*rad: joint 'LF_HAA': -20 to 20, expected -0.8 to 0.8"),
     "endless": (MODEL.replace(' range="-0.8 0.8"', "", 1), r"range .*'LF_HAA': none, expected -0.8 to 0.8"),
     "slippery": (
@@ -103,6 +111,26 @@ def test_a_rounded_number_is_no_other_one():
     assert faults(dog(model)) == []
 
 
+def test_a_range_of_targets_passes_from_where_on_no_torque_changes():
+    """By hand: the torque is at its 40 N m from 40 / 25 = 1.6 rad off on, so -0.8 - 1.6 to 0.8 + 1.6 rad."""
+    wide = MODEL.replace('joint="LF_HAA" kp', 'joint="LF_HAA" ctrlrange="-2.4 2.4" kp')
+    unused = MODEL.replace('joint="LF_HAA" kp', 'joint="LF_HAA" ctrlrange="-0.8 0.8" ctrllimited="false" kp')
+    off = MODEL.replace('joint="LF_HAA" kp', 'joint="LF_HAA" ctrlrange="-0.8 0.8" kp').replace(
+        '<option integrator="implicitfast"/>', '<option integrator="implicitfast"><flag clampctrl="disable"/></option>'
+    )
+    for model in (wide, unused, off):
+        assert faults(dog(model)) == []
+
+
+def test_a_sensor_of_the_joint_itself_measures_the_same():
+    own = '<jointactuatorfrc name="torque_LF_HAA" joint="LF_HAA"/>'
+    model = MODEL.replace('<actuatorfrc name="torque_LF_HAA" actuator="LF_HAA"/>', own)
+    assert own in model and faults(dog(model)) == []
+    model = MODEL.replace('objtype="site" objname="LF_foot"', 'objtype="xbody" objname="LF_shank"')
+    assert model != MODEL and faults(dog(model)) == []
+
+
+OTHER = dict(zip(JOINTS, ISAAC, strict=True))
 ORDERS = {
     "tree": (
         dog(text(ISAAC, ISAAC), ISAAC),
@@ -114,6 +142,32 @@ ORDERS = {
     "apart": (
         dog(MODEL.replace('<touch name="touch_RH"', '<gyro name="imu" site="trunk_shell"/><touch name="touch_RH"')),
         r"sensor 'imu' of its model stands between the sensors touch_",
+    ),
+    "torque of another joint": (
+        dog(MODEL.replace('"torque_LF_HAA" actuator="LF_HAA"', '"torque_LF_HAA" actuator="RF_HAA"')),
+        r"'torque_LF_HAA' measures actuator force of joint 'RF_HAA', expected actuator force of joint 'LF_HAA'\. ",
+    ),
+    "all torques in another order": (
+        dog(
+            re.sub('"(torque_.._...)" actuator="(.._...)"', lambda one: f'"{one[1]}" actuator="{OTHER[one[2]]}"', MODEL)
+        ),
+        r"'torque_LF_HFE' measures .* 'RF_HAA', .*; 'torque_LF_KFE' measures .* 'LH_HAA', ",
+    ),
+    "torque of nothing driven": (
+        dog(MODEL.replace('<actuatorfrc name="torque_LF_HAA" actuator', '<jointpos name="torque_LF_HAA" joint')),
+        r"'torque_LF_HAA' measures jointpos, expected actuator force of joint 'LF_HAA'\. ",
+    ),
+    "touch of another foot": (
+        dog(MODEL.replace('"touch_LF" site="LF_foot"', '"touch_LF" site="RF_foot"')),
+        r"'touch_LF' measures touch at site 'RF_foot', expected touch at site 'LF_foot'\. ",
+    ),
+    "speed of another foot": (
+        dog(
+            MODEL.replace(
+                '"foot_velocity_RH" objtype="site" objname="RH', '"foot_velocity_RH" objtype="site" objname="LH'
+            )
+        ),
+        r"'foot_velocity_RH' measures velocity of body 'LH_shank', expected velocity of body 'RH_shank'\. ",
     ),
     "fixed": (
         dog(MODEL.replace('<freejoint name="root"/>', "")),
@@ -207,3 +261,18 @@ def test_a_robot_with_an_env_of_its_own_needs_only_what_a_twin_looks_for():
 
     said = faults(Own())
     assert len(said) == 2 and all("has no env to train in" in line for line in said)
+
+
+def test_a_robot_of_the_velocity_task_without_a_model_is_refused_and_nothing_of_its_env_counts_as_kept():
+    robot = dog(MODEL)
+    type(robot).mjcf = lambda self: None
+    (line,) = faults(robot)
+    assert "mjcf() gives None, so there is nothing to train in" in line and "LogOnlyRobot" in line
+    assert untried(robot) == ENV | OF_THE_MODEL
+
+
+def test_a_log_only_robot_passes_without_a_model():
+    from hts.contracts import LogOnlyRobot
+
+    sound = dog(MODEL)
+    assert faults(LogOnlyRobot(sound.spec, sound.channels().values())) == []

@@ -25,6 +25,12 @@ Row = tuple[str, str, str]
 """Joint, found, expected."""
 
 
+def lacks_its_model(robot: Robot) -> bool:
+    """Whether a robot is to be trained in the velocity task, and brings no model to make that env of."""
+    own_env = type(robot).make_env is not VelocityRobot.make_env
+    return isinstance(robot, VelocityRobot) and not own_env and robot.mjcf() is None
+
+
 def usable_model(robot: Robot) -> mujoco.MjModel | None:
     """The model of a robot that follows velocities in our env; None for any other, such as one with an env of its own.
     Raises NotTried for a model that this env refuses, which `model_matches` or `model_is_in_order` says."""
@@ -37,13 +43,15 @@ def usable_model(robot: Robot) -> mujoco.MjModel | None:
 
 
 def comparable_model(robot: Robot) -> mujoco.MjModel | None:
-    """The same, in whatever order. Raises NotTried where it cannot be made, or something is missing, which
-    `model_matches` says."""
+    """The same, in whatever order. Raises NotTried where there is none although its env needs it, it cannot be made, or
+    something is missing, which `model_matches` says."""
     from hts.sim.conventions import missing
     from hts.sim.models import compile_model
 
     if not isinstance(robot, VelocityRobot):
         return None
+    if lacks_its_model(robot):
+        raise NotTried("it has no model")
     try:
         model = None if robot.mjcf() is None else compile_model(robot)
     except Exception as error:  # whatever a stranger's model does has been said by `model_matches`
@@ -54,7 +62,8 @@ def comparable_model(robot: Robot) -> mujoco.MjModel | None:
 
 
 def model_is_in_order(entry: Entry, registry: Registry) -> None:
-    """In a model for the velocity task joints of the tree, actuators and sensors come in the order of the spec."""
+    """In a model for the velocity task joints of the tree, actuators and sensors come in the order of the spec, and
+    sensors measure what they are named for."""
     from hts.sim.conventions import out_of_order
 
     robot = entry.factory({})
@@ -111,6 +120,29 @@ def torque_limits_match(entry: Entry, registry: Registry) -> None:
         if not (limited and np.allclose((low, high), (-limit, limit), rtol=RELATIVE, atol=1e-6)):
             rows.append((joint, f"{low:.6g} to {high:.6g}" if limited else "none", f"{-limit:.6g} to {limit:.6g}"))
     _compare("forcerange in its model, N*m", rows, "Correct the actuators or SPEC.torque_limit")
+
+
+def targets_are_not_clipped(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task no actuator clips joint targets: it has no ctrlrange, or one that is wider than
+    position_limit by torque_limit / kp, so far that the torque is at its limit anyway."""
+    import mujoco
+
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is None or model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL):
+        return
+    spec, rows = robot.spec, []
+    numbers = zip(_actuators(model, robot), spec.kp, spec.torque_limit, spec.position_limit, strict=True)
+    for (joint, index), kp, limit, (low, high) in numbers:
+        if not model.actuator_ctrllimited[index] or kp <= 0:
+            continue
+        first, last = model.actuator_ctrlrange[index]
+        reach = limit / kp  # rad: a target so far from the joint asks for all of its torque
+        if first > low - reach + ANGLE or last < high + reach - ANGLE:
+            wanted = f"none, or at least {low - reach:.6g} to {high + reach:.6g}"
+            rows.append((joint, f"{first:.6g} to {last:.6g}", wanted))
+    advice = 'It clips the targets of a policy, in training alone: write ctrllimited="false"'
+    _compare("ctrlrange of its model's actuators, rad", rows, advice)
 
 
 def position_limits_match(entry: Entry, registry: Registry) -> None:
@@ -277,6 +309,7 @@ CHECKS = (
     actuators_are_servos,
     gains_match,
     torque_limits_match,
+    targets_are_not_clipped,
     position_limits_match,
     floor_decides_the_grip,
     feet_are_felt,

@@ -16,9 +16,9 @@ from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import unknown_name
 from hts.measurement.physics_steps import IN_STEPS
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import ensure, listed, same
+from hts.testing.checks.ensure import NotTried, ensure, listed, same
 from hts.testing.checks.robot_models import CHECKS as ROBOT_MODEL_CHECKS
-from hts.testing.checks.robot_models import usable_model
+from hts.testing.checks.robot_models import lacks_its_model, usable_model
 
 STEPS, WORLDS, SEED = 12, 2, 11
 PER_JOINT = ("default_pose", "kp", "kd", "action_scale", "torque_limit", "velocity_limit", "position_limit")
@@ -72,10 +72,15 @@ def channels_are_standard(entry: Entry, registry: Registry) -> None:
 
 
 def model_matches(entry: Entry, registry: Registry) -> None:
-    """Its model, if any, compiles, is fresh each time, has the spec's names, and, if it follows a commanded velocity,
-    a twin can be made of it."""
+    """Its model compiles, is fresh each time, has the spec's names, and, if it follows a commanded velocity, a twin can
+    be made of it. Only a log-only robot and one with an env of its own may have none."""
     robot = entry.factory({})
     root = robot.mjcf()
+    ensure(
+        not lacks_its_model(robot),
+        "derives from VelocityRobot, whose env is made of its model, and mjcf() gives None, so there is nothing to "
+        "train in. Return the model; a machine known by its logs alone derives from hts.contracts.LogOnlyRobot",
+    )
     if root is None:
         return
     ensure(robot.mjcf() is not root, "mjcf() gives the same object twice: a change to one would change the other")
@@ -202,9 +207,11 @@ def env_does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
 
 def _has_env(robot: Robot) -> bool:
     """Whether there is an env to try. Raises NotTried for one whose model the velocity task refuses, in one line, by
-    then."""
+    then, or misses."""
+    if lacks_its_model(robot):
+        raise NotTried("it has no model to make its env of")
     if robot.mjcf() is None:
-        return type(robot).make_env not in (Robot.make_env, VelocityRobot.make_env)
+        return type(robot).make_env is not Robot.make_env
     return not isinstance(robot, VelocityRobot) or usable_model(robot) is not None
 
 
