@@ -13,9 +13,7 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
 SAME = " (was there already)"
-OTHER_NOTES = (
-    " (was there already, with other notes, which it keeps; to have these, delete its folder and import again)"
-)
+OTHER_NOTES = " (was there already, with other notes, which it keeps)"
 
 
 def command(
