@@ -21,6 +21,8 @@ SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_na
 scripted = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(scripted)
 ScriptedLink = scripted.ScriptedLink
+ENTER = 60.0
+"""s after the question, for whom it was not ended by then: no busy computer takes so long."""
 
 
 class Screen(io.StringIO):
@@ -109,13 +111,13 @@ def test_enter_that_was_pressed_before_the_question_does_not_answer_it(terminal,
 
 
 def interrupted(terminal, visit, act, typed: bytes = b"") -> tuple[int, float, ScriptedLink]:
-    """Exit code, seconds, and the robot of a visit to which something comes while it asks. Enter comes much later."""
+    """Exit code, seconds, and the robot of a visit to which something comes while it asks. Enter comes at ENTER."""
 
     def answer() -> None:
         if typed:
             terminal.type(typed)
         terminal.after(0.3, act)
-        terminal.after(8.0, terminal.type, b"\n")
+        terminal.after(ENTER, terminal.type, b"\n")
 
     terminal(answer)
     link, began = ScriptedLink(), time.monotonic()
@@ -126,14 +128,14 @@ def interrupted(terminal, visit, act, typed: bytes = b"") -> tuple[int, float, S
 def test_ctrl_c_at_the_question_ends_it_at_once(terminal, visit, typed, capsys):
     code, seconds, link = interrupted(terminal, visit, lambda: os.kill(os.getpid(), signal.SIGINT), typed)
     assert (code, moved(link)) == (3, False)
-    assert seconds < 7.0
+    assert seconds < ENTER
     assert capsys.readouterr().err.startswith("stopped: operator: signal SIGINT. ")
 
 
 def test_the_file_stop_at_the_question_ends_it_at_once(terminal, visit, bundle, capsys):
     code, seconds, link = interrupted(terminal, visit, (bundle / "STOP").touch)
     assert (code, moved(link)) == (3, False)
-    assert seconds < 7.0
+    assert seconds < ENTER
     assert "the file STOP is there" in capsys.readouterr().err
     assert '"what": "stopped", "reason": "operator"' in (bundle / "logs" / "events.jsonl").read_text()
 
@@ -143,7 +145,7 @@ def test_ctrl_c_while_the_robot_says_nothing_ends_it_at_once(visit, capsys):
     threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
     began = time.monotonic()
     assert visit("--yes", link=silent) == 3
-    assert time.monotonic() - began < 5.0
+    assert time.monotonic() - began < ENTER
     assert "signal SIGINT" in capsys.readouterr().err
 
 

@@ -59,10 +59,10 @@ def test_a_robot_that_was_stood_up_while_a_person_thought_is_seen_to_stand(stand
             meet(loop)  # it lies
             loop.pause()
             time.sleep(1.0)  # the line holds about as much
-            robot.stands = stands
+            robot.stands, changed = stands, time.monotonic()
             time.sleep(0.3)
             seen = loop.resume()
-            assert all(state.stamp > time.monotonic() - 0.2 for state in seen) and len(seen) > 10
+            assert seen and all(state.stamp > changed for state in seen)
             if stands:
                 with pytest.raises(RuntimeFault, match="stands, its legs carry it"):
                     check_lies(seen)
