@@ -134,11 +134,11 @@ def sweep(run: RunData, objective: str) -> Figure | None:
 
 
 def iterations(run: RunData, objective: str) -> Figure | None:
-    """Measured improvement over iterations: every elite, and the best so far."""
+    """Measured improvement over iterations: every elite, and the best of each, with a line for each speed."""
     points = [
-        (int(iteration["index"]), candidate, result)
+        (int(iteration["index"]), candidate["id"] == iteration.get("best"), speed, result)
         for iteration in run.iterations
-        for candidate, _, result in run.tested(iteration, objective)
+        for candidate, speed, result in run.tested(iteration, objective)
         if result.get("improvement") is not None
     ]
     if not points:
@@ -148,47 +148,46 @@ def iterations(run: RunData, objective: str) -> Figure | None:
     panel = axes[0, 0]
     zero_line(panel)
     rng = np.random.default_rng(0)
-    best_by_index = {int(iteration["index"]): iteration.get("best") for iteration in run.iterations}
-    first = True
-    for index, candidate, result in points:
-        if candidate["id"] == best_by_index[index]:
-            continue
-        x = index + rng.uniform(-0.09, 0.09)
+    speeds = sorted({speed for _, _, speed, _ in points}, key=float)
+    for position, speed in enumerate(speeds):
+        marker = MARKERS[position % len(MARKERS)]
+        at = f", {run.task.point(speed)}" if len(speeds) > 1 else ""
+        others = [(index, result) for index, is_best, one, result in points if one == speed and not is_best]
+        best = [(index, result) for index, is_best, one, result in points if one == speed and is_best]
         panel.plot(
-            [x],
-            [factor * result["improvement"]],
-            "o",
+            [index + rng.uniform(-0.09, 0.09) for index, _ in others],
+            [factor * result["improvement"] for _, result in others],
+            marker=marker,
+            linestyle="none",
             color=REFERENCE,
             markersize=4.5,
-            label="other elites" if first else None,
+            label=f"other elites{at}" if others else None,
         )
-        first = False
-    best = [(index, result) for index, candidate, result in points if candidate["id"] == best_by_index[index]]
-    if best:
+        color = ramp(position, len(speeds)) if len(speeds) > 1 else ACCENT
         panel.plot(
-            [index for index, _ in best],
-            [factor * result["improvement"] for _, result in best],
-            color=ACCENT,
-            zorder=2,
+            [index for index, _ in best], [factor * result["improvement"] for _, result in best], color=color, zorder=2
         )
-    for position, (index, result) in enumerate(best):
-        bounds = result.get("improvement_ci95")
-        error_bar(
-            panel,
-            index,
-            factor * result["improvement"],
-            [factor * b for b in bounds] if bounds else None,
-            ACCENT,
-            label=None if position else "best of the iteration",
-            markersize=6.5,
-        )
-    indices = sorted(best_by_index)
+        for number, (index, result) in enumerate(best):
+            bounds = result.get("improvement_ci95")
+            error_bar(
+                panel,
+                index,
+                factor * result["improvement"],
+                [factor * b for b in bounds] if bounds else None,
+                color,
+                label=None if number else f"best of the iteration{at}",
+                markersize=6.5,
+                fmt=marker,
+            )
+    indices = sorted(int(iteration["index"]) for iteration in run.iterations)
     panel.set_xticks(indices)
     panel.set_xlim(indices[0] - 0.6, indices[-1] + 0.6)
     panel.grid(axis="x", visible=False)
     panel.set_xlabel("iteration")
     panel.set_ylabel(f"improvement, {unit}")
-    panel.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    handles, labels = panel.get_legend_handles_labels()
+    first = sorted(range(len(labels)), key=lambda i: not labels[i].startswith("best"))
+    panel.legend([handles[i] for i in first], [labels[i] for i in first], loc="center left", bbox_to_anchor=(1.01, 0.5))
     return drawing
 
 

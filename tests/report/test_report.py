@@ -9,12 +9,13 @@ import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from hts.contracts import Comparison
 from hts.errors import RunError
-from hts.report import wording, write_report
+from hts.report import figures, wording, write_report
 from hts.report.data import read_run
 from hts.report.table import print_evaluation, print_table
 from hts.testing.example_run import write_example_run
@@ -119,6 +120,19 @@ def test_every_figure_is_there_as_svg_and_pdf(run):
     for name in names:
         assert ET.parse(run / "figures" / f"{name}.svg").getroot().tag.endswith("svg")
         assert (run / "figures" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_over_the_iterations_there_is_a_line_for_each_speed(tmp_path):
+    summary = write_example_run(tmp_path, **SMALL | {"iterations": 2})
+    for number, iteration in enumerate(summary["iterations"]):
+        for real in [one["real"]["cost"] for one in iteration["candidates"] if one["real"]]:
+            row = {**real.popitem()[1], "improvement_ci95": None}
+            real.clear()
+            real.update({"0.5": {**row, "improvement": 0.1 + 0.1 * number}, "1.1": {**row, "improvement": 0.4}})
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    (panel,) = figures.iterations(read_run(tmp_path), "cost").axes
+    lines = [line.get_ydata() for line in panel.lines if line.get_linestyle() == "-" and any(line.get_ydata())]
+    assert sorted(np.round(line, 6).tolist() for line in lines if len(line) > 1) == [[10.0, 20.0], [40.0, 40.0]]
 
 
 def test_the_same_run_gives_the_same_files(run):
