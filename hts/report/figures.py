@@ -260,7 +260,9 @@ def _measured(
             markersize=5.5,
             linewidth=1.2,
         )
-        name = f"λ {wording.weights(candidate['weights'])} · c {wording.bound(candidate['kl_bound'])}"
+        name = _settings(candidate)
+        if len({one["id"] for one, _, _ in tested if _settings(one) == name}) > 1:  # as of one training, on its way
+            name = f"{candidate['id']} · {name}"
         names.append(name + (f" · {run.task.point(speed)}" if len(speeds) > 1 else ""))
     panel.set_yticks(range(len(tested)), names)
     panel.set_ylim(-0.7, max(len(tested) - 0.3, 0.7))
@@ -271,6 +273,10 @@ def _measured(
     if not tested:
         panel.text(0.5, 0.5, "none tested", transform=panel.transAxes, ha="center", color=SOFT)
         panel.set_xticks([])
+
+
+def _settings(candidate: Json) -> str:
+    return f"λ {wording.weights(candidate['weights'])} · c {wording.bound(candidate['kl_bound'])}"
 
 
 def _legend(styles: dict[str, dict[str, str]], objective: str) -> list:

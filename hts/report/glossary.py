@@ -72,7 +72,10 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
     ),
     (
         "Candidate, elite",
-        "One fine-tuned policy of the sweep; one of those that scored best in simulation and were tested.",
+        (
+            "One fine-tuned policy of the sweep; one of those that scored best in simulation and were tested. 01-02-50 "
+            "is 01-02 as it was after half of its training, and 01-02-w50 lies halfway between it and its anchor."
+        ),
     ),
     (
         "KL, c",

@@ -135,6 +135,20 @@ def test_over_the_iterations_there_is_a_line_for_each_speed(tmp_path):
     assert sorted(np.round(line, 6).tolist() for line in lines if len(line) > 1) == [[10.0, 20.0], [40.0, 40.0]]
 
 
+def test_elites_of_the_same_settings_are_told_apart_by_their_ids(tmp_path):
+    summary = write_example_run(tmp_path, **SMALL)
+
+    def names() -> set[str]:
+        (tmp_path / "summary.json").write_text(json.dumps(summary))
+        right = figures.sweep(read_run(tmp_path), "cost").axes[1]
+        return {label.get_text().split(" · ")[0] for label in right.get_yticklabels()}
+
+    assert names() == {"λ 1"}
+    for candidate in summary["iterations"][0]["candidates"]:
+        candidate["kl_bound"] = 0.5
+    assert names() == {"1-00", "1-01"}
+
+
 def test_the_same_run_gives_the_same_files(run):
     before = {path.name: path.read_bytes() for path in (run / "figures").iterdir()} | {"page": page(run).encode()}
     write_report(run)
