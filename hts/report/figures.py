@@ -63,9 +63,7 @@ def improvement(run: RunData, objective: str) -> Figure | None:
     panel.set_xlim(-0.6, len(keys) - 0.4)
     panel.grid(axis="x", visible=False)
     panel.set_ylabel(f"against the pretrained policy, {unit}")
-    handles, labels = panel.get_legend_handles_labels()
-    first = sorted(range(len(labels)), key=lambda i: not labels[i].startswith("improvement"))
-    panel.legend([handles[i] for i in first], [labels[i] for i in first], loc="center left", bbox_to_anchor=(1.01, 0.5))
+    _legend_beside(panel, "improvement")
     return drawing
 
 
@@ -185,9 +183,7 @@ def iterations(run: RunData, objective: str) -> Figure | None:
     panel.grid(axis="x", visible=False)
     panel.set_xlabel("iteration")
     panel.set_ylabel(f"improvement, {unit}")
-    handles, labels = panel.get_legend_handles_labels()
-    first = sorted(range(len(labels)), key=lambda i: not labels[i].startswith("best"))
-    panel.legend([handles[i] for i in first], [labels[i] for i in first], loc="center left", bbox_to_anchor=(1.01, 0.5))
+    _legend_beside(panel, "best")
     return drawing
 
 
@@ -276,7 +272,15 @@ def _measured(
 
 
 def _settings(candidate: Json) -> str:
+    """A candidate's λ and c, in words."""
     return f"λ {wording.weights(candidate['weights'])} · c {wording.bound(candidate['kl_bound'])}"
+
+
+def _legend_beside(panel: Axes, first: str) -> None:
+    """A legend to the right of a panel, what begins with `first` on top."""
+    handles, labels = panel.get_legend_handles_labels()
+    order = sorted(range(len(labels)), key=lambda index: not labels[index].startswith(first))
+    panel.legend([handles[i] for i in order], [labels[i] for i in order], loc="center left", bbox_to_anchor=(1.01, 0.5))
 
 
 def _legend(styles: dict[str, dict[str, str]], objective: str) -> list:

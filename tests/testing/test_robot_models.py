@@ -18,30 +18,25 @@ MODEL = text()
 SERVO = ' kp="25" kv="0.5"'
 
 
-def faults(robot) -> list[str]:
-    """What each check of robots says."""
+def not_kept(robot) -> list[tuple[str, Exception]]:
+    """The names of the checks of robots that are not kept or could not be made, each with what it says."""
     entry, registry, said = Entry("dog", lambda settings: robot, "lab"), load(()), []
     for check in robots.CHECKS:
         try:
             check(entry, registry)
-        except NotTried:  # neither kept nor a fault
-            continue
         except Exception as error:  # noqa: BLE001 - as `hts check` takes it
-            said.append(f"{type(error).__name__}: {error}")
+            said.append((check.__name__, error))
     return said
+
+
+def faults(robot) -> list[str]:
+    """What each check of robots says."""
+    return [f"{type(error).__name__}: {error}" for _, error in not_kept(robot) if not isinstance(error, NotTried)]
 
 
 def untried(robot) -> set[str]:
     """The checks that could not be made."""
-    entry, registry, found = Entry("dog", lambda settings: robot, "lab"), load(()), set()
-    for check in robots.CHECKS:
-        try:
-            check(entry, registry)
-        except NotTried:
-            found.add(check.__name__)
-        except Exception:  # noqa: BLE001, S112 - a fault
-            continue
-    return found
+    return {name for name, error in not_kept(robot) if isinstance(error, NotTried)}
 
 
 def env_of(robot):
