@@ -54,8 +54,8 @@ def evaluate_run(
     overrides: KEY=VALUE each, of `evaluation.` and `world.` alone, laid over the run's settings for this once; the
     result says which.
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data, those of a head-to-head that is
-    refused (EvaluationError) too; nothing else is written then. Raises ConfigError for speeds or a seed that cannot be
-    walked, RunError while another process evaluates the same run.
+    refused (EvaluationError) too; nothing else is written then. Raises ConfigError for speeds, sessions or a seed that
+    cannot be walked, RunError while another process evaluates the same run.
     """
     from hts.evaluation.other_settings import as_options, as_values, with_others
     from hts.plugins import load
@@ -80,7 +80,9 @@ def evaluate_run(
     seed = config.seed if seed is None else seed
     if not 0 <= seed < SEEDS:
         raise ConfigError(f"--seed: expected a whole number from 0 to {SEEDS - 1}, found {seed}.")
-    count = sessions or config.evaluation.sessions
+    count = config.evaluation.sessions if sessions is None else sessions
+    if count < 1:
+        raise ConfigError(f"--sessions: expected a whole number from 1 on, found {count}.")
     tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     place = folder / "evaluation"

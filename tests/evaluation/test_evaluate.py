@@ -107,6 +107,12 @@ def test_a_speed_may_be_a_number_of_numpy(folder, registry):
     assert caught.value.args[0] == [0.5, 1]
 
 
+@pytest.mark.parametrize("sessions", [0, -1])
+def test_it_is_done_once_at_least(folder, registry, sessions):
+    with pytest.raises(ConfigError, match=rf"^--sessions: expected a whole number from 1 on, found {sessions}\.$"):
+        evaluate_run(folder, speeds=[0.8], sessions=sessions, registry=registry)
+
+
 @pytest.mark.parametrize("seed", [-1, 2**63])
 def test_a_seed_that_no_generator_takes_is_refused(folder, registry, seed):
     with pytest.raises(ConfigError, match=rf"^--seed: expected a whole number from 0 .*, found {seed}\.$"):
