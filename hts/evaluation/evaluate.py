@@ -193,7 +193,8 @@ def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[fl
 def policy_file(folder: Path, policy: str | Path) -> Path:
     """An exported (ONNX) policy: "best", "pretrained", a candidate's id, or a file. Raises PolicyError.
 
-    One that a run folder holds only as parameters (.safetensors), or such a file, is exported to `folder`/evaluation.
+    One that a run folder holds only as parameters (.safetensors), or such a file, is exported to `folder`/evaluation; a
+    file by a name of its own, since those of two folders may be called the same.
     """
     from hts.policies.export_command import find_policy
 
@@ -211,14 +212,16 @@ def policy_file(folder: Path, policy: str | Path) -> Path:
     from hts.policies.export import to_onnx
     from hts.policies.files import load_policy
 
-    to = folder / "evaluation" / f"{parameters.stem}.onnx"
+    loaded = load_policy(parameters)
+    name = parameters.stem if not given.suffix else f"{parameters.stem}-{loaded.card.policy_hash[:12]}"  # of any folder
+    to = folder / "evaluation" / f"{name}.onnx"
     to.parent.mkdir(exist_ok=True)
     found_by_gate, beside = parameters.with_suffix(".gate.json"), to.with_suffix(".gate.json")
     if found_by_gate.exists():  # worlds that are machines ask for it
         shutil.copyfile(found_by_gate, beside)
     else:
         beside.unlink(missing_ok=True)
-    return to_onnx(load_policy(parameters), to)
+    return to_onnx(loaded, to)
 
 
 def _compared(path: Path) -> Path:
