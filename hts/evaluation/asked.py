@@ -7,11 +7,9 @@ from typing import Any
 
 from hts.contracts import World
 from hts.errors import PluginError
+from hts.evaluation.head_to_head import ROLES
 from hts.guarded import guarded
 from hts.recordings.recording import Recording
-
-HALVES = ("policy", "reference")
-"""Roles of a head-to-head."""
 
 
 def asked(world: World, call: str, *values: Any) -> Any:
@@ -39,7 +37,7 @@ def _complete(who: str, found: Iterable[Recording] | None, speeds: Sequence[floa
     recordings = list(found or ())
     there = {(recording.role, command.commanded) for recording in recordings for command in recording.schedule.commands}
     for speed in speeds:
-        for role in HALVES:
+        for role in ROLES:
             if (role, speed) not in there:
                 raise PluginError(
                     f"{who} gave {len(recordings)} recordings and none of the {role} at {speed:g}. Expected blocks of "

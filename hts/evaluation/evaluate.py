@@ -54,8 +54,8 @@ def evaluate_run(
     overrides: KEY=VALUE each, of `evaluation.` and `world.` alone, laid over the run's settings for this once; the
     result says which.
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data, those of a head-to-head that is
-    refused (EvaluationError) too; nothing else is written then. Raises ConfigError for speeds or a seed that cannot be
-    walked, RunError while another process evaluates the same run.
+    refused (EvaluationError) too; nothing else is written then. Raises ConfigError for speeds, sessions or a seed that
+    cannot be walked, RunError while another process evaluates the same run.
     """
     from hts.evaluation.other_settings import as_options, as_values, with_others
     from hts.plugins import load
@@ -80,7 +80,9 @@ def evaluate_run(
     seed = config.seed if seed is None else seed
     if not 0 <= seed < SEEDS:
         raise ConfigError(f"--seed: expected a whole number from 0 to {SEEDS - 1}, found {seed}.")
-    count = sessions or config.evaluation.sessions
+    count = config.evaluation.sessions if sessions is None else sessions
+    if count < 1:
+        raise ConfigError(f"--sessions: expected a whole number from 1 on, found {count}.")
     tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     place = folder / "evaluation"
@@ -191,7 +193,8 @@ def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[fl
 def policy_file(folder: Path, policy: str | Path) -> Path:
     """An exported (ONNX) policy: "best", "pretrained", a candidate's id, or a file. Raises PolicyError.
 
-    One that a run folder holds only as parameters (.safetensors), or such a file, is exported to `folder`/evaluation.
+    One that a run folder holds only as parameters (.safetensors), or such a file, is exported to `folder`/evaluation; a
+    file by a name of its own, since those of two folders may be called the same.
     """
     from hts.policies.export_command import find_policy
 
@@ -209,14 +212,16 @@ def policy_file(folder: Path, policy: str | Path) -> Path:
     from hts.policies.export import to_onnx
     from hts.policies.files import load_policy
 
-    to = folder / "evaluation" / f"{parameters.stem}.onnx"
+    loaded = load_policy(parameters)
+    name = parameters.stem if not given.suffix else f"{parameters.stem}-{loaded.card.policy_hash[:12]}"  # of any folder
+    to = folder / "evaluation" / f"{name}.onnx"
     to.parent.mkdir(exist_ok=True)
     found_by_gate, beside = parameters.with_suffix(".gate.json"), to.with_suffix(".gate.json")
     if found_by_gate.exists():  # worlds that are machines ask for it
         shutil.copyfile(found_by_gate, beside)
     else:
         beside.unlink(missing_ok=True)
-    return to_onnx(load_policy(parameters), to)
+    return to_onnx(loaded, to)
 
 
 def _compared(path: Path) -> Path:

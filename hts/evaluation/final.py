@@ -17,8 +17,6 @@ from hts.evaluation.segments import Segments, falls_of
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
-RESULT = "evaluation.json"
-
 Results = dict[float, HeadToHead]
 REAL_KEYS = (
     *("improvement", "improvement_ci95", "segments", "valid", "falls", "mean_speed", "held", "commanded"),

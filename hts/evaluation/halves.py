@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from hts.config import EvaluationConfig
 from hts.contracts import VELOCITY, Comparison, Objective, Task
+from hts.errors import PluginError
 from hts.evaluation.across_speeds import mean_by_objective
-from hts.evaluation.head_to_head import TooFewSegments, by_speed, point
+from hts.evaluation.head_to_head import ROLES, TooFewSegments, by_speed, point
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -30,18 +31,34 @@ def halves(
 
     recordings: the round's blocks in any order, at each speed as many of the role "policy" as of "reference"; half n is
     the n-th of each, its numbers the means over the speeds. None for a half in which fewer than `config.min_valid` of
-    either one's segments are valid at any speed. Raises EvaluationError as `head_to_head.compare` does otherwise.
+    either one's segments are valid at any speed. Raises EvaluationError as `head_to_head.compare` does otherwise, and
+    PluginError for other numbers of blocks.
     """
-    few = config.model_copy(update={"min_segments": 1})
-    speeds = [_at_one_speed(objectives, blocks, few, task) for blocks in by_speed(recordings, task).values()]
+    few, groups = config.model_copy(update={"min_segments": 1}), by_speed(recordings, task)
+    _check_blocks(groups, task)
+    speeds = [_at_one_speed(objectives, blocks, few, task) for blocks in groups.values()]
     return [_over_speeds(found) for found in zip(*speeds, strict=True)]
+
+
+def _check_blocks(groups: Mapping[float, Sequence[Recording]], task: Task) -> None:
+    """Raise PluginError unless policy and reference have as many blocks as each other, and as at any other speed."""
+    counts = {
+        speed: tuple(sum(recording.role == role for recording in blocks) for role in ROLES)
+        for speed, blocks in groups.items()
+    }
+    if len({count for pair in counts.values() for count in pair}) > 1:
+        found = ", ".join(f"{policy} and {reference}{task.at(speed)}" for speed, (policy, reference) in counts.items())
+        raise PluginError(
+            f"A round has so many blocks of the policy and of the reference: {found}. Expected as many of both, alike "
+            "at every speed: the world must walk two of each (`World.head_to_head_round`)."
+        )
 
 
 def _at_one_speed(
     objectives: Mapping[str, Objective], recordings: Sequence[Recording], config: EvaluationConfig, task: Task
 ) -> list[Half | None]:
     ordered = sorted(recordings, key=lambda recording: recording.block)
-    policy, reference = ([r for r in ordered if r.role == role] for role in ("policy", "reference"))
+    policy, reference = ([r for r in ordered if r.role == role] for role in ROLES)
     return [_half(objectives, pair, config, task) for pair in zip(policy, reference, strict=True)]
 
 

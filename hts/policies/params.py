@@ -102,7 +102,7 @@ def _of_env(file: Path, env: Mapping[str, Any]) -> Source:
         said["default_pose"] = dict(pose)
     actuators = robot.get("actuators") or (robot.get("articulation") or {}).get("actuators") or ()
     groups = list(actuators.values()) if isinstance(actuators, Mapping) else list(actuators)
-    gains, lags = _gains(file, groups)
+    gains, lags = _gains(groups)
     said |= gains
     if lags is not None and physics_dt:
         said["delay_seconds"] = (lags[0] * float(physics_dt), lags[1] * float(physics_dt))
@@ -113,7 +113,7 @@ def _of_env(file: Path, env: Mapping[str, Any]) -> Source:
     return Source(contract, () if group is None else _terms(file, group))
 
 
-def _gains(file: Path, groups: list[Mapping[str, Any]]) -> tuple[dict[str, Any], tuple[int, int] | None]:
+def _gains(groups: list[Mapping[str, Any]]) -> tuple[dict[str, Any], tuple[int, int] | None]:
     """kp and kd by patterns of joint names, and least and most delay in physics steps."""
     kp: dict[str, float] = {}
     kd: dict[str, float] = {}

@@ -56,7 +56,7 @@ def suggested_mapping(path: Path, robot: Robot) -> str:
     joints, templates = _joints(list(columns), robot.spec.joint_names, seen)
     lines += joints
     channels, used = _joint_channels(templates, columns, robot)
-    more, scalars = _gauges(columns, {*used, *([time] if time else [])}, robot, seen)
+    more, scalars = _gauges(columns, {*used, *([time] if time else [])}, seen)
     lines += ["channels:", *channels, *more]
     if not channels:
         lines.append(f"  # {CHECK}: no joint channel was recognised. joint_torque: {{columns: ..., unit: N*m}}")
@@ -190,7 +190,7 @@ def _joint_channels(
                 continue
             wanted = robot.channels().get(channel)
             values = np.stack([columns[one] for one in by_joint.values()], axis=1)
-            unit, why = _joint_unit(channel, unit, words, values, robot)
+            unit, why = _joint_unit(unit, words, values, robot)
             about = "" if wanted is not None else ", real: false"
             lines.append(f"  {channel}: {{columns: {json.dumps(template)}, unit: {unit}{about}}}{why}")
             taken.add(channel)
@@ -199,7 +199,7 @@ def _joint_channels(
     return lines, used
 
 
-def _joint_unit(channel: str, unit: str, words: set[str], values: np.ndarray, robot: Robot) -> tuple[str, str]:
+def _joint_unit(unit: str, words: set[str], values: np.ndarray, robot: Robot) -> tuple[str, str]:
     """The unit, and a remark where values or words contradict the usual one."""
     limits = {"rad/s": robot.spec.velocity_limit, "N*m": robot.spec.torque_limit}.get(unit)
     reach = np.asarray(limits) if limits else np.abs(np.asarray(robot.spec.position_limit)).max(axis=1) + 0.35
@@ -212,9 +212,7 @@ def _joint_unit(channel: str, unit: str, words: set[str], values: np.ndarray, ro
     return unit, ""
 
 
-def _gauges(
-    columns: Mapping[str, np.ndarray], used: set[str], robot: Robot, seen: Glance
-) -> tuple[list[str], set[str]]:
+def _gauges(columns: Mapping[str, np.ndarray], used: set[str], seen: Glance) -> tuple[list[str], set[str]]:
     """Single columns that by their name are a current, a voltage or the like: real channels, whose idle level only the
     person at the robot knows."""
     lines: list[str] = []

@@ -135,7 +135,7 @@ class Trials:
         lost = LostPackets(settings.lost_packets, self.instances, self.seed)
         tensors = [policy.tensors for policy in policies]
         population = Population.from_candidates(policies[0].card.sizes(), tensors, env.device)
-        sent = commands_of(self.judged, names) if job.config.simulation_test.hold_speed else None
+        sent = commands_of(self.judged, names, self.set_points) if job.config.simulation_test.hold_speed else None
         spec = job.robot.spec
         try:
             found = rollout(env, population, spec, self.checks, settings, self.set_points, lost, sent)

@@ -224,9 +224,19 @@ def channels_of(checks: Sequence[str]) -> tuple[str, ...]:
     return tuple(NEEDS[check][0] for check in checks if check in NEEDS)
 
 
-def commands_of(trials: Mapping[str, Sequence[Mapping[str, Any]]], names: Sequence[str]) -> torch.Tensor | None:
-    """Commands [P, S] that held the speed while these policies were judged, m/s; None where one is not known."""
-    rows = [[trial.get("commanded") for trial in trials[name]] for name in names]
-    if any(value is None for row in rows for value in row):
+def commands_of(
+    trials: Mapping[str, Sequence[Mapping[str, Any]]], names: Sequence[str], set_points: Sequence[float]
+) -> torch.Tensor | None:
+    """Commands [P, S] that held the speed while these policies were judged, m/s; where one is not known, as of who fell
+    in all instances there, the set-point itself, for that policy alone. None where none is known."""
+    rows = [[_known(trial.get("commanded")) for trial in trials[name]] for name in names]
+    if all(command is None for row in rows for command in row):
         return None
-    return torch.tensor(rows)
+    return torch.tensor(
+        [[at if command is None else command for command, at in zip(row, set_points, strict=True)] for row in rows]
+    )
+
+
+def _known(command: float | None) -> float | None:
+    """JSON has no NaN: there nothing stands for it."""
+    return None if command is None or math.isnan(command) else command

@@ -112,13 +112,18 @@ def _version(name: str) -> str | None:
 
 
 def _git(*arguments: str) -> str | None:
-    """Output of git in the source tree; None for an installed package or without git."""
+    """Output of git in the source tree; None without git, and for an installed package, also where its environment lies
+    inside somebody else's repository."""
+    here = Path(__file__)
     try:
-        done = subprocess.run(
-            ["git", *arguments], cwd=Path(__file__).parent, capture_output=True, text=True, timeout=20, check=True
-        )
+        _asked_of_git(here.parent, "ls-files", "--error-unmatch", here.name)  # is it of this repository at all?
+        return _asked_of_git(here.parent, *arguments)
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def _asked_of_git(folder: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True, timeout=20, check=True)
     return done.stdout.strip()
 
 

@@ -132,15 +132,15 @@ def tried_elites(
     objective: str, candidates: Mapping[str, Mapping[str, Any]], results: Mapping[str, Mapping[str, Any]]
 ) -> list[Tried]:
     """From a run's stages. candidates: id -> kl, kl_bound and predicted, objective -> speed -> entry; results: of the
-    stage `test`. Means are over the speeds that were both promised and measured. One that was refused for what it
-    did itself (it fell, or did not keep to a speed) counts as a promise that was not kept at all, and one that fell
-    counts even where nothing was promised; any other without such a speed, for instance one whose reference did not
-    keep to it, is left out."""
+    stage `test`. Means are over the speeds that were both promised and measured with an interval: without one the error
+    is not known, which is not the same as none. One that was refused for what it did itself (it fell, or did not keep
+    to a speed) counts as a promise that was not kept at all, and one that fell counts even where nothing was promised;
+    any other without such a speed, for instance one whose reference did not keep to it, is left out."""
     found = []
     for name, result in results.items():
         row, real = candidates[name], (result.get("real") or {}).get(objective) or {}
         promised = row["predicted"].get(objective, {})
-        speeds = [speed for speed in real if speed in promised]
+        speeds = [speed for speed in real if speed in promised and real[speed]["improvement_ci95"]]
         refusal = result.get("refusal") or {}
         fell = bool((result.get("tested") or {}).get("fell") or result.get("refused_falls") or refusal.get("falls"))
         if not speeds and not fell and not (promised and refusal):
@@ -150,7 +150,7 @@ def tried_elites(
         predicted = sum(promised[speed]["improvement"] for speed in over) / count
         measured = sum(real[speed]["improvement"] for speed in speeds) / count if speeds else min(0.0, predicted)
         widths = [real[speed]["improvement_ci95"] for speed in speeds]
-        half = math.sqrt(sum(((ci[1] - ci[0]) / 2) ** 2 for ci in widths if ci)) / count
+        half = math.sqrt(sum(((ci[1] - ci[0]) / 2) ** 2 for ci in widths)) / count
         found.append(
             Tried(
                 name,

@@ -95,7 +95,7 @@ def test_the_size_of_the_measurement_model_can_be_chosen():
     assert new_model(objective, machine, 128).settings["hidden"] == 128
 
 
-@pytest.mark.parametrize("text", ["512,256", "512-", "big", "0-128"])
+@pytest.mark.parametrize("text", ["512,256", "512-", "big", "0-128", "51²"])
 def test_hidden_layers_that_are_no_numbers_are_refused(text, capsys):
     from hts.cli.main import main
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -107,6 +109,12 @@ def test_a_speed_may_be_a_number_of_numpy(folder, registry):
     assert caught.value.args[0] == [0.5, 1]
 
 
+@pytest.mark.parametrize("sessions", [0, -1])
+def test_it_is_done_once_at_least(folder, registry, sessions):
+    with pytest.raises(ConfigError, match=rf"^--sessions: expected a whole number from 1 on, found {sessions}\.$"):
+        evaluate_run(folder, speeds=[0.8], sessions=sessions, registry=registry)
+
+
 @pytest.mark.parametrize("seed", [-1, 2**63])
 def test_a_seed_that_no_generator_takes_is_refused(folder, registry, seed):
     with pytest.raises(ConfigError, match=rf"^--seed: expected a whole number from 0 .*, found {seed}\.$"):
@@ -127,9 +135,31 @@ def test_what_was_left_out_stays_left_out():
     assert command_of(Path("r1"), (), None, "field", 0, 4) == "hts evaluate r1 --world field --seed 0 --sessions 4"
 
 
-def test_what_the_gate_found_goes_with_parameters_that_are_exported(folder, monkeypatch):
+def exported_by_hash(monkeypatch) -> None:
+    """Of each policy no more than its hash is real: that of its folder's name."""
     monkeypatch.setattr("hts.policies.export.to_onnx", lambda policy, to: to)
-    monkeypatch.setattr("hts.policies.files.load_policy", lambda path: path)
+    monkeypatch.setattr(
+        "hts.policies.files.load_policy", lambda path: SimpleNamespace(card=policy_of(path.parent.name))
+    )
+
+
+def policy_of(text: str) -> SimpleNamespace:
+    return SimpleNamespace(policy_hash=hashlib.sha256(text.encode()).hexdigest())
+
+
+def test_files_of_one_name_from_two_folders_do_not_take_each_others_place(folder, tmp_path, monkeypatch):
+    exported_by_hash(monkeypatch)
+    (folder / "policies" / "pretrained.onnx").unlink()
+    files = [tmp_path / name / "pretrained.safetensors" for name in ("one", "other")]
+    for file in (*files, folder / "policies" / "pretrained.safetensors"):
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(b"")
+        file.with_suffix(".json").write_text("{}")
+    assert len({policy_file(folder, one) for one in (*files, "pretrained")}) == 3
+
+
+def test_what_the_gate_found_goes_with_parameters_that_are_exported(folder, monkeypatch):
+    exported_by_hash(monkeypatch)
     parameters = folder / "00-00.safetensors"
     parameters.write_bytes(b"")
     parameters.with_suffix(".gate.json").write_text('{"passed": false}')

@@ -9,7 +9,7 @@ from hts.channels import Channel
 from hts.config import Command, CommandConfig, EvaluationConfig, ScheduleConfig
 from hts.config_loading import load_config
 from hts.contracts import VELOCITY, Comparison, HoldSpeed
-from hts.errors import ConfigError, EvaluationError
+from hts.errors import ConfigError, EvaluationError, PluginError
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import candidate_result, entry_both_ways, speeds_missed, walked_speeds
 from hts.evaluation.halves import halves
@@ -212,6 +212,15 @@ def test_halves_of_a_round_at_two_speeds_are_means_over_the_speeds():
     assert [half["cost"].improvement for half in found] == pytest.approx([0.25, 0.25], abs=0.01)
     gone = [block("policy", 1, 0.8, 0.5, 6.0, held(0.8)) if r is second[1] else r for r in second]
     assert halves({"cost": CostObjective()}, first + gone, CONFIG)[0] is None
+
+
+def test_a_round_with_another_number_of_blocks_of_one_role_is_the_worlds_mistake():
+    first, second = session(0.5, 0.5, 0.5, cost=9.0), session(0.8, 0.8, 0.8, cost=6.0)
+    with pytest.raises(PluginError, match=r"2 and 1 at 0.5 m/s. Expected as many of both.*head_to_head_round"):
+        halves({"cost": CostObjective()}, first[:3], CONFIG)
+    shorter = second[:2]
+    with pytest.raises(PluginError, match="2 and 2 at 0.5 m/s, 1 and 1 at 0.8 m/s"):
+        halves({"cost": CostObjective()}, first + shorter, CONFIG)
 
 
 def test_the_mean_leaves_out_what_not_every_speed_has():

@@ -22,7 +22,7 @@ from hts.plugins import load
 from hts.rl.population import Population, Sizes
 from hts.run import gate, judging
 from hts.run.gate_checks import CHECKS, Worst, check_told, sentence, told_by, untold_by
-from hts.run.gate_trials import LostPackets, rollout
+from hts.run.gate_trials import LostPackets, commands_of, rollout
 from hts.testing.known_world import KnownWorld
 from hts.testing.packages import kit_installed
 from hts.testing.tiny_run import tiny_run
@@ -374,3 +374,15 @@ def gate_trials_policy(robot):
     from hts.policies.files import load_policy
 
     return load_policy(robot.pretrained_policy(), robot.spec)
+
+
+def test_who_fell_everywhere_takes_nobody_elses_command_away():
+    """A command that nobody knows is null in simulate.json, NaN before it is written."""
+    trials = {
+        "walks": [{"commanded": 0.55}, {"commanded": 0.9}],
+        "fell": [{"commanded": 0.45}, {"commanded": None}],
+        "lies": [{"commanded": math.nan}, {"commanded": math.nan}],
+    }
+    sent = commands_of(trials, list(trials), (0.5, 0.8))
+    assert torch.equal(sent, torch.tensor([[0.55, 0.9], [0.45, 0.8], [0.5, 0.8]]))
+    assert commands_of(trials, ["lies"], (0.5, 0.8)) is None

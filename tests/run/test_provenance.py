@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
+import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -37,3 +40,24 @@ def test_it_is_asked_for_by_a_setting_and_old_configurations_have_none(tmp_path)
 
     (tmp_path / "config.yaml").write_text(dump_config(config).replace("provenance:\n  diff: true\n", ""))
     assert not read_config(tmp_path / "config.yaml").provenance.diff
+
+
+def test_an_environment_inside_somebody_elses_repository_says_nothing_of_that_repository(tmp_path, monkeypatch):
+    def git(*arguments):
+        named = ("-c", "user.name=x", "-c", "user.email=x@y.z")
+        subprocess.run(["git", *named, *arguments], cwd=tmp_path, check=True, capture_output=True)
+
+    place = tmp_path / ".venv" / "hts" / "run"
+    place.mkdir(parents=True)
+    copied = Path(shutil.copy(provenance.__file__, place))
+    (tmp_path / ".gitignore").write_text(".venv\n")
+    (tmp_path / "theirs.txt").write_text("a")
+    git("init", "-q")
+    git("add", ".")
+    git("commit", "-qm", "theirs")
+    (tmp_path / "theirs.txt").write_text("secret")
+    monkeypatch.setattr(provenance, "__file__", str(copied))
+    found = provenance.collect(0, "mujoco", {}, diff=True)
+    assert (found["commit"], found["diff"], found["diff_sha256"]) == (None, None, None)
+    git("add", "-f", str(copied))  # now it is of that repository
+    assert "secret" in provenance.collect(0, "mujoco", {}, diff=True)["diff"]

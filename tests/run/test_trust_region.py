@@ -181,6 +181,17 @@ def test_a_fall_narrows_the_bounds_also_where_nothing_was_promised():
     assert next_scale(1.0, [tried], CONFIG, C) == (0.5, "an elite fell")
 
 
+def test_what_was_measured_without_an_interval_is_not_taken_for_exact():
+    bare = {"improvement": 0.2, "improvement_ci95": None}
+    candidates = {"a": made({"power": 1.0}, power=0.2)}
+    lone = {"real": {"power": {"0.8": bare}}, "tested": {"fell": False}}
+    assert tried_elites("power", candidates, {"a": lone}) == []
+    candidates["a"]["predicted"]["power"]["0.5"] = {"improvement": 0.1}
+    both = {"real": {"power": {"0.8": bare, "0.5": entry(0.08)}}, "tested": {"fell": False}}
+    (tried,) = tried_elites("power", candidates, {"a": both})
+    assert (tried.predicted, tried.measured) == (0.1, 0.08) and tried.half_width == pytest.approx(0.02)
+
+
 def test_who_promised_a_loss_and_was_refused_speaks_for_no_promise():
     refused = {"real": None, "refused": "it walked too slowly", "refusal": {"falls": 0, "speed": 0.8}}
     (tried,) = tried_elites("power", {"a": made({"power": 1.0}, power=-0.1)}, {"a": refused})
