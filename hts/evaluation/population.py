@@ -127,7 +127,7 @@ def spread(values: Values) -> Spread:
 def _interval(
     means: np.ndarray, statistic: Statistic, estimate: float, level: float, resamples: int, seed: int
 ) -> tuple[float, float] | None:
-    from scipy import stats
+    from scipy.special import ndtri, stdtrit
 
     count = len(means)
     if count < 2:
@@ -138,7 +138,7 @@ def _interval(
     drawn = statistic(means[chosen])
     upper = (1 + level) / 2
     low, high = np.quantile(drawn, [1 - upper, upper])
-    stretch = stats.t.ppf(upper, count - 1) / stats.norm.ppf(upper) * np.sqrt(count / (count - 1))
+    stretch = stdtrit(count - 1, upper) / ndtri(upper) * np.sqrt(count / (count - 1))
     return float(estimate + (low - estimate) * stretch), float(estimate + (high - estimate) * stretch)
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from hts.evaluation.balance import Balance
 from hts.evaluation.intervals import interval
@@ -65,5 +65,5 @@ def over_sessions(
     if not np.isfinite(without).all():
         return None
     pseudo = count * whole - (count - 1) * without
-    half = float(stats.t.ppf((1 + level) / 2, count - 1) * pseudo.std(ddof=1) / np.sqrt(count))
+    half = float(stdtrit(count - 1, (1 + level) / 2) * pseudo.std(ddof=1) / np.sqrt(count))
     return whole - half, whole + half

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from hts.config import RunConfig
 from hts.config_loading import dump_config
@@ -138,7 +138,7 @@ def prediction(values: Sequence[float], weights: Sequence[float] | None = None) 
     interval = None
     if worth > 1 + 1e-9:
         spread = math.sqrt(float(share @ np.square(found - mean)) * worth / (worth - 1))
-        wide = float(stats.t.ppf((1 + LEVEL) / 2, worth - 1)) * spread * math.sqrt(1 + 1 / worth)
+        wide = float(stdtrit(worth - 1, (1 + LEVEL) / 2)) * spread * math.sqrt(1 + 1 / worth)
         interval = [mean - wide, mean + wide]
     quantiles = {f"{q:g}": _quantile(found, share, q) for q in QUANTILES}
     return {"runs": count, "worth": worth, "mean": mean, "interval95": interval, "quantiles": quantiles}

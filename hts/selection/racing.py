@@ -202,9 +202,9 @@ def _clearly_below_zero(units: np.ndarray, level: float) -> bool:
 
 def _quantile(level: float, degrees: int) -> float:
     """Of Student's t, exceeded with probability `level`."""
-    from scipy import stats
+    from scipy.special import stdtrit
 
-    return float(stats.t.isf(level, degrees))
+    return float(-stdtrit(degrees, level))
 
 
 def _table(rows: Sequence[Sequence[float]]) -> np.ndarray:
