@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from functools import cache, lru_cache
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,7 @@ LEARNING = (
 Rule = Callable[[ast.Module], Iterator[str]]
 
 
+@lru_cache(maxsize=8)  # the rules follow each other file by file; all trees at once would take a lot of memory
 def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -133,17 +135,25 @@ def base_names(tree: ast.Module) -> set[str]:
     return {ast.unparse(base).split(".")[-1] for n in ast.walk(tree) if isinstance(n, ast.ClassDef) for base in n.bases}
 
 
+@cache  # by the text: a package is a part of the one around it, and a test changes its files
+def imports_and_bases(text: str) -> tuple[set[str], set[str]]:
+    tree = ast.parse(text)
+    return imports_of(tree), base_names(tree)
+
+
 def objectives_that_see_instruments(package: Path) -> list[str]:
     """Modules with an Objective that reach, through imports inside their package, a module with an Instrument."""
-    trees = {
-        f"{package.name}.{'.'.join(path.relative_to(package).with_suffix('').parts)}": tree_of(path)
+    found = {
+        f"{package.name}.{'.'.join(path.relative_to(package).with_suffix('').parts)}": imports_and_bases(
+            path.read_text(encoding="utf-8")
+        )
         for path in package.rglob("*.py")
         if "__pycache__" not in path.parts
     }
-    imports = {name: imports_of(tree) & set(trees) for name, tree in trees.items()}
-    bases = {name: base_names(tree) for name, tree in trees.items()}
+    imports = {name: imported & set(found) for name, (imported, _) in found.items()}
+    bases = {name: derived for name, (_, derived) in found.items()}
     offending = []
-    for start in (name for name, found in bases.items() if "Objective" in found):
+    for start in (name for name, derived in bases.items() if "Objective" in derived):
         reached, waiting = set(), [start]
         while waiting:
             name = waiting.pop()
