@@ -48,8 +48,7 @@ def made_by(factory: Callable[..., Any], kind: str, who: str, name: str, package
             f"{_begun(who, package)} cannot be made, {type(error).__name__}: {text.rstrip('.')}. {remedy} "
             "(HTS_DEBUG=1 shows where)."
         ) from error
-    strict = kind == "measurement_models" and not isinstance(made, contracts.MeasurementModel)
-    if strict or made is None or isinstance(made, type):  # `return` or a pair of brackets is missing
+    if not isinstance(made, CONTRACTS[kind]):  # `return`, a pair of brackets or the base class is missing
         found = f"the class {made.__name__} itself" if isinstance(made, type) else f"a {type(made).__name__}"
         raise PluginError(
             f"{_begun(who, package)}: its factory gives {found}, not a hts.contracts.{CONTRACTS[kind].__name__}. "

@@ -123,9 +123,14 @@ def test_a_run_gives_its_policies_by_name(folder):
 def test_a_robot_is_made_by_name_with_its_settings(monkeypatch):
     from hts import plugins
     from hts.plugins import Entry, Registry
+    from hts.testing.examples.robot.robot import Tiny
 
-    made = Entry("wheels", dict, "hts-wheels")
+    class Wheels(Tiny):
+        def __init__(self, settings):
+            self.settings = settings
+
+    made = Entry("wheels", Wheels, "hts-wheels")
     monkeypatch.setattr(plugins, "load", lambda: Registry(robots={"wheels": made}))
-    assert api.robot("wheels") == {} and api.robot("wheels", {"size": 2}) == {"size": 2}
+    assert api.robot("wheels").settings == {} and api.robot("wheels", {"size": 2}).settings == {"size": 2}
     with pytest.raises(ConfigError, match="No robot named 'wheel'. Did you mean 'wheels'?"):
         api.robot("wheel")

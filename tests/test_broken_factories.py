@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 
 from hts.cli.main import main
+from hts.errors import PluginError
+from hts.factories import CONTRACTS, made_by
 from hts.plugins import load
 from hts.testing.packages import write_package
 from hts.testing.starters import write_starter
@@ -30,6 +32,7 @@ INPUT_TWICE = (
 )
 ONE_INPUT = ("objective.py", "    target = TARGET\n", "    target = TARGET\n    inputs = 'joint_torque'\n")
 NO_TUPLE = ("objective.py", "    target = TARGET\n", "    target = TARGET\n    also_measured = TARGET\n")
+NO_BASE = ("objective.py", "class Heat(Objective):", "class Heat:")
 NO_TARGET = ("objective.py", "    target = TARGET\n", "")
 FAULTS = {
     "a misspelt import": (NO_IMPORT, "ImportError: cannot import name 'Feld' from 'pydantic'"),
@@ -44,6 +47,7 @@ FAULTS = {
     "an input twice": (INPUT_TWICE, "inputs are joint_torque, joint_torque, expected each channel once"),
     "an input that is no tuple": (ONE_INPUT, "inputs are 'joint_torque', expected names of channels, such as"),
     "a channel that is no tuple": (NO_TUPLE, "also_measured is a Channel, expected a tuple of hts.channels.Channel"),
+    "a class that does not derive": (NO_BASE, "its factory gives a Heat, not a hts.contracts.Objective"),
     "a target that is missing": (NO_TARGET, "its class sets no target"),
 }
 
@@ -122,6 +126,20 @@ def test_a_sound_one_is_listed_as_before(broken, capsys):
     assert main(["plugins", "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert "heat" in {one["name"] for one in data["objectives"]} and data["broken"] == []
+
+
+KINDS_MADE = {"robots": (), "worlds": (None,), "instruments": (None,), "selectors": (), "log_readers": ()}
+
+
+@pytest.mark.parametrize("kind", KINDS_MADE)
+def test_a_class_that_does_not_derive_from_its_contract_is_named_whatever_its_kind(kind):
+    class Stranger:
+        def __init__(self, *given):
+            pass
+
+    contract = CONTRACTS[kind].__name__
+    with pytest.raises(PluginError, match=rf"gives a Stranger, not a hts\.contracts\.{contract}\. Mend lab"):
+        made_by(Stranger, kind, "thing 'odd'", "odd", "lab", {}, *KINDS_MADE[kind])
 
 
 def test_what_is_not_made_by_its_own_name_breaks_no_check_of_others(broken):

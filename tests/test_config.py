@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from pydantic import ValidationError
@@ -19,6 +18,7 @@ from hts.presets import BASELINES, PRESETS
 from hts.testing.examples.log_only_robot.plugin import make_robot
 from hts.testing.examples.objective.objective import Fake
 from hts.testing.examples.robot.robot import Tiny
+from hts.testing.known_world import KnownWorld
 
 
 def fake_config(**given) -> RunConfig:
@@ -203,14 +203,11 @@ def test_a_run_needs_an_objective_and_a_robot():
 
 
 def registry() -> Registry:
-    def entry(name: str) -> dict[str, Entry]:
-        return {name: Entry(name, lambda *given: SimpleNamespace(close=lambda: None), "lab")}
-
     return replace(
         load(),
         robots={"hopper": Entry("hopper", lambda settings: Tiny(), "lab")},
         objectives={"fake": Entry("fake", lambda settings: Fake(), "lab")},
-        worlds=entry("twin"),
+        worlds={"twin": Entry("twin", lambda *given: KnownWorld(Tiny(), [], {}), "lab")},
     )
 
 

@@ -12,14 +12,31 @@ from hts import hookspecs
 from hts.channels import Channel
 from hts.contracts import ModelContext, Signals
 from hts.errors import ConfigError, PluginError
+from hts.factories import CONTRACTS
 from hts.plugins import KINDS, load
 
 SIGNALS = Signals((Channel("a", "1"),), Channel("b", "1"), 50.0)
 HEAD = "from hts import hookimpl\nHTS_API = 2\n"
 
 
-def offering(kind: str, name: str, factory: str = "lambda *given: given") -> str:
-    return f"{HEAD}\n@hookimpl\ndef hts_{kind}(register):\n    register({name!r}, {factory})\n"
+THING = """
+from hts import contracts
+from hts.channels import Channel
+
+class Thing(contracts.{contract}):
+    name, unit, inputs, target = {name!r}, "W", ("a",), Channel("b", "W")
+
+    def __init__(self, *given):
+        self.given = given
+
+Thing.__abstractmethods__ = frozenset()  # it keeps what its factory was given, and no more of the contract
+"""
+
+
+def offering(kind: str, name: str, factory: str = "Thing") -> str:
+    thing = THING.format(contract=CONTRACTS[kind].__name__, name=name) if kind in CONTRACTS else ""
+    factory = factory if thing else "lambda *given: given"  # a command is whatever may be called
+    return f"{HEAD}{thing}\n@hookimpl\ndef hts_{kind}(register):\n    register({name!r}, {factory})\n"
 
 
 def one_of(kind: str, install, name: str = "thing"):
@@ -30,7 +47,7 @@ def one_of(kind: str, install, name: str = "thing"):
 def test_hook_objectives(install):
     entry = one_of("objectives", install)
     assert (entry.name, entry.package) == ("thing", "stranger")
-    assert load().make_objective("thing", {"a": 1}) == ({"a": 1},)
+    assert load().make_objective("thing", {"a": 1}).given == ({"a": 1},)
 
 
 def test_hook_measurement_models(install):
@@ -47,27 +64,27 @@ def test_hook_measurement_models(install):
 
 def test_hook_robots(install):
     one_of("robots", install)
-    assert load().make_robot("thing") == ({},)
+    assert load().make_robot("thing").given == ({},)
 
 
 def test_hook_worlds(install):
     one_of("worlds", install)
-    assert load().make_world("thing", {"a": 1}, "context") == ({"a": 1}, "context")
+    assert load().make_world("thing", {"a": 1}, "context").given == ({"a": 1}, "context")
 
 
 def test_hook_instruments(install):
     one_of("instruments", install)
-    assert load().make_instrument("thing", {}, "robot") == ({}, "robot")
+    assert load().make_instrument("thing", {}, "robot").given == ({}, "robot")
 
 
 def test_hook_selectors(install):
     one_of("selectors", install)
-    assert load().make_selector("thing", {}) == ({},)
+    assert load().make_selector("thing", {}).given == ({},)
 
 
 def test_hook_log_readers(install):
     one_of("log_readers", install)
-    assert load().make_log_reader("thing") == ({},)
+    assert load().make_log_reader("thing").given == ({},)
 
 
 def test_hook_commands(install):
@@ -180,7 +197,7 @@ class Settings(BaseModel):
     legs: Legs = Legs()
 
 def make(settings):
-    return Settings(**settings)
+    return Thing(Settings(**settings))
 """
 
 
@@ -195,7 +212,7 @@ def make(settings):
 def test_wrong_settings_name_the_key_the_package_and_the_closest_key(install, settings, message):
     install("lab", {"lab": offering("robots", "spot", "make") + SETTINGS}, {"lab": "lab"})
     registry = load()
-    assert registry.make_robot("spot", {"colour": "red"}).colour == "red"
+    assert registry.make_robot("spot", {"colour": "red"}).given[0].colour == "red"
     with pytest.raises(ConfigError, match=message):
         registry.make_robot("spot", settings)
 
@@ -232,7 +249,7 @@ def test_a_plugin_of_the_hooks_before_is_told_what_changed_and_which_line_to_edi
 
 def test_the_choice_of_a_model_is_not_among_the_settings_of_the_objective(install):
     one_of("objectives", install)
-    assert load().make_objective("thing", {"a": 1, "model": {"name": "linear"}}) == ({"a": 1},)
+    assert load().make_objective("thing", {"a": 1, "model": {"name": "linear"}}).given == ({"a": 1},)
 
 
 def test_a_misspelt_choice_of_the_model_is_answered_with_the_key_that_the_core_reads():

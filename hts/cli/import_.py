@@ -144,7 +144,7 @@ def _read(
             typer.echo(printable(f"refused: {why}"), err=True)
         raise RecordingError(f"{len(refused)} of {len(groups)} logs are refused, see above. Nothing was stored.")
     if refused:
-        raise RecordingError(f"{refused[0]} Nothing was stored.") from refused[0]
+        raise RecordingError(f"{str(refused[0]).rstrip('.')}. Nothing was stored.") from refused[0]
     return read
 
 

@@ -70,7 +70,9 @@ def test_import_stores_one_recording_a_file_and_again_changes_nothing(
 
 def test_import_stores_nothing_if_one_of_the_files_is_refused(commands: Path) -> None:
     bad = a_log(commands, [f"{20 * i},{i},{i},58" for i in range(10)], name="bad.csv")
-    with pytest.raises(RecordingError, match="bad.csv: 'draw' is -0.058 A in all 10 samples.*Nothing was stored"):
+    with pytest.raises(
+        RecordingError, match=r"bad.csv: 'draw' is -0.058 A in all 10 samples.*--drop draw\. Nothing was stored"
+    ):
         hts_import(commands, a_log(commands), bad)
     assert not (commands / "data.zarr").exists()
 
