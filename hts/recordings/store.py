@@ -214,9 +214,9 @@ class RecordingStore:
         try:
             kind = _read_attributes(file, remedy).get("kind")
         except (FileNotFoundError, NotADirectoryError):
-            raise RecordingError(
-                f"{self.path}: no recording store (no zarr.json). Correct the path; `hts import` makes a new one."
-            ) from None
+            within = sorted(one.parent for one in self.path.glob("*.zarr/zarr.json"))  # as in a run's folder
+            meant = f"There is one in it: {within[0]}." if within else "`hts import` makes a new one."
+            raise RecordingError(f"{self.path}: no recording store (no zarr.json). Correct the path. {meant}") from None
         except OSError as error:
             self._refuse(error, f"reading {file}")
         if kind != KIND:

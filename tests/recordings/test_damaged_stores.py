@@ -116,3 +116,10 @@ def test_an_unknown_recording_is_named_with_the_closest(store: RecordingStore) -
     wrong = recording_id[:-1] + ("0" if recording_id[-1] != "0" else "1")
     with pytest.raises(RecordingError, match=f"no recording '{wrong}' among 1. Did you mean '{recording_id}'"):
         store.read(wrong)
+
+
+def test_a_folder_that_holds_a_store_is_told_where_it_lies(tmp_path: Path) -> None:
+    """A run's folder given for its recordings: the one thing that is meant is in it."""
+    RecordingStore(tmp_path / "data.zarr", create=True)
+    with pytest.raises(RecordingError, match=r"no recording store.*There is one in it: .*data\.zarr\.$"):
+        RecordingStore(tmp_path)
