@@ -80,7 +80,8 @@ def _fault(
         return f"{_expected(fault)}."
     if fault["type"] == "value_error" and isinstance(fault["input"], Mapping):  # the rest of a section says nothing
         return f"{where}: {_expected(fault)}."
-    found = f"{_expected(fault)}, found {shortened(fault['input'])}{_as_whole(fault)}."
+    given = "nothing" if fault["input"] is None else shortened(fault["input"])
+    found = f"{_expected(fault)}, found {given}{_as_whole(fault)}."
     if fault["input"] is None and fault["type"] in ("model_type", "dict_type"):  # all its keys are commented out
         found = f"{_expected(fault)}, found nothing. Write a key below it, or take it away."
     return f"{where}: {found}" if where else found[:1].upper() + found[1:]

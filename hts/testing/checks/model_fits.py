@@ -121,7 +121,8 @@ def making_it_draws_nothing(entry: Entry, registry: Registry) -> None:
             state() == before,
             "is made with numbers from a global random generator, as layers of torch.nn draw them. Make the layers "
             "with device='meta', then .to_empty(device='cpu'), and fill them from a torch.Generator of your own "
-            "(hts.measurement.lstm does), or make them inside `with torch.random.fork_rng(): torch.manual_seed(0)`",
+            "(hts.measurement.lstm does), or make them inside `with torch.random.fork_rng(devices=[]): "
+            "torch.manual_seed(0)`",
         )
 
 
