@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+
+from hts.quantiles import normal_quantile, student_quantile
 
 MAX_BIAS = 0.1  # batches so long that their means lose at most this share of the variance to their neighbours
 MIN_BATCH = 5  # segments
@@ -55,7 +56,7 @@ def interval(
         return None
     low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
     quantile = (1 + level) / 2
-    stretch = stdtrit(degrees, quantile) / ndtri(quantile)
+    stretch = student_quantile(quantile, degrees) / normal_quantile(quantile)
     stretch *= np.sqrt(_variance_ratio(batches, correlation))
     return (float(point + (low - point) * stretch), float(point + (high - point) * stretch))
 

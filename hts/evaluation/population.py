@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hts.errors import EvaluationError
+from hts.quantiles import normal_quantile, student_quantile
 
 Values = Mapping[str, Sequence[float | Sequence[float]]]
 """reality -> one number per seed, or one per session of each seed."""
@@ -127,7 +128,6 @@ def spread(values: Values) -> Spread:
 def _interval(
     means: np.ndarray, statistic: Statistic, estimate: float, level: float, resamples: int, seed: int
 ) -> tuple[float, float] | None:
-    from scipy.special import ndtri, stdtrit
 
     count = len(means)
     if count < 2:
@@ -138,7 +138,7 @@ def _interval(
     drawn = statistic(means[chosen])
     upper = (1 + level) / 2
     low, high = np.quantile(drawn, [1 - upper, upper])
-    stretch = stdtrit(count - 1, upper) / ndtri(upper) * np.sqrt(count / (count - 1))
+    stretch = student_quantile(upper, count - 1) / normal_quantile(upper) * np.sqrt(count / (count - 1))
     return float(estimate + (low - estimate) * stretch), float(estimate + (high - estimate) * stretch)
 
 

@@ -18,10 +18,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.special import stdtrit
 
 from hts.evaluation.balance import Balance
 from hts.evaluation.intervals import interval
+from hts.quantiles import student_quantile
 
 Statistic = Callable[[np.ndarray, np.ndarray], float]
 
@@ -65,5 +65,5 @@ def over_sessions(
     if not np.isfinite(without).all():
         return None
     pseudo = count * whole - (count - 1) * without
-    half = float(stdtrit(count - 1, (1 + level) / 2) * pseudo.std(ddof=1) / np.sqrt(count))
+    half = float(student_quantile((1 + level) / 2, count - 1) * pseudo.std(ddof=1) / np.sqrt(count))
     return whole - half, whole + half

@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from hts.config import RunConfig
 from hts.config_loading import dump_config
 from hts.errors import RunError
 from hts.plugins import load
+from hts.quantiles import student_quantile
 from hts.report import wording
 from hts.run import resume_run, start_run, with_engine
 from hts.run.stage_files import read_stage
@@ -138,7 +138,7 @@ def prediction(values: Sequence[float], weights: Sequence[float] | None = None) 
     interval = None
     if worth > 1 + 1e-9:
         spread = math.sqrt(float(share @ np.square(found - mean)) * worth / (worth - 1))
-        wide = float(stdtrit(worth - 1, (1 + LEVEL) / 2)) * spread * math.sqrt(1 + 1 / worth)
+        wide = student_quantile((1 + LEVEL) / 2, worth - 1) * spread * math.sqrt(1 + 1 / worth)
         interval = [mean - wide, mean + wide]
     quantiles = {f"{q:g}": _quantile(found, share, q) for q in QUANTILES}
     return {"runs": count, "worth": worth, "mean": mean, "interval95": interval, "quantiles": quantiles}

@@ -12,9 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from scipy.special import ndtri, stdtrit
-
 from hts.config import TrustRegionConfig
+from hts.quantiles import normal_quantile, student_quantile
 
 ACTIVE = 0.8  # of c: a candidate whose KL is larger was held back by its bound
 LEVEL = 0.95
@@ -82,10 +81,10 @@ def clearly_below(tried: Sequence[Tried]) -> bool:
 def _half_width(tried: Sequence[Tried], misses: Sequence[float]) -> float:
     """Of the interval of the sum of measured improvements. misses: how far each lies from what all have in common."""
     squares = sum(one.predicted**2 for one in tried)
-    error = sum((one.half_width / ndtri((1 + LEVEL) / 2)) ** 2 for one in tried)
+    error = sum((one.half_width / normal_quantile((1 + LEVEL) / 2)) ** 2 for one in tried)
     degrees = PRIOR_ELITES + len(tried) - 1
     scatter = (PRIOR_ELITES * PRIOR_SCATTER**2 * squares + len(tried) * sum(miss**2 for miss in misses)) / degrees
-    return float(stdtrit(degrees, (1 + LEVEL) / 2) * math.sqrt(scatter + error))
+    return float(student_quantile((1 + LEVEL) / 2, degrees) * math.sqrt(scatter + error))
 
 
 def next_scale(

@@ -26,6 +26,7 @@ from hts.contracts import (
     TestedCandidate,
 )
 from hts.errors import ConfigError, PluginError, unknown_name
+from hts.quantiles import student_quantile
 from hts.selection import anytime
 from hts.selection.hierarchical import Hierarchical, HierarchicalSettings
 
@@ -202,9 +203,7 @@ def _clearly_below_zero(units: np.ndarray, level: float) -> bool:
 
 def _quantile(level: float, degrees: int) -> float:
     """Of Student's t, exceeded with probability `level`."""
-    from scipy.special import stdtrit
-
-    return float(-stdtrit(degrees, level))
+    return -student_quantile(level, degrees)
 
 
 def _table(rows: Sequence[Sequence[float]]) -> np.ndarray:

@@ -25,11 +25,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
-from scipy.special import stdtrit
 
 from hts.config import Config, ScheduleConfig
 from hts.contracts import Fact, Instrument, Reading
 from hts.errors import RecordingError
+from hts.quantiles import student_quantile
 from hts.recordings.recording import Recording
 from hts.worlds.twin.reality import Measured
 
@@ -222,7 +222,9 @@ def tolerance(values: Sequence[float], discrepancy: float = DISCREPANCY) -> floa
     """How far a twin's value may lie from the mean of these; of a single value no scatter is known."""
     mean, count, scatter = abs(float(np.mean(values))), len(values), 0.0
     if count > 1:
-        scatter = float(stdtrit(count - 1, (1 + LEVEL) / 2) * np.std(values, ddof=1) * math.sqrt(1 + 1 / count))
+        scatter = float(
+            student_quantile((1 + LEVEL) / 2, count - 1) * np.std(values, ddof=1) * math.sqrt(1 + 1 / count)
+        )
     return min(scatter + discrepancy * mean, max(MOST, discrepancy) * mean)
 
 
