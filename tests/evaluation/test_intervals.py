@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -142,3 +144,21 @@ def test_what_cannot_be_compared_in_some_draw_has_no_interval():
         return float(np.log(policy[0])) if policy[0] > 0 else float("nan")
 
     assert interval(log_of, few, few, 200) is None
+
+
+def test_the_interval_is_as_wide_as_its_degrees_of_freedom_say():
+    """Two blocks in three batches each: four degrees. All 27 × 27 draws of the bootstrap are listed here."""
+    sign = np.tile([1.0, -1.0], 8)[:15]  # neighbours that differ: their correlation counts as none
+    policy, reference = (np.repeat(level, 5) + 4 * sign for level in ([7.0, 8.0, 9.6], [9.5, 11.0, 10.2]))
+    low, high = interval(difference, [policy[:, None]], [reference[:, None]], resamples=20_000)
+    of_batches = [block.reshape(3, 5).mean(axis=1) for block in (policy, reference)]
+    means = [[np.mean(drawn) for drawn in product(batches, repeat=3)] for batches in of_batches]
+    draws = np.subtract.outer(*means).ravel()
+    point = policy.mean() - reference.mean()
+    student, normal = 2.776, 1.960  # quantiles for 97.5 %, of printed tables
+    expected = (np.quantile(draws, [0.025, 0.975]) - point) * student / normal * np.sqrt(3 / 2)
+    assert [low - point, high - point] == pytest.approx(expected, rel=0.03)
+
+
+def difference(policy: np.ndarray, reference: np.ndarray) -> float:
+    return float(policy[0] - reference[0])
