@@ -49,9 +49,9 @@ def test_others_subset_fonts_as_before(tmp_path):
     before = subset.load_font
     with matplotlib.rc_context(style.RC):
         style.save(style.figure(2.0)[0], tmp_path, "empty")
-        with pytest.raises(OSError):
-            (tmp_path / "full.pdf").mkdir()
-            style.save(style.figure(2.0)[0], tmp_path, "full")
+        (tmp_path / "taken.pdf").mkdir()
+        with pytest.raises(IsADirectoryError):
+            style.save(style.figure(2.0)[0], tmp_path, "taken")
     assert subset.load_font is before
 
 
