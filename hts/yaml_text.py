@@ -16,7 +16,22 @@ MAX_DEPTH = 30
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """PyYAML's safe loader keeps the last of two equal keys without a word; this one refuses them."""
+    """PyYAML's safe loader keeps the last of two equal keys without a word, and reads on as deep as Python calls; this
+    one refuses both."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """What is too deep is refused where it begins: a thousand brackets take seconds to read to their end."""
+        if self._depth > MAX_DEPTH and not self.check_event(yaml.ScalarEvent, yaml.AliasEvent):
+            raise RecursionError
+        self._depth += 1
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         first: dict[tuple[str, str], int] = {}

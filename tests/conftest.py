@@ -46,6 +46,13 @@ def install(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monkey
             del sys.modules[name]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Modules with slow tests first: no worker is left alone with one at the end. Modules stay whole, and with them
+    what their tests share."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @dataclass(frozen=True)
 class SmallRun:
     """A finished run of the smallest size, made once per test session; nobody may write into its folder."""

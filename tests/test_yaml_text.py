@@ -42,6 +42,11 @@ def test_more_levels_than_a_configuration_has_are_refused():
     assert load_text("[" * 30 + "]" * 30, "here")
 
 
+def test_what_is_too_deep_is_refused_before_it_is_read_to_its_end():
+    assert f"more than {MAX_DEPTH} levels" in refusal("[" * 31 + " and then no YAML: }")
+    assert "not YAML" in refusal("[" * 30 + " and then no YAML: }")
+
+
 def test_a_value_that_holds_itself_is_refused():
     assert f"more than {MAX_DEPTH} levels" in refusal("a: &a [*a, *a]")
 

@@ -14,7 +14,8 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 from batch import tables
@@ -61,9 +62,14 @@ def written(text: str, lines: Path) -> str:
     Raises EvaluationError for a block that cannot be made, naming it.
     """
 
+    @cache
+    def read(files: str) -> list[Line]:
+        """Most blocks of a page are of the same few files."""
+        return read_lines(files_of([lines / file for file in files.split(",")]))
+
     def block(match: re.Match[str]) -> str:
         what, body = match["what"].strip(), match["body"]
-        made = _made(what, lines)
+        made = _made(what, lines, read)
         around = "\n" if "\n" in body or "\n" in made else ""
         return f"<!-- results: {what} -->{around}{made}{around}<!-- end -->"
 
@@ -97,7 +103,7 @@ def older_text(older: Mapping[str, Mapping[str, int]]) -> str:
     return json.dumps({page: dict(sorted(found.items())) for page, found in older.items()}, indent=1) + "\n"
 
 
-def _made(what: str, folder: Path) -> str:
+def _made(what: str, folder: Path, read: Callable[[str], list[Line]]) -> str:
     name, *rest = what.split()
     given = dict(part.partition("=")[::2] for part in rest)
     where = f"Block 'results: {what}'"
@@ -113,7 +119,7 @@ def _made(what: str, folder: Path) -> str:
             found = [read_expected(folder.parent / "expected" / file) for file in given["lines"].split(",")]
             return expected_table([row for rows in found for row in rows])
         groups = groups_of(
-            _of_realities(read_lines(files_of([folder / file for file in given["lines"].split(",")])), given),
+            _of_realities(read(given["lines"]), given),
             given.get("preset"),
             given["methods"].split(",") if "methods" in given else None,
             given.get("objective"),

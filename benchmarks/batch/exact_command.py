@@ -8,9 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from batch import exact
 from batch.exact_gap import gap_table
-from batch.exact_kept import judge_kept, works_of
 from batch.exact_lines import exact_table, read_exact
 from batch.groups import groups_of
 from batch.lines import files_of, read_lines
@@ -22,6 +20,8 @@ Batch = Callable[[argparse.Namespace, Sequence[Job], Kind, Sequence[str]], int]
 
 def run(given: argparse.Namespace, jobs: Callable[[argparse.Namespace], list[Job]], batch: Batch) -> int:
     """Make the candidates that have no line yet."""
+    from batch import exact  # with torch and all of a run, which no table and no page needs
+
     asked = jobs(given)
     exact.check(asked, given.iteration)
     until = exact.jobs_until(asked, given.iteration)
@@ -30,6 +30,8 @@ def run(given: argparse.Namespace, jobs: Callable[[argparse.Namespace], list[Job
 
 def kept(given: argparse.Namespace) -> int:
     """Judge the candidates of whole runs that have no line yet."""
+    from batch.exact_kept import judge_kept, works_of
+
     works = works_of(read_lines(files_of(given.of)), given.runs)
     return judge_kept(works, given.lines, lambda text: print(text, file=sys.stderr, flush=True))
 

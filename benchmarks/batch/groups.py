@@ -12,7 +12,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from statistics import mean
+from statistics import fmean
 
 from batch.lines import Figures, GivenUp, Line, Outcome, Result
 from batch.methods import ORACLE
@@ -138,7 +138,7 @@ def saving(
     speeds = every if speed is None else [str(float(speed))]
     if not set(speeds) <= set(every):
         raise EvaluationError(unknown_name("speed that this run was asked for, m/s,", str(speed), every))
-    return mean(_quantity(figures[one], metric) if one in figures else 0.0 for one in speeds)
+    return fmean(_quantity(figures[one], metric) if one in figures else 0.0 for one in speeds)
 
 
 def _quantity(figures: Figures, metric: str | None) -> float:

@@ -120,25 +120,33 @@ def test_a_run_tries_its_best_two_again_and_takes_the_best_over_both(tmp_path, w
     assert said in closing(run.summary) and said in (run.folder / "report.html").read_text()
 
 
-def test_second_trials_are_counted_as_real_samples(tmp_path):
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """A run whose best two were tried again, for those who only read it."""
     with kit_installed():
-        run = tiny_run(tmp_path / "run", settings=TWICE)
-    stages = ["collect", "iterations/00/test", "iterations/01/test", "confirm"]
-    spent = [json.loads((run.folder / f"{stage}.json").read_text())["samples"] for stage in stages]
-    assert spent[-1] > 0 and run.summary["real_samples_before_final"] == sum(spent)
+        return tiny_run(tmp_path_factory.mktemp("plain") / "run", settings=TWICE)
 
 
-def test_a_cap_that_leaves_room_for_one_leaves_the_second_trials_out(tmp_path, monkeypatch):
+def stage(run, name):
+    return json.loads((run.folder / f"{name}.json").read_text())
+
+
+def test_second_trials_are_counted_as_real_samples(plain):
+    spent = [
+        stage(plain, name)["samples"] for name in ("collect", "iterations/00/test", "iterations/01/test", "confirm")
+    ]
+    assert spent[-1] > 0 and plain.summary["real_samples_before_final"] == sum(spent)
+
+
+def test_a_cap_that_leaves_room_for_one_leaves_the_second_trials_out(tmp_path, monkeypatch, plain):
     monkeypatch.setattr(KnownWorld, "head_to_head_session_seconds", lambda self, speeds, seconds: speeds * 4 * seconds)
+    spent = plain.summary["real_samples_before_final"] - stage(plain, "confirm")["samples"]
+    each = stage(plain, "iterations/00/test")["samples"] // 2
     with kit_installed():
-        free = tiny_run(tmp_path / "free", settings={**TWICE, "selection.confirm": 0})
-        spent = free.summary["real_samples_before_final"]
-        each = json.loads((free.folder / "iterations/00/test.json").read_text())["samples"] // 2
-        capped = {**TWICE, "max_real_samples": round(spent + 1.5 * each)}
-        run = tiny_run(tmp_path / "run", settings=capped)
-    assert json.loads((run.folder / "confirm.json").read_text())["tried"] == []
+        run = tiny_run(tmp_path / "run", settings={**TWICE, "max_real_samples": round(spent + 1.5 * each)})
+    assert stage(run, "confirm")["tried"] == []
     assert run.summary["real_samples_before_final"] == spent
-    assert run.summary["final"]["policy"] == free.summary["final"]["policy"]
+    assert run.summary["final"]["policy"] == plain.summary["iterations"][-1]["best_so_far"]
 
 
 def test_one_candidate_leaves_nothing_to_choose_from(tmp_path):

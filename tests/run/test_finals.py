@@ -61,15 +61,28 @@ def ended(tmp_path, **settings):
     return run, [again["best"], *again["next"]], json.loads((run.folder / "final.json").read_text())
 
 
-def test_who_keeps_all_speeds_needs_no_other(tmp_path, losing):
-    run, (best, *_), final = ended(tmp_path)
-    assert final["policy"] == best and final["given_up"] == [] and len(losing[1]) == 1
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A run whose best policy keeps all speeds, and how many finals were walked."""
+    finals_of, plain = [], KnownWorld.head_to_head
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            KnownWorld,
+            "head_to_head",
+            lambda self, policy, *rest: finals_of.append(file_hash(policy)) or plain(self, policy, *rest),
+        )
+        return *ended(tmp_path_factory.mktemp("kept")), len(set(finals_of))
+
+
+def test_who_keeps_all_speeds_needs_no_other(kept):
+    run, (best, *_), final, finals_walked = kept
+    assert final["policy"] == best and final["given_up"] == [] and finals_walked == 1
     own = run.folder / f"iterations/{best[:2]}/candidates/{best}.gate.json"
     assert (run.folder / "policies/best.gate.json").read_text() == own.read_text()
     assert "given_up" not in run.summary["final"] and finals_before(run.summary) == []
 
 
-def test_the_next_one_of_the_trials_takes_the_place_of_who_lost_a_speed(tmp_path, losing):
+def test_the_next_one_of_the_trials_takes_the_place_of_who_lost_a_speed(tmp_path, losing, kept):
     losing[0][:] = [[0.5]]
     run, (best, second, *_), final = ended(tmp_path)
     assert final["policy"] == run.summary["final"]["policy"] == second and len(losing[1]) == 2
@@ -79,9 +92,7 @@ def test_the_next_one_of_the_trials_takes_the_place_of_who_lost_a_speed(tmp_path
     assert (run.folder / "policies/best.onnx").read_bytes() == (
         run.folder / f"iterations/{second[:2]}/candidates/{second}.onnx"
     ).read_bytes()
-    both = len(final["recordings"])
-    losing[0].clear(), losing[1].clear()
-    assert both == 2 * len(ended(tmp_path / "kept")[2]["recordings"])  # what was walked in vain is kept
+    assert len(final["recordings"]) == 2 * len(kept[2]["recordings"])  # what was walked in vain is kept
     said = f"In a final of its own {best} was refused at 0.5 m/s; {second} is the result."
     assert said in closing(run.summary) and said in (run.folder / "report.html").read_text()
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import nnls
 
 from hts_power.drive_train_prior import Expected
 
@@ -134,6 +133,8 @@ class Drives:
 
 def _non_negative(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
     """argmin over w >= 0 of wᵀ G w / 2 - rightᵀ w, G positive definite but for rounding."""
+    from scipy.optimize import nnls  # 0.4 s, which no process that fits nothing need pay
+
     gram = (gram + gram.T) / 2
     gram[np.diag_indices_from(gram)] += 1e-12 * np.trace(gram) / len(gram)
     root = np.linalg.cholesky(gram)

@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from hts.channels import Channel
 from hts.contracts import Fact, Instrument, PhysicsSample, Reading, Robot, RobotSpec, Settings
@@ -321,6 +320,8 @@ class BatteryGauge(Instrument):
                 self._new_battery(current.shape[1], self._charge_at_start).current, (window + late, 1)
             )
         if p.structure.low_pass:
+            from scipy.signal import lfilter  # a second of each process of a twin, of which few have this gauge
+
             keep = np.exp(-dt / p.window)  # exact for a current that is constant over a step
             current, _ = lfilter([1 - keep], [1, -keep], current, axis=0, zi=keep * self._history[-1:])
         self._history = np.concatenate([self._history[-(window + late) :], current])

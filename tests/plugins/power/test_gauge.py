@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -330,3 +333,8 @@ def test_exact_readings_carry_the_bus_power_whatever_the_gauge_shows():
 def test_before_anything_has_passed_the_exact_reading_is_that_of_idling():
     found = gauge().exact()
     assert found["battery_current"] * found["battery_voltage"] == pytest.approx(gauge().p.idle_power)
+
+
+def test_a_gauge_that_filters_nothing_imports_no_scipy():
+    code = "import sys, hts_power.gauge; sys.exit(any(name.partition('.')[0] == 'scipy' for name in sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
