@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,9 +52,6 @@ RC: dict[str, Any] = {
     "figure.constrained_layout.use": False,
 }
 
-LAYOUT_TABLES = ("GDEF", "GPOS", "GSUB", "kern")
-"""Of a font: they say which glyphs stand where, and a PDF holds glyphs that were placed already."""
-
 
 def figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Any]:
     """A figure of the page's width and its axes (always an array [rows, columns]), free of any global state."""
@@ -70,31 +66,8 @@ def save(drawing: Figure, folder: Path, name: str) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     drawing.savefig(folder / f"{name}.svg", metadata={"Date": None})
     drawing.set_layout_engine(None)  # the layout is found; finding it again for the PDF takes as long as drawing
-    with _glyphs_alone():
-        drawing.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None, "ModDate": None})
+    drawing.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None, "ModDate": None})
     return folder / f"{name}.svg"
-
-
-@contextmanager
-def _glyphs_alone() -> Iterator[None]:
-    """In here fonts are embedded without their layout tables: to cut these down takes most of the time of a PDF, and
-    matplotlib offers no option to leave them out."""
-    from fontTools import subset
-
-    load_font = subset.load_font
-
-    def without_tables(*args: Any, **options: Any) -> Any:
-        font = load_font(*args, **options)
-        for table in LAYOUT_TABLES:
-            if table in font:
-                del font[table]
-        return font
-
-    subset.load_font = without_tables
-    try:
-        yield
-    finally:
-        subset.load_font = load_font
 
 
 def embedded(drawing: Figure, folder: Path, file: str, title: str, caption: str) -> dict[str, str]:
