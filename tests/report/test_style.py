@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import re
 import zlib
 
 import matplotlib
 import pytest
-from fontTools import subset
-from fontTools.ttLib import TTFont
 
 from hts.report import style
 
@@ -36,23 +33,6 @@ def characters(stream):
     """Characters of a ToUnicode map: <first> <last> [<character> ...] or <first> <last> <character>."""
     for line in re.findall(rb"<[0-9a-f]+> <[0-9a-f]+> (?:\[([^]]*)\]|<([0-9a-f]+)>)", stream, re.IGNORECASE):
         yield from (int(code, 16) for code in re.findall(rb"[0-9a-fA-F]{4}", b" ".join(line)))
-
-
-def test_fonts_in_a_pdf_hold_glyphs_and_no_rules_of_layout(streams):
-    fonts = [TTFont(io.BytesIO(one)) for one in streams if one[:4] == b"\x00\x01\x00\x00"]
-    assert fonts
-    for font in fonts:
-        assert "glyf" in font and not {"GDEF", "GPOS", "GSUB", "kern"} & set(font.keys())
-
-
-def test_others_subset_fonts_as_before(tmp_path):
-    before = subset.load_font
-    with matplotlib.rc_context(style.RC):
-        style.save(style.figure(2.0)[0], tmp_path, "empty")
-        (tmp_path / "taken.pdf").mkdir()
-        with pytest.raises(IsADirectoryError):
-            style.save(style.figure(2.0)[0], tmp_path, "taken")
-    assert subset.load_font is before
 
 
 def test_the_layout_that_was_found_for_the_svg_is_the_pdfs(tmp_path):
