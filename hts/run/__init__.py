@@ -96,7 +96,7 @@ def refuse_oracle(config: RunConfig) -> None:
 
     if config.reward_source == "oracle":
         raise ConfigError(
-            "reward_source: `oracle` looks into the reality, which no run can. Expected model or proxy; what was "
+            "--reward (reward_source): `oracle` looks into the reality, which no run can. Expected model or proxy; what was "
             "possible says `hts oracle`."
         )
 

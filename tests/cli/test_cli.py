@@ -136,6 +136,27 @@ def test_a_misspelt_name_ends_in_one_line_with_the_closest(fakes, fake_run, caps
     assert fake_run.calls == []
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([*RUN, "--reward", "foo"], "error: --reward: expected 'model', 'proxy' or 'oracle', found 'foo'."),
+        ([*RUN, "--seed", "-3"], "error: --seed: expected at least 0, found -3."),
+        ([*RUN, "--seed", "-3", "--set", "seed=-4"], "error: --set seed: expected at least 0, found -4."),
+        ([*RUN, "--reward", "oracle"], "error: --reward (reward_source): `oracle` looks into the reality"),
+        (["baseline", *RUN[1:], "--seed", "-3"], "error: --seed: expected at least 0, found -3."),
+        (["config", "show", *RUN[1:], "--seed", "-3"], "error: --seed: expected at least 0, found -3."),
+        (["oracle", *RUN[1:], "--steps", "0"], "error: --steps (finetune.steps): expected more than 0, found 0."),
+        (["pretrain", "--robot", "go1", "--out", "x", "--seed", "-3"], "error: --seed: expected at least 0, found -3."),
+    ],
+)
+def test_a_wrong_value_is_named_by_the_option_that_was_typed(fakes, tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text("seed: 5\nreward_source: proxy\n")
+    given = [] if arguments[0] == "pretrain" else ["--config", "mine.yaml"]  # what an option says wins over it
+    assert main([*arguments, *given]) == 2
+    assert one_line_of(capsys).startswith(said)
+
+
 def test_a_run_goes_into_a_folder_named_after_it(fakes, fake_run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main([*RUN, "--seed", "3"]) == 0
