@@ -45,6 +45,24 @@ def test_a_unit_of_another_quantity_is_refused(tmp_path: Path) -> None:
         read(a_log(tmp_path), a_mapping(channels=channels))
 
 
+def test_a_pattern_without_joints_takes_the_robots_own_names(tmp_path: Path) -> None:
+    log = a_log(tmp_path, header="t,knee_tau,hip_tau,amps")
+    recording = read(log, a_mapping(joints=None))
+    steps = np.arange(10)
+    np.testing.assert_allclose(recording.values("joint_torque"), np.stack([-steps, steps], axis=1), atol=1e-5)
+
+
+def test_where_the_robots_names_are_not_the_logs_it_says_what_to_write(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as refused:
+        read(a_log(tmp_path), a_mapping(joints=None))
+    said = "give `joints`: the robot's joint -> its name in the log, joints: {hip: …, knee: …}. Without it the robot's "
+    assert said in str(refused.value)
+    assert "log.csv: No column named 'hip_tau'." in str(refused.value)
+    other = a_mapping(joints=None, time={"column": "stamp", "unit": "ms"})
+    with pytest.raises(RecordingError, match="log.csv: No column named 'stamp'"):
+        read(a_log(tmp_path, header="t,knee_tau,hip_tau,amps"), other)
+
+
 def test_a_file_without_a_header_is_read_by_numbers_and_joint_order(tmp_path: Path) -> None:
     mapping = a_mapping(
         header=False,
