@@ -14,12 +14,12 @@ at the top of the module behind its entry point, so that it is known as soon as 
 
 from __future__ import annotations
 
-import difflib
 import functools
 import re
 from typing import Any
 
 from hts.errors import RecordingError
+from hts.near import nearest
 
 UNITS: dict[str, str] = {
     "1": "dimensionless",
@@ -105,7 +105,7 @@ def known(unit: str) -> bool:
 
 def unknown(unit: str) -> str:
     """One line about a unit that is none: the closest one, those that are always there, and how to get others."""
-    close = TRAPS.get(unit) or next(iter(difflib.get_close_matches(unit, UNITS, n=1, cutoff=0.5)), None)
+    close = TRAPS.get(unit) or nearest(unit, UNITS)
     hint = f" Did you mean '{close}'?" if close else ""
     shown = "".join(letter if letter.isprintable() else "?" for letter in unit[:LONGEST])
     return (
