@@ -109,7 +109,9 @@ def _expected(fault: Mapping[str, Any]) -> str:
 
 
 def closest(name: str, known: Sequence[str]) -> str:
-    """The end of a sentence about a wrong key: the right one that is near it, if any, then all of them. Empty if none are known."""
+    """The end of a sentence about a wrong key: the right one that is near it, if any, then all of them.
+
+    Empty if none are known."""
     if not known:
         return ""
     close = nearest(name, known)

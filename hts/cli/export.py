@@ -83,7 +83,9 @@ def check_ending(to: Path, form: str) -> None:
         return
     *others, last = endings
     listed = f"{', '.join(others)} or {last}" if others else last
-    found = f"ends in '{to.suffix}', a policy as {form} in" if to.suffix else f"has no ending, a policy as {form} ends in"
+    found = (
+        f"ends in '{to.suffix}', a policy as {form} in" if to.suffix else f"has no ending, a policy as {form} ends in"
+    )
     other = next((name for name, its in FORMATS.items() if to.suffix in its), None)
     remedy = f", or say --format {other}" if other else ""
     raise ConfigError(f"--to {to}: {found} {listed}. Name the file so{remedy}.")

@@ -278,7 +278,7 @@ def _moments_noted(recording: Recording) -> list[float]:
         moments = [math.nan]
     if not all(0.0 <= one <= last + 0.5 / recording.rate_hz for one in moments):
         raise RecordingError(
-            f"A recording's note {FELL_AT} is '{noted}', expected seconds after its first sample, up to {last:g}, as in "
-            "1.5, 4."
+            f"A recording's note {FELL_AT} is '{noted}', expected seconds after its first sample, up to {last:g}, as "
+            "in 1.5, 4."
         )
     return moments

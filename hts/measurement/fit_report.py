@@ -100,7 +100,7 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
 
 
 def _instead(model: Mapping[str, Any], fit: Mapping[str, Any], objective: str) -> str:
-    """What to do about a model that `linear` is better than: it may have been fitted for too short, or be made of it."""
+    """What to do about a model that `linear` is better than: it may be fitted too shortly, or be made of it."""
     choose = f"--set objectives.{objective}.model=linear"
     member = model.get("member")
     if model.get("name") == "ensemble" and "linear" in (member, member.get("name") if isinstance(member, dict) else ""):

@@ -172,7 +172,9 @@ class LogMapping(Config):
     cut: tuple[MayBeEndless, MayBeEndless] | None = Field(
         None, description="take only this stretch, s after the first stamp"
     )
-    joints: dict[str, str] | None = Field(None, description="robot's joint -> its name in the log, for {joint}; left out: the robot's own names")
+    joints: dict[str, str] | None = Field(
+        None, description="robot's joint -> its name in the log, for {joint}; left out: the robot's own names"
+    )
     joint_order: tuple[str, ...] | None = Field(
         None, description="robot's joint names in the order of the log's columns; left out: the robot's order"
     )

@@ -96,8 +96,8 @@ def refuse_oracle(config: RunConfig) -> None:
 
     if config.reward_source == "oracle":
         raise ConfigError(
-            "--reward (reward_source): `oracle` looks into the reality, which no run can. Expected model or proxy; what was "
-            "possible says `hts oracle`."
+            "--reward (reward_source): `oracle` looks into the reality, which no run can. Expected model or proxy; "
+            "what was possible says `hts oracle`."
         )
 
 

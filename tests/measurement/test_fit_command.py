@@ -167,24 +167,24 @@ def test_a_model_that_is_worse_than_nothing_or_than_linear_is_told_with_its_cure
             {"name": "lstm"},
             {"stopped": "epochs", "epochs": 2},
             (
-                "Its fit was ended after 2 epochs: fit it longer, --set measurement.epochs=NUMBER, choose `linear`, --set "
-                "objectives.warm.model=linear, or record more."
+                "Its fit was ended after 2 epochs: fit it longer, --set measurement.epochs=NUMBER, choose `linear`, "
+                "--set objectives.warm.model=linear, or record more."
             ),
         ),
         (
             {"name": "lstm"},
             {"stopped": "time", "epochs": 1},
             (
-                "Its fit was ended after 1 epoch: fit it longer, --set measurement.max_seconds=NUMBER, choose `linear`, "
-                "--set objectives.warm.model=linear, or record more."
+                "Its fit was ended after 1 epoch: fit it longer, --set measurement.max_seconds=NUMBER, choose `linear`"
+                ", --set objectives.warm.model=linear, or record more."
             ),
         ),
         (
             {"name": "ensemble", "member": "linear"},
             {"stopped": "solved"},
             (
-                "Its members see parts of the recordings: choose `linear` alone, --set objectives.warm.model=linear, or "
-                "record more."
+                "Its members see parts of the recordings: choose `linear` alone, --set objectives.warm.model=linear, "
+                "or record more."
             ),
         ),
         ({"name": "ensemble", "member": {"name": "linear", "lags": 3}}, {}, "Its members see parts of the recordings"),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from two_joint_log import TWO_JOINTS, LogOnly, a_log, a_mapping, read
 
+from hts.channels import Channel
 from hts.errors import ConfigError, RecordingError
 from hts.recordings.mapping import assumed_order, load_mapping
 from hts.recordings.resample import window_mean
@@ -35,6 +36,25 @@ def test_a_logs_unit_is_converted_to_the_robots_and_its_limits_with_it(tmp_path:
     np.testing.assert_allclose(recording.values("joint_torque")[:, 1], np.arange(10) / 100, atol=1e-7)
     with pytest.raises(RecordingError, match="the mapping allows -0.08 to 0.08"):
         read(a_log(tmp_path), a_mapping(channels={"joint_torque": {**torque, "limits": [-8, 8]}}))
+
+
+class Warm(LogOnly):
+    """Its channel `motor_rise` is how much warmer a motor is than the air, K."""
+
+    def channels(self) -> Any:
+        return {**super().channels(), "motor_rise": Channel("motor_rise", "K")}
+
+
+def test_a_rise_of_temperature_is_read_as_it_was_logged(tmp_path: Path) -> None:
+    rise = {"columns": "amps", "unit": "delta_degC", "sign": -1, "scale": 0.001}
+    channels = {**a_mapping()["channels"], "motor_rise": rise}
+    del channels["draw"]
+    warm = Warm(("hip", "knee"), torque=20.0)
+    recording = read(a_log(tmp_path), a_mapping(channels=channels), warm)
+    np.testing.assert_allclose(recording.values("motor_rise"), np.arange(10), atol=1e-5)
+    channels["motor_rise"] = {**rise, "unit": "degC"}
+    with pytest.raises(ConfigError, match="'motor_rise' is in K on robot 'logger', not degC: degC cannot be converted"):
+        read(a_log(tmp_path), a_mapping(channels=channels), warm)
 
 
 def test_a_unit_of_another_quantity_is_refused(tmp_path: Path) -> None:
