@@ -66,6 +66,7 @@ def load_config(
     start: str | None = None,
     overrides: Sequence[str | Override] = (),
     registry: Registry | None = None,
+    option_names: Mapping[str, str] | None = None,
 ) -> RunConfig:
     """The configuration of a run. Raises ConfigError, one line, for anything that is wrong with it.
 
@@ -74,6 +75,7 @@ def load_config(
     overrides: KEY=VALUE each, the key dotted, the value as YAML; or such a pair already taken apart.
     registry: all that is installed. None: the robot is not asked for its task, and presets' speeds stay; it is loaded
     only for presets that ask objectives for settings of their own.
+    option_names: key -> the option by which a command gives it, for messages: "reward_source" -> "--reward".
     """
     sets = parsed(overrides)
     written = written_out(load_mapping_file(file), str(file)) if file else {}
@@ -107,8 +109,9 @@ def load_config(
     values = laid(*layers, last)  # all at once: only then is it known whose settings a layer without a name holds
     values["preset"] = chosen
     values["objectives"] = {name: (values.get("objectives") or {}).get(name, {}) for name in names}
-    _check_speed(laid(written, last), values, _origin(file, written, sets))
-    return _whole(values, _origin(file, written, sets))
+    origin = _origin(file, written, sets, {key: name for key, name in (option_names or {}).items() if key in options})
+    _check_speed(laid(written, last), values, origin)
+    return _whole(values, origin)
 
 
 def _check_speed(user: Mapping[str, Any], values: Mapping[str, Any], origin: Callable[[Location], str]) -> None:
@@ -136,12 +139,20 @@ def _of_objectives(names: Sequence[str], preset: str, registry: Registry | None)
 
 
 def load_section(
-    model: type[Section], file: Path | None, given: Mapping[str, Any], overrides: Sequence[str | Override] = ()
+    model: type[Section],
+    file: Path | None,
+    given: Mapping[str, Any],
+    overrides: Sequence[str | Override] = (),
+    option_names: Mapping[str, str] | None = None,
 ) -> Section:
-    """A configuration model of its own (no presets): its defaults < file < given < overrides. Raises ConfigError."""
+    """A configuration model of its own (no presets): its defaults < file < given < overrides. Raises ConfigError.
+
+    option_names: as of `load_config`.
+    """
     sets = parsed(overrides)
     written = load_mapping_file(file) if file else {}
-    return section_of(model, laid(written, given, nested(sets)), _origin(file, written, sets))
+    options = {key: name for key, name in (option_names or {}).items() if key in given}
+    return section_of(model, laid(written, given, nested(sets)), _origin(file, written, sets, options))
 
 
 def section_of(model: type[Section], values: Mapping[str, Any], origin: Callable[[Location], str]) -> Section:
@@ -269,14 +280,21 @@ def _texts(sets: Sequence[Override], key: str) -> str:
     return next(one.text for one in sets if one.path[0] == key)
 
 
-def _origin(file: Path | None, written: Mapping[str, Any], sets: Sequence[Override]) -> Callable[[Location], str]:
-    """A function that says of a location where its value was written: by --set, in the file, or in the preset."""
+def _origin(
+    file: Path | None, written: Mapping[str, Any], sets: Sequence[Override], options: Mapping[str, str]
+) -> Callable[[Location], str]:
+    """A function that says of a location where its value was written: by --set or another option, in the file, or in
+    the preset. options: key -> option, of those that were given."""
 
     def origin(location: Location) -> str:
         named = tuple(str(part) for part in location)
         for one in sets:
             if named[: len(one.path)] == one.path or one.path[: len(named)] == named:
+                if one.option is not None:
+                    return one.option
                 return f"--set {dotted(location)}" if one.text.startswith("--set") else dotted(location)
+        if named and named[0] in options:
+            return options[named[0]]
         return f"{file}: {dotted(location)}" if location and location[0] in written else dotted(location)
 
     return origin

@@ -16,8 +16,9 @@ Messages say what was found, where, what was expected and what to do next, in on
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
+
+from hts.near import nearest
 
 
 class HtsError(Exception):
@@ -89,9 +90,9 @@ BY_NAME: dict[str, type[HtsError]] = {
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
-    """One line for a wrong name: the closest right one, then all of them."""
+    """One line for a wrong name: the right one that is near it, if any (`hts.near`), then all of them."""
     names = sorted(known)
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f" Did you mean '{close[0]}'?" if close else ""
+    close = nearest(name, names)
+    hint = f" Did you mean '{close}'?" if close is not None else ""
     listed = ", ".join(names) if names else "none is installed"
     return f"No {kind} named '{name}'.{hint} Known: {listed}."

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, get_args
+
+from hts.near import nearest
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
@@ -108,11 +109,13 @@ def _expected(fault: Mapping[str, Any]) -> str:
 
 
 def closest(name: str, known: Sequence[str]) -> str:
-    """The end of a sentence about a wrong key: the closest right one, then all of them. Empty if none are known."""
+    """The end of a sentence about a wrong key: the right one that is near it, if any, then all of them.
+
+    Empty if none are known."""
     if not known:
         return ""
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    hint = f" Did you mean '{close[0]}'?" if close else ""
+    close = nearest(name, known)
+    hint = f" Did you mean '{close}'?" if close is not None else ""
     return f"{hint} Known: {', '.join(sorted(known))}."
 
 

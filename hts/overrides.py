@@ -12,11 +12,13 @@ from hts.yaml_text import load_text
 
 @dataclass(frozen=True)
 class Override:
-    """One value laid over a configuration. path: the steps of its dotted key; text: as it was given, for messages."""
+    """One value laid over a configuration. path: the steps of its dotted key; text: as it was given, for messages;
+    option: of a command, where it is another one than --set."""
 
     path: tuple[str, ...]
     value: Any
     text: str
+    option: str | None = None
 
     @classmethod
     def parse(cls, text: str) -> Override:
@@ -34,6 +36,11 @@ class Override:
         if not all(path):
             raise ConfigError(f"settings: '{key}' is no dotted key such as finetune.num_envs.")
         return cls(path, value, f"{key}={value!r}")
+
+    @classmethod
+    def by(cls, option: str, key: str, value: Any) -> Override:
+        """From an option that stands for a dotted key: --steps 100 for finetune.steps."""
+        return cls(tuple(key.split(".")), value, f"{option} {value}", f"{option} ({key})")
 
 
 def parsed(texts: Sequence[str | Override]) -> list[Override]:

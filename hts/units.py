@@ -14,12 +14,12 @@ at the top of the module behind its entry point, so that it is known as soon as 
 
 from __future__ import annotations
 
-import difflib
 import functools
 import re
 from typing import Any
 
 from hts.errors import RecordingError
+from hts.near import nearest
 
 UNITS: dict[str, str] = {
     "1": "dimensionless",
@@ -105,7 +105,7 @@ def known(unit: str) -> bool:
 
 def unknown(unit: str) -> str:
     """One line about a unit that is none: the closest one, those that are always there, and how to get others."""
-    close = TRAPS.get(unit) or next(iter(difflib.get_close_matches(unit, UNITS, n=1, cutoff=0.5)), None)
+    close = TRAPS.get(unit) or nearest(unit, UNITS)
     hint = f" Did you mean '{close}'?" if close else ""
     shown = "".join(letter if letter.isprintable() else "?" for letter in unit[:LONGEST])
     return (
@@ -124,19 +124,31 @@ def conversion(source: str, target: str) -> tuple[float, float]:
     """(scale, offset): a value in `target` is scale · value in `source` + offset.
 
     Raises RecordingError if one of them is unknown, or they are of different quantities. An angle is one: 1 Hz is not
-    1 rad/s, although both are 1/s in SI.
+    1 rad/s, although both are 1/s in SI. Nor is a temperature (degC, degF) converted to what may be a rise of one (K,
+    delta_degC): the first would gain 273 K that the second must not.
     """
     if source == target:
         return 1.0, 0.0
     first, second = _parsed(source), _parsed(target)
     registry = _registry()
     same = registry.get_root_units(first)[1] == registry.get_root_units(second)[1]
+    if same and first.dimensionality == {"[temperature]": 1} and _is_temperature(first) != _is_temperature(second):
+        raise RecordingError(
+            f"{source} cannot be converted to {target}: a temperature and a rise of temperature would become different "
+            "numbers, and nothing says which of them this is. Of a rise, write a rise in K or delta_degC on both "
+            "sides; of a temperature, write degC on both, or convert it by hand (`offset` in a log's mapping)."
+        )
     if same:
         at = [float(registry.Quantity(value, first).to(second).magnitude) for value in (0.0, 1.0, 2.0)]
         scale, offset = at[1] - at[0], at[0]
         if abs(at[2] - offset - 2 * scale) <= 1e-9 * abs(scale):  # a logarithmic unit is no factor of another
             return scale, offset
     raise RecordingError(f"{source} cannot be converted to {target}: they are units of different quantities.")
+
+
+def _is_temperature(unit: Any) -> bool:
+    """Whether it counts from a zero of its own, as degC does: a temperature, where K may be a rise of one, too."""
+    return bool(_registry().Quantity(0.0, unit).to_root_units().magnitude != 0.0)
 
 
 @functools.cache

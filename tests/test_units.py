@@ -82,6 +82,22 @@ def test_units_of_different_quantities_do_not_convert(source, target):
         units.conversion(source, target)
 
 
+@pytest.mark.parametrize(("source", "target"), [("delta_degC", "K"), ("K", "delta_degC"), ("delta_degC", "mK")])
+def test_a_rise_of_temperature_gains_nothing(source, target):
+    assert units.conversion(source, target)[1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("source", "target"), [("degC", "K"), ("K", "degC"), ("degF", "K"), ("degC", "delta_degC"), ("delta_degC", "degF")]
+)
+def test_what_may_be_a_temperature_or_a_rise_is_not_converted(source, target):
+    with pytest.raises(RecordingError) as refused:
+        units.conversion(source, target)
+    said = str(refused.value)
+    assert said.startswith(f"{source} cannot be converted to {target}: a temperature and a rise of temperature would")
+    assert "write a rise in K or delta_degC on both sides" in said and "\n" not in said
+
+
 def test_a_plugin_brings_a_unit_by_a_line(no_definitions):
     units.define("pack = 7.2 * volt")
     units.define("sone = [loudness]")

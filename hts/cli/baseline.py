@@ -36,5 +36,6 @@ def command(
         baseline=True,
         overrides=set_ or (),
         registry=registry,
+        option_names=options.NAMES,
     )
     start(resolved, registry, out, dry_run)

@@ -44,6 +44,7 @@ def show(
         seed=seed,
         overrides=set_ or (),
         registry=registry,
+        option_names=options.NAMES,
     )
     check_names(resolved, registry)
     typer.echo(dump_config(with_plugin_defaults(resolved, registry)), nl=False)

@@ -10,11 +10,12 @@ import typer
 from hts.cli import options
 from hts.errors import ConfigError, unknown_name
 
-FORMATS = ("onnx", "torchscript")
+FORMATS = {"onnx": (".onnx",), "torchscript": (".pt", ".pth", ".jit", ".ts", ".torchscript")}
+"""Format of a policy -> endings of its files, by which `hts policy import`, `play` and others know them again."""
 
 
 def command(
-    to: Annotated[Path, typer.Option(help="File to write.")],
+    to: Annotated[Path, typer.Option(help="File to write, with an ending of its format.")],
     folder: options.RunFolderOrNone = None,
     policy: Annotated[str | None, typer.Option(help=f"Of a run {options.POLICIES}; or a .safetensors file.")] = None,
     robot: Annotated[
@@ -58,6 +59,7 @@ def command(
         return
     if format_ not in FORMATS:
         raise ConfigError("--format: " + unknown_name("format", format_, FORMATS))
+    check_ending(to, format_)
     chosen = run_or_policy_file(folder, policy)
     from hts.plugins import load
     from hts.policies.export_command import export_policy
@@ -72,3 +74,18 @@ def command(
     if warning := warning_beside(written):
         typer.echo(warning, err=True)
     typer.echo(str(written))
+
+
+def check_ending(to: Path, form: str) -> None:
+    """Raises ConfigError for a name by which nobody would know the format again."""
+    endings = FORMATS[form]
+    if to.suffix in endings:
+        return
+    *others, last = endings
+    listed = f"{', '.join(others)} or {last}" if others else last
+    found = (
+        f"ends in '{to.suffix}', a policy as {form} in" if to.suffix else f"has no ending, a policy as {form} ends in"
+    )
+    other = next((name for name, its in FORMATS.items() if to.suffix in its), None)
+    remedy = f", or say --format {other}" if other else ""
+    raise ConfigError(f"--to {to}: {found} {listed}. Name the file so{remedy}.")

@@ -45,3 +45,6 @@ RunFolderOrNone = Annotated[
 ]
 POLICIES = "best, pretrained, a candidate's id"
 """How policies of a run are called, for the help of --policy."""
+
+NAMES = {"seed": "--seed", "reward_source": "--reward", "start": "--start"}
+"""Key of a configuration -> the option above, or of a single command, that gives it: what a message names."""

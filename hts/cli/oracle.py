@@ -46,12 +46,13 @@ def command(
     from hts.cli.one_line import resumable
     from hts.cli.run import default_folder, refuse_existing
     from hts.config_loading import load_config
+    from hts.overrides import Override
     from hts.plugins import load
 
     registry = load()
-    overrides = list(set_ or ())
+    overrides: list[str | Override] = list(set_ or ())
     overrides += ["oracle_trains_in=simulation"] if in_simulation else []
-    overrides += [f"finetune.steps={steps}"] if steps is not None else []
+    overrides += [Override.by("--steps", "finetune.steps", steps)] if steps is not None else []
     resolved = load_config(
         preset=preset,
         file=config,
@@ -63,6 +64,7 @@ def command(
         start=str(start) if start is not None else None,
         overrides=overrides,
         registry=registry,
+        option_names=options.NAMES,
     )
     folder = out or default_folder(resolved)
     if not dry_run:

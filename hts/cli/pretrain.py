@@ -29,7 +29,7 @@ def command(
     from hts.plugins import load
 
     given = {key: value for key, value in (("engine", engine), ("seed", seed)) if value is not None}
-    settings = load_section(PretrainConfig, config, given, set_ or ())
+    settings = load_section(PretrainConfig, config, given, set_ or (), options.NAMES)
     check_engine(settings.engine)
     machine = load().make_robot(robot)
     refuse_existing(out)

@@ -232,6 +232,7 @@ def expect(
             seed=seed,
             overrides=[*(set_ or ()), f"world.reality={path.resolve()}"],
             registry=registry,
+            option_names=options.NAMES,
         )
         check_names(configs[path.stem], registry)
     weights = weights_of(folder)

@@ -8,7 +8,8 @@ from hts.cli import options
 
 
 def command(folder: options.RunFolder) -> None:
-    """Go on with a run, or a pretraining, where it stopped; finished stages are not done again."""
+    """Go on with a run, or a pretraining, where it stopped; finished stages are not done again, and a finished run
+    only shows its result again."""
     from hts.cli.one_line import resumable
     from hts.cli.run_folder import existing_run
     from hts.places import PRETRAINING

@@ -43,6 +43,7 @@ def command(
         reward_source=reward,
         overrides=set_ or (),
         registry=registry,
+        option_names=options.NAMES,
     )
     start(resolved, registry, out, dry_run)
 

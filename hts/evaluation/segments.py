@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 FALLEN_GRAVITY_Z = -0.5  # projected gravity z of an upright trunk is -1; -0.5 is a tilt of 60 degrees
 MISSING = 0.03  # share of a piece's samples, by the recording's own clock; one sample where that is less
 BEFORE_FALL_SECONDS = 1.0  # a stumble starts before the trunk has tilted
+LYING_SECONDS = 0.5  # who collapses without tilting has lain for so long before a world counts it as a fall
+FELL_AT = "fell_at"  # note of a recording: when it was seen to have fallen, s after its first sample, with commas
 
 
 @dataclass(frozen=True)
@@ -32,8 +34,8 @@ class Segments:
     speed, commanded (S,): mean forward speed and commanded one, m/s, or of another task what `Task.achieved` says and
     the set-point, both in its unit; block (S,): numbers each block of each
     session, so that pieces with one number were recorded without interruption;
-    total: pieces cut before the validity test; falls: times the trunk tipped over, or as many as a recording's note
-    `falls` says, at least one per recording that says it fell; walked: mean `speed` of all pieces, near
+    total: pieces cut before the validity test; falls: times the trunk tipped over, or as many as a recording's notes
+    `falls` or `fell_at` say, at least one per recording that says it fell; walked: mean `speed` of all pieces, near
     falls and gaps left out, whether they count or not; NaN without any; gaps: pieces in which samples are missing.
     """
 
@@ -113,7 +115,8 @@ def cut(
     The first `settle_seconds` of a recording and of every command are dropped and not counted (a world that knows
     better says so in the recording's note `unsteady_seconds`). A piece is valid if
     the task was done in it (see `Task.done`), no more than one sample or `MISSING` of them are missing in it, and it is
-    not near a fall (from 1 s before the trunk tilts over to settle_seconds after it stands again).
+    not near a fall (from 1 s before the trunk tilts over to settle_seconds after it stands again; of one that did not
+    tilt it see `_near_falls`).
     Raises RecordingError if rates differ or a channel that the task is judged by is missing.
     """
     rates = sorted({recording.rate_hz for recording in recordings})
@@ -238,17 +241,44 @@ def _merged(recording: Recording) -> list[tuple[float, float]]:
 
 
 def _near_falls(recording: Recording, settle_seconds: float) -> tuple[np.ndarray, int]:
-    """Samples near a fall, bool (T,), and the number of falls."""
-    num = len(recording.time)
-    near = np.zeros(num, dtype=bool)
-    falls = 0
+    """Samples near a fall, bool (T,), and the number of falls.
+
+    A fall that did not tilt the trunk is where the note `fell_at` says. Without that note the recording ended in it if
+    it is shorter than its schedule, or if its world notes no `falls` at all, as of a log that stops there; a world
+    that counts them sets its robot up again, so that of one of its blocks nothing is known to be sound.
+    """
+    num, rate = len(recording.time), recording.rate_hz
+    near, fallen = np.zeros(num, dtype=bool), np.zeros(num, dtype=bool)
+    before, lying, after = (round(s * rate) for s in (BEFORE_FALL_SECONDS, LYING_SECONDS, settle_seconds))
     if "projected_gravity" in recording.channels:
         fallen = np.asarray(recording.channels["projected_gravity"].values)[:, 2] > FALLEN_GRAVITY_Z
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], fallen, [False]]).astype(int)))
-        before, after = (round(s * recording.rate_hz) for s in (BEFORE_FALL_SECONDS, settle_seconds))
-        for down, up in edges.reshape(-1, 2):
-            near[max(0, down - before) : up + after] = True
-        falls = len(edges) // 2
-    if recording.fell and falls == 0:  # it ended in a fall whose tilt was not recorded
-        near[max(0, num - round((BEFORE_FALL_SECONDS + settle_seconds) * recording.rate_hz)) :] = True
-    return near, max(falls, int(recording.fell), _falls_noted(recording))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], fallen, [False]]).astype(int))).reshape(-1, 2)
+    for down, up in edges:
+        near[max(0, down - before) : up + after] = True
+    moments = _moments_noted(recording)
+    for at in np.searchsorted(recording.time - recording.time[0], np.array(moments) - 0.5 / rate):
+        if not fallen[min(at, num - 1)]:
+            near[max(0, at - before - lying) : at + 1 + after] = True
+    if recording.fell and not len(edges) and not moments:
+        ended_in_it = "falls" not in recording.notes or num / rate < recording.schedule.seconds - BEFORE_FALL_SECONDS
+        end = max(0, num - round((BEFORE_FALL_SECONDS + settle_seconds) * rate))
+        near[end if ended_in_it else 0 :] = True
+    return near, max(len(edges), len(moments), int(recording.fell), _falls_noted(recording))
+
+
+def _moments_noted(recording: Recording) -> list[float]:
+    """When a world saw it fall, s after the first sample. Raises RecordingError for a note that says no such times."""
+    noted = recording.notes.get(FELL_AT)
+    if noted is None:
+        return []
+    last = float(recording.time[-1] - recording.time[0])
+    try:
+        moments = [float(one) for one in noted.split(",")]
+    except ValueError:
+        moments = [math.nan]
+    if not all(0.0 <= one <= last + 0.5 / recording.rate_hz for one in moments):
+        raise RecordingError(
+            f"A recording's note {FELL_AT} is '{noted}', expected seconds after its first sample, up to {last:g}, as "
+            "in 1.5, 4."
+        )
+    return moments

@@ -68,12 +68,14 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
     report: that of `fit_and_check`.
     """
     held, target = report["held_out"], report["target"]
+    model = report.get("model") or {}
     found, linear = held["r2"], (held.get("linear") or {}).get("r2")
+    linear = None if model.get("name") == "linear" else linear  # whoever chose it is not told to choose it
     lines = []
     if found is not None and linear is not None and linear > 0 and linear - found >= WORSE_THAN_LINEAR:
         lines.append(
             f"{target}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
-            f"{_number(linear)}. Choose it, --set objectives.{report['objective']}.model=linear, or record more."
+            f"{_number(linear)}. {_instead(model, report.get('fit') or {}, report['objective'])}, or record more."
         )
     elif found is not None and found < 0:
         lines.append(
@@ -95,6 +97,20 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
             f"standard deviations (of a Gaussian 0.68), and they are {times:.1f} times as large as it says."
         )
     return lines
+
+
+def _instead(model: Mapping[str, Any], fit: Mapping[str, Any], objective: str) -> str:
+    """What to do about a model that `linear` is better than: it may be fitted too shortly, or be made of it."""
+    choose = f"--set objectives.{objective}.model=linear"
+    member = model.get("member")
+    if model.get("name") == "ensemble" and "linear" in (member, member.get("name") if isinstance(member, dict) else ""):
+        return f"Its members see parts of the recordings: choose `linear` alone, {choose}"
+    limit = {"epochs": "epochs", "time": "max_seconds"}.get(str(fit.get("stopped")))
+    if limit is None or "epochs" not in fit:
+        return f"Choose it, {choose}"
+    many = f"{fit['epochs']} epoch{'' if fit['epochs'] == 1 else 's'}"
+    longer = f"Its fit was ended after {many}: fit it longer, --set measurement.{limit}=NUMBER"
+    return f"{longer}, choose `linear`, {choose}"
 
 
 def _number(value: float | None) -> str:

@@ -129,7 +129,12 @@ def recordings_from_tables(
     _check_real(log, robot)
     columns = {name: column_names(name, one, log, robot.spec.joint_names) for name, one in log.channels.items()}
     assigned = assign(files, log)
-    tables = read_tables(assigned, log, columns, read)
+    try:
+        tables = read_tables(assigned, log, columns, read)
+    except RecordingError as error:
+        if told := _about_joints(str(error), log, columns, robot):
+            raise ConfigError(f"{told} {error}") from error
+        raise
     clocks = check_clocks(tables, log)
     notes = {"clocks": f"taken as one: {clocks}"} if clocks else {}
     times = _times(tables, log)
@@ -179,6 +184,21 @@ def _one(
     doubts = torque_notes(recording, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
     doubts |= repeated_notes(channels, log.rate_hz)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
+
+
+def _about_joints(
+    fault: str, log: LogMapping, columns: Mapping[str, tuple[ColumnName, ...]], robot: Robot
+) -> str | None:
+    """What to write where the fault is a column that the log, which names joints otherwise than the robot, has not."""
+    for name, one in log.channels.items():
+        by_robot = not log.joints and "{joint}" in str(one.columns)
+        if by_robot and any(f"No column named '{column}'." in fault for column in columns[name]):
+            listed = ", ".join(f"{joint}: …" for joint in robot.spec.joint_names)
+            return (
+                f"Mapping: '{name}' uses {{joint}}; give `joints`: the robot's joint -> its name in the log, joints: "
+                f"{{{listed}}}. Without it the robot's own names are taken."
+            )
+    return None
 
 
 def _check_real(log: LogMapping, robot: Robot) -> None:

@@ -172,7 +172,9 @@ class LogMapping(Config):
     cut: tuple[MayBeEndless, MayBeEndless] | None = Field(
         None, description="take only this stretch, s after the first stamp"
     )
-    joints: dict[str, str] | None = Field(None, description="robot's joint -> its name in the log, for {joint}")
+    joints: dict[str, str] | None = Field(
+        None, description="robot's joint -> its name in the log, for {joint}; left out: the robot's own names"
+    )
     joint_order: tuple[str, ...] | None = Field(
         None, description="robot's joint names in the order of the log's columns; left out: the robot's order"
     )
@@ -273,13 +275,10 @@ def column_names(
     columns = channel.columns
     per_joint = follows_joints(name, channel)
     if isinstance(columns, str) and "{joint}" in columns:
-        if not mapping.joints:
-            raise ConfigError(
-                f"Mapping: '{name}' uses {{joint}}; give `joints`: the robot's joint -> its name in the log."
-            )
-        _same_joints("joints", mapping.joints, joint_names)
-        _once("joints", [mapping.joints[joint] for joint in joint_names], "joint")
-        return tuple(columns.replace("{joint}", mapping.joints[joint]) for joint in joint_names)
+        joints = mapping.joints or {joint: joint for joint in joint_names}
+        _same_joints("joints", joints, joint_names)
+        _once("joints", [joints[joint] for joint in joint_names], "joint")
+        return tuple(columns.replace("{joint}", joints[joint]) for joint in joint_names)
     if isinstance(columns, str) and ".." in columns:
         listed = _range(name, columns)
     else:

@@ -11,7 +11,6 @@ reads all its recordings for every fit. Any Zarr 3 reader opens the store.
 
 from __future__ import annotations
 
-import difflib
 import errno
 import json
 from collections.abc import Iterable
@@ -24,6 +23,7 @@ import numpy as np
 
 from hts.cores import available
 from hts.errors import RecordingError, unknown_name
+from hts.near import nearest
 from hts.recordings import partial
 from hts.recordings.arrays import read_array, write_group
 from hts.recordings.checks import check
@@ -225,8 +225,8 @@ class RecordingStore:
     def _folder(self, recording_id: str) -> Path:
         folder = self.path / recording_id
         if not ID_PATTERN.fullmatch(recording_id) or not folder.is_dir():
-            close = difflib.get_close_matches(recording_id, self.ids(), n=1, cutoff=0.5)
-            hint = f" Did you mean '{close[0]}'?" if close else ""
+            close = nearest(recording_id, self.ids())
+            hint = f" Did you mean '{close}'?" if close is not None else ""
             raise RecordingError(
                 f"{self.path}: no recording '{recording_id}' among {len(self.ids())}.{hint} `hts data ls` lists them."
             )

@@ -50,7 +50,7 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
 
 
 def resume_run(folder: Path, registry: Registry | None = None) -> Path:
-    """Go on where a run stopped; a finished run only prints its table again.
+    """Go on where a run stopped; a finished run says that it is, and prints its table again.
 
     The engine is asked for only where something is left to simulate: the last trials and the final can be made on the
     computer beside the robot, whatever the run was trained on.
@@ -96,8 +96,8 @@ def refuse_oracle(config: RunConfig) -> None:
 
     if config.reward_source == "oracle":
         raise ConfigError(
-            "reward_source: `oracle` looks into the reality, which no run can. Expected model or proxy; what was "
-            "possible says `hts oracle`."
+            "--reward (reward_source): `oracle` looks into the reality, which no run can. Expected model or proxy; "
+            "what was possible says `hts oracle`."
         )
 
 

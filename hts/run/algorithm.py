@@ -50,7 +50,8 @@ def stages_per_iteration(config: RunConfig) -> int:
 
 
 def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = Job) -> Path:
-    """Do what is not done yet of the run in `folder`; returns it. Raises RunError if another process works there.
+    """Do what is not done yet of the run in `folder`, and say so where nothing was; returns the folder. Raises RunError
+    if another process works there.
 
     kind: what its stages work with; an oracle's is another one.
     """
@@ -65,6 +66,8 @@ def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = J
             job.close()
     finally:
         stages.close()
+    if not progress.begun:
+        progress.say(f"{folder}: this run was finished already, nothing was left to do. Its result again:")
     print_table(summary, progress.console)
     progress.say(f"report: {folder / 'report.html'}")
     return folder

@@ -14,16 +14,18 @@ START = 0.05  # share of a stage that says nothing of the rest: kernels are comp
 
 
 class Progress:
-    """Stages one after the other. total: how many there are; skipped ones do not count."""
+    """Stages one after the other. total: how many there are; skipped ones do not count; begun: how many were done here,
+    rather than earlier."""
 
     def __init__(self, total: int, console: Console | None = None) -> None:
         self.console = console or Console()
-        self.total, self.index = total, 0
+        self.total, self.index, self.begun = total, 0, 0
 
     @contextmanager
     def stage(self, title: str) -> Iterator[Callable[[float], None]]:
         """Show a stage; yields a function that takes the share done, 0 to 1."""
         self.index += 1
+        self.begun += 1
         label = f"[{self.index}/{self.total}] {title}"
         started = time.perf_counter()
         if self.console.is_terminal:

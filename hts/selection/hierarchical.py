@@ -49,26 +49,31 @@ class Hierarchical(Selector):
         """Ids of the `count` best, best first. A score that is not a number ranks last of all.
 
         With several objectives the one that decides on the best decides here too, by its own score: the improvement
-        that is predicted, where it is for all candidates, else mean r_real.
+        that is predicted. Of whom none is, nothing was seen at the asked speeds, so r_real says nothing of walking at
+        them: such candidates come behind the others, by mean r_real, as all do where nothing is predicted of anybody.
         """
-        promised = all(self._deciding(one.scores) in one.predicted for one in candidates if one.scores)
+        promises = any(self._promise(one) is not None for one in candidates)
 
-        def key(candidate: SimulatedCandidate) -> tuple[bool, bool, bool, float]:
-            score = candidate.score
-            if candidate.scores:
-                name = self._deciding(candidate.scores)
-                score = candidate.predicted[name] if promised else candidate.scores[name]
+        def key(candidate: SimulatedCandidate) -> tuple[bool, bool, bool, bool, float]:
+            promise = self._promise(candidate)
+            score = candidate.scores[self._deciding(candidate.scores)] if candidate.scores else candidate.score
+            score = score if promise is None else promise
             unknown = math.isnan(score)
-            return (unknown, candidate.falls > 0, not candidate.tracked, 0.0 if unknown else -score)
+            missing = promises and promise is None
+            return (unknown, candidate.falls > 0, not candidate.tracked, missing, 0.0 if unknown else -score)
 
         ordered = sorted(candidates, key=key)
         if self.settings.each_bound:
             firsts = list({_bound(candidate): candidate for candidate in reversed(ordered)}.values())
-            ordered = sorted(ordered, key=lambda one: (*key(one)[:3], one not in firsts, key(one)[3]))
+            ordered = sorted(ordered, key=lambda one: (*key(one)[:4], one not in firsts, key(one)[4]))
         drawn = min(self.settings.at_random, max(0, count - 1))
         chosen, rest = ordered[: count - drawn], ordered[count - drawn :]
         sound = [candidate for candidate in rest if candidate.falls == 0 and candidate.tracked]
         return [candidate.id for candidate in (*chosen, *sorted(sound, key=_lot)[:drawn])]
+
+    def _promise(self, candidate: SimulatedCandidate) -> float | None:
+        """The deciding objective's improvement that is predicted of it; None where nothing is."""
+        return candidate.predicted.get(self._deciding(candidate.scores)) if candidate.scores else None
 
     def best(self, tested: Sequence[TestedCandidate]) -> str | None:
         """Id with the highest selection score above zero; None if no candidate improves on the reference.

@@ -136,6 +136,27 @@ def test_a_misspelt_name_ends_in_one_line_with_the_closest(fakes, fake_run, caps
     assert fake_run.calls == []
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([*RUN, "--reward", "foo"], "error: --reward: expected 'model', 'proxy' or 'oracle', found 'foo'."),
+        ([*RUN, "--seed", "-3"], "error: --seed: expected at least 0, found -3."),
+        ([*RUN, "--seed", "-3", "--set", "seed=-4"], "error: --set seed: expected at least 0, found -4."),
+        ([*RUN, "--reward", "oracle"], "error: --reward (reward_source): `oracle` looks into the reality"),
+        (["baseline", *RUN[1:], "--seed", "-3"], "error: --seed: expected at least 0, found -3."),
+        (["config", "show", *RUN[1:], "--seed", "-3"], "error: --seed: expected at least 0, found -3."),
+        (["oracle", *RUN[1:], "--steps", "0"], "error: --steps (finetune.steps): expected more than 0, found 0."),
+        (["pretrain", "--robot", "go1", "--out", "x", "--seed", "-3"], "error: --seed: expected at least 0, found -3."),
+    ],
+)
+def test_a_wrong_value_is_named_by_the_option_that_was_typed(fakes, tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text("seed: 5\nreward_source: proxy\n")
+    given = [] if arguments[0] == "pretrain" else ["--config", "mine.yaml"]  # what an option says wins over it
+    assert main([*arguments, *given]) == 2
+    assert one_line_of(capsys).startswith(said)
+
+
 def test_a_run_goes_into_a_folder_named_after_it(fakes, fake_run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main([*RUN, "--seed", "3"]) == 0
@@ -368,3 +389,33 @@ def test_without_a_run_a_policy_file_must_be_named(command, capsys, tmp_path, mo
     assert main([*command, "--policy", "best"]) == 2
     assert "best: expected a policy file that exists" in one_line_of(capsys)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("to", "form", "said"),
+    [
+        ("x.foo", [], "--to x.foo: ends in '.foo', a policy as onnx in .onnx. Name the file so"),
+        ("x", [], "--to x: has no ending, a policy as onnx ends in .onnx. Name the file so"),
+        ("x.pt", [], "ends in '.pt', a policy as onnx in .onnx. Name the file so, or say --format torchscript."),
+        (
+            "x.onnx",
+            ["--format", "torchscript"],
+            "as torchscript in .pt, .pth, .jit, .ts or .torchscript. Name the file",
+        ),
+    ],
+)
+def test_a_policy_is_exported_under_an_ending_of_its_format(to, form, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.safetensors").write_text("read only after its new name was looked at")
+    assert main(["export", "--policy", "mine.safetensors", "--to", to, *form]) == 2
+    assert said in one_line_of(capsys)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.safetensors"]
+
+
+@pytest.mark.parametrize(
+    ("to", "form"), [("x.onnx", "onnx"), *((f"x.{end}", "torchscript") for end in ("pt", "jit", "ts", "torchscript"))]
+)
+def test_the_endings_of_each_format_are_taken(to, form, capsys, tmp_path):
+    missing = str(tmp_path / "gone.safetensors")
+    assert main(["export", "--policy", missing, "--to", str(tmp_path / to), "--format", form]) == 2
+    assert "gone.safetensors: expected a policy file that exists" in one_line_of(capsys)

@@ -74,6 +74,38 @@ def test_a_fall_without_recorded_tilt_drops_the_end_and_is_counted_once():
     assert segments.falls == 1
 
 
+def collapsed(seconds=20, **changes):
+    """A robot that sinks down without tipping over, at a moment that no channel tells, and is set up again."""
+    return known_recording([1.0] * seconds).replace(fell=True, **changes)
+
+
+def test_pieces_near_a_collapse_are_dropped_where_the_world_says_when_it_was():
+    # it was seen to lie at 9.4 s, half a second after it sank down: from 7.9 s, the stumble included, until it has
+    # stood for 2 s
+    segments = cut([collapsed(notes={"falls": "1", "fell_at": "9.4"})])
+    assert segments.time == pytest.approx([2, 3, 4, 5, 6, *range(12, 20)])
+    assert (segments.total, segments.falls) == (18, 1)
+    assert cut([collapsed(notes={"fell_at": "9.4, 15.2"})]).time == pytest.approx([2, 3, 4, 5, 6, 12, 18, 19])
+    assert cut([collapsed(notes={"fell_at": "9.4, 15.2"})]).falls == 2
+
+
+def test_a_fall_that_tilts_the_trunk_is_dropped_as_before_where_the_world_says_when_it_was():
+    fallen = known_recording([1.0] * 12, fell_at=8.0)
+    told = fallen.replace(notes={"falls": "1", "fell_at": "8.0"})
+    assert cut([told]).time == pytest.approx(cut([fallen]).time)
+
+
+def test_where_nobody_knows_when_a_robot_collapsed_nothing_of_the_block_counts():
+    segments = cut([collapsed(notes={"falls": "1"})])
+    assert (len(segments), segments.total, segments.falls) == (0, 18, 1)
+
+
+def test_a_recording_that_is_shorter_than_its_schedule_ended_in_the_fall():
+    recording = collapsed(notes={"falls": "1"})
+    longer = ScheduleConfig(commands=(Command(seconds=30.0, vx=0.8),))
+    assert cut([recording.replace(schedule=longer)]).time == pytest.approx(range(2, 17))
+
+
 def test_falls_that_only_the_world_saw_are_counted_as_it_noted():
     assert cut([known_recording([1.0] * 12).replace(fell=True, notes={"falls": "3"})]).falls == 3
 
@@ -125,6 +157,14 @@ def without(recording, kept):
         ({"unsteady_seconds": "inf"}, "note unsteady_seconds is 'inf', expected a number of seconds from 0 on."),
         ({"unsteady_seconds": "-30"}, "note unsteady_seconds is '-30', expected a number of seconds from 0 on."),
         ({"falls": "3.0"}, "note falls is '3.0', expected how often it fell, a whole number."),
+        (
+            {"fell_at": "soon"},
+            "note fell_at is 'soon', expected seconds after its first sample, up to 5.9, as in 1.5, 4.",
+        ),
+        (
+            {"fell_at": "2, 7"},
+            "note fell_at is '2, 7', expected seconds after its first sample, up to 5.9, as in 1.5, 4.",
+        ),
     ],
 )
 def test_a_note_that_says_no_such_number_is_named(notes, expected):

@@ -159,6 +159,49 @@ def test_a_model_that_is_worse_than_nothing_or_than_linear_is_told_with_its_cure
     assert re.match(expected, line) and "\n" not in line
 
 
+@pytest.mark.parametrize(
+    ("model", "fit", "advice"),
+    [
+        ({"name": "lstm"}, {"stopped": "patience"}, "Choose it, --set objectives.warm.model=linear, or record more."),
+        (
+            {"name": "lstm"},
+            {"stopped": "epochs", "epochs": 2},
+            (
+                "Its fit was ended after 2 epochs: fit it longer, --set measurement.epochs=NUMBER, choose `linear`, "
+                "--set objectives.warm.model=linear, or record more."
+            ),
+        ),
+        (
+            {"name": "lstm"},
+            {"stopped": "time", "epochs": 1},
+            (
+                "Its fit was ended after 1 epoch: fit it longer, --set measurement.max_seconds=NUMBER, choose `linear`"
+                ", --set objectives.warm.model=linear, or record more."
+            ),
+        ),
+        (
+            {"name": "ensemble", "member": "linear"},
+            {"stopped": "solved"},
+            (
+                "Its members see parts of the recordings: choose `linear` alone, --set objectives.warm.model=linear, "
+                "or record more."
+            ),
+        ),
+        ({"name": "ensemble", "member": {"name": "linear", "lags": 3}}, {}, "Its members see parts of the recordings"),
+    ],
+)
+def test_what_is_advised_fits_the_model_that_was_chosen(model, fit, advice):
+    (line,) = fit_report.doubts(a_report(0.5, 0.75) | {"model": model, "fit": fit})
+    assert f"below that of `linear`, 0.750. {advice}" in line
+
+
+def test_who_chose_linear_is_not_told_to_choose_it():
+    report = a_report(0.5, 0.75) | {"model": {"name": "linear", "lags": 3}, "fit": {"stopped": "solved"}}
+    assert fit_report.doubts(report) == []
+    (line,) = fit_report.doubts(report | {"held_out": {"r2": -0.5, "linear": {"r2": 0.7}}})
+    assert "is below 0" in line and "model=linear" not in line
+
+
 @pytest.mark.parametrize(("found", "linear"), [(0.95, 0.99), (0.0, None), (None, None), (0.9, 0.2)])
 def test_of_a_sound_model_or_one_without_held_out_data_nothing_is_said(found, linear):
     assert fit_report.doubts(a_report(found, linear)) == []

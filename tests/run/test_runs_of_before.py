@@ -52,11 +52,22 @@ def test_its_report_is_written(folder):
     assert "20.0" in (folder / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_run_that_was_stopped_before_its_last_head_to_head_goes_on(folder):
+def test_a_finished_run_that_is_resumed_says_so_and_changes_nothing(folder, capsys):
+    before = (folder / "summary.json").read_bytes()
+    assert main(["resume", str(folder)]) == 0
+    assert "finished already" not in capsys.readouterr().out  # it was kept without its report, which is made
+    assert main(["resume", str(folder)]) == 0
+    told = f"{folder}: this run was finished already, nothing was left to do. Its result again:"
+    assert told in capsys.readouterr().out.splitlines()
+    assert (folder / "summary.json").read_bytes() == before
+
+
+def test_a_run_that_was_stopped_before_its_last_head_to_head_goes_on(folder, capsys):
     finished = json.loads((folder / "summary.json").read_text())
     for name in ("final.json", "segments.json", "summary.json"):
         (folder / name).unlink()
     assert main(["resume", str(folder)]) == 0
+    assert "finished already" not in capsys.readouterr().out
     again = json.loads((folder / "summary.json").read_text())
     assert again["iterations"] == finished["iterations"]
     speeds = again["final"]["objectives"]["fake"]["speeds"]

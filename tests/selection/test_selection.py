@@ -89,10 +89,21 @@ def bounded(name, score, bound, promised=None, **flags):
     )
 
 
-def test_what_a_model_promises_ranks_before_the_reward_where_it_promises_all():
+def test_what_a_model_promises_ranks_before_the_reward():
     promised = [bounded("a", 2.0, 1.0, 0.1), bounded("b", 1.0, 1.0, 0.2)]
     assert make({}).elites(promised, 1) == ["b"]
-    assert make({}).elites([*promised, bounded("c", 3.0, 1.0)], 1) == ["c"]
+    assert make({}).elites([bounded("a", 2.0, 1.0), bounded("b", 1.0, 1.0)], 2) == ["a", "b"]  # nobody has a promise
+
+
+def test_one_without_a_promise_comes_behind_those_that_have_one_and_leaves_their_order_alone():
+    """It has no second at the asked speed: a policy that stands still has the best r_real of all."""
+    promised = [bounded("a", 2.0, 1.0, 0.1), bounded("b", 1.0, 1.0, 0.2)]
+    without = [bounded("c", 3.0, 1.0), bounded("d", 4.0, 2.0)]
+    assert make({}).elites([*without, *promised], 4) == ["b", "a", "d", "c"]
+    fell = bounded("e", 9.0, 1.0, 0.9, falls=1)
+    assert make({}).elites([fell, *without, *promised], 5) == ["b", "a", "d", "c", "e"]
+    # nor is it what a trust region judges a bound by: d is alone under c = 2
+    assert make({"each_bound": True}).elites([*without, *promised], 2) == ["b", "a"]
 
 
 def test_the_best_of_each_bound_is_tried_before_any_second_one():

@@ -148,6 +148,10 @@ def test_a_robot_that_falls_is_marked_and_stood_up_again(robot, tmp_path):
     fallen, standing = (row[0] for row in batch(robot, 2).run(sessions, "twin"))
     assert fallen.fell and not standing.fell
     assert int(fallen.notes["falls"]) >= 2  # so it stood again in between
+    moments = [float(one) for one in fallen.notes["fell_at"].split(",")]
+    assert len(moments) == int(fallen.notes["falls"]) and "fell_at" not in standing.notes
+    lying = fallen.values("projected_gravity")[[round(one * 50) for one in moments], 2] > -0.5
+    assert lying.any() and 0.0 < moments[0] < moments[-1] < 3.0
     assert fallen.num_samples == 150
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from hts.channels import Channel
 from hts.contracts import Instrument, Robot
 from hts.errors import PolicyError
+from hts.evaluation.segments import FELL_AT
 from hts.recordings.recording import Recording, Series
 from hts.worlds.base import Operator, commands
 from hts.worlds.twin.dynamics import Dynamics
@@ -267,7 +268,7 @@ class Recorder:
             self.channels |= {channel.name: channel for channel in instrument.channels}
         self._values: dict[str, np.ndarray] = {}
         self._time = np.empty(length)
-        self._falls = np.zeros(len(policy_batch.hashes), dtype=int)
+        self._falls: list[list[float]] = [[] for _ in policy_batch.hashes]  # s after the first sample
 
     def write(self, step: int, time: float, readings: Mapping[str, np.ndarray], fell: np.ndarray) -> None:
         """One control step of all robots: channel -> (W, *shape)."""
@@ -280,16 +281,18 @@ class Recorder:
         for name, values in self._values.items():
             values[:, step] = readings[name]
         self._time[step] = time
-        self._falls += fell
+        for number in np.flatnonzero(fell):
+            self._falls[number].append(time - float(self._time[0]))
 
     def recording(self, number: int, block: Block, session: str, batch: Batch, world: str) -> Recording:
         """The recording of one robot."""
         idle: dict[str, float] = {}
         for instrument in batch.instruments.values():
             idle |= instrument.idle()
-        spec, falls = batch.spec, int(self._falls[number])
-        counted = falls + batch.falls_before(number, block)
+        spec, falls = batch.spec, self._falls[number]
+        counted = len(falls) + batch.falls_before(number, block)
         notes = {"unsteady_seconds": f"{batch.settings.unsteady_seconds:g}", "falls": str(counted)}
+        notes |= {FELL_AT: ", ".join(f"{one:.6g}" for one in falls)} if falls else {}
         notes |= batch.held_notes(number, block)
         notes |= batch.notes[number]
         return Recording(
@@ -310,6 +313,6 @@ class Recorder:
             session=session,
             block=block.index,
             role=block.role,
-            fell=falls > 0,
+            fell=bool(falls),
             notes=notes,
         )
