@@ -124,15 +124,16 @@ def conversion(source: str, target: str) -> tuple[float, float]:
     """(scale, offset): a value in `target` is scale · value in `source` + offset.
 
     Raises RecordingError if one of them is unknown, or they are of different quantities. An angle is one: 1 Hz is not
-    1 rad/s, although both are 1/s in SI. Nor is a temperature (degC, degF) converted to what may be a rise of one (K,
-    delta_degC): the first would gain 273 K that the second must not.
+    1 rad/s, although both are 1/s in SI. Nor is degC or degF converted to K, which may be a rise and must not
+    gain 273 K, nor delta_degC to degC. K become degC: a channel in degC is of a temperature.
     """
     if source == target:
         return 1.0, 0.0
     first, second = _parsed(source), _parsed(target)
     registry = _registry()
     same = registry.get_root_units(first)[1] == registry.get_root_units(second)[1]
-    if same and first.dimensionality == {"[temperature]": 1} and _is_temperature(first) != _is_temperature(second):
+    of_heat = same and first.dimensionality == {"[temperature]": 1} and first != registry.kelvin
+    if of_heat and _is_temperature(first) != _is_temperature(second):
         raise RecordingError(
             f"{source} cannot be converted to {target}: a temperature and a rise of temperature would become different "
             "numbers, and nothing says which of them this is. Of a rise, write a rise in K or delta_degC on both "

@@ -64,6 +64,7 @@ def test_what_people_write_for_newton_metres_is_no_yarn_count():
         ("deg", "rad", math.pi / 180, 0.0),
         ("rpm", "rad/s", 2 * math.pi / 60, 0.0),
         ("degC", "degF", 1.8, 32.0),
+        ("K", "degC", 1.0, -273.15),
         ("K/min", "K/s", 1 / 60, 0.0),
         ("degC/s", "K/s", 1.0, 0.0),
         ("%", "1", 0.01, 0.0),
@@ -88,7 +89,8 @@ def test_a_rise_of_temperature_gains_nothing(source, target):
 
 
 @pytest.mark.parametrize(
-    ("source", "target"), [("degC", "K"), ("K", "degC"), ("degF", "K"), ("degC", "delta_degC"), ("delta_degC", "degF")]
+    ("source", "target"),
+    [("degC", "K"), ("delta_degC", "degC"), ("degF", "K"), ("degC", "delta_degC"), ("delta_degC", "degF")],
 )
 def test_what_may_be_a_temperature_or_a_rise_is_not_converted(source, target):
     with pytest.raises(RecordingError) as refused:
