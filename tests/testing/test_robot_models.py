@@ -218,6 +218,19 @@ ENV = {
 }
 OF_THE_MODEL = {check.__name__ for check in robots.ROBOT_MODEL_CHECKS}
 
+    "speed in the axes of the foot": (
+        dog(
+            MODEL.replace(
+                'framelinvel name="foot_velocity_LF" objtype="site" objname=',
+                'velocimeter name="foot_velocity_LF" site=',
+            )
+        ),
+        r"'foot_velocity_LF' measures velocity in its own axes of body 'LF_shank', expected velocity of body 'LF_s",
+    ),
+    "speed against the trunk": (
+        dog(MODEL.replace('objname="RH_foot"', 'objname="RH_foot" reftype="body" refname="trunk"')),
+        r"'foot_velocity_RH' measures velocity against body 'trunk' of body 'RH_shank', expected velocity of body 'RH",
+    ),
 
 @pytest.mark.parametrize("robot", [robot for robot, _ in ORDERS.values()], ids=ORDERS)
 def test_of_a_model_that_is_refused_for_its_order_no_check_of_its_env_passes(robot):
