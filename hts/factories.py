@@ -8,7 +8,8 @@ from typing import Any
 
 from hts import contracts
 from hts.channels import Channel
-from hts.contracts import MeasurementModel, Objective
+from hts.contracts import MeasurementModel, Objective, Robot
+from hts.contracts.spec_faults import fault_of_spec
 from hts.errors import ConfigError, HtsError, PluginError
 from hts.explain import explain
 from hts.guarded import guarded
@@ -57,6 +58,8 @@ def made_by(factory: Callable[..., Any], kind: str, who: str, name: str, package
     if isinstance(made, Objective):
         _check_parts(made, name, f"{_begun(who, package)}", remedy)
         _check_weights(made, _begun(who, package))
+    if isinstance(made, Robot) and "spec" in dir(made) and (fault := fault_of_spec(made.spec)):
+        raise PluginError(f"{_begun(who, package)}: {fault}. Correct its RobotSpec.")
     return made
 
 

@@ -59,13 +59,18 @@ def import_(
     from hts.places import check_place
     from hts.plugins import load
     from hts.policies import proof
-    from hts.policies.files import Policy, save_policy, tensor_path
+    from hts.policies.files import ELSEWHERE, Policy, save_policy, tensor_path
     from hts.policies.importing import import_whole
     from hts.policies.layout import load_layout, seen_by
     from hts.policies.replay import replay
     from hts.policies.replay_log import read_log
     from hts.policies.with_critic import NEW_CRITIC
 
+    if to.suffix.lower() in ELSEWHERE:
+        raise RunError(
+            f"--to {to}: expected a name that ends in .safetensors; that is what is written. `hts export --policy` "
+            "makes an ONNX or TorchScript file of it."
+        )
     machine = load().make_robot(robot)
     target = tensor_path(to)
     check_place(target, "--to FILE", file=True)

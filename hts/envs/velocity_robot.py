@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from hts.channels import SPEED_ERROR, SPEED_ERROR_TREND, SPEED_MISSED_FAST, SPEED_MISSED_SLOW
 from hts.contracts import Robot
 from hts.errors import ConfigError
+from hts.guarded import guarded
 
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase
@@ -41,7 +42,7 @@ class VelocityRobot(Robot):
         """The velocity task, see `Robot.make_env`. Raises ConfigError for a robot without a model or a wrong engine."""
         from hts.envs.make_velocity import make_velocity_env
 
-        if self.mjcf() is None:
+        if guarded(f"Robot '{self.spec.name}': mjcf()", self.mjcf) is None:
             raise ConfigError(
                 f"Robot '{self.spec.name}' is log-only: it has no model, so there is nothing to train in. `hts import` "
                 "and `hts fit` are for it."

@@ -21,6 +21,7 @@ from hts.policies.card_checks import check_card
 from hts.rl.population import Sizes
 
 FORMAT = 1
+ELSEWHERE = (".onnx", ".pt", ".pth", ".ts", ".jit", ".torchscript")  # endings of what other libraries write
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,16 @@ def tensor_path(path: Path) -> Path:
     )
 
 
+def _seen_from(path: Path) -> str:
+    """Of a relative path that is not there: where it was looked for, which is not beside a config file."""
+    if path.is_absolute():
+        return ""
+    return (
+        f" A relative path counts from the folder where hts is typed, here {Path.cwd()}, also one that stands in a "
+        "config file."
+    )
+
+
 def save_policy(path: Path, policy: Policy) -> Path:
     """Write `path` (.safetensors) and its .json, each in one move: no reader ever sees half a file. Raises PolicyError,
     and writes nothing, for numbers that are not finite."""
@@ -130,13 +141,20 @@ def save_policy(path: Path, policy: Policy) -> Path:
 
 def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
     """Read a policy back. Raises PolicyError if a file is missing, damaged, not finite, or made for another robot."""
-    path = tensor_path(path)
+    named, path = Path(path), tensor_path(path)
+    if named.suffix.lower() in ELSEWHERE and named.is_file() and not path.exists():
+        raise PolicyError(
+            f"{named}: expected a .safetensors with its .json beside it, as hts writes them. A policy of another "
+            f"library comes in by: hts policy import {named} --robot {robot.name if robot else 'NAME'} "
+            "--to FILE.safetensors"
+        )
     try:
         card = read_card(path.with_suffix(".json"))
         tensors = load_file(path)
     except FileNotFoundError as error:
         raise PolicyError(
             f"{error.filename or path}: no such file; a policy is a .safetensors and a .json of one name."
+            f"{_seen_from(path)}"
         ) from error
     except OSError as error:
         raise PolicyError(

@@ -41,6 +41,8 @@ def read_checked(path: Path, content: bytes | None = None, what: str = "a whole 
             content = path.read_bytes()
         model = onnx.load_model_from_string(content)
         _check(path, model, what)
+    except FileNotFoundError as error:
+        raise PolicyError(f"{path}: no such file. Correct the path.") from error
     except (DecodeError, OSError, ValueError, RecursionError) as error:
         why = (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
         raise PolicyError(f"{path}: not {what} ({' '.join(why.split())[:120]}). Copy or export it again.") from error

@@ -18,6 +18,12 @@ EPSILON = 0.01
 LARGEST_FILE = 2**30  # bytes
 
 
+OWN = (
+    "A network of your own comes in as a .safetensors with layer.0.weight and so on "
+    "(docs/policies-from-elsewhere.md, 'Your own code')."
+)
+
+
 def from_checkpoint(path: Path) -> tuple[Network, dict[str, Any], bool]:
     """Its actor, what the card should say of it, and whether it normalises. Raises PolicyError."""
     data = weights_of(path)
@@ -91,13 +97,13 @@ def _parts(
     else:
         raise PolicyError(
             f"{path}: has the parts {sorted(map(str, data))[:8]}, expected 'model_state_dict' or 'actor_state_dict' of "
-            "rsl_rl."
+            f"rsl_rl. {OWN}"
         )
     strange = [name for name in state if not name.startswith((prefix, *extra))]
     if strange:
         raise PolicyError(
             f"{path}: its actor is more than layers and a normaliser ('{str(strange[0])[:60]}'): only plain rsl_rl "
-            "actors can be read."
+            f"actors can be read. {OWN}"
         )
     layers = {name.removeprefix(prefix): value.float() for name, value in state.items() if name.startswith(prefix)}
     inside = {name.split(".")[-1]: value for name, value in state.items() if name.startswith(extra[0])}

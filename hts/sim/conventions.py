@@ -128,7 +128,9 @@ def mismeasured(model: mujoco.MjModel, spec: RobotSpec) -> str:
     ]
     if not wrong:
         return ""
-    return f"sensors of its model: {'; '.join(wrong)}. Correct what they refer to, or their names ({WHERE})."
+    turned = any(_axes(model, model.sensor(name).id) for name in wanted if name.startswith("foot_velocity_"))
+    world = " Velocities of feet are in the world's axes: <framelinvel> without reftype." if turned else ""
+    return f"sensors of its model: {'; '.join(wrong)}. Correct what they refer to, or their names ({WHERE}).{world}"
 
 
 def _measured(model: mujoco.MjModel, sensor: int) -> str:
@@ -143,8 +145,19 @@ def _measured(model: mujoco.MjModel, sensor: int) -> str:
     if kind == int(kinds.mjSENS_TOUCH):
         return f"touch at site '{model.site(of).name}'"
     if kind in (int(kinds.mjSENS_FRAMELINVEL), int(kinds.mjSENS_VELOCIMETER)):
-        return f"velocity of body '{model.body(_body_of(model, int(model.sensor_objtype[sensor]), of)).name}'"
+        body = f"of body '{model.body(_body_of(model, int(model.sensor_objtype[sensor]), of)).name}'"
+        return f"velocity{_axes(model, sensor)} {body}"
     return kinds(kind).name.removeprefix("mjSENS_").lower()
+
+
+def _axes(model: mujoco.MjModel, sensor: int) -> str:
+    """Of a sensor of velocity: in what axes, where they are not the world's."""
+    if int(model.sensor_type[sensor]) == int(mujoco.mjtSensor.mjSENS_VELOCIMETER):
+        return " in its own axes"
+    if (frame := int(model.sensor_refid[sensor])) < 0:
+        return ""
+    name = model.body(_body_of(model, int(model.sensor_reftype[sensor]), frame)).name
+    return f" against body '{name}'"
 
 
 def _body_of(model: mujoco.MjModel, kind: int, index: int) -> int:

@@ -10,12 +10,13 @@ import numpy as np
 from hts.config import RandomisationConfig
 from hts.contracts import Robot
 from hts.errors import ConfigError
+from hts.guarded import guarded
 from hts.sim.conventions import FLOOR, check_conventions
 
 
 def compile_model(robot: Robot) -> mujoco.MjModel:
     """The robot's nominal model at its training time step. Raises ConfigError for a robot without one."""
-    root = robot.mjcf()
+    root = guarded(f"Robot '{robot.spec.name}': mjcf()", robot.mjcf)
     if root is None:
         if type(robot).make_env is Robot.make_env:
             why = "it is log-only, for `hts import` and `hts fit`."
@@ -25,7 +26,10 @@ def compile_model(robot: Robot) -> mujoco.MjModel:
                 "the velocity task needs its mjcf()."
             )
         raise ConfigError(f"Robot '{robot.spec.name}' has no model to simulate here: {why}")
-    model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+    model = guarded(
+        f"Robot '{robot.spec.name}': compiling what mjcf() gives",
+        lambda: mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets()),
+    )
     model.opt.timestep = robot.spec.physics_dt
     return model
 

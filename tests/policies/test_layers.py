@@ -212,6 +212,9 @@ def test_the_command_writes_a_policy_and_nothing_over_another(written, tmp_path,
         assert load_policy(tmp_path / "mine.safetensors", SPEC).card.made["kind"] == "layers"
         again = hts(*words)
         assert again.returncode == 2 and "mine.safetensors: exists already" in again.stderr
+        renamed = hts(*words[:-1], tmp_path / "mine.onnx", "--no-trial")
+        assert renamed.returncode == 2 and "mine.onnx: expected a name that ends in .safetensors" in renamed.stderr
+        assert not list(tmp_path.glob("mine.onnx*"))
 
 
 def block(title: str, after: str = "") -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 import pytest
 import torch
@@ -81,6 +82,27 @@ def refusal(path, match: str, spec=SPEC) -> str:
 
 def test_a_missing_policy_is_one_line(tmp_path):
     refusal(tmp_path / "none.safetensors", "no such file")
+
+
+def test_of_a_relative_path_that_is_not_there_is_said_from_where_it_counts(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    message = refusal(Path("made/none.safetensors"), "made/none.json: no such file")
+    assert f"counts from the folder where hts is typed, here {tmp_path}" in message and "config file" in message
+    assert "counts from" not in refusal(tmp_path / "none.safetensors", "no such file")
+
+
+@pytest.mark.parametrize("name", ["walk.onnx", "model_1500.pt", "walk.ts", "walk.ONNX"])
+def test_a_policy_of_another_library_in_the_place_of_a_policy_file_is_told_how_it_comes_in(tmp_path, name):
+    (tmp_path / name).write_bytes(b"as another library writes it")
+    message = refusal(tmp_path / name, f"hts policy import {tmp_path / name} --robot {SPEC.name} --to ")
+    assert "expected a .safetensors" in message and "no such file" not in message
+
+
+def test_a_policy_file_with_such_an_ending_in_its_name_is_read(saved, tmp_path):
+    for ending in (".safetensors", ".json"):
+        saved.with_suffix(ending).rename(tmp_path / f"copy.onnx{ending}")
+    (tmp_path / "copy.onnx").write_bytes(b"its export")
+    assert load_policy(tmp_path / "copy.onnx", SPEC).tensors
 
 
 def test_a_missing_card_is_one_line(saved):
@@ -204,6 +226,19 @@ def test_a_truncated_onnx_is_refused(tmp_path):
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(PolicyError, match="walk.onnx: not a whole ONNX file"):
         import_policy(path, SPEC)
+
+
+def test_an_onnx_file_that_is_not_there_is_said_to_be_missing(tmp_path):
+    with pytest.raises(PolicyError, match=r"none.onnx: no such file\. Correct the path\.$"):
+        import_policy(tmp_path / "none.onnx", SPEC)
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_a_network_of_ones_own_in_a_pt_is_told_how_it_comes_in(tmp_path, wrapped):
+    state = {"net.0.weight": torch.ones(2, 15), "net.0.bias": torch.ones(2), "mean": torch.zeros(15)}
+    torch.save({"model_state_dict": state} if wrapped else state, tmp_path / "mine.pt")
+    with pytest.raises(PolicyError, match=r"layer\.0\.weight.*'Your own code'"):
+        import_policy(tmp_path / "mine.pt", SPEC)
 
 
 # --------------------------------------------------------------------------------------------- import: rsl_rl

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 from legged_model import FLOOR, ISAAC, JOINTS, LEGS, dog, text
 
 from hts.config import EnvConfig
-from hts.errors import ConfigError
+from hts.errors import ConfigError, PluginError
+from hts.factories import made_by
 from hts.plugins import Entry, load
 from hts.testing.checks import robots
 from hts.testing.checks.ensure import NotTried
@@ -117,6 +119,58 @@ def test_a_range_of_targets_passes_from_where_on_no_torque_changes():
         assert faults(dog(model)) == []
 
 
+def other(**changes):
+    """The dog with other numbers in its spec."""
+    robot = dog(MODEL)
+    type(robot).spec = replace(robot.spec, **changes)
+    return robot
+
+
+@pytest.mark.parametrize("height", [30.0, 0.2, 0.4, 300.0])
+def test_a_height_at_which_the_feet_are_not_on_the_floor_is_said(height):
+    """By hand: 2 * 0.2 m * cos 0.8 + 0.02 m = 0.2987 m from the hips to the floor."""
+    (line,) = faults(other(base_height=height))
+    assert f"spec.base_height is {height:g} m" in line and "at 0.2987 m" in line and "\n" not in line
+
+
+@pytest.mark.parametrize("height", [0.28, 0.31])
+def test_a_height_measured_under_load_or_rounded_is_no_other_one(height):
+    assert faults(other(base_height=height)) == []
+
+
+SPECS = {
+    "one number for all joints": ({"kp": 25.0}, "spec.kp is 25.0, expected 12 entries, one a joint"),
+    "one number too few": ({"kd": (0.5,) * 11}, "spec.kd has 11 entries for 12 joints"),
+    "a range that is one number": ({"position_limit": (0.8,) * 12}, "spec.position_limit of 'LF_HAA' is 0.8, expected"),
+    "text": ({"torque_limit": ("40 N*m",) * 12}, "spec.torque_limit of 'LF_HAA' is '40 N*m', expected a number, N·m"),
+    "a step that does not fit": ({"control_rate_hz": 40.0}, "4 · 0.005 s at 40.0 Hz"),
+}
+
+
+@pytest.mark.parametrize(("changes", "words"), SPECS.values(), ids=SPECS)
+def test_a_spec_that_does_not_fit_its_joints_is_one_line_of_the_check_and_of_every_command(changes, words):
+    robot = other(**changes)
+    (line,) = faults(robot)
+    assert words in line and line.startswith("PluginError: ")
+    with pytest.raises(PluginError, match=re.escape(words)) as caught:
+        made_by(lambda settings: robot, "robots", "robot 'dog'", "dog", "lab", {})
+    assert "Robot 'dog' (from lab): " in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_model_whose_file_is_not_there_is_said_once_and_the_env_says_it_in_one_line():
+    robot = dog(MODEL)
+
+    def mjcf(self):
+        raise FileNotFoundError(2, "No such file or directory", "dog.xml")
+
+    type(robot).mjcf = mjcf
+    (line,) = faults(robot)
+    assert "dog.xml" in line
+    assert untried(robot) == ENV | OF_THE_MODEL
+    with pytest.raises(PluginError, match=r"Robot 'dog': mjcf\(\) failed, FileNotFoundError: .*'dog.xml'"):
+        env_of(robot)
+
+
 def test_a_sensor_of_the_joint_itself_measures_the_same():
     own = '<jointactuatorfrc name="torque_LF_HAA" joint="LF_HAA"/>'
     model = MODEL.replace('<actuatorfrc name="torque_LF_HAA" actuator="LF_HAA"/>', own)
@@ -163,6 +217,19 @@ ORDERS = {
             )
         ),
         r"'foot_velocity_RH' measures velocity of body 'LH_shank', expected velocity of body 'RH_shank'\. ",
+    ),
+    "speed in the axes of the foot": (
+        dog(
+            MODEL.replace(
+                'framelinvel name="foot_velocity_LF" objtype="site" objname=',
+                'velocimeter name="foot_velocity_LF" site=',
+            )
+        ),
+        r"'foot_velocity_LF' measures velocity in its own axes of body 'LF_shank', expected velocity of body 'LF_s",
+    ),
+    "speed against the trunk": (
+        dog(MODEL.replace('objname="RH_foot"', 'objname="RH_foot" reftype="body" refname="trunk"')),
+        r"'foot_velocity_RH' measures velocity against body 'trunk' of body 'RH_shank', expected velocity of body 'RH",
     ),
     "fixed": (
         dog(MODEL.replace('<freejoint name="root"/>', "")),
@@ -222,7 +289,7 @@ OF_THE_MODEL = {check.__name__ for check in robots.ROBOT_MODEL_CHECKS}
 @pytest.mark.parametrize("robot", [robot for robot, _ in ORDERS.values()], ids=ORDERS)
 def test_of_a_model_that_is_refused_for_its_order_no_check_of_its_env_passes(robot):
     """They cannot be made, and must not count as kept."""
-    assert untried(robot) - {"feet_are_felt"} == ENV
+    assert untried(robot) - {"feet_are_felt", "height_matches"} == ENV
 
 
 @pytest.mark.parametrize("model", [model for model, _ in MISSING.values()], ids=MISSING)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hts.contracts import Robot
+from hts.contracts.spec_faults import fault_of_spec
 from hts.envs.velocity_robot import VelocityRobot
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import NotTried, ensure
@@ -20,6 +21,7 @@ RELATIVE = 1e-3  # of gains and torques: a rounded number is no other one
 ANGLE = 2e-3  # rad, of limits: degrees with one decimal are
 ENDLESS = 60.0  # rad: a joint without a range may have any limit in the spec that is as wide as some ten turns
 DEPTH = 1e-3  # m that a foot is put into the floor
+HEIGHT = 0.1  # of the standing height: a robot whose servos give way under its weight stands a little lower
 
 Row = tuple[str, str, str]
 """Joint, found, expected."""
@@ -50,12 +52,15 @@ def comparable_model(robot: Robot) -> mujoco.MjModel | None:
 
     if not isinstance(robot, VelocityRobot):
         return None
-    if lacks_its_model(robot):
-        raise NotTried("it has no model")
+    if fault_of_spec(robot.spec):
+        raise NotTried("its spec is no spec of its joints")  # said by `spec_is_consistent` or `times_fit`
     try:
-        model = None if robot.mjcf() is None else compile_model(robot)
+        lacking, root = lacks_its_model(robot), robot.mjcf()
+        model = None if lacking or root is None else compile_model(robot)
     except Exception as error:  # whatever a stranger's model does has been said by `model_matches`
         raise NotTried("its model cannot be made") from error
+    if lacking:
+        raise NotTried("it has no model")
     if model is not None and missing(model, robot.spec):
         raise NotTried("its model lacks something")
     return model
@@ -210,16 +215,49 @@ def feet_are_felt(entry: Entry, registry: Registry) -> None:
     _compare("foot sites of its model", rows, "Make the site a little larger than the foot", "site")
 
 
+def height_matches(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task base_height is where the trunk is, upright and in the default pose, when the
+    lowest part of the robot touches the floor: episodes begin there, and a share of it is a fall."""
+    import mujoco
+
+    from hts.sim.conventions import FLOOR, FREE
+
+    robot = entry.factory({})
+    model = comparable_model(robot)
+    if model is None or model.geom(FLOOR).type[0] != int(mujoco.mjtGeom.mjGEOM_PLANE):
+        return
+    if model.njnt == 0 or model.jnt_type[0] != FREE:
+        raise NotTried("its trunk cannot be put anywhere")  # said by `model_is_in_order`
+    height, points = _standing(model, mujoco.MjData(model), robot, range(1, model.nbody))
+    said = robot.spec.base_height
+    ensure(
+        not points or abs(said - height) <= HEIGHT * height,
+        f"spec.base_height is {said:g} m; in the default pose the lowest part of its model touches the floor with "
+        f"'{robot.spec.trunk_body}' at {height:.4g} m. Correct SPEC.base_height, m, or SPEC.default_pose",
+    )
+
+
 def _on_the_floor(model: mujoco.MjModel, robot: Robot, foot: str) -> list[float]:
     """Of each point at which the foot's body touches the floor, just so: how far it lies outside the site, m (at
     least); 0 inside."""
     import mujoco
 
+    site = model.site(foot).id
+    data = mujoco.MjData(model)
+    _, found = _standing(model, data, robot, [int(model.site_bodyid[site])])
+    return [_outside(model, data, site, point) for point in found]
+
+
+def _standing(
+    model: mujoco.MjModel, data: mujoco.MjData, robot: Robot, bodies: Collection[int]
+) -> tuple[float, list[np.ndarray]]:
+    """Height of the trunk, m, upright and in the default pose, at which one of these bodies touches the floor just so,
+    and the points where, m; none if none of them can touch it."""
+    import mujoco
+
     from hts.sim.conventions import FLOOR
 
-    site = model.site(foot).id
-    body, floor = int(model.site_bodyid[site]), model.geom(FLOOR).id
-    data = mujoco.MjData(model)
+    floor = model.geom(FLOOR).id
     places = [int(model.joint(name).qposadr[0]) for name in robot.spec.joint_names]
 
     def points(height: float) -> list[np.ndarray]:
@@ -232,17 +270,16 @@ def _on_the_floor(model: mujoco.MjModel, robot: Robot, foot: str) -> list[float]
             for contact in data.contact
             if contact.dist < 0
             and floor in contact.geom
-            and body in (model.geom_bodyid[contact.geom[0]], model.geom_bodyid[contact.geom[1]])
+            and any(int(model.geom_bodyid[geom]) in bodies for geom in contact.geom)
         ]
 
     low, high = -1.0 - robot.spec.base_height, 3 * robot.spec.base_height + 1.0
     if not points(low):
-        return []
+        return 0.0, []
     for _ in range(40):
         middle = (low + high) / 2
         low, high = (middle, high) if points(middle) else (low, middle)
-    found = points(low - DEPTH)
-    return [_outside(model, data, site, point) for point in found]
+    return low, points(low - DEPTH)
 
 
 def _outside(model: mujoco.MjModel, data: mujoco.MjData, site: int, point: np.ndarray) -> float:
@@ -313,4 +350,5 @@ CHECKS = (
     position_limits_match,
     floor_decides_the_grip,
     feet_are_felt,
+    height_matches,
 )

@@ -12,16 +12,16 @@ from hts import units
 from hts.channels import standard_channels
 from hts.config import EnvConfig, RandomisationConfig
 from hts.contracts import FollowVelocity, Robot, Task
+from hts.contracts.spec_faults import fault_of_spec, fault_of_times
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import unknown_name
 from hts.measurement.physics_steps import IN_STEPS
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import NotTried, ensure, listed, same
+from hts.testing.checks.ensure import ensure, listed, same
 from hts.testing.checks.robot_models import CHECKS as ROBOT_MODEL_CHECKS
 from hts.testing.checks.robot_models import lacks_its_model, usable_model
 
 STEPS, WORLDS, SEED = 12, 2, 11
-PER_JOINT = ("default_pose", "kp", "kd", "action_scale", "torque_limit", "velocity_limit", "position_limit")
 ABOVE_ZERO = ("action_scale", "torque_limit", "velocity_limit")
 GAINS = ("kp", "kd")  # 0 where actions are torques
 
@@ -33,28 +33,20 @@ def spec_is_consistent(entry: Entry, registry: Registry) -> None:
     spec = robot.spec
     ensure(spec.name == entry.name, f"its spec is called '{spec.name}'")
     ensure(len(set(spec.joint_names)) == spec.num_joints, f"joint names are {spec.joint_names}")
-    for name in PER_JOINT:
-        length = len(getattr(spec, name))
-        ensure(length == spec.num_joints, f"spec.{name} has {length} entries for {spec.num_joints} joints")
+    fault = fault_of_spec(spec)
+    ensure(not fault or fault == fault_of_times(spec), fault)
     for name in ABOVE_ZERO:
         ensure(all(math.isfinite(v) and v > 0 for v in getattr(spec, name)), f"spec.{name} is {getattr(spec, name)}")
     for name in GAINS:
         ensure(all(math.isfinite(v) and v >= 0 for v in getattr(spec, name)), f"spec.{name} is {getattr(spec, name)}")
-    for name in ("torque_constant", "gear_ratio", "phase_resistance_ohm") if spec.motors else ():
-        length = len(getattr(spec.motors, name))
-        ensure(length == spec.num_joints, f"spec.motors.{name} has {length} entries for {spec.num_joints} joints")
     for joint, pose, (low, high) in zip(spec.joint_names, spec.default_pose, spec.position_limit, strict=True):
         ensure(low < pose < high, f"default pose of '{joint}' is {pose} rad, outside its limits {low} to {high}")
 
 
 def times_fit(entry: Entry, registry: Registry) -> None:
     """physics_dt · substeps is one control step, 1 / control_rate_hz."""
-    spec = entry.factory({}).spec
-    period = spec.physics_dt * spec.substeps
-    ensure(
-        abs(period * spec.control_rate_hz - 1) < 1e-6,
-        f"{spec.substeps} · {spec.physics_dt} s at {spec.control_rate_hz} Hz",
-    )
+    fault = fault_of_times(entry.factory({}).spec)
+    ensure(not fault, fault)
 
 
 def channels_are_standard(entry: Entry, registry: Registry) -> None:
@@ -208,11 +200,9 @@ def env_does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
 def _has_env(robot: Robot) -> bool:
     """Whether there is an env to try. Raises NotTried for one whose model the velocity task refuses, in one line, by
     then, or misses."""
-    if lacks_its_model(robot):
-        raise NotTried("it has no model to make its env of")
-    if robot.mjcf() is None:
-        return type(robot).make_env is not Robot.make_env
-    return not isinstance(robot, VelocityRobot) or usable_model(robot) is not None
+    if isinstance(robot, VelocityRobot):
+        return usable_model(robot) is not None or type(robot).make_env is not VelocityRobot.make_env
+    return robot.mjcf() is not None or type(robot).make_env is not Robot.make_env
 
 
 def _config() -> EnvConfig:

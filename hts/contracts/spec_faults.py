@@ -1,0 +1,73 @@
+"""What no robot's numbers may be: another count than joints, no numbers, steps that do not make a control step."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from hts.contracts.robot import RobotSpec
+
+
+def fault_of_spec(spec: RobotSpec) -> str:
+    """The first thing that nobody can compute with, in words; empty for none. Policies are made and robots commanded by
+    these numbers, so a tuple that is one too short must not go unseen until then."""
+    per_joint: dict[str, tuple[Any, str]] = {
+        "default_pose": (spec.default_pose, "a number, rad"),
+        "kp": (spec.kp, "a number, N·m/rad"),
+        "kd": (spec.kd, "a number, N·m·s/rad"),
+        "action_scale": (spec.action_scale, "a number, rad per action unit"),
+        "torque_limit": (spec.torque_limit, "a number, N·m"),
+        "velocity_limit": (spec.velocity_limit, "a number, rad/s"),
+        "position_limit": (spec.position_limit, "(low, high), rad"),
+    }
+    if spec.motors is not None:
+        per_joint |= {
+            "motors.torque_constant": (spec.motors.torque_constant, "a number, N·m/A"),
+            "motors.gear_ratio": (spec.motors.gear_ratio, "a number"),
+            "motors.phase_resistance_ohm": (spec.motors.phase_resistance_ohm, "a number, ohm"),
+        }
+    for name, (values, wanted) in per_joint.items():
+        if fault := _per_joint(f"spec.{name}", values, wanted, spec.joint_names):
+            return fault
+    return fault_of_times(spec)
+
+
+def fault_of_times(spec: RobotSpec) -> str:
+    """In words, if physics steps do not make one control step; else empty."""
+    period = spec.physics_dt * spec.substeps
+    if not abs(period * spec.control_rate_hz - 1) < 1e-6:
+        return (
+            f"{spec.substeps} · {spec.physics_dt} s at {spec.control_rate_hz} Hz; expected "
+            "spec.substeps · spec.physics_dt = 1 / spec.control_rate_hz"
+        )
+    return ""
+
+
+def _per_joint(name: str, values: Any, wanted: str, joints: tuple[str, ...]) -> str:
+    try:
+        entries = list(values)
+    except TypeError:
+        return f"{name} is {values!r}, expected {len(joints)} entries, one a joint in the order of joint_names"
+    if len(entries) != len(joints):
+        return f"{name} has {len(entries)} entries for {len(joints)} joints"
+    pairs = wanted.startswith("(")
+    for joint, entry in zip(joints, entries, strict=True):
+        if not (_pair(entry) if pairs else _number(entry)):
+            return f"{name} of '{joint}' is {entry!r}, expected {wanted}"
+    return ""
+
+
+def _number(value: Any) -> bool:
+    try:
+        return not isinstance(value, str) and math.isfinite(value)
+    except TypeError:
+        return False
+
+
+def _pair(value: Any) -> bool:
+    """Two numbers, either of which may be endless; not two NaN."""
+    try:
+        low, high = value
+        return not isinstance(value, str) and not math.isnan(low) and not math.isnan(high)
+    except (TypeError, ValueError):
+        return False
