@@ -63,14 +63,18 @@ def disk_fault(error: BaseException | None, place: Path | None = None, option: s
 
 
 @contextmanager
-def resumable(folder: Path, begun: str = "config.yaml", option: str = "--out or --to") -> Iterator[None]:
-    """Whatever stops a run ends in one line that says how to go on with `folder`; begun: its file from the start;
-    option: as of `disk_fault`."""
+def resumable(folder: Path | None, begun: str = "config.yaml", option: str = "--out or --to") -> Iterator[None]:
+    """Whatever stops a run ends in one line that says how to go on with `folder`; None: nothing is written, as in a dry
+    run; begun: its file from the start; option: as of `disk_fault`."""
+
+    def left() -> bool:
+        return folder is not None and (folder / begun).exists()
+
     threading.excepthook = _in_a_thread
     try:
         yield
     except KeyboardInterrupt:
-        if (folder / begun).exists():
+        if left():
             print(f"\nstopped: `hts resume {folder}` goes on", file=sys.stderr)
         else:
             print("\nstopped before anything was written", file=sys.stderr)
@@ -78,14 +82,14 @@ def resumable(folder: Path, begun: str = "config.yaml", option: str = "--out or 
     except HtsError as error:
         said = str(error)
         advised = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in said or "begin anew" in said
-        if advised or not (folder / begun).exists():
+        if advised or not left():
             raise
         raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error
     except Exception as error:
         fault = disk_fault(error, folder, option) or device_fault(error)
         if fault is None:
             raise
-        resume = f" Then `hts resume {folder}` goes on." if (folder / begun).exists() else ""
+        resume = f" Then `hts resume {folder}` goes on." if left() else ""
         raise RunError(f"{fault}{resume}") from error
     finally:
         threading.excepthook = threading.__excepthook__

@@ -71,5 +71,5 @@ def command(
         refuse_existing(folder)
     from hts.oracle import start_oracle
 
-    with resumable(folder):
+    with resumable(None if dry_run else folder):
         start_oracle(resolved, folder, dry_run=dry_run, registry=registry)

@@ -59,7 +59,7 @@ def start(config: RunConfig, registry: Registry, out: Path | None, dry_run: bool
         refuse_existing(folder)
     from hts.run import start_run
 
-    with resumable(folder):
+    with resumable(None if dry_run else folder):
         start_run(config, folder, dry_run=dry_run, registry=registry)
 
 

@@ -19,7 +19,7 @@ from hts.cli.commands import COMMANDS
 from hts.cli.main import main
 from hts.cli.one_line import disk_fault, one_line, resumable
 from hts.config_loading import dump_config, load_config
-from hts.errors import RunError, WaitingForRobot
+from hts.errors import PolicyError, RunError, WaitingForRobot
 
 FAKES = """
 from hts import hookimpl
@@ -196,6 +196,13 @@ def test_a_dry_run_may_look_at_a_folder_that_is_taken(fakes, fake_run, tmp_path)
     (tmp_path / "config.yaml").write_text("")
     assert main([*RUN, "--out", str(tmp_path), "--dry-run"]) == 0
     assert fake_run.calls[0][2] is True
+
+
+def test_a_dry_run_that_fails_does_not_speak_of_the_run_that_lies_there(fakes, fake_run, tmp_path, capsys):
+    (tmp_path / "config.yaml").write_text("")
+    fake_run.error = PolicyError("walk.json: no such file.")
+    assert main([*RUN, "--out", str(tmp_path), "--dry-run"]) == 2
+    assert one_line_of(capsys) == "error: walk.json: no such file.\n"
 
 
 def test_resume_wants_a_run_folder(fake_run, tmp_path, capsys):
