@@ -193,16 +193,10 @@ def floor_decides_the_grip(entry: Entry, registry: Registry) -> None:
 def feet_are_felt(entry: Entry, registry: Registry) -> None:
     """In a model for the velocity task the site of each foot holds the points at which its body touches the floor in
     the default pose: a touch sensor sees no others."""
-    import mujoco
-
-    from hts.sim.conventions import FLOOR, FREE
-
     robot = entry.factory({})
-    model = comparable_model(robot)
-    if model is None or model.geom(FLOOR).type[0] != int(mujoco.mjtGeom.mjGEOM_PLANE):
+    model = _placeable(robot)
+    if model is None:
         return
-    if model.njnt == 0 or model.jnt_type[0] != FREE:
-        raise NotTried("its trunk cannot be put anywhere")  # said by `model_is_in_order`
     rows = []
     for name in robot.spec.foot_sites:
         body = model.body(int(model.site_bodyid[model.site(name).id])).name
@@ -220,14 +214,10 @@ def height_matches(entry: Entry, registry: Registry) -> None:
     lowest part of the robot touches the floor: episodes begin there, and a share of it is a fall."""
     import mujoco
 
-    from hts.sim.conventions import FLOOR, FREE
-
     robot = entry.factory({})
-    model = comparable_model(robot)
-    if model is None or model.geom(FLOOR).type[0] != int(mujoco.mjtGeom.mjGEOM_PLANE):
+    model = _placeable(robot)
+    if model is None:
         return
-    if model.njnt == 0 or model.jnt_type[0] != FREE:
-        raise NotTried("its trunk cannot be put anywhere")  # said by `model_is_in_order`
     height, points = _standing(model, mujoco.MjData(model), robot, range(1, model.nbody))
     said = robot.spec.base_height
     ensure(
@@ -235,6 +225,21 @@ def height_matches(entry: Entry, registry: Registry) -> None:
         f"spec.base_height is {said:g} m; in the default pose the lowest part of its model touches the floor with "
         f"'{robot.spec.trunk_body}' at {height:.4g} m. Correct SPEC.base_height, m, or SPEC.default_pose",
     )
+
+
+def _placeable(robot: Robot) -> mujoco.MjModel | None:
+    """A model that can be put down on a plane; None where there is nothing to compare. Raises NotTried without a free
+    joint of its trunk."""
+    import mujoco
+
+    from hts.sim.conventions import FLOOR, FREE
+
+    model = comparable_model(robot)
+    if model is None or model.geom(FLOOR).type[0] != int(mujoco.mjtGeom.mjGEOM_PLANE):
+        return None
+    if model.njnt == 0 or model.jnt_type[0] != FREE:
+        raise NotTried("its trunk cannot be put anywhere")  # said by `model_is_in_order`
+    return model
 
 
 def _on_the_floor(model: mujoco.MjModel, robot: Robot, foot: str) -> list[float]:
