@@ -160,7 +160,10 @@ class SplitStepCollector(BaseCollector):
         Raises RuntimeError for an env that cannot be saved in mid-episode."""
         env = self.bare_env.full_state()
         if env is None:
-            raise RuntimeError(f"{type(self.bare_env).__name__} cannot be saved in mid-episode.")
+            raise RuntimeError(
+                f"{type(self.bare_env).__name__} cannot be saved in mid-episode: its full_state() says nothing. Write "
+                "full_state() and load_full_state() of the env, or save without the collector and begin new episodes."
+            )
         noise = {} if self.policy.random is None else self.policy.random.state_dict()
         memory = [dict(transform.state_dict()) for transform in self.transforms]
         return OrderedDict(env_state_dict=env, transforms=memory, noise=noise, frames=self._frames)
@@ -175,7 +178,10 @@ class SplitStepCollector(BaseCollector):
             )
         go_on = self.bare_env.load_full_state if self._begun else self.bare_env.go_on  # no reset comes after the first
         go_on(state_dict["env_state_dict"])
+        instances = self.bare_env.batch_size.numel()
         for transform, memory in zip(self.transforms, state_dict["transforms"], strict=True):
+            if not memory.keys() <= transform.state_dict().keys():  # a memory that is not made yet takes no state
+                transform.prepare(instances, self.bare_env.device)
             transform.load_state_dict(memory)
         if self.policy.random is not None:
             self.policy.random.load_state_dict(state_dict["noise"])

@@ -1,4 +1,5 @@
-"""What an env says wrongly is told with its name in the first batch."""
+"""What an env says wrongly is told with its name in the first batch, and a memory that it has yet to make is gone on
+from."""
 
 from __future__ import annotations
 
@@ -6,9 +7,12 @@ from functools import partial
 
 import pytest
 import torch
+from tensordict import TensorDict
+from torchrl.data import Unbounded
+from torchrl.envs import TransformedEnv
 from walk_env import SHAPE, Walk
 
-from hts.rl import CapturedCollector, Population, PopulationActor, PopulationCollector, Sizes
+from hts.rl import CapturedCollector, DeferrableTransform, Population, PopulationActor, PopulationCollector, Sizes
 
 COLLECTORS = pytest.mark.parametrize(
     "kind", [PopulationCollector, partial(CapturedCollector, capture=False)], ids=["split", "captured"]
@@ -35,6 +39,44 @@ class Seen(Walk):
 
     def observations(self):
         return self.made(super().observations())
+
+
+class Sum(DeferrableTransform):
+    """What was paid so far: a memory that is made with the first step, as `prepare` says."""
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=["channels"], out_keys=["sum"])
+        self.register_buffer("paid", None)
+
+    def prepare(self, instances, device):
+        if self.paid is None:
+            self.paid = torch.zeros(instances, 1, device=device)
+
+    def record(self, channels):
+        return channels["level"].reshape(-1, 1)
+
+    def evaluate(self, recorded):
+        self.paid = self.paid + recorded
+        return {"sum": self.paid}
+
+    def forget(self, ended):
+        """Nothing."""
+
+    def transform_observation_spec(self, observation_spec):
+        observation_spec["sum"] = Unbounded((*SHAPE, 1))
+        return observation_spec
+
+
+class Kept(Walk):
+    def channel_values(self):
+        return {"level": self.state.sum(-1)}
+
+    def full_state(self):
+        return TensorDict({"state": self.state.clone(), "last": self.last.clone(), **self.random.state_dict()})
+
+    def load_full_state(self, state):
+        self.state, self.last = state["state"].clone(), state["last"].clone()
+        self.random.load_state_dict({"generators": state["generators"]})
 
 
 def collected(env, kind=PopulationCollector):
@@ -70,3 +112,20 @@ def test_observations_that_the_policy_cannot_read_are_told(kind, made, found):
     said = rf"^Seen.observations\(\) gave {found} as observation, expected \(2, 4, 3\) of torch.float32"
     with pytest.raises(ValueError, match=said):
         collected(Seen(made), kind).collect()
+
+
+@pytest.mark.parametrize("batches", [0, 1])
+def test_a_transforms_memory_that_is_not_made_yet_is_gone_on_from(batches):
+    first = collected(TransformedEnv(Kept(), Sum(), auto_unwrap=False))
+    for _ in range(batches):
+        first.collect()
+    state = first.state_dict()
+    expected = first.collect()["next", "sum"]
+    second = collected(TransformedEnv(Kept(), Sum(), auto_unwrap=False))
+    second.load_state_dict(state)
+    assert torch.equal(second.collect()["next", "sum"], expected)
+
+
+def test_an_env_that_cannot_say_where_it_is_is_told_what_to_write():
+    with pytest.raises(RuntimeError, match=r"^Walk cannot be saved .* Write full_state\(\) and load_full_state\(\)"):
+        collected(Walk()).state_dict()
