@@ -113,7 +113,8 @@ class KLConstrainedPPOLoss(LossModule):
         loss.update_multiplier(loss.kl_to_reference(data))
 
     A UserWarning, once, tells of 1000 losses with gradients, a finite bound and a multiplier_rate above 0 before the
-    first update: without any, alpha stays what it is. What torch.compile has compiled is not counted.
+    first update: without any, alpha stays what it is. What torch.compile has compiled is not counted. Another, once,
+    tells of an actor without gradients.
 
     actor_network: has `get_dist`, as a `ProbabilisticActor`; critic_network: writes the value; reference: the policy to
     stay close to, copied and frozen with everything it holds (its observation normaliser too); None: the actor as it is
@@ -178,6 +179,7 @@ class KLConstrainedPPOLoss(LossModule):
         self.clip_epsilon, self.critic_coeff, self.entropy_coeff = clip_epsilon, critic_coeff, entropy_coeff
         self.clip_value = clip_epsilon if clip_value is True else (clip_value or None)
         self.normalize_advantage = normalize_advantage
+        self._told_frozen = False
         self._waiting = FORGOTTEN if multiplier_rate > 0.0 and bool(self.kl_bound.isfinite().any()) else 0
         parameter = next(actor_network.parameters(), None)
         if parameter is not None:
@@ -248,6 +250,8 @@ class KLConstrainedPPOLoss(LossModule):
         policy = self.actor_network.get_dist(batch)
         log_prob = policy.log_prob(batch[keys.action])
         self._check_candidates(log_prob.shape)
+        if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
+            self._tell_frozen()
         log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
         advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
@@ -303,6 +307,16 @@ class KLConstrainedPPOLoss(LossModule):
                 "nothing holds the policy to kl_bound. Call loss.update_multiplier(loss.kl_to_reference(data)) once a "
                 "batch, or make the loss with multiplier_rate=0 if that is meant.",
                 stacklevel=2,
+            )
+
+    def _tell_frozen(self) -> None:
+        """Warn, once, of an actor without gradients: the critic's would let every step pass."""
+        if not self._told_frozen:
+            self._told_frozen = True
+            warnings.warn(
+                "No parameter of actor_network asks for gradients, so the policy stays what it is while the critic "
+                "learns. Give the policy that is to be trained, not a frozen copy, or actor.requires_grad_().",
+                stacklevel=3,
             )
 
     def _check_candidates(self, shape: torch.Size) -> None:

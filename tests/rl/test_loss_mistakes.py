@@ -48,3 +48,13 @@ def test_a_bound_that_is_no_number_is_told(bound, several):
         actor, values = PopulationActor(population), PopulationCritic(population)
     with pytest.raises(TypeError, match=rf"^kl_bound is {bound!r}; expected a number, or \[P\] for P candidates"):
         KLConstrainedPPOLoss(actor, values, kl_bound=bound)
+
+
+def test_an_actor_without_gradients_is_told_once_since_the_critic_would_learn_alone():
+    loss, data = loss_and_batch()
+    loss.actor_network.requires_grad_(False)
+    with torch.no_grad():
+        loss(data)  # whoever asks for no gradient wants none
+    with pytest.warns(UserWarning, match="^No parameter of actor_network asks for gradients"):
+        loss(data)
+    loss(data)  # warnings are errors here
