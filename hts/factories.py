@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hts import contracts
+from hts import contracts, units
 from hts.channels import Channel
 from hts.contracts import MeasurementModel, Objective, Robot
 from hts.contracts.spec_faults import fault_of_spec
@@ -94,6 +94,8 @@ def _check_parts(objective: Objective, name: str, who: str, remedy: str) -> None
         raise PluginError(f"{who}: its class sets no {', '.join(lacking)}, which every objective has. {remedy}.")
     if objective.name != name:  # its rewards would be looked for under the registered one
         raise PluginError(f"{who}: calls itself {objective.name!r}, expected the registered name, '{name}'. {remedy}.")
+    if not units.known(str(objective.unit)):
+        raise PluginError(f"{who}: unit: {units.unknown(str(objective.unit))} {remedy}.")
     inputs = objective.inputs
     if not isinstance(inputs, (tuple, list)) or not inputs or not all(isinstance(one, str) for one in inputs):
         raise PluginError(

@@ -18,7 +18,7 @@ def guarded(what: str, work: Callable[[], Made]) -> Made:
         return work()
     except HtsError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a plugin's sys.exit would end hts without a word
         from pydantic import ValidationError
 
         if isinstance(error, ValidationError):

@@ -33,6 +33,7 @@ INPUT_TWICE = (
 ONE_INPUT = ("objective.py", "    target = TARGET\n", "    target = TARGET\n    inputs = 'joint_torque'\n")
 NO_TUPLE = ("objective.py", "    target = TARGET\n", "    target = TARGET\n    also_measured = TARGET\n")
 NO_BASE = ("objective.py", "class Heat(Objective):", "class Heat:")
+NO_UNIT = ("objective.py", '    unit = "1"', '    unit = "percentage"')
 NO_TARGET = ("objective.py", "    target = TARGET\n", "")
 FAULTS = {
     "a misspelt import": (NO_IMPORT, "ImportError: cannot import name 'Feld' from 'pydantic'"),
@@ -48,6 +49,7 @@ FAULTS = {
     "an input that is no tuple": (ONE_INPUT, "inputs are 'joint_torque', expected names of channels, such as"),
     "a channel that is no tuple": (NO_TUPLE, "also_measured is a Channel, expected a tuple of hts.channels.Channel"),
     "a class that does not derive": (NO_BASE, "its factory gives a Heat, not a hts.contracts.Objective"),
+    "a unit that nobody knows": (NO_UNIT, "unit: No unit named 'percentage'. Known: "),
     "a target that is missing": (NO_TARGET, "its class sets no target"),
 }
 

@@ -66,6 +66,10 @@ def check_prediction(model: MeasurementModel, inputs: torch.Tensor, finite: bool
                 f"{what}: {name} is not finite at sample {int((~torch.isfinite(part[0])).nonzero()[0])} of {length}. "
                 "Its parameters or its inputs' scale went wrong in fit()."
             )
+        if name == "std" and bool((part < 0).any()):
+            raise PluginError(
+                f"{what}: std is {float(part.min()):.3g} at its least, expected a standard deviation: 0 or more."
+            )
     return found
 
 

@@ -17,8 +17,9 @@ from torchrl.envs import EnvBase
 
 from hts.rl.actor import PopulationActor, log_prob
 from hts.rl.capture import StaticBuffers, captured, explained, warm_up
+from hts.rl.collector_checks import FLAGS, Key, check_flags, checked_rewards
 from hts.rl.population import Population
-from hts.rl.population_collector import FLAGS, Key, SplitStepCollector, check_flags, decide
+from hts.rl.population_collector import SplitStepCollector, decide
 from hts.rl.precision import tf32
 from hts.rl.random import PopulationRandom, PrefetchedNoise
 from hts.rl.task_env import LaunchedSimulator, ReplacedState
@@ -97,7 +98,7 @@ class CapturedCollector(SplitStepCollector):
         env = self.bare_env
         ended, flags = env.end_step(action)
         check_flags(env, flags)
-        reward = env.rewards([ended])[0]
+        reward = checked_rewards(env, [ended])[0]
         outcome = {("reward",): reward.unsqueeze(-1)} | {(name,): flags[name] for name in FLAGS}
         channels = env.channel_values() if self.transforms else {}
         for transform in self.transforms:

@@ -21,7 +21,7 @@ from torchrl.objectives.value import GAE
 
 from hts.rl.actor import PopulationActor
 from hts.rl.kl import distribution_kl
-from hts.rl.multiplier import LagrangeMultiplier
+from hts.rl.multiplier import LagrangeMultiplier, as_bounds
 from hts.rl.rows import row_mean, row_standardised
 from hts.rl.surrogate import surrogate, value_error
 
@@ -38,19 +38,19 @@ def frozen(module: nn.Module) -> nn.Module:
     return copied
 
 
-def _check_actor(actor: TensorDictModuleBase) -> None:
-    """Raise TypeError for an actor whose distribution of one action nobody can ask for."""
+def _check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> None:
+    """Raise TypeError for an actor, or reference, whose distribution of one action nobody can ask for."""
     try:
         actor.get_dist  # noqa: B018 -- of TorchRL's actors, and of whatever else gives distributions
     except AttributeError as error:
         raise TypeError(
-            f"actor_network is a {type(actor).__name__} without get_dist; expected a ProbabilisticActor, a "
+            f"{name} is a {type(actor).__name__} without get_dist; expected a ProbabilisticActor, a "
             "ProbabilisticTensorDictSequential, or what else has it."
         ) from error
     last = actor[-1] if isinstance(actor, TensorDictSequential) else actor  # it is the last module that knows
     with suppress(AttributeError):  # only modules with a distribution have it
         if last.distribution_class is CompositeDistribution:
-            raise TypeError("actor_network has several actions (CompositeDistribution); expected one distribution.")
+            raise TypeError(f"{name} has several actions (CompositeDistribution); expected one distribution.")
 
 
 def _check_critic(critic: TensorDictModuleBase) -> None:
@@ -77,13 +77,25 @@ def _bound_of_each(kl_bound: float | torch.Tensor, actor: nn.Module, reference: 
         return kl_bound
     if others is not None and others != count:
         raise ValueError(f"reference has {others} candidates, actor_network {count}; expected as many.")
-    bounds = torch.as_tensor(kl_bound)
+    bounds = as_bounds(kl_bound)
     if bounds.ndim == 1 and len(bounds) != count:
         raise ValueError(
             f"kl_bound has the shape {tuple(bounds.shape)}, actor_network {count} candidates; expected a bound for "
             "each, or a float that holds for each."
         )
     return bounds.repeat(count) if bounds.ndim == 0 and count > 1 else kl_bound
+
+
+def _check_numbers(critic_coeff: float, entropy_coeff: float, clip_epsilon: float, clip_value: float | None) -> None:
+    """Raise ValueError for numbers with which nothing, or the opposite, would be learned."""
+    if not 0.0 < clip_epsilon < math.inf:
+        raise ValueError(f"clip_epsilon is {clip_epsilon}; expected a positive number, such as 0.2.")
+    if not 0.0 <= critic_coeff < math.inf:
+        raise ValueError(f"critic_coeff is {critic_coeff}; expected a number from 0 on, such as 1.")
+    if not math.isfinite(entropy_coeff):
+        raise ValueError(f"entropy_coeff is {entropy_coeff}; expected a finite number, such as 0.001, or 0 for none.")
+    if clip_value is not None and not clip_value >= 0.0:
+        raise ValueError(f"clip_value is {clip_value}; expected a number from 0 on, True for clip_epsilon, or None.")
 
 
 class KLConstrainedPPOLoss(LossModule):
@@ -101,7 +113,8 @@ class KLConstrainedPPOLoss(LossModule):
         loss.update_multiplier(loss.kl_to_reference(data))
 
     A UserWarning, once, tells of 1000 losses with gradients, a finite bound and a multiplier_rate above 0 before the
-    first update: without any, alpha stays what it is. What torch.compile has compiled is not counted.
+    first update: without any, alpha stays what it is. What torch.compile has compiled is not counted. Another, once,
+    tells of an actor without gradients.
 
     actor_network: has `get_dist`, as a `ProbabilisticActor`; critic_network: writes the value; reference: the policy to
     stay close to, copied and frozen with everything it holds (its observation normaliser too); None: the actor as it is
@@ -157,14 +170,16 @@ class KLConstrainedPPOLoss(LossModule):
         super().__init__()
         _check_actor(actor_network)
         _check_critic(critic_network)
-        if not 0.0 < clip_epsilon < math.inf:
-            raise ValueError(f"clip_epsilon is {clip_epsilon}; expected a positive number, such as 0.2.")
+        if reference is not None:
+            _check_actor(reference, "reference")
+        _check_numbers(critic_coeff, entropy_coeff, clip_epsilon, clip_value)
         self.actor_network, self.critic_network = actor_network, critic_network
         self.reference = frozen(actor_network if reference is None else reference)
         self.multiplier = LagrangeMultiplier(_bound_of_each(kl_bound, actor_network, self.reference), multiplier_rate)
         self.clip_epsilon, self.critic_coeff, self.entropy_coeff = clip_epsilon, critic_coeff, entropy_coeff
         self.clip_value = clip_epsilon if clip_value is True else (clip_value or None)
         self.normalize_advantage = normalize_advantage
+        self._told_frozen = False
         self._waiting = FORGOTTEN if multiplier_rate > 0.0 and bool(self.kl_bound.isfinite().any()) else 0
         parameter = next(actor_network.parameters(), None)
         if parameter is not None:
@@ -235,6 +250,8 @@ class KLConstrainedPPOLoss(LossModule):
         policy = self.actor_network.get_dist(batch)
         log_prob = policy.log_prob(batch[keys.action])
         self._check_candidates(log_prob.shape)
+        if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
+            self._tell_frozen()
         log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
         advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
@@ -290,6 +307,16 @@ class KLConstrainedPPOLoss(LossModule):
                 "nothing holds the policy to kl_bound. Call loss.update_multiplier(loss.kl_to_reference(data)) once a "
                 "batch, or make the loss with multiplier_rate=0 if that is meant.",
                 stacklevel=2,
+            )
+
+    def _tell_frozen(self) -> None:
+        """Warn, once, of an actor without gradients: the critic's would let every step pass."""
+        if not self._told_frozen:
+            self._told_frozen = True
+            warnings.warn(
+                "No parameter of actor_network asks for gradients, so the policy stays what it is while the critic "
+                "learns. Give the policy that is to be trained, not a frozen copy, or actor.requires_grad_().",
+                stacklevel=3,
             )
 
     def _check_candidates(self, shape: torch.Size) -> None:

@@ -54,6 +54,11 @@ class MeasuredReward(Transform):
 
     def added(self, measured: torch.Tensor) -> torch.Tensor:
         """lambda dt (r_measured - centre), of measured's shape; with [P] weights its first dimension is P."""
+        if self.weight.ndim and measured.shape[:1] != self.weight.shape:  # what broadcasts would be paid to others
+            raise ValueError(
+                f"The measured reward has the shape {tuple(measured.shape)}, weight is of {len(self.weight)} "
+                "candidates; expected a batch that begins with them. With one weight for all, give a float."
+            )
         centred = self.centring(measured)
         return self.weight.view(*self.weight.shape, *(1,) * (measured.ndim - self.weight.ndim)) * self.dt * centred
 
@@ -62,7 +67,11 @@ class MeasuredReward(Transform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """A batch of steps, as a collector gives it: changes ("next", reward_key)."""
-        self._with_reward(tensordict["next"])
+        outcome = tensordict.get("next", None)
+        if outcome is None:
+            found = ", ".join(map(repr, tensordict.keys()))
+            raise KeyError(f"The batch has no 'next', where its rewards are; it has {found}. A collector gives it.")
+        self._with_reward(outcome)
         return tensordict
 
     def _with_reward(self, outcome: TensorDictBase) -> TensorDictBase:

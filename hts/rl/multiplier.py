@@ -16,6 +16,19 @@ LARGEST_ERROR = (
 )
 
 
+def as_bounds(bounds: float | torch.Tensor) -> torch.Tensor:
+    """Bounds of a KL as a tensor, [] or [P]. Raises TypeError for what is no number, ValueError for another mistake."""
+    try:
+        limits = torch.as_tensor(bounds, dtype=torch.get_default_dtype())
+    except (TypeError, ValueError, RuntimeError) as error:  # which of them, torch has no rule for
+        raise TypeError(f"kl_bound is {bounds!r}; expected a number, or [P] for P candidates.") from error
+    if not bool((limits > 0).all()) or limits.numel() == 0:
+        raise ValueError(f"kl_bound is {limits.tolist()}; expected positive numbers, infinity for no bound.")
+    if limits.ndim > 1:
+        raise ValueError(f"kl_bound has the shape {tuple(limits.shape)}; expected a float, or [P] for P candidates.")
+    return limits
+
+
 class LagrangeMultiplier(nn.Module):
     """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch and outside `forward`.
 
@@ -30,13 +43,7 @@ class LagrangeMultiplier(nn.Module):
 
     def __init__(self, bounds: float | torch.Tensor, rate: float = 0.05) -> None:
         super().__init__()
-        limits = torch.as_tensor(bounds, dtype=torch.get_default_dtype())
-        if not bool((limits > 0).all()):
-            raise ValueError(f"kl_bound is {limits.tolist()}; expected positive numbers, infinity for no bound.")
-        if limits.ndim > 1:
-            raise ValueError(
-                f"kl_bound has the shape {tuple(limits.shape)}; expected a float, or [P] for P candidates."
-            )
+        limits = as_bounds(bounds)
         if not 0.0 <= rate < math.inf:
             raise ValueError(f"rate is {rate}; expected a number from 0 on, such as 0.05.")
         self.rate, self.updated = rate, False
@@ -57,7 +64,10 @@ class LagrangeMultiplier(nn.Module):
                 f"kl has the shape {tuple(kl.shape)}, kl_bound {tuple(self.bounds.shape)}; expected the same."
             )
         if bool(kl.isnan().any()):
-            raise ValueError(f"kl is {kl.tolist()}: the policy, its reference or a state is not finite. Stop training.")
+            raise ValueError(
+                f"kl is {kl.tolist()}: the policy, its reference or a state is not finite, as the policy is after a "
+                "step on a reward that is NaN. Stop training."
+            )
         return self.step(kl)
 
     @torch.no_grad()

@@ -24,13 +24,11 @@ from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import EnvBase
 
 from hts.rl.actor import PopulationActor, log_prob
+from hts.rl.collector_checks import FLAGS, Key, Said, check_flags, check_policy, check_seen, checked_rewards
 from hts.rl.deferred import DeferrableTransform, base_and_transforms
 from hts.rl.random import EXPLORATION_SEED
 from hts.rl.task_env import SplitStepEnv
 from hts.rl.threads import pool
-
-Key = tuple[str, ...]
-FLAGS = ("terminated", "truncated", "done")
 
 
 def can_split(env: EnvBase) -> bool:
@@ -75,7 +73,7 @@ class SplitStepCollector(BaseCollector):
             raise ValueError(
                 f"frames_per_batch is {frames_per_batch}, expected a multiple of the {per_step} env instances."
             )
-        _check_policy(bare, policy)
+        check_policy(bare, policy)
         self.env, self.policy = env, policy
         self.bare_env = bare
         self.transforms: list[DeferrableTransform] = list(transforms)
@@ -162,7 +160,10 @@ class SplitStepCollector(BaseCollector):
         Raises RuntimeError for an env that cannot be saved in mid-episode."""
         env = self.bare_env.full_state()
         if env is None:
-            raise RuntimeError(f"{type(self.bare_env).__name__} cannot be saved in mid-episode.")
+            raise RuntimeError(
+                f"{type(self.bare_env).__name__} cannot be saved in mid-episode: its full_state() says nothing. Write "
+                "full_state() and load_full_state() of the env, or save without the collector and begin new episodes."
+            )
         noise = {} if self.policy.random is None else self.policy.random.state_dict()
         memory = [dict(transform.state_dict()) for transform in self.transforms]
         return OrderedDict(env_state_dict=env, transforms=memory, noise=noise, frames=self._frames)
@@ -177,7 +178,10 @@ class SplitStepCollector(BaseCollector):
             )
         go_on = self.bare_env.load_full_state if self._begun else self.bare_env.go_on  # no reset comes after the first
         go_on(state_dict["env_state_dict"])
+        instances = self.bare_env.batch_size.numel()
         for transform, memory in zip(self.transforms, state_dict["transforms"], strict=True):
+            if not memory.keys() <= transform.state_dict().keys():  # a memory that is not made yet takes no state
+                transform.prepare(instances, self.bare_env.device)
             transform.load_state_dict(memory)
         if self.policy.random is not None:
             self.policy.random.load_state_dict(state_dict["noise"])
@@ -260,7 +264,7 @@ class PopulationCollector(SplitStepCollector):
         steps: dict[Key, list[torch.Tensor]] = {}
         recorded: list[list[torch.Tensor]] = [[] for _ in self.transforms]
         rewarded: list[Any] = []
-        said: _Said | None = None
+        said: Said | None = None
         log_std = policy.log_std(ndim=3)
         std = log_std.exp()
         with self._turn:
@@ -283,87 +287,15 @@ class PopulationCollector(SplitStepCollector):
                 for key, value in step.items():
                     steps.setdefault(key, []).append(value)
                 if not self._checked and said is None:
-                    said = _Said.of(env, step, ended)
+                    said = Said.of(env, step, ended)
                 if bool(flags["done"].any()):
                     env.start_episodes(flags["done"].squeeze(-1))
         rows = {key: torch.stack(values, 0 if _candidates(key) else 2) for key, values in steps.items()}
         rows["action_log_prob",] = log_prob(rows["action",], rows["loc",], log_std.unsqueeze(2))
-        rewards = env.rewards(rewarded)
+        rewards = checked_rewards(env, rewarded)
         if said is not None:
             said.check(env, {key: values[0] for key, values in steps.items()}, rewards[0])
         return _Collected(rows, rewards, [torch.stack(row) for row in recorded])
-
-
-@dataclass
-class _Said:
-    """What an env said of its first step, kept apart from the env's own memory: tensors by key, and the reward."""
-
-    step: dict[Key, torch.Tensor]
-    reward: torch.Tensor
-
-    @classmethod
-    def of(cls, env: SplitStepEnv, step: Mapping[Key, torch.Tensor], ended: Any) -> _Said:
-        return cls({key: value.clone() for key, value in step.items()}, env.rewards([ended])[0].clone())
-
-    def check(self, env: SplitStepEnv, step: Mapping[Key, torch.Tensor], reward: torch.Tensor) -> None:
-        """Hold it against the same after later steps."""
-        changed = [".".join(key) for key, value in self.step.items() if not _same(value, step[key])]
-        if changed:
-            raise RuntimeError(
-                f"{type(env).__name__} changes {', '.join(changed)} of a step in place while later steps are taken, so "
-                "batches would hold another step's values. Give new tensors in observations() and end_step()."
-            )
-        if not _same(self.reward, reward):
-            raise RuntimeError(
-                f"{type(env).__name__} gives other rewards for a step once later steps were taken, so batches would "
-                "hold wrong ones: what end_step() gives must be new tensors (.clone() of a state that is changed in "
-                "place), and rewards() the same for any number of steps."
-            )
-
-
-def _check_policy(env: SplitStepEnv, policy: PopulationActor) -> None:
-    """Raises TypeError for another kind of policy, ValueError for one with another number of candidates than env, or of
-    other sizes than env's specs say."""
-    if not isinstance(policy, PopulationActor):
-        raise TypeError(
-            f"policy is a {type(policy).__name__}, expected a PopulationActor, which acts for all candidates."
-        )
-    candidates = env.batch_size[0]
-    found = len(range(policy.population.count)[policy.members])
-    if found != candidates:
-        raise ValueError(f"policy has {found} candidates, env {candidates}: give both as many.")
-    if policy.random is not None and len(policy.random.generators) != candidates:
-        raise ValueError(
-            f"the policy's random has {len(policy.random.generators)} generators, expected one for each of the "
-            f"{candidates} candidates: PopulationRandom takes a seed for each."
-        )
-    sizes, named = policy.population.sizes, {**env.observation_spec, **env.full_action_spec}
-    wanted = {"observation": sizes.observation, "critic_observation": sizes.critic_observation, "action": sizes.action}
-    for name, size in wanted.items():
-        if name in named and named[name].shape[-1:] != (size,):
-            raise ValueError(
-                f"the policy's {name} has {size} numbers, env's {tuple(named[name].shape)}: give both as many, with "
-                f"Sizes({name}={named[name].shape[-1]}, ...)."
-            )
-
-
-def check_flags(env: SplitStepEnv, flags: Mapping[str, torch.Tensor]) -> None:
-    """Raises ValueError unless `end_step` gave terminated, truncated and done, bool [P, N, 1]."""
-    expected = (*env.batch_size, 1)
-    for name in FLAGS:
-        flag = flags.get(name)
-        if flag is None or tuple(flag.shape) != expected or flag.dtype != torch.bool:
-            found = "nothing" if flag is None else f"{tuple(flag.shape)} of {flag.dtype}"
-            raise ValueError(
-                f"{type(env).__name__}.end_step() gave {found} as {name}, expected {expected} of torch.bool, one for "
-                "each instance."
-            )
-
-
-def _same(one: torch.Tensor, other: torch.Tensor) -> bool:
-    if not one.is_floating_point():
-        return torch.equal(one, other)
-    return torch.allclose(one, other, rtol=1e-4, atol=1e-6, equal_nan=True)
 
 
 def decide(
@@ -372,6 +304,7 @@ def decide(
     """A step before its physics: what was seen and done, by key, and the simulator's inputs. std [P, 1, A]: of the
     exploration noise."""
     seen = env.observations()
+    check_seen(env, policy, seen)
     loc = policy.loc(seen["observation"])
     action = loc if policy.random is None else loc + std * policy.random.normal(*loc.shape[1:])
     step: dict[Key, torch.Tensor] = {(name,): value for name, value in seen.items()}

@@ -151,7 +151,7 @@ def _tried(
             check(*given)
     except NotTried:
         return Finding(package, subject, demand, None, tried=False)
-    except Exception as error:  # noqa: BLE001 - whatever a stranger's code does is a finding, not the end of the check
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a stranger's code does is a finding, no end
         if os.environ.get("HTS_DEBUG") == "1":
             traceback.print_exception(error, file=sys.stderr)
         text = " ".join(str(error).split())

@@ -43,6 +43,7 @@ def mean(function):
         (mean(lambda value: value.tolist()), "mean is list"),
         (lambda found: found.mean, "gives Tensor and Tensor, expected a Prediction and the state"),
         (lambda found: found._replace(std=found.mean[0]), r"std is \(\d+,\)"),
+        (lambda found: found._replace(std=-torch.ones_like(found.mean)), "std is -1 at its least, expected a"),
     ],
 )
 def test_no_prediction_is_no_score(change, said):

@@ -183,6 +183,20 @@ def test_candidates_are_not_centred_by_one_mean_of_all_of_them(count, found):
         torch.testing.assert_close(found, torch.tensor(expected))
 
 
+@pytest.mark.parametrize("candidates", [1, 3])
+def test_weights_of_other_candidates_than_the_batch_has_are_told_without_centring_too(candidates):
+    measured = MeasuredReward(torch.ones(2), 0.1, in_key="effort", centring=RewardCentring(0.0))
+    step = TensorDict({"effort": torch.zeros(candidates, 4, 1), "reward": torch.zeros(candidates, 4, 1)}, [candidates])
+    said = rf"^The measured reward has the shape \({candidates}, 4, 1\), weight is of 2 candidates"
+    with pytest.raises(ValueError, match=said):
+        measured(TensorDict({"next": step}, [candidates]))
+
+
+def test_a_batch_without_what_its_steps_ended_in_is_told():
+    with pytest.raises(KeyError, match="The batch has no 'next', where its rewards are; it has 'effort'"):
+        MeasuredReward(1.0, 0.1, in_key="effort")(TensorDict({"effort": torch.zeros(3, 1)}, [3]))
+
+
 def test_random_numbers_of_other_candidates_are_not_gone_on_from():
     two, three = (PopulationRandom(range(count), torch.device("cpu")) for count in (2, 3))
     with pytest.raises(ValueError, match="of 2 candidates, expected those of 3: they are of another training"):

@@ -55,6 +55,11 @@ def test_a_sound_model_passes(install):
     assert faults(install) == []
 
 
+def test_a_fit_that_ends_the_process_is_a_fault_and_not_the_end_of_the_check(install):
+    found = faults(install, body="        def fit(self, *given, **how):\n            raise SystemExit(3)")
+    assert any("measurement model 'odd': SystemExit: 3" in line for line in found)
+
+
 def test_a_network_whose_layers_are_made_from_a_seed_of_their_own_passes(install):
     assert faults(install, **network(), made=OWN_SEED) == []
 

@@ -11,11 +11,13 @@ import pytest
 
 from hts.cli.commands import COMMANDS
 from hts.cli.main import main
-from hts.errors import ConfigError
+from hts.errors import ConfigError, PluginError
 from hts.plugins import KINDS, Entry, load
 from hts.testing.checks import CHECKS
+from hts.testing.checks.objectives import reward_remembers_no_data
 from hts.testing.checks.rewards import clips_nothing
 from hts.testing.conformance import Finding, check_package, package_of
+from hts.testing.examples.objective.objective import Fake
 from hts.testing.packages import KIT, kit_installed
 
 OURS = ["hard-to-sim-power", "hard-to-sim-noise", "hard-to-sim-go1", KIT]
@@ -53,6 +55,26 @@ def test_every_kind_has_checks_and_every_check_a_demand_of_one_paragraph():
 )
 def test_a_reward_that_saturates_is_not_called_clipped(reward):
     clips_nothing(Entry("odd", lambda settings: SimpleNamespace(reward=reward), "odd-lab"), load())
+
+
+class Held(Fake):
+    """Wants a level of 3 W, which it knows in standard deviations once weights_for was asked."""
+
+    wanted = 0.0
+
+    def weights_for(self, spread, recordings):
+        self.wanted = (3.0 - float(recordings[0].values("fake_level").mean())) / spread
+        return self.weights
+
+    def reward(self, prediction):
+        return -(prediction - self.wanted).square()
+
+
+def test_a_reward_that_hangs_on_what_weights_for_saw_is_found():
+    with kit_installed():
+        reward_remembers_no_data(Entry("fake", lambda settings: Fake(), "odd-lab"), load())
+        with pytest.raises(PluginError, match="reward gives other numbers once weights_for was asked"):
+            reward_remembers_no_data(Entry("fake", lambda settings: Held(), "odd-lab"), load())
 
 
 # -------------------------------------------------------------------------------------------------- worlds

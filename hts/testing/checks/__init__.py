@@ -30,7 +30,13 @@ MADE: tuple[Check, ...] = (
 """Of everything that a factory makes from settings."""
 
 CHECKS: Mapping[str, tuple[Check, ...]] = {
-    "objectives": (*MADE, *objectives.CHECKS, *rewards.CHECKS, objectives.reward_and_score_agree),
+    "objectives": (
+        *MADE,
+        *objectives.CHECKS,
+        *rewards.CHECKS,
+        objectives.reward_and_score_agree,
+        objectives.reward_remembers_no_data,
+    ),
     "measurement_models": (*MADE, *measurement_models.CHECKS),
     "robots": (*MADE, *robots.CHECKS),
     "worlds": (*MADE, *worlds.CHECKS),

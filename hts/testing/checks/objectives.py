@@ -192,6 +192,18 @@ def reward_and_score_agree(entry: Entry, registry: Registry) -> None:
     ensure(not opposed, f"reward pays for {ways[less > more]} of the target, compare for {ways[gain > 0]} of it")
 
 
+def reward_remembers_no_data(entry: Entry, registry: Registry) -> None:
+    """weights_for changes no reward: it is not asked where λ are named, nor when a run goes on, so a reward that hung
+    on it would be another one there."""
+    import torch
+
+    objective, prediction = entry.factory({}), torch.linspace(-3.0, 3.0, 13)
+    before = objective.reward(prediction.clone())
+    objective.weights_for(0.5, [walk(objective, registry, seed=0)])
+    after = objective.reward(prediction.clone())
+    ensure(torch.equal(before, after), "reward gives other numbers once weights_for was asked, of the same predictions")
+
+
 def _means(objective: Objective, made_up: Segments) -> dict[str, float]:
     scores = objective.score(made_up)
     if not all(np.shape(values) == (len(made_up),) for values in scores.values()):
