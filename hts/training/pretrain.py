@@ -19,6 +19,7 @@ from hts.places import PRETRAINING
 from hts.policies.files import Policy, make_card, save_policy
 from hts.policies.layout import layout_of
 from hts.rl.population import Population, Sizes
+from hts.task_settings import check_env_velocities
 from hts.training.finetune import Saved, check_env
 from hts.training.trainer import PopulationTrainer
 
@@ -47,6 +48,7 @@ def _pretrained(
     robot: Robot, config: PretrainConfig, out: Path, progress: Callable[[dict[str, Any]], None] | None
 ) -> Path:
     """`pretrain_policy`, alone in the folder."""
+    check_env_velocities(config.env, robot, "env")
     asked = {"robot": robot.spec.name, "config": config.model_dump(mode="json")}
     _begin(out, asked)
     env_config = config.env.model_copy(update={"seed": config.seed})
