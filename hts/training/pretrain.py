@@ -15,7 +15,7 @@ from hts.contracts import Robot
 from hts.envs.constants import delay_seconds
 from hts.errors import RunError
 from hts.locks import only_one
-from hts.places import PRETRAINING
+from hts.places import CURVE, PRETRAINED, PRETRAINING
 from hts.policies.files import Policy, make_card, save_policy
 from hts.policies.layout import layout_of
 from hts.rl.population import Population, Sizes
@@ -94,8 +94,8 @@ def _pretrained(
         "delay_seconds": delay_seconds(env_config, robot.spec),
     }
     card = make_card(robot.spec, tensors, layout, sizes, **made)
-    path = save_policy(out / "pretrained.safetensors", Policy(tensors, card))
-    atomic_write(out / "curve.json", json.dumps(curve, indent=1) + "\n")
+    path = save_policy(out / PRETRAINED, Policy(tensors, card))
+    atomic_write(out / CURVE, json.dumps(curve, indent=1) + "\n")
     trainer.close()
     for done in (CHECKPOINT, PRETRAINING, LOCK):
         (out / done).unlink(missing_ok=True)

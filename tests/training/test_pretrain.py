@@ -120,4 +120,6 @@ def test_the_command_says_how_it_goes_on_and_does(monkeypatch, tmp_path, capsys)
     assert capsys.readouterr().out.splitlines()[-1] == str(place / "pretrained.safetensors")
     assert sorted(path.name for path in place.iterdir()) == FILES
     assert main(["resume", str(place)]) == 2
-    assert "holds no run (no config.yaml)" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "holds a finished pretraining and no run, so there is nothing to go on with" in said
+    assert f"Its policy is {place / 'pretrained.safetensors'}: `hts play" in said and said.count("\n") == 1
