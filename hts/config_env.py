@@ -9,6 +9,8 @@ from pydantic import BeforeValidator, Field, NonNegativeFloat, field_validator
 from hts.config_base import SEEDS, Config, Range
 
 MOST_MODELS = 10_000  # 30 s and 5 GB for a robot with 12 joints
+# m and rad. No trunk's centre of mass is a metre off, no encoder's zero 57 degrees: in mm and degrees they seem so.
+MOST_SHIFT, MOST_OFFSET = 1.0, 1.0
 MOST_THREADS = 1024  # each holds a state of the physics; no machine has as many cores
 Pulls = NonNegativeFloat | tuple[NonNegativeFloat, ...]
 
@@ -16,6 +18,14 @@ Pulls = NonNegativeFloat | tuple[NonNegativeFloat, ...]
 def _several(value: Any) -> Any:
     """One number as a list of it."""
     return (value,) if isinstance(value, int | float) else value
+
+
+def within(ends: tuple[float, float], most: float, unit: str, mistaken: str) -> tuple[float, float]:
+    """Both ends of a range, if neither is further from 0 than `most`, which no machine is. Raises ValueError.
+    mistaken: the unit that they then probably are in."""
+    if max(map(abs, ends)) > most:
+        raise ValueError(f"expected two numbers from {-most:g} to {most:g} {unit} (write {unit}, not {mistaken})")
+    return ends
 
 
 class RandomisationConfig(Config):
@@ -61,6 +71,16 @@ class RandomisationConfig(Config):
         if min(ends) < 0:
             raise ValueError("expected two numbers of at least 0")
         return ends
+
+    @field_validator("com_shift")
+    @classmethod
+    def _metres(cls, ends: tuple[float, float]) -> tuple[float, float]:
+        return within(ends, MOST_SHIFT, "m", "mm")
+
+    @field_validator("joint_offset")
+    @classmethod
+    def _radians(cls, ends: tuple[float, float]) -> tuple[float, float]:
+        return within(ends, MOST_OFFSET, "rad", "degrees")
 
     @field_validator("delay_steps", "delay_share")
     @classmethod

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, get_args
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 from hts.near import nearest
 
@@ -59,6 +60,7 @@ def explain(
     # A list whose items are refused counts as too short: that is no fault of its own.
     faults = [fault for fault in faults if fault["type"] != "too_short" or tuple(fault["loc"]) not in inside]
     faults.sort(key=lambda fault: fault["type"] != "extra_forbidden")
+    faults = _one_of_each_choice(faults, model)
     texts = list(dict.fromkeys(_fault(fault, model, origin or dotted, also) for fault in faults))
     text = " Also: ".join(texts[:SHOWN])
     more = len(texts) - SHOWN
@@ -88,6 +90,54 @@ def _fault(
     return f"{where}: {found}" if where else found[:1].upper() + found[1:]
 
 
+def _one_of_each_choice(faults: list[dict[str, Any]], model: type[BaseModel] | None) -> list[dict[str, Any]]:
+    """Where a value may be one of several types, pydantic has a fault of each, whose type ends its location: one fault,
+    of the value, is made of these. Where only something inside the value is wrong, that is the fault."""
+    places: list[Location] = [_without_choices(model, tuple(fault["loc"])) for fault in faults]
+    chosen = {place for place, fault in zip(places, faults, strict=True) if place != tuple(fault["loc"])}
+    inside = {place[:depth] for place in chosen for depth in range(len(place))}
+    found: dict[Any, dict[str, Any]] = {}
+    for number, (place, fault) in enumerate(zip(places, faults, strict=True)):
+        if place not in chosen:
+            found[number] = fault
+        elif place in inside:
+            continue
+        elif place not in found:
+            found[place] = {**fault, "loc": place, "expected": [_expected(fault)]}
+        elif (words := _expected(fault)) not in found[place]["expected"]:
+            found[place]["expected"].append(words)
+    return list(found.values())
+
+
+def _without_choices(annotation: Any, location: Location) -> Location:
+    """A location without the names of types among which a value may choose; as it is where nobody knows."""
+    if not location:
+        return ()
+    if get_origin(annotation) is Annotated:
+        return _without_choices(get_args(annotation)[0], location)
+    step, rest = location[0], location[1:]
+    fields, inner = _fields(annotation), get_args(annotation)
+    if step in fields:
+        return (step, *_without_choices(fields[str(step)].annotation, rest))
+    if get_origin(annotation) in (Union, UnionType):
+        types = [one for one in inner if one is not NoneType]
+        if len(types) == 1:  # or nothing: no choice, and no name in the location
+            return _without_choices(types[0], location)
+        return _without_choices(next((one for one in types if _is_called(one, str(step))), None), rest)
+    if get_origin(annotation) in (list, tuple, dict) and inner:
+        each = inner[-1] if get_origin(annotation) is dict else inner[0]
+        return (step, *_without_choices(each, rest))
+    return location
+
+
+def _is_called(annotation: Any, name: str) -> bool:
+    """Whether pydantic calls a type so: `float`, `constrained-float`, `tuple[int, ...]`, `Named`."""
+    if get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    kind = get_origin(annotation) or annotation
+    return isinstance(kind, type) and name.partition("[")[0].rpartition("-")[2] == kind.__name__
+
+
 def _as_whole(fault: Mapping[str, Any]) -> str:
     """How a whole number is written that stands as 1e6, which YAML takes for text."""
     given = fault["input"]
@@ -102,6 +152,9 @@ def _as_whole(fault: Mapping[str, Any]) -> str:
 
 def _expected(fault: Mapping[str, Any]) -> str:
     """What should stand there, in words that need no Python."""
+    if several := fault.get("expected"):
+        *most, last = [each.removeprefix("expected ") for each in several]
+        return f"expected {', '.join(most)} or {last}" if most else several[0]
     words = EXPECTED.get(fault["type"])
     if words is None:
         return fault["msg"].removeprefix("Value error, ").removeprefix("Input ").removesuffix(".")

@@ -8,7 +8,7 @@ from typing import Any
 
 from hts import contracts, units
 from hts.channels import Channel
-from hts.contracts import MeasurementModel, Objective, Robot
+from hts.contracts import MeasurementModel, Objective, Robot, RobotSpec
 from hts.contracts.spec_faults import fault_of_spec
 from hts.errors import ConfigError, HtsError, PluginError
 from hts.explain import explain
@@ -58,8 +58,8 @@ def made_by(factory: Callable[..., Any], kind: str, who: str, name: str, package
     if isinstance(made, Objective):
         _check_parts(made, name, f"{_begun(who, package)}", remedy)
         _check_weights(made, _begun(who, package))
-    if isinstance(made, Robot) and "spec" in dir(made) and (fault := fault_of_spec(made.spec)):
-        raise PluginError(f"{_begun(who, package)}: {fault}. Correct its RobotSpec.")
+    if isinstance(made, Robot):
+        _check_spec(made, _begun(who, package), remedy)
     return made
 
 
@@ -111,6 +111,17 @@ def _check_parts(objective: Objective, name: str, who: str, remedy: str) -> None
     for channel in objective.real_channels:
         if not isinstance(channel, Channel):
             raise PluginError(f"{who}: measures {channel!r}, expected a hts.channels.Channel. {remedy}.")
+
+
+def _check_spec(robot: Robot, who: str, remedy: str) -> None:
+    """Raise PluginError for a robot without a spec, which every command reads, or with numbers that fit no machine."""
+    if "spec" not in dir(robot):
+        raise PluginError(f"{who}: its class sets no spec, which every robot has. {remedy}.")
+    spec = guarded(f"{who}: its spec", lambda: robot.spec)
+    if not isinstance(spec, RobotSpec):
+        raise PluginError(f"{who}: its spec is a {type(spec).__name__}, expected a hts.contracts.RobotSpec. {remedy}.")
+    if fault := fault_of_spec(spec):
+        raise PluginError(f"{who}: {fault}. Correct its RobotSpec.")
 
 
 def _check_weights(objective: Objective, who: str) -> None:

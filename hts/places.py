@@ -12,6 +12,8 @@ from hts.errors import RunError
 
 PRETRAINING = "pretraining.json"
 """In the folder of a pretraining that is not done: what was asked for."""
+PRETRAINED, CURVE = "pretrained.safetensors", "curve.json"
+"""In the folder of one that is done: its policy, with a card beside it, and its learning curve."""
 
 PLACE_FAULTS: dict[int, str] = {
     errno.EROFS: "the file system is read-only. Choose a place that can be written{option}",

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from hts.config import RunConfig
+from hts.config import EnvConfig, RunConfig
+from hts.contracts.speeds import fastest
+from hts.contracts.task import FollowVelocity
 from hts.errors import ConfigError, HtsError
 from hts.guarded import guarded
 
 if TYPE_CHECKING:
-    from hts.contracts import Robot, Task
+    from hts.contracts import Robot, RobotSpec, Task
     from hts.plugins import Registry
 
 
@@ -77,3 +79,46 @@ def check_task(config: RunConfig, robot: Robot) -> None:
         task.check_hold("evaluation.hold_speed")
     if config.simulation_test.hold_speed:
         task.check_hold("simulation_test.hold_speed")
+    if isinstance(task, FollowVelocity):
+        told: dict[str, Sequence[float]] = {
+            "simulation_test.speeds": config.simulation_test.speeds,
+            "selection.speeds" if config.selection.speeds else "selection.speed": config.selection.tested_speeds,
+            "evaluation.speeds": config.evaluation.speeds,
+        }
+        _check_velocities({key: ("m/s", values) for key, values in told.items()}, robot.spec)
+        for number, one in enumerate(config.collection.schedule.commands):
+            place = f"collection.schedule.commands.{number}"
+            both = {f"{place}.vx": ("m/s", [one.vx]), f"{place}.vy": ("m/s", [one.vy])}
+            _check_velocities({**both, f"{place}.yaw_rate": ("rad/s", [one.yaw_rate])}, robot.spec)
+        check_env_velocities(config.finetune.env, robot, "finetune.env")
+
+
+def check_env_velocities(env: EnvConfig, robot: Robot, where: str) -> None:
+    """Commands and pushes of a training env are such as a machine of this kind can follow. Raises ConfigError, which
+    names the key, for others, which are in another unit. where: the key of the env. Only of the velocity task."""
+    if not isinstance(robot.task(), FollowVelocity):
+        return
+    commands = env.commands
+    told: dict[str, tuple[str, Sequence[float]]] = {
+        f"{where}.commands.vx": ("m/s", commands.vx),
+        f"{where}.commands.vy": ("m/s", commands.vy),
+        f"{where}.commands.yaw_rate": ("rad/s", commands.yaw_rate),
+        f"{where}.commands.fixed": ("m/s", commands.fixed),
+        f"{where}.randomisation.push_speed": ("m/s", (env.randomisation.push_speed,)),
+    }
+    _check_velocities(told, robot.spec)
+
+
+OTHER_UNITS = {"m/s": "mm/s", "rad/s": "degrees/s"}
+
+
+def _check_velocities(told: Mapping[str, tuple[str, Sequence[float]]], spec: RobotSpec) -> None:
+    """told: key -> unit, and the numbers that stand under it."""
+    most, whose = fastest(spec), " of a robot with feet" if spec.foot_sites else ""
+    for key, (unit, values) in told.items():
+        for found in values:
+            if abs(found) > most:
+                raise ConfigError(
+                    f"{key}: expected at most {most:g} {unit}{whose}, found {found:g}. It is probably in "
+                    f"another unit: write {unit}, not {OTHER_UNITS[unit]}."
+                )

@@ -15,6 +15,10 @@ MAX_DEPTH = 30
 """Levels of lists and mappings; a configuration needs six."""
 
 
+SHOWN = 40
+"""Characters of a line that is quoted."""
+
+
 class _StrictLoader(yaml.SafeLoader):
     """PyYAML's safe loader keeps the last of two equal keys without a word, and reads on as deep as Python calls; this
     one refuses both."""
@@ -107,11 +111,24 @@ def load_mapping_file(file: Path, what: str = "config file") -> dict[str, Any]:
     if values is None:
         return {}
     if not isinstance(values, dict):
-        raise ConfigError(f"{file}: expected keys and values (KEY: VALUE), found a {type(values).__name__}.")
+        raise ConfigError(f"{file}: expected keys and values (KEY: VALUE), found {_said(values, text, what)}.")
     for key in values:
         if not isinstance(key, str):
             raise ConfigError(f"{file}: expected keys and values (KEY: VALUE), found the key {key!r}.")
     return values
+
+
+def _said(value: Any, text: str, what: str) -> str:
+    """What a file is that holds no mapping, and what to do about it."""
+    if isinstance(value, list):
+        return "a list"
+    if not isinstance(value, str):
+        return repr(value)
+    first = next(line.strip() for line in text.splitlines() if line.strip())
+    shown = repr(first if len(first) <= SHOWN else first[:SHOWN] + "…")
+    if "," in first or ";" in first:
+        return f"comma-separated text, {shown}. It is a table, no {what}: give the file that says what is in it"
+    return f"text, {shown}. Is it a {what}?"
 
 
 def _check_depth(value: Any, where: str) -> None:

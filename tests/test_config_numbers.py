@@ -88,6 +88,14 @@ def value_of(key: str) -> Any:
         ("finetune.env.randomisation.strength=[0, 0]", "strength: expected two numbers above 0"),
         ("finetune.env.randomisation.com_shift=[0.1, -0.1]", "com_shift: expected two numbers, the smaller one first"),
         (
+            "finetune.env.randomisation.com_shift=[-20, 20]",
+            "com_shift: expected two numbers from -1 to 1 m (write m, not mm), found [-20, 20].",
+        ),
+        (
+            "finetune.env.randomisation.joint_offset=[-1.2, 1.2]",
+            "joint_offset: expected two numbers from -1 to 1 rad (write rad, not degrees), found [-1.2, 1.2].",
+        ),
+        (
             "finetune.env.commands.vx=[1.5, -1.5]",
             "commands.vx: expected two numbers, the smaller one first, found [1.5",
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -25,6 +26,8 @@ from hts.channels import Channel
 
 class Thing(contracts.{contract}):
     name, unit, inputs, target = {name!r}, "W", ("a",), Channel("b", "W")
+    limits = dict(torque_limit=(1.0,), velocity_limit=(1.0,), position_limit=((-1.0, 1.0),))
+    spec = contracts.RobotSpec.log_only({name!r}, ("hip",), **limits, rate_hz=50.0)
 
     def __init__(self, *given):
         self.given = given
@@ -70,6 +73,22 @@ def test_hook_robots(install):
 def test_hook_worlds(install):
     one_of("worlds", install)
     assert load().make_world("thing", {"a": 1}, "context").given == ({"a": 1}, "context")
+
+
+@pytest.mark.parametrize(
+    ("spec", "said"),
+    [
+        ("", "its class sets no spec, which every robot has."),
+        ("spec = {'kp': 1}", "its spec is a dict, expected a hts.contracts.RobotSpec."),
+        ("spec = property(lambda self: self.given[1])", "its spec failed, IndexError: "),
+    ],
+)
+def test_a_robot_without_a_spec_is_one_line_with_its_package(install, spec, said):
+    source = re.sub(r"spec = contracts.*", spec, offering("robots", "spot"))
+    install("lab", {"lab": source}, {"lab": "lab"})
+    with pytest.raises(PluginError, match=r"^Robot 'spot' \(from lab\)") as caught:
+        load().make_robot("spot")
+    assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_hook_instruments(install):

@@ -58,7 +58,7 @@ def test_what_is_no_yaml_is_one_line(text):
     assert refusal(text).startswith("mine.yaml")
 
 
-@pytest.mark.parametrize(("text", "found"), [("- a\n", "a list"), ("3\n", "a int"), ("1: 2\n", "the key 1")])
+@pytest.mark.parametrize(("text", "found"), [("- a\n", "a list"), ("3\n", "3"), ("1: 2\n", "the key 1")])
 def test_a_file_without_keys_and_values_is_refused(tmp_path, text, found):
     file = tmp_path / "mine.yaml"
     file.write_text(text)
@@ -102,3 +102,21 @@ def test_numbers_that_yaml_counts_to_another_base_are_refused(text, said):
 def test_plain_numbers_and_quoted_ones_are_read():
     given = load_text("[0, -1, 10, 0.5, 1.0e+6, 0x1f, '010', '1:30', .inf]", "here")
     assert given == [0, -1, 10, 0.5, 1e6, 31, "010", "1:30", float("inf")]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t,a,b\n0,1,2\n", "found comma-separated text, 't,a,b'. It is a table, no mapping of the log: give the file"),
+        ("t;a\n0;1\n", "found comma-separated text, 't;a'."),
+        ("walk\n", "found text, 'walk'. Is it a mapping of the log?"),
+        ("- 1\n", "found a list."),
+        ("3.5\n", "found 3.5."),
+    ],
+)
+def test_a_file_that_holds_no_keys_and_values_is_told_what_it_holds(tmp_path, text, said):
+    file = tmp_path / "m.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_mapping_file(file, "mapping of the log")
+    assert str(caught.value).startswith(f"{file}: expected keys and values (KEY: VALUE), {said}")

@@ -5,12 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 from hts.errors import ConfigError, RunError
+from hts.places import CURVE, PRETRAINED
 
 
 def existing_run(folder: Path) -> Path:
     """The folder itself. Raises RunError where there is no run in it."""
     if not folder.exists():
         raise RunError(f"{folder}: there is no such folder. Give the folder that `hts run` named at its end.")
+    policy = folder / PRETRAINED
+    if not (folder / "config.yaml").is_file() and policy.is_file() and (folder / CURVE).is_file():
+        raise RunError(
+            f"{folder}: holds a finished pretraining and no run, so there is nothing to go on with. Its policy is "
+            f"{policy}: `hts play --policy {policy}` shows it; to start runs from it, let the robot's "
+            "pretrained_policy() name it (some robots have a setting for that: `hts plugins NAME`)."
+        )
     if not (folder / "config.yaml").is_file():
         raise RunError(f"{folder}: holds no run (no config.yaml). Give the folder that `hts run` named at its end.")
     return folder

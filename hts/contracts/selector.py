@@ -36,7 +36,9 @@ class SimulatedCandidate:
     that fell; tracked: whether it keeps the speed, or does whatever else its task is; scores: the parts of `score`,
     objective -> mean r_real, in the order of the run's objectives; made: how; a run always says, made-up candidates may
     leave it out; predicted: objective -> the selection score that a head-to-head should find, mean over the speeds of
-    the trial, in the objective's unit; without those that no model predicts.
+    the trial, in the objective's unit; without those that no model predicts; predicted_speeds: objective -> at how many
+    of these speeds it is predicted: at one where a candidate does its task in no second nothing is, and means over
+    other speeds are no equals. Made-up candidates may leave it out.
     """
 
     id: str
@@ -46,6 +48,7 @@ class SimulatedCandidate:
     scores: Mapping[str, float] = field(default_factory=dict)
     made: FineTuning | None = None
     predicted: Mapping[str, float] = field(default_factory=dict)
+    predicted_speeds: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,9 @@ from typing import Any
 
 from hts.contracts.robot import RobotSpec
 
+MOST_ANGLE, HIGHEST = 10.0, 5.0
+"""rad, more than a turn and a half, and m: of no leg's joint and no walking robot's trunk."""
+
 
 def fault_of_spec(spec: RobotSpec) -> str:
     """The first thing that nobody can compute with, in words; empty for none. Policies are made and robots commanded by
@@ -29,7 +32,25 @@ def fault_of_spec(spec: RobotSpec) -> str:
     for name, (values, wanted) in per_joint.items():
         if fault := _per_joint(f"spec.{name}", values, wanted, spec.joint_names):
             return fault
-    return fault_of_times(spec)
+    return _in_degrees(spec) or fault_of_height(spec) or fault_of_times(spec)
+
+
+def _in_degrees(spec: RobotSpec) -> str:
+    """In words, for a pose of legs that is not in rad; else empty. A winch may be many turns away from its zero."""
+    for joint, angle in zip(spec.joint_names, spec.default_pose if spec.foot_sites else (), strict=False):
+        if abs(angle) > MOST_ANGLE:
+            return (
+                f"spec.default_pose of '{joint}' is {angle:g}, expected at most {MOST_ANGLE:g} rad (write rad, not "
+                "degrees)"
+            )
+    return ""
+
+
+def fault_of_height(spec: RobotSpec) -> str:
+    """In words, for a standing height that is not in m; else empty."""
+    if spec.foot_sites and not abs(spec.base_height) <= HIGHEST:
+        return f"spec.base_height is {spec.base_height:g}, expected at most {HIGHEST:g} m (write m, not mm)"
+    return ""
 
 
 def fault_of_times(spec: RobotSpec) -> str:

@@ -16,8 +16,8 @@ from collections.abc import Collection
 import numpy as np
 
 from hts.contracts import Robot
+from hts.contracts.speeds import fastest
 from hts.errors import RecordingError
-from hts.recordings.plausible import FASTEST, FASTEST_ON_LEGS
 from hts.recordings.recording import Recording
 
 VELOCITY, COMMAND = "base_velocity", "command"
@@ -54,10 +54,10 @@ def velocity_notes(recording: Recording, robot: Robot, where: str, stated: Colle
     if series.channel.unit != "m/s" or series.values.shape[1:] != (3,):
         return {}
     velocity = series.values[:, :2].astype(np.float64)
-    fastest = FASTEST_ON_LEGS if robot.spec.foot_sites else FASTEST
+    most = fastest(robot.spec)
     typical = float(np.median(np.hypot(*velocity.T)))
-    if typical > fastest:
-        raise _refusal(where, f"is {typical:.4g} m/s at the median, more than the {fastest:g} m/s of any such robot")
+    if typical > most:
+        raise _refusal(where, f"is {typical:.4g} m/s at the median, more than the {most:g} m/s of any such robot")
     told = _told(recording)
     if told is None:
         return {}

@@ -7,7 +7,7 @@
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
 the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle`,
-`torque_notes`, `velocity_notes` and `repeated_notes` for values.
+`torque_notes`, `work_notes`, `velocity_notes` and `repeated_notes` for values.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from hts.recordings.base_speed import velocity_notes
 from hts.recordings.checks import check
 from hts.recordings.commanded import until_the_end
 from hts.recordings.joining import joined
+from hts.recordings.joint_work import work_notes
 from hts.recordings.mapping import (
     SECONDS,
     ChannelMapping,
@@ -70,6 +71,7 @@ __all__ = [
     "table_of",
     "torque_notes",
     "velocity_notes",
+    "work_notes",
 ]
 
 Columns = Mapping[str, Any]
@@ -182,7 +184,7 @@ def _one(
     check_motion(channels, robot.spec, log.rate_hz, where, stated)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
     doubts = torque_notes(recording, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
-    doubts |= repeated_notes(channels, log.rate_hz)
+    doubts |= repeated_notes(channels, log.rate_hz) | work_notes(recording, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 

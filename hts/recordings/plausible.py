@@ -12,6 +12,7 @@ import numpy as np
 
 from hts import units
 from hts.contracts import Robot, RobotSpec
+from hts.contracts.speeds import fastest
 from hts.errors import RecordingError
 from hts.recordings.recording import Recording, Series
 
@@ -30,8 +31,6 @@ MOVING_SPEED, MOVING_SHARE = 1.0, 0.5
 BELOW_IDLE, LESS_THAN_IDLE = 0.95, 0.9
 # Nobody walks with four times its own mass on its back, nor without four fifths of it. Grams are 1000 to 1.
 MASS_FACTOR = 5.0
-# m/s and rad/s: legged robots run at some m/s. Written in mm/s these are thousands, in cm/s hundreds.
-FASTEST_ON_LEGS, FASTEST = 20.0, 100.0
 
 
 def check_limits(
@@ -126,14 +125,14 @@ def _below_idle(series: Series, level: float, channels: Mapping[str, Series]) ->
 def check_facts(recording: Recording, robot: Robot, where: str) -> None:
     """Raise RecordingError for a stated mass or commanded velocity that this robot cannot have. where: begins the
     message. A mass is held against the robot's model, if it has one."""
-    fastest = FASTEST_ON_LEGS if robot.spec.foot_sites else FASTEST
+    most = fastest(robot.spec)
     for number, command in enumerate(recording.schedule.commands):
         told = (("vx", "m/s", command.vx), ("vy", "m/s", command.vy), ("yaw_rate", "rad/s", command.yaw_rate))
         for name, unit, found in told:
-            if abs(found) > fastest:
+            if abs(found) > most:
                 raise RecordingError(
                     f"{where}: recording.schedule.commands.{number}.{name} is {found:g} {unit}. Expected at most "
-                    f"{fastest:g} {unit}. It is probably in another unit (mm/s are no m/s): correct it."
+                    f"{most:g} {unit}. It is probably in another unit (mm/s are no m/s): correct it."
                 )
     if recording.mass_kg is None or robot.mjcf() is None:
         return

@@ -18,7 +18,7 @@ from hts.run.front import PRETRAINED
 from hts.run.gate_checks import Worst, limits, sentence, told_by, untold_by
 from hts.run.gate_trials import LostPackets, channels_of, commands_of, dynamics, rollout, varied
 from hts.run.job import Job
-from hts.run.judging import fine_tuning, mean_gain, same_policies
+from hts.run.judging import fine_tuning, mean_gain, same_policies, speeds_predicted
 
 Report = Callable[[float], None]
 FORMAT = 1  # of gate.json
@@ -192,6 +192,7 @@ def _able(
                     scores,
                     fine_tuning(row, simulated["task_rewards"]),
                     mean_gain(simulated["predicted"].get(name, {})),
+                    speeds_predicted(simulated["predicted"].get(name, {})),
                 )
             )
     return able, kept_out

@@ -80,6 +80,7 @@ def judge(
             _judge(row, results[row["id"]], test.speed_tolerance, task, share),
             made=fine_tuning(row, task_rewards),
             predicted=mean_gain(promised.get(row["id"], {})),
+            predicted_speeds=speeds_predicted(promised.get(row["id"], {})),
         )
         for row in rows
     ]
@@ -192,6 +193,11 @@ def mean_gain(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
         for key, speeds in promised.items()
         if speeds
     }
+
+
+def speeds_predicted(promised: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, int]:
+    """Objective -> over how many speeds that mean is."""
+    return {key: len(speeds) for key, speeds in promised.items() if speeds}
 
 
 def same_policies(rows: Sequence[Mapping[str, Any]]) -> set[str]:

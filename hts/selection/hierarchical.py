@@ -51,21 +51,23 @@ class Hierarchical(Selector):
         With several objectives the one that decides on the best decides here too, by its own score: the improvement
         that is predicted. Of whom none is, nothing was seen at the asked speeds, so r_real says nothing of walking at
         them: such candidates come behind the others, by mean r_real, as all do where nothing is predicted of anybody.
+        Who is predicted at fewer speeds comes behind who is at more: its mean is over those at which it walks.
         """
         promises = any(self._promise(one) is not None for one in candidates)
 
-        def key(candidate: SimulatedCandidate) -> tuple[bool, bool, bool, bool, float]:
+        def key(candidate: SimulatedCandidate) -> tuple[bool, bool, bool, bool, float, float]:
             promise = self._promise(candidate)
             score = candidate.scores[self._deciding(candidate.scores)] if candidate.scores else candidate.score
             score = score if promise is None else promise
             unknown = math.isnan(score)
             missing = promises and promise is None
-            return (unknown, candidate.falls > 0, not candidate.tracked, missing, 0.0 if unknown else -score)
+            speeds = candidate.predicted_speeds.get(self._deciding(candidate.scores), 0) if candidate.scores else 0
+            return (unknown, candidate.falls > 0, not candidate.tracked, missing, -speeds, 0.0 if unknown else -score)
 
         ordered = sorted(candidates, key=key)
         if self.settings.each_bound:
             firsts = list({_bound(candidate): candidate for candidate in reversed(ordered)}.values())
-            ordered = sorted(ordered, key=lambda one: (*key(one)[:4], one not in firsts, key(one)[4]))
+            ordered = sorted(ordered, key=lambda one: (*key(one)[:5], one not in firsts, key(one)[5]))
         drawn = min(self.settings.at_random, max(0, count - 1))
         chosen, rest = ordered[: count - drawn], ordered[count - drawn :]
         sound = [candidate for candidate in rest if candidate.falls == 0 and candidate.tracked]

@@ -13,6 +13,9 @@ from hts.errors import ConfigError
 from hts.guarded import guarded
 from hts.sim.conventions import FLOOR, check_conventions
 
+MOST_LOAD = 5.0
+"""Times its own mass; what carries more is no robot that walks. In grams one kilogram is a thousand."""
+
 
 def compile_model(robot: Robot) -> mujoco.MjModel:
     """The robot's nominal model at its training time step. Raises ConfigError for a robot without one."""
@@ -35,12 +38,19 @@ def compile_model(robot: Robot) -> mujoco.MjModel:
 
 
 def check_added_mass(model: mujoco.MjModel, robot: Robot, added: tuple[float, float], where: str) -> None:
-    """Raise ConfigError for a trunk that would weigh nothing or less. added: kg; where: the key that says so."""
+    """Raise ConfigError for a trunk that would weigh nothing or less, or a load that no robot carries. added: kg;
+    where: the key that says so."""
     mass = float(model.body(robot.spec.trunk_body).mass[0])
     if not mass + added[0] > 0:
         raise ConfigError(
             f"{where}: {added[0]:g} kg would leave nothing of the trunk of '{robot.spec.name}', which weighs "
             f"{mass:.3g} kg. Raise the lower end."
+        )
+    whole = float(model.body_mass[model.body_weldid != 0].sum())  # of what can move
+    if added[1] > MOST_LOAD * whole:
+        raise ConfigError(
+            f"{where}: expected at most {MOST_LOAD * whole:.3g} kg, {MOST_LOAD:g} times what '{robot.spec.name}' "
+            f"weighs, found {added[1]:g}. It is probably in another unit: write kg, not g."
         )
 
 

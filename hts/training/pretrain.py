@@ -15,10 +15,11 @@ from hts.contracts import Robot
 from hts.envs.constants import delay_seconds
 from hts.errors import RunError
 from hts.locks import only_one
-from hts.places import PRETRAINING
+from hts.places import CURVE, PRETRAINED, PRETRAINING
 from hts.policies.files import Policy, make_card, save_policy
 from hts.policies.layout import layout_of
 from hts.rl.population import Population, Sizes
+from hts.task_settings import check_env_velocities
 from hts.training.finetune import Saved, check_env
 from hts.training.trainer import PopulationTrainer
 
@@ -47,6 +48,7 @@ def _pretrained(
     robot: Robot, config: PretrainConfig, out: Path, progress: Callable[[dict[str, Any]], None] | None
 ) -> Path:
     """`pretrain_policy`, alone in the folder."""
+    check_env_velocities(config.env, robot, "env")
     asked = {"robot": robot.spec.name, "config": config.model_dump(mode="json")}
     _begin(out, asked)
     env_config = config.env.model_copy(update={"seed": config.seed})
@@ -92,8 +94,8 @@ def _pretrained(
         "delay_seconds": delay_seconds(env_config, robot.spec),
     }
     card = make_card(robot.spec, tensors, layout, sizes, **made)
-    path = save_policy(out / "pretrained.safetensors", Policy(tensors, card))
-    atomic_write(out / "curve.json", json.dumps(curve, indent=1) + "\n")
+    path = save_policy(out / PRETRAINED, Policy(tensors, card))
+    atomic_write(out / CURVE, json.dumps(curve, indent=1) + "\n")
     trainer.close()
     for done in (CHECKPOINT, PRETRAINING, LOCK):
         (out / done).unlink(missing_ok=True)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from hts.contracts import Comparison, FineTuning, SimulatedCandidate
 from hts.contracts import TestedCandidate as Elite  # under its own name pytest takes it for a test class
 from hts.errors import ConfigError
+from hts.run.judging import mean_gain, speeds_predicted
 from hts.selection.hierarchical import make
 
 SELECTOR = make({})
@@ -104,6 +107,20 @@ def test_one_without_a_promise_comes_behind_those_that_have_one_and_leaves_their
     assert make({}).elites([fell, *without, *promised], 5) == ["b", "a", "d", "c", "e"]
     # nor is it what a trust region judges a bound by: d is alone under c = 2
     assert make({"each_bound": True}).elites([*without, *promised], 2) == ["b", "a"]
+
+
+def test_a_promise_over_fewer_speeds_comes_behind_one_over_more():
+    """By hand: at 0.5, 0.8 and 1.1 m/s "all" saves 0.3, 0.2 and 0.1, "part" 0.3 at 0.5 m/s and walks at no other."""
+    over = {"all": {"0.5": 0.3, "0.8": 0.2, "1.1": 0.1}, "part": {"0.5": 0.3}}
+    candidates = []
+    for name, saved in over.items():
+        promised = {"x": {speed: {"selection_score": one} for speed, one in saved.items()}}
+        means, speeds = mean_gain(promised), speeds_predicted(promised)
+        candidates.append(replace(bounded(name, 1.0, 1.0), tracked=False, predicted=means, predicted_speeds=speeds))
+    whole, part = candidates
+    assert (whole.predicted["x"], part.predicted["x"]) == (pytest.approx(0.2), 0.3)
+    assert make({}).elites([part, whole], 2) == make({"each_bound": True}).elites([part, whole], 2) == ["all", "part"]
+    assert make({}).elites([part, whole, bounded("none", 9.0, 1.0, tracked=False)], 3) == ["all", "part", "none"]
 
 
 def test_the_best_of_each_bound_is_tried_before_any_second_one():

@@ -143,6 +143,10 @@ SPECS = {
     "one number too few": ({"kd": (0.5,) * 11}, "spec.kd has 11 entries for 12 joints"),
     "a range that is one number": ({"position_limit": (0.8,) * 12}, "spec.position_limit of 'LF_HAA' is 0.8, expected"),
     "text": ({"torque_limit": ("40 N*m",) * 12}, "spec.torque_limit of 'LF_HAA' is '40 N*m', expected a number, N·m"),
+    "degrees": (
+        {"default_pose": (0.0, 45.0, -90.0) * 4},
+        "spec.default_pose of 'LF_HFE' is 45, expected at most 10 rad (write rad, not degrees)",
+    ),
     "a step that does not fit": ({"control_rate_hz": 40.0}, "4 · 0.005 s at 40.0 Hz"),
 }
 
@@ -155,6 +159,12 @@ def test_a_spec_that_does_not_fit_its_joints_is_one_line_of_the_check_and_of_eve
     with pytest.raises(PluginError, match=re.escape(words)) as caught:
         made_by(lambda settings: robot, "robots", "robot 'dog'", "dog", "lab", {})
     assert "Robot 'dog' (from lab): " in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_standing_height_in_mm_is_one_line_of_every_command():
+    robot = other(base_height=299.0)
+    with pytest.raises(PluginError, match=r"base_height is 299, expected at most 5 m \(write m, not mm\)"):
+        made_by(lambda settings: robot, "robots", "robot 'dog'", "dog", "lab", {})
 
 
 def test_a_model_whose_file_is_not_there_is_said_once_and_the_env_says_it_in_one_line():

@@ -96,6 +96,15 @@ def test_a_file_that_does_not_say_what_was_asked_for_is_one_line(tmp_path, text)
         resume_pretraining(tmp_path)
 
 
+def test_commands_in_another_unit_are_refused_before_anything_is_written(tmp_path, capsys):
+    command = ["pretrain", "--robot", "go1", "--engine", "mujoco", "--out", str(tmp_path / "mine")]
+    assert main([*command, "--set", "env.commands.yaw_rate=[-57, 57]"]) == 2
+    assert (
+        "env.commands.yaw_rate: expected at most 20 rad/s of a robot with feet, found -57." in capsys.readouterr().err
+    )
+    assert not list((tmp_path / "mine").glob("*.json"))
+
+
 def test_the_command_says_how_it_goes_on_and_does(monkeypatch, tmp_path, capsys):
     place, asked = tmp_path / "mine", []
     for key, value in {"num_envs": 2, "steps": 64, "hidden": [8], "ppo.horizon": 8, "ppo.minibatches": 2}.items():
@@ -111,4 +120,6 @@ def test_the_command_says_how_it_goes_on_and_does(monkeypatch, tmp_path, capsys)
     assert capsys.readouterr().out.splitlines()[-1] == str(place / "pretrained.safetensors")
     assert sorted(path.name for path in place.iterdir()) == FILES
     assert main(["resume", str(place)]) == 2
-    assert "holds no run (no config.yaml)" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "holds a finished pretraining and no run, so there is nothing to go on with" in said
+    assert f"Its policy is {place / 'pretrained.safetensors'}: `hts play" in said and said.count("\n") == 1

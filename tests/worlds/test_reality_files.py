@@ -16,6 +16,8 @@ from hts.worlds.twin.parameters import TwinSettings, resolved_settings
 from hts.worlds.twin.reality import Reality, locate, read, sha256
 from hts.worlds.twin.world import make_twin
 
+DATA = Path(__file__).resolve().parents[1] / "data"
+
 
 def written(folder: Path, registry, parameters, index: int = 0, **changes) -> Path:
     drawn = draw(parameters, "test", index)
@@ -113,6 +115,23 @@ def test_a_broken_file_is_one_line(tmp_path, content):
     with pytest.raises(ConfigError, match=r"mine\.json") as error:
         read(str(path))
     assert "\n" not in str(error.value)
+
+
+def test_a_file_of_another_kind_is_told_what_it_is(tmp_path, registry):
+    robot = registry.make_robot("go1")
+    files = {
+        robot.pretrained_policy().with_suffix(".json"): "is the card of a policy for robot 'go1', expected a reality.",
+        DATA / "measurement-model-v1.json": "is the card of a measurement model, expected a reality.",
+        robot.pretrained_policy(): "is not JSON",
+    }
+    summary = tmp_path / "summary.json"
+    summary.write_text('{"objectives": ["power"], "robot": "go1", "final": {}, "iterations": []}')
+    files[summary] = "is the summary of a run for robot 'go1', expected a reality."
+    for path, said in files.items():
+        with pytest.raises(ConfigError) as caught:
+            read(str(path))
+        text = str(caught.value)
+        assert text.startswith(f"reality {path}: {said}") and "`hts realities draw`" in text and "\n" not in text
 
 
 def test_a_reality_of_another_robot_is_refused(tmp_path, registry, parameters):

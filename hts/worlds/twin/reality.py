@@ -24,6 +24,16 @@ from hts.explain import explain
 FOLDER, SUFFIX = "realities", ".json"
 REFERENCE = NameOrFile(SUFFIX)
 
+OTHERS: Mapping[str, set[str]] = {
+    "the card of a policy": {"joint_names", "observation", "control_rate_hz"},
+    "the card of a measurement model": {"format", "sha256", "notes"},
+    "the summary of a run": {"objectives", "final", "iterations"},
+    "the provenance of a run": {"packages", "hardware"},
+    "what was asked of a pretraining": {"robot", "config"},
+}
+"""Files that hts writes, and keys that tell them from a reality."""
+WHERE_FROM = "`hts realities list` names those that are installed, `hts realities draw` makes files of others."
+
 
 class Measured(Config):
     """A public fact that was checked when the reality was drawn."""
@@ -95,12 +105,25 @@ def read(reference: str, expected_sha256: str | None = None) -> Reality:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(content, dict):
-            raise ConfigError(f"reality {path}: expected keys and values, found {type(content).__name__}.")
+            raise ConfigError(
+                f"reality {path}: expected keys and values, found a {type(content).__name__}. {WHERE_FROM}"
+            )
+        if other := kind_of(content):
+            raise ConfigError(f"reality {path}: is {other}, expected a reality. {WHERE_FROM}")
         return Reality.model_validate(content)
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ConfigError(f"reality {path}: is not JSON ({error}).") from error
+        raise ConfigError(f"reality {path}: is not JSON ({error}). {WHERE_FROM}") from error
     except ValidationError as error:
         raise ConfigError(explain(error, Reality, lambda location: f"reality {path}")) from error
+
+
+def kind_of(content: Mapping[str, Any]) -> str:
+    """What else a file is, by the keys that only such a file has; empty where nobody knows."""
+    for kind, keys in OTHERS.items():
+        if keys <= content.keys():
+            robot = content.get("robot")
+            return f"{kind} for robot '{robot}'" if isinstance(robot, str) else kind
+    return ""
 
 
 def changed(reference: str, found: str, expected: str) -> str:
