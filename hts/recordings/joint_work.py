@@ -48,10 +48,10 @@ def work_notes(recording: Recording, stated: Collection[str] = ()) -> dict[str, 
     share = float((torque * speed).sum()) / passed
     if share > TAKEN:
         return {}
-    power = float((torque * speed).sum(axis=1).mean())
+    watts = float((torque * speed).sum(axis=1).mean())
     return {
         "joint_torque_takes_work": (
-            f"joint_torque x joint_velocity is {power:.3g} W in the mean ({share:.0%} of what passes through them). "
+            f"joint_torque x joint_velocity is {watts:.3g} W in the mean ({share:.0%} of what passes through them). "
             "Joints of a machine that walks do work: is one of them counted the other way (sign: -1)? Walking down "
             "a steep slope may look so"
         )
