@@ -109,7 +109,7 @@ def check_env_velocities(env: EnvConfig, robot: Robot, where: str) -> None:
     _check_velocities(told, robot.spec)
 
 
-OTHER_UNITS = {"m/s": "mm/s", "rad/s": "degrees/s"}
+OTHER_UNITS = {"m/s": "km/h or mm/s", "rad/s": "degrees/s"}
 
 
 def _check_velocities(told: Mapping[str, tuple[str, Sequence[float]]], spec: RobotSpec) -> None:

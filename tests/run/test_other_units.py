@@ -32,7 +32,10 @@ def _kit():
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("finetune.env.commands.vx=[-1500, 1500]", "found -1500. It is probably in another unit: write m/s, not mm/s."),
+        (
+            "finetune.env.commands.vx=[-1500, 1500]",
+            "found -1500. It is probably in another unit: write m/s, not km/h or mm/s.",
+        ),
         ("finetune.env.commands.vy=[-0.5, 500]", "found 500. It is"),
         ("finetune.env.commands.fixed=[0.8, 80]", "found 80. It is"),
         (

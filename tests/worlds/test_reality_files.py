@@ -127,6 +127,12 @@ def test_a_file_of_another_kind_is_told_what_it_is(tmp_path, registry):
     summary = tmp_path / "summary.json"
     summary.write_text('{"objectives": ["power"], "robot": "go1", "final": {}, "iterations": []}')
     files[summary] = "is the summary of a run for robot 'go1', expected a reality."
+    provenance = tmp_path / "provenance.json"
+    provenance.write_text('{"packages": {}, "hardware": {}, "seed": 0}')
+    files[provenance] = "is the provenance of a run, expected a reality."
+    asked = tmp_path / "asked.json"
+    asked.write_text('{"robot": "go1", "config": {}}')
+    files[asked] = "is what was asked of a pretraining for robot 'go1', expected a reality."
     for path, said in files.items():
         with pytest.raises(ConfigError) as caught:
             read(str(path))
