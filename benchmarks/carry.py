@@ -54,6 +54,11 @@ class CannotPackError(Exception):
     """One line: what was found, where, and what to do."""
 
 
+def last_line(text: str) -> str:
+    """What a program said last."""
+    return text.strip().rpartition("\n")[2] or "it did not say why"
+
+
 def chosen(file: Path, realities: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
     """Batch -> its entries; of those that were asked for by name only, if any are."""
     read = yaml.safe_load(file.read_text())
@@ -102,7 +107,7 @@ def build(sources: Path, wheels: Path) -> None:
         check=False,
     )
     if done.returncode:
-        raise CannotPackError(f"pip could not build the wheels: {done.stderr.strip().splitlines()[-1]}")
+        raise CannotPackError(f"pip could not build the wheels: {last_line(done.stderr)}")
 
 
 def pack(repository: Path, file: Path, realities: Sequence[str], out: Path) -> None:
@@ -141,7 +146,7 @@ def tried(out: Path) -> list[str]:
             check=False,
         )
     if done.returncode:
-        raise CannotPackError(f"what was packed does not start: {done.stderr.strip().splitlines()[-1]}")
+        raise CannotPackError(f"what was packed does not start: {last_line(done.stderr)}")
     return done.stdout.splitlines()
 
 
