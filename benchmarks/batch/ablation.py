@@ -18,7 +18,7 @@ from scipy import stats
 
 from batch.groups import Group, chosen, saving
 from batch.lines import Result
-from batch.tables import NONE, differences, signed, table, with_interval
+from batch.tables import NONE, differences, more_refused, table, with_interval
 from hts.errors import EvaluationError
 from hts.evaluation.population import paired
 
@@ -47,7 +47,7 @@ def ablation(groups: Sequence[Group], against: str = "ours") -> str:
                 group.name + (" (at equal commands)" if kind == "open_loop" else ""),
                 with_interval(gap, show),
                 f"{sum(one < 0 for one, _ in shared.values())} of {len(shared)}",
-                signed(group.count_refused(shared, kind) - whole.count_refused(shared, kind)),
+                more_refused(group, whole, shared, kind),
                 *(_cell(group, *shared[name]) if name in shared else NONE for name in names),
             ]
         )

@@ -6,7 +6,7 @@
 
 In the midst of a sentence, `value` writes one number: results: value lines=… method=ours statistic=median speed=0.8.
 metric=gross_reduction takes one of the objective's metrics, in the unit of its improvement; realities=default,dev-02
-leaves out the lines of others.
+leaves out the lines of others. kind=open_loop compares `pairs` at equal commands.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ NUMBER = {
 """What counts as a number of a result in the pages that are watched: in all but the first, any with decimals."""
 KEYS = {
     *("lines", "preset", "methods", "as-one", "realities", "objective", "against"),
-    *("method", "statistic", "speed", "metric"),
+    *("method", "statistic", "speed", "metric", "kind"),
 }
 STATISTICS = {"median": quantile(0.5), "mean": mean, "5th-percentile": quantile(0.05), "lowest": quantile(0.0)}
 COUNTS = ("falls", "refused", "runs", "realities", "real-samples")
@@ -132,7 +132,7 @@ def _made(what: str, folder: Path, read: Callable[[str], list[Line]]) -> str:
         if name == "value":
             return _value(groups, given)
         if name == "pairs":
-            return tables.pairs(groups, given.get("against", "ours"))
+            return tables.pairs(groups, given.get("against", "ours"), given.get("kind", "chosen"))
         if name == "together":
             return together(groups, given.get("against", "ours"))
         if name == "ablation":

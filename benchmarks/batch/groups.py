@@ -80,6 +80,10 @@ class Group:
             if realities is None or line.reality in realities
         )
 
+    def count_asked(self, realities: Collection[str]) -> int:
+        """Speeds that were asked for, over all runs on the named realities that ended well."""
+        return sum(len(result.asked_speeds) for line, result in self.results if line.reality in realities)
+
 
 def chosen(outcome: Outcome | None, kind: str = "chosen") -> Mapping[str, Figures]:
     """Figures by speed: `held`, `open_loop`, or `chosen`: held where there are such."""

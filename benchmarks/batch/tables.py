@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from statistics import mean, median
 
 import numpy as np
 
 from batch.groups import Group, chosen, saving
 from batch.lines import CONFIRM, Result
-from hts.errors import EvaluationError
+from hts.errors import EvaluationError, unknown_name
 from hts.evaluation.population import Population, Values, paired, population, quantile, spread
 from hts.report.wording import scale
 
 POINT = {"1": 0.01}
 """What "within one point" means in a unit; 1 in any other."""
 NONE = "–"
+EACH_KIND = {"chosen": "", "held": " at held speed", "open_loop": " at equal commands"}
+"""What `groups.chosen` knows, and how a table says it."""
 
 
 def methods(groups: Sequence[Group]) -> str:
@@ -151,20 +153,25 @@ def best_other(groups: Sequence[Group]) -> str:
     return noted(groups, table([*head, "within 1 point of it"], rows))
 
 
-def pairs(groups: Sequence[Group], against: str) -> str:
-    """Differences to one method, reality by reality: also the table of an ablation, where `against` is the whole."""
+def pairs(groups: Sequence[Group], against: str, kind: str = "chosen") -> str:
+    """Differences to one method, reality by reality: also the table of an ablation, where `against` is the whole.
+
+    kind: which figures and refusals, as of `groups.chosen`. Raises EvaluationError for one that there is not.
+    """
+    if kind not in EACH_KIND:
+        raise EvaluationError(unknown_name("kind of figures", kind, EACH_KIND))
     whole = next((group for group in groups if group.name == against), None)
     if whole is None:
         raise EvaluationError(f"No line is of '{against}'. There are: {', '.join(group.name for group in groups)}.")
     show = differences(whole.unit)
     rows = []
     for group in groups:
-        ours = group.values()
-        if group is whole or not set(ours) & set(whole.values()):
+        ours, theirs = group.values(kind=kind), whole.values(kind=kind)
+        if group is whole or not set(ours) & set(theirs):
             continue
-        found = paired(ours, whole.values())
-        shared = [name for name in ours if name in whole.values()]
-        each = [_mean_of(ours, name) - _mean_of(whole.values(), name) for name in shared]
+        found = paired(ours, theirs)
+        shared = [name for name in ours if name in theirs]
+        each = [_mean_of(ours, name) - _mean_of(theirs, name) for name in shared]
         rows.append(
             [
                 group.name,
@@ -172,11 +179,21 @@ def pairs(groups: Sequence[Group], against: str) -> str:
                 with_interval(found, show),
                 show(float(np.median(each))),
                 f"{sum(value > 0 for value in each)} of {len(each)}",
-                signed(group.count_refused(shared) - whole.count_refused(shared)),
+                more_refused(group, whole, shared, kind),
             ]
         )
-    head = ["method", "realities", f"minus {against}, mean, 95 %", "median", "better on", "more speeds refused"]
+    minus = f"minus {against}{EACH_KIND[kind]}, mean, 95 %"
+    head = ["method", "realities", minus, "median", "better on", "more speeds refused"]
     return noted(groups, table(head, rows))
+
+
+def more_refused(group: Group, whole: Group, shared: Collection[str], kind: str = "chosen") -> str:
+    """By how many speeds on the shared realities; where any were and one has more runs there, how many of how many."""
+    counts = [one.count_refused(shared, kind) for one in (group, whole)]
+    asked = [one.count_asked(shared) for one in (group, whole)]
+    if asked[0] == asked[1] or not any(counts):
+        return signed(counts[0] - counts[1])
+    return f"{counts[0]} of {asked[0]}, {whole.name} {counts[1]} of {asked[1]}"
 
 
 def realities(groups: Sequence[Group]) -> str:
