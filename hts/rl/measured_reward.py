@@ -69,7 +69,7 @@ class MeasuredReward(OfItsSizes, Transform):
         return self.weight.view(*self.weight.shape, *(1,) * (measured.ndim - self.weight.ndim)) * self.dt * centred
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._with_reward(next_tensordict, batch=False)
+        return self._with_reward(next_tensordict)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """A batch of steps, as a collector gives it: changes ("next", reward_key)."""
@@ -81,7 +81,7 @@ class MeasuredReward(OfItsSizes, Transform):
         self._with_reward(outcome, batch=True)
         return tensordict
 
-    def _with_reward(self, outcome: TensorDictBase, batch: bool) -> TensorDictBase:
+    def _with_reward(self, outcome: TensorDictBase, batch: bool = False) -> TensorDictBase:
         measured_key, reward_key = self.in_keys
         for name, key in (("in_key", measured_key), ("reward_key", reward_key)):
             if outcome.get(key) is None:

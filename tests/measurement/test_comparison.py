@@ -9,7 +9,6 @@ import pytest
 from hts import plugins
 from hts.cli import fit as fit_cli
 from hts.cli.fit_progress import FitProgress
-from hts.cli.main import main
 from hts.errors import ConfigError, RecordingError
 from hts.measurement import comparison, fit_command
 from hts.measurement.baseline import WINDOWS_SECONDS, fit_best, stand_ins
@@ -178,8 +177,7 @@ def test_a_formula_that_fits_with_a_negative_scale_is_told_with_its_likely_cause
     r = known_heat(1)
     heat = 50.0 - r.values("heat")
     store = store_of(tmp_path / "mirrored.zarr", r.replace(channels={**r.channels, "heat": Series(HEAT, heat)}))
-    how = ["--data", str(store), "--split", "chronological=0.7", "--out"]
-    assert main(["fit", "--target", "heat", "--input", "effort", "--input", "rate", *how, str(tmp_path / "plain")]) == 0
+    fit_cli.command(store, tmp_path / "plain", None, "heat", list(INPUTS), split="chronological=0.7")
     (line,) = (line for line in capsys.readouterr().out.splitlines() if "negative scale" in line)
     detail = rows_of(json.loads((tmp_path / "plain" / "fit.json").read_text()))["proxy, smoothed"]["detail"]
     assert line.startswith(f"heat: the analytic stand-in fits with a negative scale, {detail}: more of it goes with ")
