@@ -46,6 +46,9 @@ Section = TypeVar("Section", bound=Config)
 
 EXECUTORS = ("local",)
 
+SOURCES = ("model", "proxy")
+"""What a run's reward may come from; `oracle` is for `hts oracle` alone."""
+
 NO_OBJECTIVE = "No objective given. Say which quantity to improve: --objective NAME (`hts plugins` lists them)."
 NO_ROBOT = "No robot given. Say which machine: --robot NAME (`hts plugins` lists them)."
 
@@ -111,6 +114,7 @@ def load_config(
     values["objectives"] = {name: (values.get("objectives") or {}).get(name, {}) for name in names}
     origin = _origin(file, written, sets, {key: name for key, name in (option_names or {}).items() if key in options})
     _check_speed(laid(written, last), values, origin)
+    _check_source(values.get("reward_source", "model"), origin, oracle)
     return _whole(values, origin)
 
 
@@ -126,6 +130,14 @@ def _check_speed(user: Mapping[str, Any], values: Mapping[str, Any], origin: Cal
             f"{where}: says {own['speed']}, but elites are tried at selection.speeds, {list(speeds)}, so it would do "
             f"nothing. Say --set selection.speeds=[{own['speed']}]"
         )
+
+
+def _check_source(found: Any, origin: Callable[[Location], str], oracle: bool) -> None:
+    """Raise ConfigError for a reward that comes from nowhere. The other command's own is refused where it begins, with
+    what to do instead."""
+    if found not in (*SOURCES, "oracle"):
+        expected = "oracle" if oracle else " or ".join(SOURCES)
+        raise ConfigError(f"{origin(('reward_source',))}: expected {expected}, found {found!r}.")
 
 
 def _of_objectives(names: Sequence[str], preset: str, registry: Registry | None) -> dict[str, Mapping[str, Any]]:

@@ -109,6 +109,13 @@ def check_env_velocities(env: EnvConfig, robot: Robot, where: str) -> None:
     _check_velocities(told, robot.spec)
 
 
+def check_speeds(speeds: Sequence[float], robot: Robot, where: str) -> None:
+    """Speeds that are to be walked are such as a machine of this kind can follow. Raises ConfigError for others, which
+    are in another unit. where: the key or the option that they stand under. Only of the velocity task."""
+    if isinstance(robot.task(), FollowVelocity):
+        _check_velocities({where: ("m/s", speeds)}, robot.spec)
+
+
 OTHER_UNITS = {"m/s": "km/h or mm/s", "rad/s": "degrees/s"}
 
 

@@ -11,9 +11,6 @@ if TYPE_CHECKING:
     from hts.config import RunConfig
     from hts.plugins import Registry
 
-SOURCES = ("model", "proxy")
-"""What a run's reward may come from; `oracle` is for `hts oracle` alone."""
-
 
 def command(
     objective: options.Objectives = None,
@@ -31,11 +28,8 @@ def command(
 ) -> None:
     """Improve a robot's policy on an objective: measure, model, fine-tune, test, repeat."""
     from hts.config_loading import load_config
-    from hts.errors import ConfigError
     from hts.plugins import load
 
-    if reward is not None and reward not in (*SOURCES, "oracle"):  # `oracle` is refused below, with what to do instead
-        raise ConfigError(f"--reward: expected {' or '.join(SOURCES)}, found {reward!r}.")
     registry = load()
     resolved = load_config(
         preset=preset,

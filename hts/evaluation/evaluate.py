@@ -27,6 +27,7 @@ from hts.evaluation.held import ask_to_hold, check_held, hold_of
 from hts.evaluation.walked_again import walked_again
 from hts.locks import only_one
 from hts.overrides import Override, parsed
+from hts.task_settings import check_speeds
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
@@ -67,11 +68,13 @@ def evaluate_run(
     others = parsed(overrides)
     config = with_others(folder, world, others, registry)
     laid_over = as_values(others)
-    task = registry.make_robot(config.robot.name, config.robot.settings).task()
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    task = robot.task()
     if isinstance(speeds, str) or not isinstance(speeds, Iterable | None):
         raise ConfigError(f"--speed: expected a list of numbers, found {speeds!r}.")
     given = () if speeds is None else tuple(speeds)
     task.check(given, "--speed")
+    check_speeds(given or config.evaluation.speeds, robot, "--speed" if given else "evaluation.speeds")
     twice = next((speed for speed in given if given.count(speed) > 1), None)
     if twice is not None:
         raise ConfigError(f"--speed: {twice:g} is there twice; ask for each once. --sessions 2 walks all of them anew.")

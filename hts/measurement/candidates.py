@@ -61,11 +61,11 @@ class Candidates:
         return self.registry.make_measurement_model(choice.name, choice.settings, context)
 
     def fitter(self, choice: Named) -> comparison.Fitter:
-        def fit(training: Sequence[Recording]) -> tuple[comparison.Predictor, str]:
+        def fit(training: Sequence[Recording]) -> comparison.Fitted:
             model = self.made(choice)
             report = fit_model(model, training, replace(self.how, progress=self.progress), self.registry)
             told = [f"{key} {report[key]:.3g}" for key in ("ridge", "pooling", "lag_seconds") if key in report]
-            return comparison.of_model(model), ", ".join(told)
+            return comparison.Fitted(comparison.of_model(model), ", ".join(told))
 
         return fit
 

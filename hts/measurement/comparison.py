@@ -10,7 +10,7 @@ import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,14 +27,22 @@ FOLDS = 3
 MEAN, PROXY, SMOOTHED = "mean", "proxy", "proxy, smoothed"
 Predictor = Callable[["Recording"], np.ndarray]
 """A fitted model: the target along a recording, (T,)."""
-Fitter = Callable[[Sequence["Recording"]], tuple[Predictor, str]]
-"""Fitted to recordings; and what was found, in words."""
+Fitter = Callable[[Sequence["Recording"]], "Fitted"]
+
+
+class Fitted(NamedTuple):
+    """Fitted to recordings: along: the target; detail: what was found, in words; scale: of a stand-in's line."""
+
+    along: Predictor
+    detail: str
+    scale: float | None = None
 
 
 @dataclass(frozen=True)
 class Row:
     """One line of the table. kind: `reference` (mean and stand-ins) or `model`; r2 …: on what is held out, see
-    `scoring.scores`; cross_validated: R² inside the training, None where nobody asked; detail: what was found."""
+    `scoring.scores`; cross_validated: R² inside the training, None where nobody asked; detail: what was found; scale:
+    of a stand-in's line, None of others."""
 
     name: str
     kind: str
@@ -44,25 +52,26 @@ class Row:
     cross_validated: float | None
     detail: str
     fit_seconds: float
+    scale: float | None = None
 
 
 def references(target: str, candidates: Mapping[str, StandIn]) -> dict[str, Fitter]:
     """What needs no model: the training's mean, and the analytic stand-in with fitted scale, offset and delay, without
     and with a moving average of fitted length."""
 
-    def mean(training: Sequence[Recording]) -> tuple[Predictor, str]:
+    def mean(training: Sequence[Recording]) -> Fitted:
         level = float(np.concatenate([one.values(target).reshape(-1) for one in training]).mean(dtype=np.float64))
-        return (lambda one: np.full(one.num_samples, level)), f"{level:.4g} always"
+        return Fitted(lambda one: np.full(one.num_samples, level), f"{level:.4g} always")
 
     def proxy(windows: Sequence[float]) -> Fitter:
-        def fit(training: Sequence[Recording]) -> tuple[Predictor, str]:
+        def fit(training: Sequence[Recording]) -> Fitted:
             name, line = fit_best(candidates, target, training, windows)
             formula = candidates[name]
 
             def along(one: Recording) -> np.ndarray:
                 return line.predict(formula({key: one.values(key) for key in one.channels}))
 
-            return along, _in_words(name, line, training[0].rate_hz)
+            return Fitted(along, _in_words(name, line, training[0].rate_hz), line.scale)
 
         return fit
 
@@ -85,10 +94,11 @@ def row(
 ) -> Row:
     """Fitted to the training, scored on the held-out recordings."""
     began = time.monotonic()
-    along, detail = fitter(training)
+    fitted = fitter(training)
     took = time.monotonic() - began
-    found = scores([Trace.of(one, target, along(one)) for one in held_out])
-    return Row(name, kind, found["r2"], found["r2_interval"], found["rmse"], cross_validated, detail, took)
+    found = scores([Trace.of(one, target, fitted.along(one)) for one in held_out])
+    scored = (found["r2"], found["r2_interval"], found["rmse"], cross_validated)
+    return Row(name, kind, *scored, fitted.detail, took, fitted.scale)
 
 
 def cross_validated(
@@ -107,7 +117,7 @@ def cross_validated(
         for number, fold in enumerate(folds):
             say(f"cross-validation: {name}, part {number + 1} of {len(folds)}")
             rest = [one for other in folds if other is not fold for one in other]
-            along, _ = fitter(rest)
+            along = fitter(rest).along
             traces += [Trace.of(one, target, along(one)) for one in fold]
         found[name] = scores(traces)["r2"]
     return found

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from hts.measurement.comparison import SMOOTHED
 from hts.measurement.outliers import Masked, told
 
 WORSE_THAN_LINEAR = 0.1
@@ -85,10 +86,7 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
         )
     scale = ((held.get("proxy") or {}).get("smoothed") or {}).get("scale")
     if scale is not None and scale < 0:
-        lines.append(
-            f"{target}: the analytic stand-in fits with a negative scale, {scale:.3g}: more of it goes with less of "
-            "the target. Either the log counts the other way (say sign: -1 when importing), or columns are swapped."
-        )
+        lines.append(_falling(target, f"{scale:.3g}"))
     spread = held.get("spread") or {}
     times = spread.get("error_over_spread")
     if times is not None and times > POOR_SPREAD:
@@ -97,6 +95,14 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
             f"standard deviations (of a Gaussian 0.68), and they are {times:.1f} times as large as it says."
         )
     return lines
+
+
+def _falling(target: str, found: str) -> str:
+    """The line of a stand-in whose scale is negative; found: that scale, or the whole formula."""
+    return (
+        f"{target}: the analytic stand-in fits with a negative scale, {found}: more of it goes with less of "
+        "the target. Either the log counts the other way (say sign: -1 when importing), or columns are swapped."
+    )
 
 
 def _instead(model: Mapping[str, Any], fit: Mapping[str, Any], objective: str) -> str:
@@ -145,6 +151,9 @@ def cautions(report: Mapping[str, Any]) -> list[str]:
             f"{target}: only {held['seconds']:.1f} s are scored, less than {SHORT_SECONDS:g} s: "
             "another stretch may give quite another R². Record more to hold out."
         )
+    formula: Mapping[str, Any] = next((row for row in report["compared"] if row["name"] == SMOOTHED), {})
+    if not held.get("proxy") and (formula.get("scale") or 0.0) < 0:  # of the objective's own `doubts` tells
+        lines.append(_falling(target, formula["detail"]))
     kept = next(row for row in report["compared"] if row["kind"] == "kept")
     if kept["r2"] is not None:
         better = [row for row in report["compared"] if row["r2"] is not None and row["r2"] > kept["r2"]]

@@ -7,12 +7,12 @@ mean removes that shift before anything else touches the reward; clipping first 
 from __future__ import annotations
 
 import torch
-from torch import nn
 
+from hts.rl.given import OfItsSizes, check_number
 from hts.rl.rows import row_mean
 
 
-class RewardCentring(nn.Module):
+class RewardCentring(OfItsSizes):
     """Running mean of a reward, of each candidate or of all, with the unbiased start beta_t = beta / o_t.
 
     o_t = o_{t-1} + beta (1 - o_{t-1}), o_0 = 0: the first mean is the first batch's own. Kept slow (small beta): with
@@ -27,6 +27,7 @@ class RewardCentring(nn.Module):
 
     def __init__(self, rate: float = 0.05, count: int | None = None, device: torch.device | str | None = None) -> None:
         super().__init__()
+        check_number("rate", rate, "the share of a batch in the mean, 0 to 1")
         if not 0.0 <= rate <= 1.0:
             raise ValueError(f"rate is {rate}, expected 0 (no centring) to 1 (the last batch's mean alone).")
         self.rate = rate
@@ -35,11 +36,17 @@ class RewardCentring(nn.Module):
 
     @torch.no_grad()
     def update(self, reward: torch.Tensor) -> None:
-        """Fold in a reward [P, ...] (any shape without `count`). Raises ValueError for another P."""
+        """Fold in a reward [P, ...] (any shape without `count`). Raises ValueError for another P, and for no
+        reward at all, whose mean is NaN for good."""
         if self.mean.ndim and reward.shape[:1] != self.mean.shape:
             raise ValueError(
                 f"The reward has the shape {tuple(reward.shape)}, expected one that begins with the candidates, "
                 f"{len(self.mean)}: there is a mean for each of them. With one weight for all, give a float."
+            )
+        if reward.numel() == 0:
+            raise ValueError(
+                f"The reward has the shape {tuple(reward.shape)}, nothing is in it; expected that of one step "
+                "at least. Leave an empty batch out."
             )
         if self.rate == 0.0:
             return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from hts.rl.given import as_numbers
 from hts.rl.kl import gaussian_kl
 from hts.rl.population import Population
 from hts.rl.rows import row_mean
@@ -33,20 +34,31 @@ def project_to_kl_bound(
     bisection. The multiplier holds the mean over batches; a single last batch may end a little beyond. Who has an
     infinite bound is left alone.
 
-    observation: [P, S, O]; bounds: c, nats, [P], or a float that holds for each candidate.
+    observation: [P, S, O], S from 1 on; bounds: c, nats, [P], or a float that holds for each candidate.
 
     Raises ValueError, with the population as it was given, if the KL of a candidate with a finite bound is NaN or
-    whoever has to be shrunk has weights that are not finite, for bounds that are not one above 0 for each, and for
-    observations of another shape.
+    whoever has to be shrunk has weights that are not finite, for bounds that are not one above 0 for each, for
+    a reference of other sizes, and for observations of another shape or none. TypeError for bounds that are no numbers.
     """
     size = population.sizes.observation
+    told = [f"{one.count} candidates of {one.sizes}" for one in (reference, population)]
+    if told[0] != told[1]:
+        raise ValueError(
+            f"reference is {told[0]}, population {told[1]}; expected the same of both, as population.frozen() before "
+            "training gives it."
+        )
     if observation.ndim != 3 or observation.shape[0] != population.count or observation.shape[-1] != size:
         raise ValueError(
             f"observation has the shape {tuple(observation.shape)}, expected ({population.count}, S, {size}), S states "
             "of each candidate: flatten(1, 2) makes that of a batch's [P, N, T, O]."
         )
+    if observation.shape[1] == 0:
+        raise ValueError(
+            f"observation has the shape {tuple(observation.shape)}, no state is in it, so no KL can be measured; "
+            "expected one of each candidate at least."
+        )
     if not isinstance(bounds, torch.Tensor):
-        bounds = torch.as_tensor(bounds, dtype=torch.get_default_dtype(), device=population.device)
+        bounds = as_numbers("bounds", bounds, "a number, or [P] for P candidates", population.device)
     if bounds.ndim == 0:
         bounds = bounds.repeat(population.count)
     if bounds.shape != (population.count,) or not bool((bounds > 0).all()):

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import copy
-import math
 import warnings
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import CompositeDistribution, TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import nn
 from torch.distributions import Distribution
@@ -20,7 +18,18 @@ from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
 
 from hts.rl.actor import PopulationActor
+from hts.rl.given import OfItsSizes
 from hts.rl.kl import distribution_kl
+from hts.rl.loss_checks import (
+    check_actor,
+    check_critic,
+    check_finite,
+    check_not_empty,
+    check_reference,
+    check_settings,
+    lacks_old_value,
+    read_by,
+)
 from hts.rl.multiplier import LagrangeMultiplier, as_bounds
 from hts.rl.rows import row_mean, row_standardised
 from hts.rl.surrogate import surrogate, value_error
@@ -36,32 +45,6 @@ def frozen(module: nn.Module) -> nn.Module:
             delattr(part, name)
             part.register_buffer(name, parameter.detach().clone())
     return copied
-
-
-def _check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> None:
-    """Raise TypeError for an actor, or reference, whose distribution of one action nobody can ask for."""
-    try:
-        actor.get_dist  # noqa: B018 -- of TorchRL's actors, and of whatever else gives distributions
-    except AttributeError as error:
-        raise TypeError(
-            f"{name} is a {type(actor).__name__} without get_dist; expected a ProbabilisticActor, a "
-            "ProbabilisticTensorDictSequential, or what else has it."
-        ) from error
-    last = actor[-1] if isinstance(actor, TensorDictSequential) else actor  # it is the last module that knows
-    with suppress(AttributeError):  # only modules with a distribution have it
-        if last.distribution_class is CompositeDistribution:
-            raise TypeError(f"{name} has several actions (CompositeDistribution); expected one distribution.")
-
-
-def _check_critic(critic: TensorDictModuleBase) -> None:
-    """Raise TypeError for a critic that reads no TensorDict."""
-    try:
-        critic.in_keys  # noqa: B018 -- of every TensorDict module
-    except AttributeError as error:
-        raise TypeError(
-            f"critic_network is a {type(critic).__name__}, which reads no TensorDict; expected a module that writes "
-            'the value into one: ValueOperator(critic, in_keys=["observation"]) of torchrl.modules makes it one.'
-        ) from error
 
 
 def _candidates(module: nn.Module) -> int | None:
@@ -86,19 +69,7 @@ def _bound_of_each(kl_bound: float | torch.Tensor, actor: nn.Module, reference: 
     return bounds.repeat(count) if bounds.ndim == 0 and count > 1 else kl_bound
 
 
-def _check_numbers(critic_coeff: float, entropy_coeff: float, clip_epsilon: float, clip_value: float | None) -> None:
-    """Raise ValueError for numbers with which nothing, or the opposite, would be learned."""
-    if not 0.0 < clip_epsilon < math.inf:
-        raise ValueError(f"clip_epsilon is {clip_epsilon}; expected a positive number, such as 0.2.")
-    if not 0.0 <= critic_coeff < math.inf:
-        raise ValueError(f"critic_coeff is {critic_coeff}; expected a number from 0 on, such as 1.")
-    if not math.isfinite(entropy_coeff):
-        raise ValueError(f"entropy_coeff is {entropy_coeff}; expected a finite number, such as 0.001, or 0 for none.")
-    if clip_value is not None and not clip_value >= 0.0:
-        raise ValueError(f"clip_value is {clip_value}; expected a number from 0 on, True for clip_epsilon, or None.")
-
-
-class KLConstrainedPPOLoss(LossModule):
+class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     """Clipped PPO whose mean KL to a frozen reference policy is held below c by a Lagrange multiplier.
 
         loss_objective = -E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)] + alpha E[KL(pi || reference)]
@@ -168,11 +139,11 @@ class KLConstrainedPPOLoss(LossModule):
         normalize_advantage: bool = False,
     ) -> None:
         super().__init__()
-        _check_actor(actor_network)
-        _check_critic(critic_network)
+        check_actor(actor_network)
+        check_critic(critic_network)
         if reference is not None:
-            _check_actor(reference, "reference")
-        _check_numbers(critic_coeff, entropy_coeff, clip_epsilon, clip_value)
+            check_reference(reference, actor_network)
+        check_settings(critic_coeff, entropy_coeff, clip_epsilon, clip_value)
         self.actor_network, self.critic_network = actor_network, critic_network
         self.reference = frozen(actor_network if reference is None else reference)
         self.multiplier = LagrangeMultiplier(_bound_of_each(kl_bound, actor_network, self.reference), multiplier_rate)
@@ -227,8 +198,9 @@ class KLConstrainedPPOLoss(LossModule):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """tensordict [...], or [P, ...]: see `in_keys`. Raises KeyError naming what the batch lacks, ValueError where
-        its log-probabilities carry gradients: against themselves nothing would be learned, and for shapes that do not
-        fit each other."""
+        its log-probabilities carry gradients: against themselves nothing would be learned; for shapes that do not fit
+        each other, an empty batch, and, on a CPU, advantages or targets that are not finite, of several candidates
+        where nobody's are."""
         if torch.is_grad_enabled() and not torch.compiler.is_compiling():  # a number that changes is compiled anew
             self._count()
         keys, batch = self.tensor_keys, tensordict.copy()
@@ -239,15 +211,18 @@ class KLConstrainedPPOLoss(LossModule):
                     f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. "
                     f"{gives.get(key, 'GAE')} gives it."
                 )
+        check_not_empty(batch.shape)
         if batch.ndim:  # else only what is computed of it says whose it is
             self._check_candidates(batch.shape)
+        for key in (keys.advantage, keys.value_target):
+            check_finite(batch, key, keys.reward, candidates=self.kl_bound.ndim > 0)
         old_value = batch.get(keys.value, None)
         if batch[keys.sample_log_prob].requires_grad:
             raise ValueError(
                 f"The batch's {keys.sample_log_prob!r} carries gradients, so nothing would be learned from it. Collect "
                 "under torch.no_grad(), as collectors do, or detach it."
             )
-        policy = self.actor_network.get_dist(batch)
+        policy = self._policy_in(batch)
         log_prob = policy.log_prob(batch[keys.action])
         self._check_candidates(log_prob.shape)
         if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
@@ -257,10 +232,11 @@ class KLConstrainedPPOLoss(LossModule):
         if self.normalize_advantage:
             advantage = self._standardised(advantage)
         kl = distribution_kl(policy, self._reference_in(batch))
-        value = _as(log_prob, self.critic_network(batch.exclude(keys.value))[keys.value], keys.value)
+        valued = read_by("critic_network", self.critic_network, batch.exclude(keys.value), self.critic_network)
+        value = _as(log_prob, valued[keys.value], keys.value)
         target = _as(log_prob, batch[keys.value_target], keys.value_target)
         if self.clip_value is not None and old_value is None:
-            raise KeyError(f"The batch has no {keys.value!r} of the old critic, which clip_value needs. GAE gives it.")
+            raise lacks_old_value(batch, keys.value, self.critic_network.in_keys)
         old_value = value.detach() if old_value is None else _as(log_prob, old_value, keys.value)
         mean_kl = self._mean(kl)
         objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon)) + self.multiplier(mean_kl)
@@ -279,11 +255,12 @@ class KLConstrainedPPOLoss(LossModule):
     @torch.no_grad()
     def kl_to_reference(self, tensordict: TensorDictBase) -> torch.Tensor:
         """Mean KL(pi || reference) over the states of a batch, with the parameters as they are; [] or [P], nats. Raises
-        ValueError for a batch without its candidates in front."""
+        ValueError for an empty batch, and one without its candidates in front."""
         batch = tensordict.copy()
+        check_not_empty(batch.shape)
         if batch.ndim:  # else only what is computed of it says whose it is
             self._check_candidates(batch.shape)
-        kl = distribution_kl(self.actor_network.get_dist(batch), self._reference_in(batch))
+        kl = distribution_kl(self._policy_in(batch), self._reference_in(batch))
         self._check_candidates(kl.shape)
         return self._mean(kl)
 
@@ -292,9 +269,12 @@ class KLConstrainedPPOLoss(LossModule):
         alpha. Raises ValueError for a KL that is NaN or of another shape than kl_bound."""
         return self.multiplier.update(kl)
 
+    def _policy_in(self, batch: TensorDictBase) -> Distribution:
+        return read_by("actor_network", self.actor_network, batch, self.actor_network.get_dist)
+
     @torch.no_grad()
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
-        return self.reference.get_dist(batch.copy())
+        return read_by("reference", self.reference, batch.copy(), self.reference.get_dist)
 
     def _count(self) -> None:
         """Warn, once, where alpha has not been updated for so long that it may have been forgotten."""

@@ -7,7 +7,8 @@ import math
 from typing import Any
 
 import torch
-from torch import nn
+
+from hts.rl.given import OfItsSizes, as_numbers, check_number
 
 LARGEST_EXCESS = 2.0  # of KL / c - 1 in one update: one bad batch must not spend the training on getting back
 LARGEST_PRICE = 5.0  # of a mean that stays too large whatever it costs, per strength
@@ -18,10 +19,7 @@ LARGEST_ERROR = (
 
 def as_bounds(bounds: float | torch.Tensor) -> torch.Tensor:
     """Bounds of a KL as a tensor, [] or [P]. Raises TypeError for what is no number, ValueError for another mistake."""
-    try:
-        limits = torch.as_tensor(bounds, dtype=torch.get_default_dtype())
-    except (TypeError, ValueError, RuntimeError) as error:  # which of them, torch has no rule for
-        raise TypeError(f"kl_bound is {bounds!r}; expected a number, or [P] for P candidates.") from error
+    limits = as_numbers("kl_bound", bounds, "a number, or [P] for P candidates")
     if not bool((limits > 0).all()) or limits.numel() == 0:
         raise ValueError(f"kl_bound is {limits.tolist()}; expected positive numbers, infinity for no bound.")
     if limits.ndim > 1:
@@ -29,7 +27,7 @@ def as_bounds(bounds: float | torch.Tensor) -> torch.Tensor:
     return limits
 
 
-class LagrangeMultiplier(nn.Module):
+class LagrangeMultiplier(OfItsSizes):
     """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch and outside `forward`.
 
     bounds: c in nats, a float or [P]; infinity switches the bound off. rate: eta. It acts on KL / c, so that tight and
@@ -44,6 +42,7 @@ class LagrangeMultiplier(nn.Module):
     def __init__(self, bounds: float | torch.Tensor, rate: float = 0.05) -> None:
         super().__init__()
         limits = as_bounds(bounds)
+        check_number("rate", rate, "how far alpha moves in an update")
         if not 0.0 <= rate < math.inf:
             raise ValueError(f"rate is {rate}; expected a number from 0 on, such as 0.05.")
         self.rate, self.updated = rate, False
@@ -79,7 +78,7 @@ class LagrangeMultiplier(nn.Module):
         return self.value
 
 
-class EqualityMultiplier(nn.Module):
+class EqualityMultiplier(OfItsSizes):
     """Holds the mean of an error e at zero: nu e is added to the reward, and nu moves against the mean.
 
     nu = I - gain m / scale with I <- I - rate m / scale once per batch, m the batches' mean error, smoothed: the
@@ -108,6 +107,7 @@ class EqualityMultiplier(nn.Module):
         device: torch.device | str | None = None,
     ) -> None:
         super().__init__()
+        check_number("scale", scale, "an error that matters")
         if not 0.0 < scale < math.inf:
             raise ValueError(f"scale is {scale}; expected a positive number, an error that matters.")
         self.scale, self.rate, self.gain, self.smoothing = scale, rate, gain, smoothing
@@ -153,6 +153,7 @@ class UpperMultiplier(EqualityMultiplier):
     """
 
     def __init__(self, limit: float, count: int | None = None, **how: Any) -> None:
+        check_number("limit", limit, "the largest mean that costs nothing")
         if not 0.0 < limit < math.inf:
             raise ValueError(f"limit is {limit}; expected a positive number.")
         super().__init__(limit / 4, count, **how)

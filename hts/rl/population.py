@@ -12,6 +12,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from hts.rl.given import OfItsSizes
 from hts.rl.threads import pool
 from hts.rl.tracing import compiled
 
@@ -74,7 +75,7 @@ class Sizes:
         return shapes | {f"{name}_count": () for name in sizes}
 
 
-class Population(nn.Module):
+class Population(OfItsSizes):
     """P actor-critics: a = N(mean(o), diag sigma^2), v = V(o_critic), both on normalised observations.
 
     A candidate's parameters are one vector, so that optimiser, clipping and learning rate are per candidate for free.
@@ -332,7 +333,7 @@ class Population(nn.Module):
     ) -> Population:
         """A population whose members start as these. Raises ValueError for what is not of these sizes."""
         for index, state in enumerate(candidates):
-            for name, shape in sizes.shapes().items():
+            for name, shape in {**sizes.shapes(), **sizes.normalisers()}.items():
                 found = tuple(state[name].shape) if name in state else "missing"
                 if found != shape:
                     raise ValueError(f"candidate {index}: '{name}' is {found}, expected {shape}, as {sizes} says.")

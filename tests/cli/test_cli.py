@@ -140,6 +140,7 @@ def test_a_misspelt_name_ends_in_one_line_with_the_closest(fakes, fake_run, caps
     ("arguments", "said"),
     [
         ([*RUN, "--reward", "foo"], "error: --reward: expected model or proxy, found 'foo'."),
+        ([*RUN, "--set", "reward_source=foo"], "error: --set reward_source: expected model or proxy, found 'foo'."),
         ([*RUN, "--seed", "-3"], "error: --seed: expected at least 0, found -3."),
         ([*RUN, "--seed", "-3", "--set", "seed=-4"], "error: --set seed: expected at least 0, found -4."),
         ([*RUN, "--reward", "oracle"], "error: --reward (reward_source): `oracle` looks into the reality"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import math
 import shlex
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from hts.config_loading import dump_config, load_config, read_config
-from hts.contracts import World
+from hts.contracts import Task, World
 from hts.errors import ConfigError, HtsError, RunError
 from hts.evaluation.evaluate import command_of, evaluate_run, policy_file
 from hts.locks import only_one
@@ -83,6 +84,43 @@ def test_so_is_one_at_which_nobody_walks_ahead(folder, registry, speed):
         evaluate_run(folder, speeds=[speed], registry=registry)
 
 
+@pytest.mark.parametrize("speed", [800.0, 28.8])
+def test_so_is_one_in_another_unit_as_in_a_run(folder, registry, speed):
+    unit = r"It is probably in another unit: write m/s, not km/h or mm/s\.$"
+    said = rf"expected at most 20 m/s of a robot with feet, found {speed:g}\. {unit}"
+    with pytest.raises(ConfigError, match=f"^--speed: {said}"):
+        evaluate_run(folder, speeds=[0.8, speed], registry=registry)
+    with pytest.raises(ConfigError, match=rf"^evaluation\.speeds: {said}"):
+        evaluate_run(folder, registry=registry, overrides=[f"evaluation.speeds=[{speed}]"])
+
+
+def test_wheels_may_be_faster_and_set_points_of_another_task_are_no_speeds(folder, registry):
+    class Wheeled(Tiny):
+        spec = dataclasses.replace(Tiny.spec, foot_sites=())
+
+    class Heights(Task):
+        quantity, unit, channels, set_points = "height", "mm", ("height",), (800.0,)
+
+        def achieved(self, channels):
+            return channels["height"]
+
+        def done(self, achieved, set_point, tolerance):
+            return abs(achieved - set_point) < tolerance
+
+    class Crane(Tiny):
+        def task(self):
+            return Heights()
+
+    registry.robots["example"] = Entry("example", lambda settings: Wheeled(), "tests")
+    with pytest.raises(Asked):
+        evaluate_run(folder, speeds=[28.8], registry=registry)
+    with pytest.raises(ConfigError, match=r"^--speed: expected at most 100 m/s, found 800\. "):
+        evaluate_run(folder, speeds=[800.0], registry=registry)
+    registry.robots["example"] = Entry("example", lambda settings: Crane(), "tests")
+    with pytest.raises(Asked):
+        evaluate_run(folder, speeds=[800.0], registry=registry)
+
+
 def test_a_speed_is_asked_for_once_since_a_second_time_is_no_more_of_the_same_block(folder, registry):
     with pytest.raises(ConfigError, match=r"^--speed: 0\.8 is there twice; ask for each once\. --sessions 2 "):
         evaluate_run(folder, speeds=[0.8, 0.5, 0.8], registry=registry)
@@ -98,9 +136,9 @@ def test_a_speed_that_cannot_be_held_is_refused_as_in_a_run(tmp_path, registry):
     held = made(tmp_path / "held", "evaluation.hold_speed=true")
     low, high = read_config(held / "config.yaml").finetune.env.commands.vx
     with pytest.raises(
-        ConfigError, match=f"^--speed: 25 m/s cannot be held with commands from {low:g} to {high:g} m/s"
+        ConfigError, match=f"^--speed: 15 m/s cannot be held with commands from {low:g} to {high:g} m/s"
     ):
-        evaluate_run(held, speeds=[0.8, 25.0], registry=registry)
+        evaluate_run(held, speeds=[0.8, 15.0], registry=registry)
 
 
 def test_a_speed_may_be_a_number_of_numpy(folder, registry):

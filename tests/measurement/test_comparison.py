@@ -13,7 +13,7 @@ from hts.errors import ConfigError, RecordingError
 from hts.measurement import comparison, fit_command
 from hts.measurement.baseline import WINDOWS_SECONDS, fit_best, stand_ins
 from hts.measurement.fit_command import FitChecks, Wanted
-from hts.measurement.fit_report import cautions, table
+from hts.measurement.fit_report import cautions, doubts, table
 from hts.measurement.split import named_part
 from hts.measurement.splits import SplitRule
 from hts.recordings.recording import Series
@@ -170,6 +170,20 @@ def test_a_target_can_be_fitted_without_an_objective(tmp_path, run):
     report = fitted(tmp_path, run, None, checks=checks, wanted=Wanted("heat", INPUTS))
     assert report["model"]["name"] == "linear" and report["target"] == "heat" and report["held_out_r2"] > 0.9
     assert "Σ" in rows_of(report)["proxy, smoothed"]["detail"]
+    assert not any("negative scale" in line for line in cautions(report))
+
+
+def test_a_formula_that_fits_with_a_negative_scale_is_told_with_its_likely_causes(tmp_path, capsys):
+    r = known_heat(1)
+    heat = 50.0 - r.values("heat")
+    store = store_of(tmp_path / "mirrored.zarr", r.replace(channels={**r.channels, "heat": Series(HEAT, heat)}))
+    fit_cli.command(store, tmp_path / "plain", None, "heat", list(INPUTS), split="chronological=0.7")
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if "negative scale" in line)
+    detail = rows_of(json.loads((tmp_path / "plain" / "fit.json").read_text()))["proxy, smoothed"]["detail"]
+    assert line.startswith(f"heat: the analytic stand-in fits with a negative scale, {detail}: more of it goes with ")
+    assert "Σ" in line and "sign: -1" in line
+    own = fitted(tmp_path, store, checks=FitChecks(split=SplitRule.parsed("chronological=0.7")))
+    assert sum("negative scale" in line for line in [*doubts(own), *cautions(own)]) == 1  # not said twice
 
 
 @pytest.mark.parametrize(

@@ -213,6 +213,7 @@ def test_an_instrument_that_tells_nothing_usable_is_one_line(registry, seeing, t
         (["run", "--set", "oracle_trains_in=simulation"], "oracle_trains_in: belongs to `hts oracle`"),
         (["oracle", "--in-simulation", "--set", "reward_source=proxy"], "Found reward_source proxy: leave one of"),
         (["oracle", "--set", "oracle_trains_in=nowhere"], "oracle_trains_in"),
+        (["oracle", "--set", "reward_source=foo"], "--set reward_source: expected oracle, found 'foo'."),
         (
             ["oracle", "--in-simulation", "--start", "some.safetensors"],
             "start: of an oracle that trains on the reality",

@@ -1,0 +1,146 @@
+"""What the loss asks of its networks and of a batch, and what it says of a mistake."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import CompositeDistribution, TensorDictModuleBase, TensorDictSequential
+from tensordict.utils import NestedKey
+
+from hts.rl.actor import PopulationActor
+from hts.rl.given import check_number
+
+Read = TypeVar("Read")
+
+
+def check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> None:
+    """Raise TypeError for an actor, or reference, whose distribution of one action nobody can ask for."""
+    try:
+        actor.get_dist  # noqa: B018 -- of TorchRL's actors, and of whatever else gives distributions
+    except AttributeError as error:
+        raise TypeError(
+            f"{name} is a {type(actor).__name__} without get_dist; expected a ProbabilisticActor, a "
+            "ProbabilisticTensorDictSequential, or what else has it."
+        ) from error
+    last = actor[-1] if isinstance(actor, TensorDictSequential) else actor  # it is the last module that knows
+    with suppress(AttributeError):  # only modules with a distribution have it
+        if last.distribution_class is CompositeDistribution:
+            raise TypeError(f"{name} has several actions (CompositeDistribution); expected one distribution.")
+
+
+def check_critic(critic: TensorDictModuleBase) -> None:
+    """Raise TypeError for a critic that reads no TensorDict."""
+    try:
+        critic.in_keys  # noqa: B018 -- of every TensorDict module
+    except AttributeError as error:
+        raise TypeError(
+            f"critic_network is a {type(critic).__name__}, which reads no TensorDict; expected a module that writes "
+            'the value into one: ValueOperator(critic, in_keys=["observation"]) of torchrl.modules makes it one.'
+        ) from error
+
+
+def check_reference(reference: TensorDictModuleBase, actor: TensorDictModuleBase) -> None:
+    """Raise TypeError for a reference that is no actor, ValueError for a population's that reads or does something
+    else than the actor; of other modules only a batch tells."""
+    check_actor(reference, "reference")
+    if isinstance(reference, PopulationActor) and isinstance(actor, PopulationActor):
+        told = [(one.population.sizes.observation, one.population.sizes.action) for one in (reference, actor)]
+        if told[0] != told[1]:
+            raise ValueError(
+                f"reference reads {told[0][0]} numbers of a state and has {told[0][1]} actions, actor_network reads "
+                f"{told[1][0]} and has {told[1][1]}; expected the same of both: give a policy of the same task."
+            )
+
+
+def check_settings(critic_coeff: float, entropy_coeff: float, clip_epsilon: float, clip_value: float | None) -> None:
+    """Raise ValueError for numbers with which nothing, or the opposite, would be learned, TypeError for no numbers."""
+    check_number("clip_epsilon", clip_epsilon, "how far a ratio may go from 1")
+    check_number("critic_coeff", critic_coeff, "what the critic's loss is multiplied by")
+    check_number("entropy_coeff", entropy_coeff, "what the entropy is multiplied by")
+    if clip_value is not None:
+        check_number("clip_value", clip_value, "how far a value may go; or True for clip_epsilon, None for no clipping")
+    if not 0.0 < clip_epsilon < math.inf:
+        raise ValueError(f"clip_epsilon is {clip_epsilon}; expected a positive number, such as 0.2.")
+    if not 0.0 <= critic_coeff < math.inf:
+        raise ValueError(f"critic_coeff is {critic_coeff}; expected a number from 0 on, such as 1.")
+    if not math.isfinite(entropy_coeff):
+        raise ValueError(f"entropy_coeff is {entropy_coeff}; expected a finite number, such as 0.001, or 0 for none.")
+    if clip_value is not None and not clip_value >= 0.0:
+        raise ValueError(f"clip_value is {clip_value}; expected a number from 0 on, True for clip_epsilon, or None.")
+
+
+def check_not_empty(shape: torch.Size) -> None:
+    """Raise ValueError for a batch of this shape that holds nothing: the mean of nothing is NaN."""
+    if 0 in shape:
+        raise ValueError(
+            f"The batch has the shape {tuple(shape)}, nothing is in it; expected one sample at least. Look at how it "
+            "was made: an index, a mask or a part of a split is empty."
+        )
+
+
+def read_by(name: str, module: TensorDictModuleBase, batch: TensorDictBase, ask: Callable[[Any], Read]) -> Read:
+    """What a network, asked, makes of a batch. Raises ValueError where it was made for numbers of another size, of
+    which torch would speak without saying whose they are."""
+    try:
+        return ask(batch)
+    except RuntimeError as error:
+        if type(error) is not RuntimeError:  # memory has run out, or a GPU is gone
+            raise
+        seen = ", ".join(f"{key!r} {tuple(batch[key].shape)}" for key in module.in_keys if key in batch.keys(True))
+        raise ValueError(
+            f"{name} cannot read the batch, where it finds {seen}: {' '.join(str(error).split())}. Expected numbers of "
+            "the sizes that it was made for: policy, critic, reference and batch are to be of one task."
+        ) from error
+
+
+def first_bad(value: torch.Tensor, bad: torch.Tensor) -> str:
+    """The first of the numbers that are bad, where it is, and how many there are, in words."""
+    index = bad.nonzero()[0].tolist()
+    return f"{float(value[tuple(index)]):g} at {index}, in {int(bad.sum())} of {bad.numel()} numbers"
+
+
+def check_finite(batch: TensorDictBase, key: NestedKey, reward: NestedKey, candidates: bool) -> None:
+    """Raise ValueError where what GAE has made of the rewards is not finite; of candidates only where nobody's is, for
+    they do not see each other, and one that is bad shows in its own loss. On a CPU alone: asking waits for a GPU, in
+    every gradient step; there the update of the multiplier tells. reward: its key under "next"."""
+    value = batch[key]
+    if value.device.type != "cpu" or torch.compiler.is_compiling():
+        return
+    bad = ~value.isfinite()
+    rows = bad.reshape(len(bad), -1).any(1) if candidates else bad.any()
+    if not bool(rows.all()):
+        return
+    paid = batch.get(("next", *reward) if isinstance(reward, tuple) else ("next", reward), None)
+    worse = None if paid is None else ~paid.isfinite()
+    if paid is not None and worse is not None and bool(worse.any()):
+        source = f"The step's reward is {first_bad(paid, worse)}."
+    else:
+        source = "It comes from a reward, a value or a state of an earlier or later step: look at the collected batch."
+    raise ValueError(
+        f"{key!r} is {first_bad(value, bad)}. {source} A step on it would spoil the policy for good: stop, and mend "
+        "the env, the measurement or the critic that gives it."
+    )
+
+
+def lacks_old_value(batch: TensorDictBase, key: NestedKey, read: list[NestedKey]) -> Exception:
+    """What to raise where a batch has no value of the old critic; read: what the critic reads. TorchRL's GAE takes NaN
+    in what a step ended in as the mark of what was not kept, works on a copy, and leaves the batch without it."""
+    needs = f"The batch has no {key!r} of the old critic, which clip_value needs."
+    for name in read:
+        ended = batch.get(("next", *name) if isinstance(name, tuple) else ("next", name), None)
+        bad = None if ended is None else ended.isnan()
+        if ended is not None and bad is not None and bool(bad.any()):
+            return ValueError(
+                f"{needs} GAE has left it out, since {name!r} under 'next' is {first_bad(ended, bad)}. If the env "
+                "wrote that, it has diverged there: mend it, or end the episode before. If a collector did, for what "
+                "it did not keep (compact_obs=True), call the critic on the batch after GAE, or give clip_value=None."
+            )
+    return KeyError(
+        f"{needs} GAE gives it, unless what a step of its batch ended in is NaN under 'next': look for that where GAE "
+        "was called, else call it, or give clip_value=None."
+    )
