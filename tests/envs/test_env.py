@@ -227,7 +227,7 @@ def test_a_delay_of_d_physics_steps_applies_the_old_target_for_d_of_them(make, m
 
 
 def test_a_delay_longer_than_a_control_step_is_refused(make):
-    with pytest.raises(ConfigError, match="delay_steps: 5 physics steps"):
+    with pytest.raises(ConfigError, match="delay_steps .*: 5 physics steps"):
         make(randomisation=RandomisationConfig(models=1, delay_steps=(0, 5)))
 
 
@@ -240,7 +240,7 @@ def test_the_default_delay_ends_with_a_control_step_of_fewer_physics_steps(robot
     assert delay_seconds(EnvConfig(), quick.spec) == (0.0, 0.01)
     assert delay_seconds(EnvConfig(), robot.spec) == (0.0, 0.015)
     chosen = EnvConfig(threads=1, randomisation=RandomisationConfig(delay_steps=(1, 3)))
-    with pytest.raises(ConfigError, match=r"3 physics steps are longer than .* \(2 of them\).*finetune.env.randomisa"):
+    with pytest.raises(ConfigError, match=r"below finetune.env of a run.*: 3 physics steps .* \(2 of them\)"):
         quick.make_env("mujoco", 1, 4, chosen)
 
 

@@ -109,7 +109,7 @@ def test_settings_that_no_env_can_be_made_with_leave_nothing_to_go_on_with(tmp_p
     command = ["pretrain", "--robot", "go1", "--engine", "mujoco", "--out", str(tmp_path / "mine")]
     assert main([*command, "--set", "env.randomisation.delay_steps=[0,9]"]) == 2
     said = capsys.readouterr().err
-    assert "delay_steps: 9 physics steps" in said and "goes on" not in said  # it would end so again
+    assert "9 physics steps are longer" in said and "goes on" not in said  # it would end so again
     assert list((tmp_path / "mine").iterdir()) == []
     assert main([*command, "--set", "env.commands.yaw_rate=[-57, 57]"]) == 2  # the same folder: nothing was begun
     assert "env.commands.yaw_rate: expected at most 20 rad/s" in capsys.readouterr().err
