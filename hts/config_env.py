@@ -12,7 +12,14 @@ MOST_MODELS = 10_000  # 30 s and 5 GB for a robot with 12 joints
 # m and rad. No trunk's centre of mass is a metre off, no encoder's zero 57 degrees: in mm and degrees they seem so.
 MOST_SHIFT, MOST_OFFSET = 1.0, 1.0
 MOST_THREADS = 1024  # each holds a state of the physics; no machine has as many cores
+DELAY_STEPS = (0, 3)
 Pulls = NonNegativeFloat | tuple[NonNegativeFloat, ...]
+
+
+def within_a_step(steps: tuple[int, int], substeps: int) -> tuple[int, int]:
+    """Actuation delay in physics steps as a robot has it whose control step is so many. The default ends with the
+    control step where that is shorter, the longest delay that the env simulates; what somebody chose stays."""
+    return (0, min(DELAY_STEPS[1], substeps)) if tuple(steps) == DELAY_STEPS else steps
 
 
 def _several(value: Any) -> Any:
@@ -47,7 +54,11 @@ class RandomisationConfig(Config):
         "pull[n mod len]",
     )
     pull_seconds: float = Field(3.0, allow_inf_nan=True, gt=0, description="mean time until it is another, s")
-    delay_steps: tuple[int, int] = Field((0, 3), description="actuation delay in physics steps, inclusive range")
+    delay_steps: tuple[int, int] = Field(
+        DELAY_STEPS,
+        description="actuation delay in physics steps, inclusive range; the default ends with the control step where "
+        "that has fewer",
+    )
     delay_share: tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=1)]] | None = Field(
         None, description="the same as shares of a control step, whatever the robot's physics step; null: `delay_steps`"
     )
@@ -92,7 +103,7 @@ class RandomisationConfig(Config):
     def delays(self, substeps: int) -> tuple[int, int]:
         """Actuation delay in physics steps, of which a control step has so many; inclusive range."""
         if self.delay_share is None:
-            return self.delay_steps
+            return within_a_step(self.delay_steps, substeps)
         least, most = (round(share * substeps) for share in self.delay_share)
         return least, most
 

@@ -19,8 +19,9 @@ def delays_and_offsets(config: EnvConfig, spec: RobotSpec, count: int) -> tuple[
     least, most = r.delays(spec.substeps)
     if r.enabled and most > spec.substeps:
         raise ConfigError(
-            f"randomisation.delay_steps: {most} physics steps are longer than a control step "
-            f"({spec.substeps} of them), the longest delay the env simulates. Lower the upper end."
+            f"randomisation.delay_steps (below finetune.env of a run, env of a pretraining): {most} physics steps are "
+            f"longer than a control step ({spec.substeps} of them), the longest delay the env simulates. Lower the "
+            "upper end."
         )
     rng = np.random.default_rng([config.seed, 5417])
     delay = rng.integers(least, most, size=count, endpoint=True)

@@ -87,6 +87,24 @@ def in_units_of(
     return recording.replace(channels=channels, idle=idle, notes=told)
 
 
+def levels_in_units_of(
+    objectives: Sequence[Objective], mapping: Mapping[str, Any], where: object
+) -> dict[str, float | None]:
+    """Idle level of each measured channel of a mapping, in the units that `in_units_of` brings its recordings to; None
+    where it is still to be written. where: as there. Raises ConfigError as it does."""
+    channels = mapping.get("channels") or {}
+    found = {name: one for name, one in channels.items() if isinstance(one, Mapping) and "idle" in one}
+    levels = {name: one["idle"] for name, one in found.items()}
+    for objective in objectives:
+        for wanted in objective.real_channels:
+            one = found.get(wanted.name, {})
+            if one.get("idle") is None or one.get("unit") is None:
+                continue
+            scale, offset = _converted(f"{where}: '{wanted.name}'", str(one["unit"]), wanted.unit, objective.name)
+            levels[wanted.name] = scale * one["idle"] + offset
+    return levels
+
+
 def _converted(begin: str, unit: str, wanted: str, objective: str) -> tuple[float, float]:
     try:
         return conversion(unit, wanted)

@@ -18,7 +18,7 @@ TIMES = {"t", "time", "timestamp", "stamp", "timestamps", "log", "sec", "secs", 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 QUANTITIES: dict[str, tuple[str, set[str]]] = {
     "joint_target": ("rad", {"target", "targets", "cmd", "command", "des", "desired", "goal", "action"}),
-    "joint_velocity": ("rad/s", {"dq", "qd", "vel", "velocity", "velocities", "speed", "omega"}),
+    "joint_velocity": ("rad/s", {"dq", "qd", "rate", "vel", "velocity", "velocities", "speed", "omega"}),
     "joint_torque": ("N*m", {"tau", "torque", "torques", "effort", "moment", "trq"}),
     "joint_position": ("rad", {"q", "pos", "position", "positions", "angle", "angles"}),
 }
@@ -30,6 +30,11 @@ GAUGES: dict[str, set[str]] = {
     "W": {"w", "watt", "watts"},
 }
 MILLI = {"ma": "mA", "mv": "mV", "mw": "mW"}
+SYMBOL = re.compile(r"([IUP])_(?!gain|term|error)[A-Za-z]")
+"""Of a name such as U_main: the letter of the quantity in a formula."""
+SYMBOLS = {"I": "A", "U": "V", "P": "W"}
+BETWEEN = (".", "-", " ", "/")
+"""What may stand in a log's names where the robot's have `_`."""
 SELDOM = 0.75
 """Share of the rows in which a gauge shows something, below which it is slower than the log around it."""
 NOT_MEANS = {"std", "max", "min", "var", "target", "desired", "raw"}
@@ -135,8 +140,9 @@ def _rate(seen: Glance, rate: float, robot: Robot) -> list[str]:
 
 def _joints(names: Sequence[str], joints: Sequence[str], seen: Glance) -> tuple[list[str], dict[str, dict[str, str]]]:
     """Lines of YAML, and template with {joint} -> joint -> column."""
-    for alias in (lambda one: one, _short, lambda one: _short(one).lower(), lambda one: one.lower()):
-        aliases = {joint: alias(joint) for joint in joints}
+    plain = (lambda one: one, _short, lambda one: _short(one).lower(), lambda one: one.lower())
+    for between, alias in ((between, alias) for between in ("_", *BETWEEN) for alias in plain):
+        aliases = {joint: alias(joint).replace("_", between) for joint in joints}
         templates = _templates(names, aliases)
         if templates:
             listed = ", ".join(f"{joint}: {json.dumps(one)}" for joint, one in aliases.items())
@@ -212,6 +218,15 @@ def _joint_unit(unit: str, words: set[str], values: np.ndarray, robot: Robot) ->
     return unit, ""
 
 
+def _gauge_unit(name: str, words: set[str]) -> str | None:
+    """The unit that a column's name tells; None where it is no gauge's."""
+    whole = set(re.findall(r"[a-z]+", name.lower()))  # mA is one word, though its capital begins another in words
+    unit = next((one for short, one in MILLI.items() if short in whole), None)
+    unit = unit or next((one for one, known in GAUGES.items() if words & known), None)
+    symbol = SYMBOL.match(name)
+    return unit or (SYMBOLS[symbol[1]] if symbol else None)
+
+
 def _gauges(columns: Mapping[str, np.ndarray], used: set[str], seen: Glance) -> tuple[list[str], set[str]]:
     """Single columns that by their name are a current, a voltage or the like: real channels, whose idle level only the
     person at the robot knows."""
@@ -221,8 +236,7 @@ def _gauges(columns: Mapping[str, np.ndarray], used: set[str], seen: Glance) -> 
         words = _words(name)
         if name in used or words & NOT_MEANS or re.search(r"\d\]?$", name) or not np.isfinite(values).any():
             continue
-        unit = next((one for short, one in MILLI.items() if short in words), None)
-        unit = unit or next((one for one, known in GAUGES.items() if words & known), None)
+        unit = _gauge_unit(name, words)
         if unit is None:
             continue
         channel = re.sub(r"\W+", "_", name).strip("_").lower()

@@ -66,7 +66,8 @@ def variants(robot: Robot, config: RandomisationConfig, seed: int, count: int | 
     if not config.enabled:
         return [nominal]
     rng = np.random.default_rng([seed, 7201])
-    check_added_mass(nominal, robot, config.added_mass, "randomisation.added_mass")
+    where = "randomisation.added_mass (below finetune.env of a run, env of a pretraining)"
+    check_added_mass(nominal, robot, config.added_mass, where)
     return [vary(copy.copy(nominal), robot, config, rng) for _ in range(count or config.models)]
 
 

@@ -13,7 +13,7 @@ from hts.atomic import atomic_write
 from hts.config import PretrainConfig
 from hts.contracts import Robot
 from hts.envs.constants import delay_seconds
-from hts.errors import RunError
+from hts.errors import ConfigError, RunError
 from hts.locks import only_one
 from hts.places import CURVE, PRETRAINED, PRETRAINING
 from hts.policies.files import Policy, make_card, save_policy
@@ -40,8 +40,15 @@ def pretrain_policy(
     """
     Path(out).mkdir(parents=True, exist_ok=True)
     busy = f"{out}: another process is working in it. Wait for it, or stop it first."
+    begun = (Path(out) / PRETRAINING).exists()
     with only_one(Path(out) / LOCK, busy):
-        return _pretrained(robot, config, Path(out), progress)
+        try:
+            return _pretrained(robot, config, Path(out), progress)
+        except ConfigError:  # these settings end so each time: no `hts resume` goes on with them
+            if not begun:
+                for one in (PRETRAINING, LOCK):
+                    (Path(out) / one).unlink(missing_ok=True)
+            raise
 
 
 def _pretrained(

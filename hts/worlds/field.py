@@ -17,11 +17,11 @@ from pydantic import Field
 from hts.atomic import atomic_write
 from hts.channels import Channel
 from hts.config import Config, ScheduleConfig
-from hts.contracts import HoldSpeed, Installed, Requests, Robot, Settings, World, WorldContext
+from hts.contracts import HoldSpeed, Installed, Objective, Requests, Robot, Settings, World, WorldContext
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
-from hts.recordings.needs import check_mapping
+from hts.recordings.needs import check_mapping, in_units_of, levels_in_units_of
 from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
@@ -82,7 +82,7 @@ class FieldWorld(World):
 
     def idle(self) -> Mapping[str, float]:
         """From the mapping, where the person wrote it."""
-        levels = self._idle_levels(self._mapping())
+        levels = levels_in_units_of(self._objectives, self._mapping(), self._mapping_path())
         missing = [name for name, level in levels.items() if level is None]
         if missing or not levels:
             raise WaitingForRobot(
@@ -115,8 +115,8 @@ class FieldWorld(World):
         of the mapping."""
         if self._hold is not None:
             field_holding.check_mapping(where, mapping)
-        for name, settings in self._context.objectives.items():
-            check_mapping(self._registry.make_objective(name, settings), mapping, where)
+        for objective in self._objectives:
+            check_mapping(objective, mapping, where)
 
     def collect(self, policies: Sequence[Path], schedule: ScheduleConfig) -> list[Recording]:
         request = self._request("collect", policies, schedule.model_dump(mode="json"))
@@ -273,6 +273,7 @@ class FieldWorld(World):
             recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)
         except ConfigError as error:
             raise ConfigError(f"Row {order.name}: {where}: {error}") from error
+        recording = in_units_of(self._objectives, recording, self._robot.channels(), f"Row {order.name}: {where}")
         longer = recording.seconds - order.schedule.seconds
         if abs(longer) > 0.1 * order.schedule.seconds and not (longer < 0 and recording.fell):
             raise RecordingError(
@@ -287,6 +288,10 @@ class FieldWorld(World):
     @cached_property
     def _registry(self) -> Installed:
         return self._context.registry or load()
+
+    @cached_property
+    def _objectives(self) -> list[Objective]:
+        return [self._registry.make_objective(name, given) for name, given in self._context.objectives.items()]
 
     @cached_property
     def _robot(self) -> Robot:
@@ -320,8 +325,7 @@ class FieldWorld(World):
         """What only the robot gives for the objectives."""
         registry = self._registry
         real: dict[str, Channel] = {}
-        for name, settings in self._context.objectives.items():
-            objective = registry.make_objective(name, settings)
+        for objective in self._objectives:
             real |= {channel.name: channel for channel in objective.real_channels}
             if objective.instrument is not None:  # some tell there what else the score needs
                 instrument = registry.make_instrument(objective.instrument, {}, self._robot)
@@ -347,12 +351,6 @@ class FieldWorld(World):
             commands=robot.bundle_commands,
             own_env=not isinstance(robot, VelocityRobot),
         )
-
-    @staticmethod
-    def _idle_levels(mapping: Mapping[str, Any]) -> dict[str, float | None]:
-        """Level per measured channel, None where it is still to be written."""
-        channels = mapping.get("channels") or {}
-        return {name: one["idle"] for name, one in channels.items() if isinstance(one, Mapping) and "idle" in one}
 
     def _request(self, what: str, policies: Sequence[Path], rest: Any) -> str:
         try:

@@ -30,6 +30,7 @@ import yaml
 
 import hts
 from hts.channels import Channel
+from hts.config_env import within_a_step
 from hts.config_gate import FirstRunConfig
 from hts.contracts import HoldSpeed, RobotSpec
 from hts.errors import PolicyError, WorldError
@@ -190,6 +191,8 @@ def _trained(card: SimpleNamespace, facts: Facts) -> dict[str, Any] | None:
         share = _inside(env, "randomisation", "delay_share")
         if share is not None:  # of a control step; it is what counts where both are said
             steps = [float(end) * facts.spec.substeps for end in share]
+        else:
+            steps = within_a_step((steps[0], steps[1]), facts.spec.substeps)
         delay = (float(steps[0]) * facts.spec.physics_dt, float(steps[1]) * facts.spec.physics_dt)
         commands = {key: list(ranges[key]) for key in ("vx", "vy", "yaw_rate") if key in ranges}
         return asdict(Trained(delay, commands, source))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
@@ -14,6 +16,7 @@ from torchrl.envs.utils import check_env_specs
 
 from hts.config import CommandConfig, EnvConfig, RandomisationConfig
 from hts.contracts import Robot
+from hts.envs.constants import delay_seconds
 from hts.envs.observation import NOISE, observation_layout
 from hts.envs.rewards import DEFAULT_WEIGHTS
 from hts.errors import ConfigError
@@ -224,8 +227,21 @@ def test_a_delay_of_d_physics_steps_applies_the_old_target_for_d_of_them(make, m
 
 
 def test_a_delay_longer_than_a_control_step_is_refused(make):
-    with pytest.raises(ConfigError, match="delay_steps: 5 physics steps"):
+    with pytest.raises(ConfigError, match="delay_steps .*: 5 physics steps"):
         make(randomisation=RandomisationConfig(models=1, delay_steps=(0, 5)))
+
+
+def test_the_default_delay_ends_with_a_control_step_of_fewer_physics_steps(robot):
+    quick = copy.copy(robot)
+    quick.spec = replace(robot.spec, control_rate_hz=100.0, substeps=2)  # two steps of 5 ms
+    env = quick.make_env("mujoco", 1, 64, EnvConfig(threads=1))
+    assert sorted(set(env.delay.flatten().tolist())) == [0, 1, 2]
+    env.close()
+    assert delay_seconds(EnvConfig(), quick.spec) == (0.0, 0.01)
+    assert delay_seconds(EnvConfig(), robot.spec) == (0.0, 0.015)
+    chosen = EnvConfig(threads=1, randomisation=RandomisationConfig(delay_steps=(1, 3)))
+    with pytest.raises(ConfigError, match=r"below finetune.env of a run.*: 3 physics steps .* \(2 of them\)"):
+        quick.make_env("mujoco", 1, 4, chosen)
 
 
 def test_delays_may_be_said_in_shares_of_a_control_step():

@@ -12,7 +12,10 @@ import pytest
 
 from hts.cli.commands import COMMANDS
 from hts.config import EnvConfig, PPOConfig
+from hts.config_gate import GateConfig
+from hts.config_loading import load_config
 from hts.envs import rewards
+from hts.envs.commands import LEAST_SPEED
 from hts.plugins import load
 from hts.presets import PRESETS
 
@@ -40,6 +43,24 @@ def test_every_file_that_a_page_names_is_there(page):
     named = set(re.findall(rf"(?<![\w/.-])((?:{folders})/[\w./-]+\.(?:py|json|md|yaml)\b)", text))
     theirs = THEIRS.get(str(page.relative_to(DOCS)) if page.is_relative_to(DOCS) else "", set())
     assert {name for name in named - theirs if not (REPOSITORY / name).exists()} == set()
+
+
+def test_the_file_for_a_robot_of_another_size_holds_settings_and_what_the_presets_have_instead(tmp_path):
+    page = (DOCS / "your-robot.md").read_text()
+    (text,) = re.findall(r'^```yaml title="small.yaml"\n(.*?)^```$', page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "small.yaml").write_text(text)
+    small, quick = load_config(file=tmp_path / "small.yaml", objectives=["power"]), PRESETS["quick"]
+    low, high = small.finetune.env.commands.vx
+    assert all(low < speed < high for speed in small.evaluation.speeds)
+    assert small.finetune.ppo.gamma == pytest.approx(
+        quick["finetune"]["ppo"].get("gamma", PPOConfig().gamma) ** 0.5, abs=1e-4
+    )
+    for preset in (quick, PRESETS["paper"]):
+        env = preset["finetune"]["env"]
+        assert env["commands"]["vx"] == [0.2, 1.5] and preset["evaluation"]["speeds"] == [0.5, 0.8, 1.1]
+        assert env["randomisation"]["added_mass"] == [-1.0, 3.0] == list(GateConfig().payload)
+        assert env["randomisation"]["push_speed"] == 0.8 and env["reward_weights"]["termination"] == -500.0
+    assert LEAST_SPEED == 0.3 and "commands below 0.3 m/s are left out" in page
 
 
 def test_the_settings_that_the_pages_state_are_those_of_the_code():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,6 +123,39 @@ def test_targets_do_not_stand_in_for_what_was_measured(tmp_path, two_joints):
         "joint_torque": "target_moment_{joint}",
         "joint_target": "target_q_{joint}",
     }
+
+
+@pytest.mark.parametrize("between", [".", "-", " ", "_"])
+def test_a_log_may_part_the_words_of_joints_otherwise(tmp_path, two_joints, between):
+    two_joints.spec = replace(two_joints.spec, joint_names=("LF_hip", "LF_knee"))
+    names = [f"LF{between}{part}{between}{what}" for what in ("angle", "rate", "tau") for part in ("hip", "knee")]
+    (tmp_path / "log.csv").write_text(csv_of({"t": 20 * STEPS, **dict.fromkeys(names, STEPS / 100)}))
+    given = yaml.safe_load(suggested_mapping(tmp_path / "log.csv", two_joints))
+    assert given["joints"] == {"LF_hip": f"LF{between}hip", "LF_knee": f"LF{between}knee"}
+    found = {name: one["columns"].replace("{joint}" + between, "") for name, one in given["channels"].items()}
+    assert found == {"joint_position": "angle", "joint_velocity": "rate", "joint_torque": "tau"}
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("I_bat_mA", "mA"),
+        ("busVoltage_mV", "mV"),
+        ("CURRENT_MA", "mA"),
+        ("supplyAmps", "A"),
+        ("U_bat", "V"),
+        ("P_bat", "W"),
+        ("I_main", "A"),
+        ("P_gain", None),
+        ("u", None),
+        ("mAh_used", None),
+    ],
+)
+def test_a_gauge_is_known_by_its_unit_or_its_symbol(tmp_path, two_joints, name, unit):
+    log = tmp_path / "log.csv"
+    log.write_text(csv_of({"t": 20 * STEPS, "tau_hip": STEPS / 10, "tau_knee": STEPS / 10, name: 5 + STEPS % 7}))
+    channels = yaml.safe_load(suggested_mapping(log, two_joints))["channels"]
+    assert channels.get(name.lower(), {}).get("unit") == unit
 
 
 def test_arrays_of_an_npz_and_lists_of_a_parquet_are_understood(tmp_path, two_joints):

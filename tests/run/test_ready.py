@@ -315,5 +315,6 @@ def test_a_sensor_without_an_idle_level_is_found_before_a_robot_walks(install, i
 def test_a_trunk_that_would_weigh_nothing_is_one_line_with_its_key_and_mass(key):
     check("fake", "known", "tiny", "mujoco", f"{key}=[-1.0, 1.0]")
     said = refusal(ConfigError, "fake", "known", "tiny", "mujoco", f"{key}=[-20.0, 1.0]")
-    assert said.startswith(f"{key.removeprefix('finetune.env.')}: -20 kg would leave nothing of the trunk of 'tiny'")
+    where = key.removeprefix("finetune.env.")
+    assert said.startswith(where) and ": -20 kg would leave nothing of the trunk of 'tiny'" in said
     assert re.search(r"which weighs [\d.]+ kg\. Raise the lower end\.$", said)

@@ -105,6 +105,16 @@ def test_commands_in_another_unit_are_refused_before_anything_is_written(tmp_pat
     assert not list((tmp_path / "mine").glob("*.json"))
 
 
+def test_settings_that_no_env_can_be_made_with_leave_nothing_to_go_on_with(tmp_path, capsys):
+    command = ["pretrain", "--robot", "go1", "--engine", "mujoco", "--out", str(tmp_path / "mine")]
+    assert main([*command, "--set", "env.randomisation.delay_steps=[0,9]"]) == 2
+    said = capsys.readouterr().err
+    assert "9 physics steps are longer" in said and "goes on" not in said  # it would end so again
+    assert list((tmp_path / "mine").iterdir()) == []
+    assert main([*command, "--set", "env.commands.yaw_rate=[-57, 57]"]) == 2  # the same folder: nothing was begun
+    assert "env.commands.yaw_rate: expected at most 20 rad/s" in capsys.readouterr().err
+
+
 def test_the_command_says_how_it_goes_on_and_does(monkeypatch, tmp_path, capsys):
     place, asked = tmp_path / "mine", []
     for key, value in {"num_envs": 2, "steps": 64, "hidden": [8], "ppo.horizon": 8, "ppo.minibatches": 2}.items():

@@ -44,6 +44,30 @@ def test_when_the_logs_are_in_the_same_request_goes_on(run, policy, robot):
     assert field(run).idle() == {"battery_current": 1.3, "battery_voltage": 23.0}
 
 
+def test_a_gauge_that_counts_in_another_unit_is_read_in_the_objectives(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    fill_in(run)
+    path = run / "field" / "mapping.yaml"
+    mapping = yaml.safe_load(path.read_text())
+    mapping["channels"]["battery_current"] |= {"unit": "mA", "scale": 1000.0, "idle": 1300.0}  # the log is in A
+    path.write_text(yaml.safe_dump(mapping))
+    write_log(bundle(run) / "logs" / "00.csv", robot)
+    (found,) = field(run).collect([policy], walking(0.5, SECONDS))
+    assert found.channels["battery_current"].channel.unit == "A"
+    assert found.values("battery_current").mean() == pytest.approx(5.0, abs=0.1)
+    assert found.idle == field(run).idle() == pytest.approx({"battery_current": 1.3, "battery_voltage": 23.0})
+    assert found.notes["units_converted"] == "battery_current mA to A"
+    mapping["channels"]["battery_current"]["unit"] = "V"
+    path.write_text(yaml.safe_dump(mapping))
+    with pytest.raises(
+        ConfigError, match=r"^Row 00: \S*mapping.yaml: 'battery_current' is in V, objective 'power' nee"
+    ):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    with pytest.raises(ConfigError, match=r"mapping.yaml: 'battery_current' is in V, objective 'power' needs A"):
+        field(run).idle()
+
+
 def test_a_head_to_head_asks_for_its_blocks_in_the_order_that_cancels_drift(run, policy, robot):
     with pytest.raises(WaitingForRobot, match="4 of 4 logs"):
         field(run).head_to_head(policy, policy, [0.8])

@@ -123,6 +123,9 @@ def test_a_delay_in_shares_of_a_control_step_is_told_in_seconds(robot):
     card = SimpleNamespace(made={"config": {"env": {"randomisation": ranges, "commands": {}}}})
     told = _trained(card, SimpleNamespace(run=None, spec=robot.spec))
     assert told["delay_s"] == pytest.approx((0.01, 0.02))  # a control step of 20 ms
+    del ranges["delay_share"]
+    two = SimpleNamespace(physics_dt=0.005, substeps=2)  # the default, 0 to 3, ends with a control step
+    assert _trained(card, SimpleNamespace(run=None, spec=two))["delay_s"] == pytest.approx((0.0, 0.01))
 
 
 @pytest.mark.parametrize(("made", "known"), [({"anchor": "0" * 64}, True), ({"kind": "rsl_rl"}, False), ({}, False)])

@@ -206,7 +206,8 @@ def _has_env(robot: Robot) -> bool:
 
 
 def _config() -> EnvConfig:
-    return EnvConfig(threads=1, randomisation=RandomisationConfig(models=2))
+    """What any robot can be tried in: loads are in kg, and the default leaves nothing of a light trunk."""
+    return EnvConfig(threads=1, randomisation=RandomisationConfig(models=2, added_mass=(0.0, 0.0)))
 
 
 def _env(robot: Robot, count: int, config: EnvConfig, asked: Sequence[str], seeds: Sequence[int] | None = None) -> Any:
