@@ -41,7 +41,6 @@ from hts.worlds.field_logs import (
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
 
-
 SHORT_SECONDS = 0.1
 """A log is so much shorter than its row before it is looked at twice: a few samples, which rounding leaves out."""
 
