@@ -62,6 +62,9 @@ def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = J
         job = kind(config, folder, registry, stages)
         try:
             summary = algorithm_1(job)
+        except Exception as error:
+            stages.check_there(error)
+            raise
         finally:
             job.close()
     finally:

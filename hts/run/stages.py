@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import math
+import os
 import time
 from collections.abc import Callable
 from functools import cached_property
@@ -81,6 +82,7 @@ class Stages:
         if not take_lock(self._lock):
             self._lock.close()
             raise RunError(f"{folder}: another process is working in it. Wait for it, or stop it first.")
+        self._files = [entry.name for entry in folder.iterdir() if entry.is_file()]
 
     def do(self, name: str, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
         """Result of a stage: from `name`.json if it is done, else of work(report share done), stored there.
@@ -91,13 +93,34 @@ class Stages:
         if path.exists():
             self.progress.skip(1)
             return self._read(path)
+        self.check_there()
         started = time.perf_counter()
         with self.progress.stage(title) as report:
             result = work(report)
+        self.check_there()
         write_json(path, result)
         self._times[name] = round(time.perf_counter() - started, 3)
         write_json(self.folder / TIMES, self._times)
         return read_json(path)
+
+    def check_there(self, cause: Exception | None = None) -> None:
+        """Raise RunError if the folder is not under its name any more: what is written there would make another one.
+
+        cause: what went wrong, which may come of that.
+        """
+        if self._is_gone():
+            raise RunError(
+                f"{self.folder}: was moved, renamed or deleted while the run worked in it. Resume it where it lies now "
+                "(`hts resume DIR`), and delete what was written under the old name since, if anything is there."
+            ) from cause
+
+    def _is_gone(self) -> bool:
+        if self._lock is None:
+            return False
+        try:
+            return not os.path.samestat(os.fstat(self._lock.fileno()), os.stat(self.folder / ".lock"))
+        except (FileNotFoundError, NotADirectoryError):  # of the lock alone, somebody may have thought that it is left
+            return not any((self.folder / name).exists() for name in self._files)
 
     def seconds(self) -> dict[str, float]:
         """How long each finished stage took, s; only those since, where the file of them was damaged."""

@@ -6,6 +6,7 @@ command to type next. When the logs lie in the bundle, the same request reads th
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +27,7 @@ from hts.recordings.recording import Recording
 from hts.worlds import field_holding
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits, write_bundle
+from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, stamps, whole
 from hts.worlds.field_logs import (
     FOLDER,
     check_all_differ,
@@ -38,6 +40,9 @@ from hts.worlds.field_logs import (
     described,
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
+
+SHORT_SECONDS = 0.1
+"""A log is so much shorter than its row before it is looked at twice: a few samples, which rounding leaves out."""
 
 
 class FieldSettings(Config):
@@ -233,14 +238,22 @@ class FieldWorld(World):
             write_bundle(bundle, orders, self._mapping_path(), self._command(), facts, self._robot.task(), hold)
         except OSError as error:
             raise WorldError(f"{bundle}: the deploy bundle cannot be written ({error.strerror}).") from error
-        files = {order.name: _log_files(bundle / "logs", order.name) for order in orders}
+        files = {order.name: log_files(bundle / "logs", order.name) for order in orders}
         missing = [name for name, found in files.items() if not found]
         if missing:
             raise WaitingForRobot(
                 f"Waiting for {len(missing)} of {len(orders)} logs from the robot ({bundle}/logs/{missing[0]}.csv and "
-                f"so on). What to record is in {bundle}/README.md; then type: {self._command()}"
+                f"so on). {beside(bundle / 'logs', missing)}What to record is in {bundle}/README.md; then type: "
+                f"{self._command()}"
             )
-        recordings = [self._read(files[order.name], order, bundle) for order in orders]
+        before = stamps(file for found in files.values() for file in found)
+        recordings = []
+        for order in orders:
+            with whole(files[order.name], self._command()):
+                recordings.append(self._read(files[order.name], order, bundle))
+        if any(_ends_early(recording) for recording in recordings):
+            time.sleep(LOOK_AGAIN_SECONDS)
+        check_still(before, self._command())
         check_all_differ([files[order.name][0] for order in orders], recordings)
         if held:
             field_holding.check_one_command(recordings)
@@ -278,7 +291,8 @@ class FieldWorld(World):
         if abs(longer) > 0.1 * order.schedule.seconds and not (longer < 0 and recording.fell):
             raise RecordingError(
                 f"{files[0]}: {recording.seconds:.1f} s long, but {order.schedule.seconds:g} s were to be recorded. "
-                "Cut the log to the block it belongs to, or record it again; if the robot fell there, say "
+                "If not all of it was copied, copy it again; cut the log to the block it belongs to, or record it "
+                "again; if the robot fell there, say "
                 f"recording.fell: true in the log's own mapping, logs/{FOLDER}/{order.name}.yaml."
             )
         if self._hold is not None and order.role != "collection":
@@ -368,11 +382,6 @@ class FieldWorld(World):
         return self._context.command or f"hts resume {quote(str(self._run_folder()))}"
 
 
-def _log_files(folder: Path, name: str) -> list[Path]:
-    """Files of one log: NAME.something, or everything in a folder NAME."""
-    try:
-        inside = folder / name
-        found = inside.iterdir() if inside.is_dir() else folder.glob(f"{name}.*")
-        return sorted(path for path in found if path.is_file())
-    except OSError as error:
-        raise WorldError(f"{folder}: cannot be read ({error.strerror}).") from error
+def _ends_early(recording: Recording) -> bool:
+    """Whether a log may be a copy of which the end has still to come."""
+    return "last_line_dropped" in recording.notes or recording.seconds < recording.schedule.seconds - SHORT_SECONDS

@@ -20,6 +20,7 @@ from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
 from hts.policies.gate_notes import refusal
 from hts.policies.proof import unproven
+from hts.recordings.partial import publish
 from hts.worlds.field_manifest import WARMUP_SECONDS, Facts, first_runs, gate_of, manifest, policy_entry
 from hts.worlds.field_runner import runner, who_does_the_rows
 
@@ -202,18 +203,17 @@ def write_bundle(
     task: Task = VELOCITY,
     hold: Sequence[str] = (),
 ) -> None:
-    """Write policies, cards, manifest, plan, instructions and checksums; complete or not at all. A bundle that is there
-    stays as it is."""
+    """Write policies, cards, manifest, plan, instructions and checksums; complete or not at all, on the disk when this
+    returns. A bundle that is there stays as it is, so half of one that a power cut left would stay too."""
     if folder.exists():
         return
     temporary = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
         _fill(temporary, orders, mapping, command, facts, task, hold)
-    except BaseException:
+        publish(temporary, folder)
+    finally:
         shutil.rmtree(temporary, ignore_errors=True)
-        raise
-    temporary.rename(folder)
 
 
 def _fill(

@@ -7,6 +7,7 @@ import io
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -173,3 +174,41 @@ def test_a_log_file_is_told_how_long_it_takes_every_15_seconds(monkeypatch):
         now[0] = 120.0
         report(0.25)  # a quarter took 20 s, so three more take 60 s
     assert file.getvalue().splitlines() == ["[1/1] walk", "     25%, about 60 s left", "[1/1] walk: 20.0 s"]
+
+
+@pytest.mark.parametrize("by", ["moved", "deleted", "another in its place"])
+def test_a_folder_that_goes_away_while_a_stage_works_stops_the_run_and_is_not_made_anew(tmp_path, by):
+    folder = tmp_path / "run"
+    (folder / "iterations").mkdir(parents=True)
+    (folder / "config.yaml").write_text("")
+    stages = Stages(folder, Progress(3, Console(quiet=True)))
+
+    def work(report):
+        if by == "deleted":
+            shutil.rmtree(folder)
+        else:
+            folder.rename(tmp_path / "elsewhere")
+        if by == "another in its place":
+            Stages(folder_of_another(folder), Progress(3, Console(quiet=True))).close()
+        return 1
+
+    with pytest.raises(RunError, match=r"run: was moved, renamed or deleted while .* Resume it where it lies now"):
+        stages.do("iterations/00/fit", "fit", work)
+    assert not (folder / "iterations").exists()
+    with pytest.raises(RunError, match="was moved"):
+        stages.do("collect", "collect", lambda report: pytest.fail("begun in a folder that is not there"))
+    stages.close()
+
+
+def folder_of_another(folder):
+    folder.mkdir()
+    (folder / "config.yaml").write_text("")
+    return folder
+
+
+def test_a_lock_that_somebody_deletes_stops_no_run(tmp_path):
+    (tmp_path / "config.yaml").write_text("")
+    stages = Stages(tmp_path, Progress(3, Console(quiet=True)))
+    (tmp_path / ".lock").unlink()
+    assert stages.do("collect", "collect", lambda report: [1]) == [1]
+    stages.close()

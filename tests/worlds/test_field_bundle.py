@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -352,3 +353,26 @@ def test_a_mapping_that_is_built_wrongly_is_named_with_file_and_key(run, policy,
     with pytest.raises(RecordingError, match=rf"{own if whose == 'own' else beside}: {said}") as caught:
         self_described(lambda mapping: mapping.update(change) if whose == "beside" else None)
     assert "\n" not in str(caught.value)
+
+
+def test_a_bundle_is_on_the_disk_before_it_has_its_name(run, policy, monkeypatch):
+    order, fsync, rename = [], os.fsync, os.rename
+
+    def synced(handle):
+        order.append(Path(os.readlink(f"/proc/self/fd/{handle}")))
+        fsync(handle)
+
+    def renamed(old, new):
+        order.append("rename")
+        rename(old, new)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "rename", renamed)
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    found = bundle(run)
+    files = {path.relative_to(found) for path in found.rglob("*") if path.is_file()}
+    before = order[: order.index("rename")]
+    assert len(files) > 5
+    assert files <= {path.relative_to(part) for path in before for part in path.parents if part.suffix == ".partial"}
+    assert order[-1] == found.parent

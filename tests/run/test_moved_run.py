@@ -1,0 +1,29 @@
+"""A run's folder that goes away while the run works in it."""
+
+from __future__ import annotations
+
+import pytest
+
+from hts.errors import RunError
+from hts.run import algorithm, resume_run
+from hts.testing.packages import kit_installed
+from hts.testing.tiny_run import tiny_run
+
+
+def test_what_fails_because_the_folder_was_moved_says_that_it_was(tmp_path, monkeypatch):
+    folder, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    with kit_installed():
+        tiny_run(folder)
+        (folder / "report.html").unlink()
+
+        def report(where):
+            where.rename(elsewhere)
+            (where / "report.html").read_text()
+
+        with monkeypatch.context() as patched:
+            patched.setattr(algorithm, "write_report", report)
+            with pytest.raises(RunError, match="run: was moved, renamed or deleted"):
+                resume_run(folder)
+        assert not folder.exists()
+        resume_run(elsewhere)
+    assert (elsewhere / "report.html").exists()

@@ -1,0 +1,129 @@
+"""Logs of the world `field` that are still being copied, and what else lies beside them."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+
+import pytest
+from field_folder import SECONDS, bundle, field, fill_in, write_log
+
+from hts.errors import ConfigError, RecordingError, WaitingForRobot
+from hts.worlds import field_files
+from hts.worlds.base import walking
+
+ASKED = walking(0.5, SECONDS)
+
+
+@pytest.fixture
+def logs(run, policy, robot):
+    """The folder of logs of a bundle of one row, with its log."""
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], ASKED)
+    fill_in(run)
+    logs = bundle(run) / "logs"
+    write_log(logs / "00.csv", robot)
+    return logs
+
+
+@pytest.fixture
+def slow_copy(logs, monkeypatch):
+    """slow_copy(share): begin copying the log anew, wait with the rest until somebody looks again."""
+    content = (logs / "00.csv").read_bytes()
+
+    def begin(share: float) -> None:
+        (logs / "00.csv").write_bytes(content[: int(len(content) * share)])
+
+        def rest(seconds: float) -> None:
+            (logs / "00.csv").write_bytes(content)
+
+        monkeypatch.setattr(field_files.time, "sleep", rest)
+
+    return begin
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.95], ids=lambda share: f"{share:.0%}")
+def test_a_log_that_is_still_being_copied_is_waited_for(run, policy, slow_copy, share):
+    slow_copy(share)
+    with pytest.raises(WaitingForRobot, match=r"00\.csv: is still being written \(\d+ bytes, now .*hts resume"):
+        field(run).collect([policy], ASKED)
+    assert field(run).collect([policy], ASKED)[0].seconds == pytest.approx(SECONDS)
+
+
+def test_a_copy_that_grows_while_it_is_read_is_waited_for(run, policy, logs):
+    content, stop = (logs / "00.csv").read_bytes(), threading.Event()
+    lines = content.splitlines(keepends=True)
+
+    def copy():
+        with (logs / "00.csv").open("wb", buffering=0) as file:
+            file.write(b"".join(lines[:-5]))
+            while not stop.wait(0.3):
+                file.write(lines[-5])
+
+    copier = threading.Thread(target=copy)
+    copier.start()
+    time.sleep(0.1)
+    try:
+        with pytest.raises(WaitingForRobot, match="is still being written"):
+            field(run).collect([policy], ASKED)
+    finally:
+        stop.set()
+        copier.join()
+
+
+@pytest.mark.parametrize(("share", "words"), [(0.5, "If not all of it was copied, copy it again"), (0.0, "Empty")])
+def test_a_copy_that_ended_early_and_grows_no_more_is_refused_as_it_is(run, policy, logs, monkeypatch, share, words):
+    monkeypatch.setattr(field_files.time, "sleep", lambda seconds: None)
+    content = (logs / "00.csv").read_bytes()
+    (logs / "00.csv").write_bytes(content[: int(len(content) * share)])
+    with pytest.raises(RecordingError, match=words):
+        field(run).collect([policy], ASKED)
+
+
+@pytest.mark.parametrize("ending", [".part", ".PART", ".filepart", ".crdownload", ".partial"])
+@pytest.mark.parametrize("beside", [True, False], ids=["beside the log", "alone"])
+def test_a_file_whose_name_says_that_it_is_being_copied_is_no_log(run, policy, logs, ending, beside):
+    if beside:
+        (logs / f"00.csv{ending}").write_text("time,")
+    else:
+        (logs / "00.csv").rename(logs / f"00.csv{ending}")
+    with pytest.raises(WaitingForRobot, match=rf"1 of 1 logs .* Still being copied, by its name: 00\.csv{ending}\. "):
+        field(run).collect([policy], ASKED)
+
+
+@pytest.mark.parametrize(
+    "name", ["00.csv~", "._00.csv", ".DS_Store", "Thumbs.db", "desktop.ini", ".00.csv.swp", "00.csv:Zone.Identifier"]
+)
+@pytest.mark.parametrize("inside", [True, False], ids=["folder of the row", "folder of logs"])
+def test_what_editors_and_file_managers_leave_beside_a_log_is_none(run, policy, logs, name, inside):
+    if inside:
+        (logs / "00").mkdir()
+        (logs / "00.csv").rename(logs / "00" / "00.csv")
+    ((logs / "00" if inside else logs) / name).write_bytes(b"\0\5\x16\7")
+    assert len(field(run).collect([policy], ASKED)) == 1
+
+
+@pytest.mark.parametrize("left", [(), (".DS_Store",)])
+def test_an_empty_folder_of_a_row_hides_no_log(run, policy, logs, left):
+    (logs / "00").mkdir()
+    for name in left:
+        (logs / "00" / name).touch()
+    assert len(field(run).collect([policy], ASKED)) == 1
+
+
+@pytest.mark.parametrize("name", ["0.csv", "00 (1).csv", "row-00.csv", "00_second.csv", "000.csv"])
+def test_a_log_whose_name_is_almost_a_rows_is_named_with_the_row(run, policy, logs, name):
+    (logs / "00.csv").rename(logs / name)
+    with pytest.raises(WaitingForRobot) as waiting:
+        field(run).collect([policy], ASKED)
+    assert f"'{name}' is no row's name: if it is the log of row 00, call it 00.csv. What to record" in str(
+        waiting.value
+    )
+
+
+@pytest.mark.parametrize("name", ["00.CSV", "00.csv.bak"])
+def test_a_second_copy_under_a_rows_name_is_for_a_person_to_take_away(run, policy, logs, name):
+    shutil.copy(logs / "00.csv", logs / name)
+    with pytest.raises(ConfigError, match="2 files for one recording: .* Take away those that are no log of it"):
+        field(run).collect([policy], ASKED)
