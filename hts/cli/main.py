@@ -49,7 +49,14 @@ def _done(arguments: list[str]) -> Any:
         print(f"hts {__version__}")
         return 0
     from hts.cli.group import hts_group
+    from hts.errors import RunError
 
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:  # libraries end the process then
+        raise RunError(
+            "The folder in which hts is typed was moved away or deleted. `cd` to one that is there."
+        ) from error
     return hts_group().main(args=arguments or ["--help"], prog_name="hts", standalone_mode=False)
 
 
