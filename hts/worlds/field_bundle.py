@@ -204,7 +204,7 @@ def write_bundle(
     hold: Sequence[str] = (),
 ) -> None:
     """Write policies, cards, manifest, plan, instructions and checksums; complete or not at all, on the disk when this
-    returns. A bundle that is there stays as it is, so half of one that a power cut left would stay too."""
+    returns. A bundle that is there stays as it is, so half of one that a crash left would stay too."""
     if folder.exists():
         return
     temporary = folder.with_name(f".{folder.name}.partial")
