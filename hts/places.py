@@ -45,12 +45,21 @@ def place_fault(number: int, option: str = "") -> str | None:
     return None if found is None else found.format(option=f" with {option}" if option else "")
 
 
+def check_text(place: Path, remedy: str) -> None:
+    """Raise RunError for a path with bytes that are no UTF-8: some libraries open no such file. remedy: what to do."""
+    try:
+        os.fsencode(place).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise RunError(f"{place}: a name in this path is no text (bytes that are not UTF-8). {remedy}") from error
+
+
 def check_place(place: Path, option: str, *, file: bool = False) -> None:
     """Raise RunError unless a folder, or a file, can be made at `place`; option: what names it, such as "--out DIR".
 
     It is tried: a folder with the same names is made beside it and taken away again. A folder that is there counts as
     made; whether it may be used is for the caller to say.
     """
+    check_text(place, f"Choose another place with {option}.")
     above = place.parent if file else place
     while not os.path.lexists(above) and above != above.parent:
         above = above.parent

@@ -123,3 +123,10 @@ def test_a_fit_refuses_its_place_before_it_reads_the_store(places, capsys):
     words = ["fit", "--objective", "power", "--data", str(places / "no.zarr"), "--out", str(places / "afile/fit")]
     assert main(words) == 2
     assert "afile is a file, not a folder" in capsys.readouterr().err
+
+
+def test_a_name_that_is_no_text_is_refused_before_anything_is_made(tmp_path):
+    with pytest.raises(RunError, match=r"no text \(bytes that are not UTF-8\)\. Choose another place with --out DIR"):
+        check_place(tmp_path / os.fsdecode(b"b\xffd") / "run", "--out DIR")
+    check_place(tmp_path / "Größe λ" / "run", "--out DIR")
+    assert list(tmp_path.iterdir()) == []

@@ -8,7 +8,15 @@ FEWER = (
 )
 INSTEAD = "or go without a GPU: --engine mujoco"
 
-MEMORY = ("out of memory", "failed to allocate", "can't allocate memory", "cannot allocate memory")
+MEMORY = (
+    "out of memory",
+    "failed to allocate",
+    "can't allocate memory",
+    "cannot allocate memory",
+    "std::bad_alloc",
+    "failed to map segment from shared object",  # of a library that is loaded only now
+)
+THREADS = "can't start new thread"
 DRIVER = ("driver version is insufficient", "driver on your system is too old", "unsupported ptx", "ptx was compiled")
 ABSENT = ("no cuda-capable device", "no nvidia driver", "no cuda gpus are available", "not compiled with cuda")
 BROKEN = ("cuda error", "cuda driver error", "cublas_status", "cudnn_status")
@@ -23,7 +31,7 @@ def device_fault(error: BaseException | None) -> str | None:
     while error is not None:
         if isinstance(error, MemoryError):
             return f"Out of memory. {FEWER}."
-        if isinstance(error, (RuntimeError, AssertionError)):
+        if isinstance(error, (RuntimeError, AssertionError, ImportError, OSError)):
             found = _in_text(str(error))
             if found:
                 return found
@@ -35,6 +43,11 @@ def _in_text(text: str) -> str | None:
     low, first = text.lower(), text.strip().split("\n")[0].rstrip(". ")
     if any(phrase in low for phrase in MEMORY):
         return f"Out of memory ({_short(first)}). {FEWER}."
+    if THREADS in low:
+        return (
+            "The system starts no more threads: memory, or what one user may start, is used up. Raise the limit "
+            "(`ulimit -u`, `ulimit -v`), or end other programs."
+        )
     if any(phrase in low for phrase in DRIVER):
         return (
             f"The NVIDIA driver is too old for the installed packages ({_short(first)}). Update the driver, {INSTEAD}."

@@ -6,6 +6,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 INTERRUPTED = 130  # 128 + SIGINT, what shells expect
 
@@ -13,30 +14,50 @@ INTERRUPTED = 130  # 128 + SIGINT, what shells expect
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the exit status. HTS_DEBUG=1 shows tracebacks instead of one line."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if arguments == ["--version"]:
-        from hts import __version__
+    try:
+        return _ended(arguments)
+    except KeyboardInterrupt:  # also while modules are imported
+        return INTERRUPTED
 
-        print(f"hts {__version__}")
-        return 0
 
+def _ended(arguments: list[str]) -> int:
     # dm_control looks for a display when it is imported and warns without one; nothing here needs it.
     warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")
-    from hts.cli.group import hts_group
     from hts.cli.one_line import one_line
+    from hts.cli.output import NobodyReads, careful_output, say_last
     from hts.cli.printable import printable
 
     try:
-        status = hts_group().main(args=arguments or ["--help"], prog_name="hts", standalone_mode=False)
-    except KeyboardInterrupt:
-        return INTERRUPTED
+        with careful_output():
+            status = _done(arguments)
+    except NobodyReads:  # who ended the pipe knows
+        return 1
     except Exception as error:
         explained = one_line(error)
         if explained is None or os.environ.get("HTS_DEBUG") == "1":
             raise
         line, code = explained
-        print(printable(line), file=sys.stderr)
+        say_last(printable(line))
         return code
     return status if isinstance(status, int) else 0
+
+
+def _done(arguments: list[str]) -> Any:
+    if arguments == ["--version"]:
+        from hts import __version__
+
+        print(f"hts {__version__}")
+        return 0
+    from hts.cli.group import hts_group
+    from hts.errors import RunError
+
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:  # libraries end the process then
+        raise RunError(
+            "The folder in which hts is typed was moved away or deleted. `cd` to one that is there."
+        ) from error
+    return hts_group().main(args=arguments or ["--help"], prog_name="hts", standalone_mode=False)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +12,8 @@ from pathlib import Path
 import typer
 
 from hts.cli.device_faults import device_fault
+from hts.cli.output import OutputFault, say_last
+from hts.cli.told_to_end import ToldToEnd, told_to_end
 from hts.errors import HtsError, PluginError, RunError, UnfitWorldError, WaitingForRobot
 from hts.places import place_fault
 
@@ -72,13 +73,16 @@ def resumable(folder: Path | None, begun: str = "config.yaml", option: str = "--
 
     threading.excepthook = _in_a_thread
     try:
-        yield
-    except KeyboardInterrupt:
-        if left():
-            print(f"\nstopped: `hts resume {folder}` goes on", file=sys.stderr)
-        else:
-            print("\nstopped before anything was written", file=sys.stderr)
-        raise typer.Exit(130) from None
+        with told_to_end():
+            yield
+    except KeyboardInterrupt as stop:
+        by = f" by {stop.name}" if isinstance(stop, ToldToEnd) else ""
+        say_last(f"\nstopped{by}" + (f": `hts resume {folder}` goes on" if left() else " before anything was written"))
+        raise typer.Exit(stop.exit_code if isinstance(stop, ToldToEnd) else 130) from None
+    except OutputFault as error:
+        if not left():
+            raise
+        raise RunError(f"{error} `hts resume {folder}` then goes on.") from error
     except HtsError as error:
         said = str(error)
         advised = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in said or "begin anew" in said
@@ -97,7 +101,7 @@ def resumable(folder: Path | None, begun: str = "config.yaml", option: str = "--
 
 def _in_a_thread(what: threading.ExceptHookArgs) -> None:
     """A thread that a disk stopped (TensorBoard writes in one) need not show it: who waits for it will say it."""
-    if disk_fault(what.exc_value) is None:
+    if not isinstance(what.exc_value, OutputFault) and disk_fault(what.exc_value) is None:
         threading.__excepthook__(what)
 
 

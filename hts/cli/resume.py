@@ -12,8 +12,9 @@ def command(folder: options.RunFolder) -> None:
     only shows its result again."""
     from hts.cli.one_line import resumable
     from hts.cli.run_folder import existing_run
-    from hts.places import PRETRAINING
+    from hts.places import PRETRAINING, check_text
 
+    check_text(folder, "Rename it, and resume it then: nothing is lost.")
     if (folder / PRETRAINING).is_file():
         from hts.cli.pretrain import tell
         from hts.training.pretrain import resume_pretraining

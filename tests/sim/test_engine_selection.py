@@ -6,6 +6,7 @@ so.
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -182,6 +183,10 @@ def test_a_run_out_of_memory_says_how_it_goes_on(tmp_path):
             RuntimeError("[enforce fail at alloc_cpu.cpp] DefaultCPUAllocator: can't allocate memory: you tried"),
             "Out of",
         ),
+        (RuntimeError("std::bad_alloc"), "Out of memory (std::bad_alloc)"),
+        (ImportError("/lib/x.so: failed to map segment from shared object"), "Out of memory (/lib/x.so: failed to map"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "Out of memory ([Errno 12] Cannot allocate memory)"),
+        (RuntimeError("can't start new thread"), "starts no more threads: memory, or what one user may start"),
         (RuntimeError(OLD), "driver is too old"),
         (RuntimeError("CUDA driver version is insufficient for CUDA runtime version"), "driver is too old"),
         (RuntimeError("No CUDA GPUs are available"), "No CUDA device"),
@@ -195,7 +200,16 @@ def test_what_the_libraries_say_becomes_what_to_do(error, expected):
     assert one_line(error) == (f"error: {fault}", 2)
 
 
-@pytest.mark.parametrize("error", [RuntimeError("shape mismatch"), ValueError("out of memory"), KeyError("cuda error")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        RuntimeError("shape mismatch"),
+        ValueError("out of memory"),
+        KeyError("cuda error"),
+        ImportError("No module named 'x'"),
+        OSError(errno.ENOENT, "No such file or directory", "x"),
+    ],
+)
 def test_other_errors_keep_their_traceback(error):
     assert device_fault(error) is None and one_line(error) is None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -92,6 +93,8 @@ class Child:
         text = self._log_path.read_text(encoding="utf-8", errors="replace")
         said = " | ".join([line.strip() for line in text.splitlines() if line.strip()][-TAIL_LINES:]) or "nothing"
         how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
+        if -code == signal.SIGKILL:
+            how += " (which the system sends to what takes more memory than there is)"
         return WorldError(
             f"The twin's process ended {how}; it said: {said} (all of it in {self._log_path}). `hts resume` tries "
             "again."
