@@ -124,6 +124,13 @@ class CommandConfig(Config):
         (), description="test speeds, m/s: env instance n walks straight at fixed[n mod len], for good"
     )
     stand: float = Field(0.05, ge=0, le=1, description="share of env instances with the command to stand still")
+    stand_below: float = Field(0.2, ge=0, description="a slower command, forward and sideways together, is 0, m/s")
+    held_from: float = Field(
+        0.3,
+        gt=0,
+        description="where fine-tuning holds the speed: slower forward commands are left out, since little is a large "
+        "share of them, m/s",
+    )
 
 
 class EnvConfig(Config):

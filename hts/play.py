@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hts.errors import ConfigError, RunError, SimulationError
+from hts.task_settings import check_speeds
 
 if TYPE_CHECKING:
     import mujoco
@@ -54,7 +55,7 @@ def play(
     speed: commanded, m/s; video: a file that does not exist yet, such as walk.mp4; seconds: of the video (a window
     stays until it is closed); robot: by name, without a run only, by default that of the policy file.
     Raises SimulationError where there is nothing to draw with, or an action is not finite, RunError if the video
-    exists, ConfigError for a speed that is not finite or a robot that cannot be played here.
+    exists, ConfigError for a speed that is not finite or in another unit, or a robot that cannot be played here.
     """
     if not math.isfinite(speed):
         raise ConfigError(f"--speed {speed}: expected a finite number, m/s.")
@@ -67,6 +68,7 @@ def play(
             "Write a video instead: --video walk.mp4"
         )
     walk = _of_a_file(policy, robot, speed) if folder is None else _of_a_run(Path(folder), policy, robot, speed)
+    check_speeds((speed,), walk.robot, "--speed")
     name = walk.robot.spec.name
     print(f"Simulation, not the real robot: '{name}', nominal training model, policy {policy}, {speed:g} m/s.")
     played = _window(walk) if video is None else _film(walk, video, seconds)

@@ -10,9 +10,10 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
+from hts import plugins
 from hts.cli.commands import COMMANDS
 from hts.errors import ConfigError, PluginError, unknown_name
-from hts.plugins import Entry, load
+from hts.plugins import Entry
 
 SUMMARY = "Improve robot policies on what simulators cannot compute: measure, model, fine-tune, test, repeat."
 
@@ -52,7 +53,7 @@ def hts_group() -> LazyGroup:
 
 
 def _plugin_commands() -> dict[str, Entry]:
-    return {name: entry for name, entry in load().commands.items() if name not in COMMANDS}
+    return {name: entry for name, entry in plugins.load().commands.items() if name not in COMMANDS}
 
 
 def _built(name: str, module: Any) -> Any:

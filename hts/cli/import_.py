@@ -36,7 +36,10 @@ def command(
     ] = None,
     objective: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Refuse logs that lack what it needs, convert to its units. Repeatable."),
+        typer.Option(
+            metavar="NAME",
+            help="Refuse logs that lack what it needs, convert to its units; --suggest asks for it. Repeatable.",
+        ),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Read and check, say what would be stored, store nothing.")
@@ -65,7 +68,8 @@ def command(
     if suggest:
         from hts.recordings.suggest import suggested_mapping
 
-        typer.echo(printable(suggested_mapping(files[0], machine)), nl=False)
+        asked = [registry.make_objective(name) for name in objective or []]
+        typer.echo(printable(suggested_mapping(files[0], machine, asked)), nl=False)
         return
     if mapping is None:
         raise ConfigError("--mapping M.yaml is needed; `hts import FILE --robot R --suggest > M.yaml` begins one.")

@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
+from hts import plugins
 from hts.cli import options
 from hts.errors import HtsError, PluginError
-from hts.plugins import KINDS, Registry, load
+from hts.plugins import KINDS, Registry
 
 
 def command(
@@ -19,7 +20,7 @@ def command(
     json_: options.AsJson = False,
 ) -> None:
     """List everything that plugins offer, by kind, with its package; broken plugins with the reason. Or all of one."""
-    registry = load()
+    registry = plugins.load()
     if name is not None:
         from hts.cli.plugin_page import plugin_data, plugin_text
 

@@ -17,7 +17,6 @@ SMOOTHING_SECONDS = 1.0  # of the speed that may miss the command: about a secon
 OWN_SECONDS = 4.0  # of an instance's own speed: longer than a push is felt, shorter than a command lasts
 TRIMMED_AWAY = 0.25  # of the commanded speed: an own speed as far off as that is trimmed away where a speed is held
 LARGEST_MISS = 1.0  # of the commanded speed: who stands misses it by that much, and no push counts for more
-LEAST_SPEED = 0.3  # m/s; of slower commands no share can be told
 DRAWS = 7  # uniform numbers an env instance needs to resample: vx, vy, heading, yaw rate, straight?, stand?, when
 
 
@@ -64,7 +63,7 @@ class Commands:
         forward: velocity, m/s; seconds: since it was stood up; both [P, N].
         """
         asked = self.value[..., 0]
-        counts = (asked.abs() >= LEAST_SPEED) & (seconds > SETTLING_SECONDS)
+        counts = (asked.abs() >= self.config.held_from) & (seconds > SETTLING_SECONDS)
         error = forward / torch.where(counts, asked, 1.0) - 1.0
         return torch.where(counts, error, 0.0)
 
@@ -85,7 +84,7 @@ class Commands:
 
     def _missed(self, where: torch.Tensor) -> torch.Tensor:
         seen = self.told_seconds - SETTLING_SECONDS
-        counts = where & (self.value[..., 0].abs() >= LEAST_SPEED) & (seen > SMOOTHING_SECONDS)
+        counts = where & (self.value[..., 0].abs() >= self.config.held_from) & (seen > SMOOTHING_SECONDS)
         now, own = (
             error / (1.0 - torch.exp(-seen.clamp(min=self.dt) / seconds))  # of the average that has been filled
             for error, seconds in ((self.smoothed_error, SMOOTHING_SECONDS), (self.own_error, OWN_SECONDS))
@@ -102,13 +101,13 @@ class Commands:
     @property
     def _counted(self) -> tuple[float, float]:
         """Commands of which errors count, m/s."""
-        high = max(abs(end) for end in self.config.vx)
-        return max(LEAST_SPEED, min(self.config.vx)), max(high, LEAST_SPEED)
+        least, high = self.config.held_from, max(abs(end) for end in self.config.vx)
+        return max(least, min(self.config.vx)), max(high, least)
 
     def watch(self, forward: torch.Tensor) -> None:
         """One control step's velocity forward, m/s, [P, N], for the channels of how far it is missed."""
         asked = self.value[..., 0]
-        error = forward / torch.where(asked.abs() >= LEAST_SPEED, asked, 1.0) - 1.0
+        error = forward / torch.where(asked.abs() >= self.config.held_from, asked, 1.0) - 1.0
         settled = self.told_seconds >= SETTLING_SECONDS
         moved = self.smoothed_error + self.dt / SMOOTHING_SECONDS * (error - self.smoothed_error)
         own = self.own_error + self.dt / OWN_SECONDS * (error - self.own_error)
@@ -129,7 +128,7 @@ class Commands:
             )
             straight = draws[..., 4] < c.straight
             vy = torch.where(straight, 0.0, vy)
-            stand = (draws[..., 5] < c.stand) | (vx.square() + vy.square() < 0.04)  # under 0.2 m/s: stand, as released
+            stand = (draws[..., 5] < c.stand) | (vx.square() + vy.square() < c.stand_below**2)
             heading = torch.where(straight | stand, yaw, (2 * draws[..., 2] - 1) * math.pi)
             keeps = torch.full_like(mask, c.heading) | straight
             new = torch.stack((vx, vy, yaw_rate), -1) * (~stand).unsqueeze(-1)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.config import EvaluationConfig, RunConfig
-from hts.contracts import HoldSpeed, World
+from hts.contracts import FollowVelocity, HoldSpeed, Robot, World
 from hts.errors import ConfigError, EvaluationError, RecordingError
 from hts.evaluation.balance import Balance
 from hts.evaluation.segments import Segments
@@ -71,6 +71,21 @@ def check_hold(config: RunConfig) -> None:
         return
     check_held("selection", config.selection.tested_speeds, hold)
     check_held("evaluation", config.evaluation.speeds, hold)
+
+
+def not_held_in_training(config: RunConfig, robot: Robot) -> str | None:
+    """What to tell of speeds that the run compares policies at and fine-tuning does not hold, since they lie below
+    `finetune.env.commands.held_from`; None if there are none, or nothing is held. Of the velocity task."""
+    least = config.finetune.env.commands.held_from
+    slow = sorted({speed for speed in (*config.selection.tested_speeds, *config.evaluation.speeds) if speed < least})
+    holds = config.finetune.hold and robot.held_at_zero and isinstance(robot.task(), FollowVelocity)
+    if not (holds and slow):
+        return None
+    return (
+        f"{', '.join(f'{speed:g}' for speed in slow)} m/s: fine-tuning holds the speed from {least:g} m/s on, so "
+        "candidates may walk such speeds slower or less steadily than the pretrained policy, which is no saving. "
+        f"Hold them too: --set finetune.env.commands.held_from={slow[0]:g} or less."
+    )
 
 
 def check_held(where: str, speeds: Sequence[float], hold: HoldSpeed) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
+from hts.atomic import atomic_write
 from hts.errors import ConfigError, RecordingError
 from hts.recordings.recording import Recording
 
@@ -54,8 +56,9 @@ def draw(recordings: Sequence[Recording], path: Path) -> None:
         grid[0, across].set_title(f"{source:.60}\n{one.seconds:.2f} s at {one.rate_hz:g} Hz", fontsize=7)
         grid[-1, across].set_xlabel("s", fontsize=7)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=120)
+        content = io.BytesIO()
+        figure.savefig(content, format=path.suffix[1:].lower(), dpi=120)
+        atomic_write(path, content.getvalue())
     except OSError as error:
         raise RecordingError(
             f"{path}: the picture cannot be written ({error.strerror or error}). Free some space or choose another "

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from hts.contracts import Robot
+from hts.channels import Channel
+from hts.contracts import Objective, Robot
 from hts.errors import RecordingError
 from hts.recordings.glance import Glance, glance
+from hts.units import conversion
 
 CHECK = "CHECK"
 TIMES = {"t", "time", "timestamp", "stamp", "timestamps", "log", "sec", "secs", "seconds", "clock"}
@@ -40,9 +43,12 @@ SELDOM = 0.75
 NOT_MEANS = {"std", "max", "min", "var", "target", "desired", "raw"}
 
 
-def suggested_mapping(path: Path, robot: Robot) -> str:
+def suggested_mapping(path: Path, robot: Robot, objectives: Sequence[Objective] = ()) -> str:
     """YAML of a mapping for logs like this one. It is not importable before what is marked was answered: idle levels,
     and a time column or joint channels where none was recognised. Raises RecordingError for a file that cannot be read.
+
+    objectives: a gauge gets the name of what they measure where it is the only one in such a unit; what they need and
+    the log does not show is listed.
     """
     seen = glance(path)
     columns = _flat(seen.columns)
@@ -61,8 +67,11 @@ def suggested_mapping(path: Path, robot: Robot) -> str:
     joints, templates = _joints(list(columns), robot.spec.joint_names, seen)
     lines += joints
     channels, used = _joint_channels(templates, columns, robot)
-    more, scalars = _gauges(columns, {*used, *([time] if time else [])}, seen)
-    lines += ["channels:", *channels, *more]
+    gauges = _gauges(columns, {*used, *([time] if time else [])})
+    scalars = set(gauges)
+    named = _as_asked(gauges, [channel for one in objectives for channel in one.real_channels])
+    lines += ["channels:", *channels, *_gauge_lines(gauges, named, columns, seen)]
+    lines += _missing(objectives, {line.split(":")[0].strip() for line in lines}, robot)
     if not channels:
         lines.append(f"  # {CHECK}: no joint channel was recognised. joint_torque: {{columns: ..., unit: N*m}}")
     left = [one for one in columns if one not in {*used, *scalars, time}]
@@ -227,24 +236,67 @@ def _gauge_unit(name: str, words: set[str]) -> str | None:
     return unit or (SYMBOLS[symbol[1]] if symbol else None)
 
 
-def _gauges(columns: Mapping[str, np.ndarray], used: set[str], seen: Glance) -> tuple[list[str], set[str]]:
-    """Single columns that by their name are a current, a voltage or the like: real channels, whose idle level only the
-    person at the robot knows."""
-    lines: list[str] = []
-    taken: set[str] = set()
+def _gauges(columns: Mapping[str, np.ndarray], used: set[str]) -> dict[str, str]:
+    """Single columns that by their name are a current, a voltage or the like, and its unit: real channels, whose idle
+    level only the person at the robot knows."""
+    found: dict[str, str] = {}
     for name, values in columns.items():
         words = _words(name)
         if name in used or words & NOT_MEANS or re.search(r"\d\]?$", name) or not np.isfinite(values).any():
             continue
         unit = _gauge_unit(name, words)
-        if unit is None:
-            continue
+        if unit is not None:
+            found[name] = unit
+    return found
+
+
+def _as_asked(gauges: Mapping[str, str], asked: Iterable[Channel]) -> dict[str, str]:
+    """Column -> the channel that is asked for, where neither has another that its unit would fit."""
+    wanted = {channel.name: channel.unit for channel in asked}
+    fits = {column: [name for name, unit in wanted.items() if _alike(own, unit)] for column, own in gauges.items()}
+    rivals = Counter(name for names in fits.values() for name in names)
+    return {column: names[0] for column, names in fits.items() if len(names) == 1 and rivals[names[0]] == 1}
+
+
+def _alike(unit: str, other: str) -> bool:
+    try:
+        conversion(unit, other)
+    except RecordingError:
+        return False
+    return True
+
+
+def _gauge_lines(
+    gauges: Mapping[str, str], named: Mapping[str, str], columns: Mapping[str, np.ndarray], seen: Glance
+) -> list[str]:
+    """named: column -> its channel, where an objective tells."""
+    lines: list[str] = []
+    for number, (name, unit) in enumerate(gauges.items()):
+        values = columns[name]
         channel = re.sub(r"\W+", "_", name).strip("_").lower()
-        channel = channel if channel.isidentifier() and channel != "time" else f"gauge_{len(taken)}"
+        channel = channel if channel.isidentifier() and channel != "time" else f"gauge_{number}"
         sign = ", sign: -1" if np.nanmedian(values) < 0 and unit.endswith(("A", "W")) else ""
         why = "sign: its values are negative; " if sign else ""
         slow = ", resample: hold" if np.isfinite(values).mean() < SELDOM else ""
-        text = f"  {channel}: {{columns: {_text(name, seen)}, unit: {unit}{sign}{slow}, idle: {CHECK}}}"
-        lines.append(f"{text}  # {CHECK}: {why}idle level, unit, and the channel's name, which an objective asks for")
-        taken.add(name)
-    return lines, taken
+        what = f"{_text(name, seen)}, unit: {unit}{sign}{slow}, idle: {CHECK}"
+        rest = "the channel's name, which an objective asks for"
+        if name in named:
+            rest = f"whether it is {named[name]}, by its unit alone"
+        lines.append(f"  {named.get(name, channel)}: {{columns: {what}}}  # {CHECK}: {why}idle level, unit, and {rest}")
+    return lines
+
+
+def _missing(objectives: Iterable[Objective], there: set[str], robot: Robot) -> list[str]:
+    """Comments: what objectives read or measure and no line gives. there: keys of the lines."""
+    lines: dict[str, str] = {}
+    own = robot.channels()
+    for objective in objectives:
+        units = {name: own[name].unit if name in own else CHECK for name in objective.inputs}
+        units |= {channel.name: channel.unit for channel in objective.real_channels}
+        for name in units.keys() - there - lines.keys():
+            idle = "" if name in own else f", idle: {CHECK}"
+            lines[name] = (
+                f"  # {CHECK}: objective '{objective.name}' needs it, no column was recognised. "
+                f"{name}: {{columns: ..., unit: {units[name]}{idle}}}"
+            )
+    return [lines[name] for name in sorted(lines)]

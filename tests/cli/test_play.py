@@ -237,6 +237,12 @@ def test_a_speed_that_is_not_finite_is_refused_before_anything_is_drawn(run_fold
         module.play(run_folder, policy="pretrained", speed=speed, video=tmp_path / "walk.mp4")
 
 
+def test_a_speed_in_another_unit_is_refused_before_anything_is_drawn(run_folder, tmp_path):
+    with pytest.raises(ConfigError, match=r"^--speed: expected at most 20 m/s of a robot with feet, found 800"):
+        module.play(run_folder, policy="pretrained", speed=800.0, video=tmp_path / "walk.mp4")
+    assert not list(tmp_path.glob("*.mp4"))
+
+
 def test_an_action_that_is_not_finite_stops_the_walk_and_leaves_no_video(walk, tmp_path, monkeypatch):
     from contextlib import nullcontext
 

@@ -43,6 +43,18 @@ def test_below_a_fifth_of_a_metre_per_second_the_robot_is_told_to_stand():
     assert not made.value.any()
 
 
+def test_a_slower_robot_walks_and_is_held_at_slower_commands_where_its_settings_say_so():
+    slow = {"vx": (0.0, 0.3), "heading": False}
+    made = resampled(commands(**slow, stand_below=0.1, held_from=0.12), vx=0.5, vy=0.5)
+    torch.testing.assert_close(made.value[0, :, 0], torch.full((4,), 0.15))
+    forward, seconds = torch.full((1, 4), 0.12), torch.full((1, 4), 2.0)
+    torch.testing.assert_close(made.speed_error(forward, seconds), torch.full((1, 4), -0.2))
+    by_default = commands(**slow)
+    by_default.value[..., 0] = 0.15
+    assert not by_default.speed_error(forward, seconds).any()
+    assert not resampled(by_default, vx=0.5, vy=0.5).value.any()
+
+
 def test_a_share_of_the_worlds_stands():
     assert not resampled(commands(stand=0.1, heading=False), stand=0.09).value.any()
     assert resampled(commands(stand=0.1, heading=False), stand=0.11).value.any()

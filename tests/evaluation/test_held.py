@@ -8,13 +8,14 @@ import pytest
 from hts.channels import Channel
 from hts.config import Command, CommandConfig, EvaluationConfig, ScheduleConfig
 from hts.config_loading import load_config
-from hts.contracts import VELOCITY, Comparison, HoldSpeed
+from hts.contracts import VELOCITY, Comparison, HoldSpeed, Robot
 from hts.errors import ConfigError, EvaluationError, PluginError
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import candidate_result, entry_both_ways, speeds_missed, walked_speeds
 from hts.evaluation.halves import halves
 from hts.evaluation.head_to_head import compare
-from hts.evaluation.held import SpeedNotHeld, ask_to_hold, check_hold, hold_of
+from hts.evaluation.held import SpeedNotHeld, ask_to_hold, check_hold, hold_of, not_held_in_training
+from hts.plugins import load
 from hts.recordings.recording import Recording, Series
 from hts.testing.made_up_recordings import CostObjective
 
@@ -271,3 +272,20 @@ def test_speeds_of_selection_are_finite_and_differ(speeds):
 def test_speeds_of_selection_are_above_zero():
     with pytest.raises(ConfigError, match=r"selection.speeds: expected a number greater than 0, found 0\."):
         VELOCITY.check(run_config("selection.speeds=[0.0]").selection.tested_speeds, "selection.speeds")
+
+
+def test_speeds_that_training_does_not_hold_are_told_with_the_key_that_holds_them():
+    go1, nothing_held = load().make_robot("go1"), load().make_robot("go1")
+    nothing_held.held_at_zero = {}
+
+    def told(*settings: str, robot: Robot = go1) -> str | None:
+        speeds = ("evaluation.speeds=[0.2, 0.5]", "selection.speeds=[0.25, 0.8]")
+        config = load_config(preset="quick", objectives=["power"], robot="go1", overrides=[*speeds, *settings])
+        return not_held_in_training(config, robot)
+
+    assert "0.2, 0.25 m/s" in told() and "held_from=0.2 or less" in told()
+    assert "0.25" not in told("selection.speeds=[0.8]")
+    assert told("finetune.env.commands.held_from=0.2") is None
+    assert told("finetune.hold=false") is None
+    assert told("evaluation.speeds=[0.5]", "selection.speeds=[0.5]") is None
+    assert told(robot=nothing_held) is None

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from hts.cli.commands import COMMANDS
-from hts.config import EnvConfig, PPOConfig
+from hts.config import CommandConfig, EnvConfig, PPOConfig
 from hts.config_gate import GateConfig
 from hts.config_loading import load_config
 from hts.envs import rewards
-from hts.envs.commands import LEAST_SPEED
+from hts.evaluation.held import not_held_in_training
 from hts.plugins import load
 from hts.presets import PRESETS
 
@@ -60,7 +60,10 @@ def test_the_file_for_a_robot_of_another_size_holds_settings_and_what_the_preset
         assert env["commands"]["vx"] == [0.2, 1.5] and preset["evaluation"]["speeds"] == [0.5, 0.8, 1.1]
         assert env["randomisation"]["added_mass"] == [-1.0, 3.0] == list(GateConfig().payload)
         assert env["randomisation"]["push_speed"] == 0.8 and env["reward_weights"]["termination"] == -500.0
-    assert LEAST_SPEED == 0.3 and "commands below 0.3 m/s are left out" in page
+        told = CommandConfig.model_validate(env["commands"])
+        assert f"command below {told.stand_below:g} m/s (`stand_below`) is one to stand" in page
+        assert f"forward commands below {told.held_from:g} m/s (`held_from`) are left out" in page
+    assert not_held_in_training(small, load().make_robot("go1")) is None
 
 
 def test_the_settings_that_the_pages_state_are_those_of_the_code():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -45,7 +44,6 @@ class OneRobot:
 
 @pytest.fixture
 def commands(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    importlib.import_module("hts.cli.group")  # it keeps the `load` that it finds when it is imported
     monkeypatch.setattr("hts.plugins.load", OneRobot)
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(a_mapping()))
     return tmp_path

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from hts.errors import ConfigError, RecordingError
+from hts.plugins import load
 from hts.recordings.csv_reader import make as make_csv
 from hts.recordings.mapping import load_mapping
 from hts.recordings.suggest import suggested_mapping
@@ -205,3 +206,21 @@ def test_a_suggestion_is_yaml_that_the_mapping_loader_takes(tmp_path, two_joints
     (tmp_path / "m.yaml").write_text(suggested_mapping(tmp_path / "log.csv", two_joints))
     given = load_mapping(tmp_path / "m.yaml")
     assert {one["columns"] for one in given["channels"].values()} == {"tau {joint}", 'volts: "main"', "#amps"}
+
+
+def test_what_an_objective_measures_gets_its_name_and_what_it_lacks_is_listed(tmp_path, two_joints):
+    (tmp_path / "log.csv").write_text(csv_of({**COLUMNS, "U_pack_mV": 24_000 + STEPS}))
+    power = load().make_objective("power")
+    given = yaml.safe_load(suggested_mapping(tmp_path / "log.csv", two_joints, [power]))
+    measured = {name: one["unit"] for name, one in given["channels"].items() if "idle" in one}
+    assert measured == {"battery_current": "A", "battery_voltage": "mV"}
+
+    (tmp_path / "two.csv").write_text(csv_of({**COLUMNS, "motor_amps": STEPS}))  # which of the two is not known
+    text = suggested_mapping(tmp_path / "two.csv", two_joints, [power])
+    assert "  supply_a_mean: {" in text and "  motor_amps: {" in text
+    lacking = [line for line in text.splitlines() if "needs it" in line]
+    assert [line.split("recognised. ")[1] for line in lacking] == [
+        "battery_current: {columns: ..., unit: A, idle: CHECK}",
+        "battery_voltage: {columns: ..., unit: V, idle: CHECK}",
+    ]
+    assert set(yaml.safe_load(text)["channels"]) == {"joint_torque", "joint_velocity", "supply_a_mean", "motor_amps"}
