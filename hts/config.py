@@ -258,7 +258,7 @@ class ProvenanceConfig(Config):
 class RunConfig(Config):
     """All of a run. `preset` says which defaults it started from."""
 
-    preset: str = Field(description="which defaults it started from: smoke, quick or paper")
+    preset: str = Field(description="which defaults it started from: smoke, quick, paper or paper-exact")
     objectives: dict[str, dict[str, Any]] = Field(min_length=1, description="name -> settings of its plugin")
     robot: Named = Field(description="the machine, and its settings")
     world: Named = Field(description='where policies run "for real", and its settings')

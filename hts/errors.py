@@ -9,7 +9,8 @@
     ├── WorldError           the world where policies run "for real" could not do what was asked
     │   └── UnfitWorldError  it cannot serve this robot or objective at all: only a run in another world can
     ├── EvaluationError      recordings from which no honest number can be made (too few valid segments)
-    └── RunError             the run folder: exists already, is half-written, cannot be written
+    ├── RunError             the run folder: exists already, is half-written, cannot be written
+    └── WaitingForRobot      no failure: the run waits for a person and a robot
 
 Messages say what was found, where, what was expected and what to do next, in one line.
 """

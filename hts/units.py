@@ -147,6 +147,20 @@ def conversion(source: str, target: str) -> tuple[float, float]:
     raise RecordingError(f"{source} cannot be converted to {target}: they are units of different quantities.")
 
 
+def one_quantity(first: str, second: str) -> bool:
+    """Whether numbers in one unit can be written in the other; False for units that nobody knows."""
+    try:
+        conversion(first, second)
+    except RecordingError:
+        return False
+    return True
+
+
+def same_unit(first: str, second: str) -> bool:
+    """Whether a number means the same in both, which may be one unit that is spelled in two ways."""
+    return one_quantity(first, second) and conversion(first, second) == (1.0, 0.0)
+
+
 def _is_temperature(unit: Any) -> bool:
     """Whether it counts from a zero of its own, as degC does: a temperature, where K may be a rise of one, too."""
     return bool(_registry().Quantity(0.0, unit).to_root_units().magnitude != 0.0)

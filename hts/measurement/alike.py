@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from hts.errors import RecordingError
-from hts.measurement.data import same_unit
+from hts.units import same_unit
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from hts.contracts import Signals
 from hts.errors import RecordingError
-from hts.units import conversion
+from hts.units import same_unit
 
 if TYPE_CHECKING:
     from hts.contracts import Objective
@@ -104,16 +104,6 @@ def check_units(signals: Signals, recording: Recording) -> None:
                 f"{does} {channel.unit}. Import the log again with that channel in {channel.unit}: correct its `unit` "
                 "and `scale` in the mapping, or name the objective with --objective, which converts."
             )
-
-
-def same_unit(first: str, second: str) -> bool:
-    """Also where one unit is spelled in two ways."""
-    if first == second:
-        return True
-    try:
-        return conversion(first, second) == (1.0, 0.0)
-    except RecordingError:  # units of different quantities
-        return False
 
 
 def input_tensor(signals: Signals, recording: Recording) -> Tensor:

@@ -21,10 +21,10 @@ from torch import Tensor
 from hts.config import Config
 from hts.contracts import MeasurementModel, ModelContext, Prediction, Signals
 from hts.measurement.data import Piece, training_data
-from hts.measurement.lstm_fit import one_thread
 from hts.measurement.ridge import POOLINGS, RIDGES, Moments, chosen, parts_left_out, penalty_of
 from hts.measurement.scoring import explained
 from hts.measurement.torch_model import TorchModel
+from hts.rl.threads import one_thread
 
 if TYPE_CHECKING:
     from hts.measurement.fit_settings import FitSettings

@@ -18,10 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from hts.errors import RecordingError
 from hts.measurement.data import Piece, split_ends, training_data
 from hts.measurement.scoring import explained
+from hts.rl.threads import one_thread
 
 if TYPE_CHECKING:
     from hts.contracts.measurement_model import Progress
@@ -67,18 +69,6 @@ def fit_lstm(model: LSTM, recordings: Sequence[Recording], how: FitSettings) -> 
         "validation_r2": explained(search.best_error, *_spread(validation or training)),
         "curve": search.curve,
     }
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Torch's sums on one thread. On two cores a second one gains nothing on matrices this small (it loses tenfold when
-    the machine is busy), and sums then do not depend on how many cores there are."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 @contextmanager
@@ -230,14 +220,10 @@ def _run(model: LSTM, features: Tensor, state: Memory | None) -> tuple[Tensor, M
 
 def _pad(pieces: Sequence[Piece]) -> tuple[Tensor, Tensor, Tensor]:
     """Inputs (B, T, F), target (B, T) and weight (B, T), which is 0 on padding and skipped samples."""
-    longest = max(len(piece.target) for piece in pieces)
-    inputs = torch.zeros(len(pieces), longest, pieces[0].inputs.shape[1])
-    target, weight = torch.zeros(len(pieces), longest), torch.zeros(len(pieces), longest)
-    for row, piece in enumerate(pieces):
-        length = len(piece.target)
-        inputs[row, :length], target[row, :length] = piece.inputs, piece.target
-        weight[row, piece.skip : length] = 1.0
-    return inputs, target, weight
+    inputs = pad_sequence([piece.inputs for piece in pieces], batch_first=True)
+    target = pad_sequence([piece.target for piece in pieces], batch_first=True)
+    counts = [(torch.arange(len(piece.target)) >= piece.skip).float() for piece in pieces]
+    return inputs, target, pad_sequence(counts, batch_first=True)
 
 
 def _spread(pieces: Sequence[Piece]) -> tuple[float, float]:

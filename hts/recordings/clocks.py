@@ -120,9 +120,9 @@ def _sums(x: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 def _products(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Sum over the common stretch of x times y, at each lag of y from -(len(y) - 1) to len(x) - 1."""
-    size = 1 << int(np.ceil(np.log2(len(x) + len(y))))
-    whole = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
-    return np.concatenate([whole[size - (len(y) - 1) :], whole[: len(x)]])
+    from scipy.signal import correlate
+
+    return np.asarray(correlate(x, y, method="fft"))
 
 
 def _half_width(scores: np.ndarray, at: int) -> int:

@@ -13,7 +13,7 @@ from hts.errors import RecordingError
 from hts.recordings.header import to_attributes
 from hts.recordings.recording import Recording
 from hts.recordings.store import RecordingStore
-from hts.units import conversion
+from hts.units import same_unit
 
 
 def check_kinship(store: RecordingStore | None, recordings: Sequence[Recording]) -> None:
@@ -54,17 +54,8 @@ def differs(one: dict[str, Any], other: dict[str, Any]) -> tuple[str, str] | Non
         theirs = other["arrays"].get(name)
         if theirs is None:
             continue
-        if not _same_unit(about["unit"], theirs["unit"]):
+        if not same_unit(about["unit"], theirs["unit"]):
             return f"its '{name}' is in {about['unit']}", f"has it in {theirs['unit']}"
         if about["shape"] != theirs["shape"]:
             return f"its '{name}' has {about['shape']} numbers", f"has {theirs['shape']}"
     return None
-
-
-def _same_unit(one: str, other: str) -> bool:
-    if one == other:
-        return True
-    try:
-        return conversion(one, other) == (1.0, 0.0)
-    except RecordingError:
-        return False

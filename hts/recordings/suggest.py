@@ -14,7 +14,7 @@ from hts.channels import Channel
 from hts.contracts import Objective, Robot
 from hts.errors import RecordingError
 from hts.recordings.glance import Glance, glance
-from hts.units import conversion
+from hts.units import one_quantity
 
 CHECK = "CHECK"
 TIMES = {"t", "time", "timestamp", "stamp", "timestamps", "log", "sec", "secs", "seconds", "clock"}
@@ -253,17 +253,11 @@ def _gauges(columns: Mapping[str, np.ndarray], used: set[str]) -> dict[str, str]
 def _as_asked(gauges: Mapping[str, str], asked: Iterable[Channel]) -> dict[str, str]:
     """Column -> the channel that is asked for, where neither has another that its unit would fit."""
     wanted = {channel.name: channel.unit for channel in asked}
-    fits = {column: [name for name, unit in wanted.items() if _alike(own, unit)] for column, own in gauges.items()}
+    fits = {
+        column: [name for name, unit in wanted.items() if one_quantity(own, unit)] for column, own in gauges.items()
+    }
     rivals = Counter(name for names in fits.values() for name in names)
     return {column: names[0] for column, names in fits.items() if len(names) == 1 and rivals[names[0]] == 1}
-
-
-def _alike(unit: str, other: str) -> bool:
-    try:
-        conversion(unit, other)
-    except RecordingError:
-        return False
-    return True
 
 
 def _gauge_lines(

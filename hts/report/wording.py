@@ -12,12 +12,11 @@ FRACTION_ENDINGS = ("_reduction", "_share", "_fraction")
 Number = float | int | None
 
 
-def quantity(value: Number, unit: str, signed: bool = False) -> str:
+def quantity(value: Number, unit: str) -> str:
     """18.2 % for 0.182 of unit "1"; 3.21 dB for 3.21 of "dB"; a dash for nothing."""
     if value is None:
         return "–"
-    sign = "+" if signed else ""
-    text = f"{100 * value:{sign}.1f} %" if unit == PERCENT else f"{value:{sign}.2f} {unit}"
+    text = f"{100 * value:.1f} %" if unit == PERCENT else f"{value:.2f} {unit}"
     return text.replace("-", "−")
 
 

@@ -1,7 +1,8 @@
 """Two levels of threads do not mix: physics and candidates get the cores, torch computes with one thread.
 
 Torch's own threads go on spinning for a while after each product, on the cores that physics wants next; and products
-of a single candidate are too small to share out (on a busy machine their threads wait for each other tenfold).
+of a single candidate are too small to share out (on a busy machine their threads wait for each other tenfold). Sums on
+one thread do not depend on how many cores there are either.
 """
 
 from __future__ import annotations

@@ -127,10 +127,13 @@ def pooled(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def prediction(values: Sequence[float], weights: Sequence[float] | None = None) -> dict[str, Any]:
-    """Mean, interval of the next value, and quantiles. One value, or what is worth no more, has no interval (null)."""
+    """Mean, interval of the next value, and quantiles.
+
+    One value, or what is worth no more, has no interval (null), and no value has no mean.
+    """
     count = len(values)
     if not count:
-        return {"runs": 0, "worth": 0.0, "mean": math.nan, "interval95": None, "quantiles": {}}
+        return {"runs": 0, "worth": 0.0, "mean": None, "interval95": None, "quantiles": {}}
     found = np.asarray(values, dtype=float)
     share = np.ones(count) if weights is None else np.asarray(weights, dtype=float)
     share = share / share.sum()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from hts.run.iteration import simulated as judged
 from hts.run.job import Job
+from hts.run.stages import number
 from hts.selection.fronts import non_dominated
 
 PRETRAINED = "pretrained"
@@ -35,7 +35,7 @@ def tested_policies(job: Job, iterations: int) -> list[Measured]:
             tested = row.get("tested")
             if not tested or tested["fell"]:
                 continue
-            gains = tuple(_number(tested["selection_score"].get(objective)) for objective in job.objectives)
+            gains = tuple(number(tested["selection_score"].get(objective)) for objective in job.objectives)
             found.append(Measured(name, gains, index, row["real"]))
     return found
 
@@ -56,7 +56,7 @@ def simulated_front(objectives: Sequence[str], simulated: Mapping[str, Any]) -> 
     scores = simulated.get("objective_scores") or {}
     walking = [name for name in simulated["scores"] if simulated["tracked"][name] and not simulated["falls"][name]]
     names = [name for name in (PRETRAINED, *walking) if name in scores]
-    points = [tuple(_number(scores[name].get(objective)) for objective in objectives) for name in names]
+    points = [tuple(number(scores[name].get(objective)) for objective in objectives) for name in names]
     return [names[index] for index in non_dominated(points)]
 
 
@@ -84,8 +84,3 @@ def _entry(policy: Measured, objectives: Sequence[str]) -> dict[str, Any]:
             "selection_score": gain,
         }
     return {"id": policy.id, "iteration": policy.iteration, "improvements": improvements}
-
-
-def _number(value: float | None) -> float:
-    """JSON has no NaN: what is missing is none."""
-    return math.nan if value is None else float(value)

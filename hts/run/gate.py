@@ -5,7 +5,6 @@ Where some fail the selector is asked again without them, until all that it name
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -19,6 +18,7 @@ from hts.run.gate_checks import Worst, limits, sentence, told_by, untold_by
 from hts.run.gate_trials import LostPackets, channels_of, commands_of, dynamics, rollout, varied
 from hts.run.job import Job
 from hts.run.judging import fine_tuning, mean_gain, same_policies, speeds_predicted
+from hts.run.stages import number
 
 Report = Callable[[float], None]
 FORMAT = 1  # of gate.json
@@ -182,11 +182,11 @@ def _able(
         elif name in alike:
             kept_out[name] = "ended as the same policy as an earlier candidate"
         else:
-            scores = {key: _number(value) for key, value in simulated["objective_scores"][name].items()}
+            scores = {key: number(value) for key, value in simulated["objective_scores"][name].items()}
             able.append(
                 SimulatedCandidate(
                     name,
-                    _number(simulated["scores"][name]),
+                    number(simulated["scores"][name]),
                     falls,
                     simulated["tracked"][name],
                     scores,
@@ -212,8 +212,3 @@ def _closing(
             "dynamics or asks limits that this robot's policy was never trained for; see the settings of gate"
         )
     return lines
-
-
-def _number(value: float | None) -> float:
-    """JSON has no NaN."""
-    return math.nan if value is None else float(value)

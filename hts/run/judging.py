@@ -26,6 +26,7 @@ from hts.run.felt_pull import pulled
 from hts.run.front import PRETRAINED
 from hts.run.job import Job
 from hts.run.learning import Report, inputs, transforms
+from hts.run.stages import number
 from hts.run.task_watch import gave_up, gave_up_line
 from hts.training.finetune import measured_env
 
@@ -223,17 +224,13 @@ def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated:
 
 def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]) -> FineTuning:
     """How a candidate was made. row: its part of finetune.json; task_rewards: of simulate.json."""
-
-    def number(value: float | None, otherwise: float) -> float:
-        return otherwise if value is None else float(value)  # JSON has neither NaN nor infinity
-
     return FineTuning(
         anchor=row["anchor"],
         weights=row["weights"],
         kl_bound=number(row["kl_bound"], math.inf),
-        kl=number(row["kl"], math.nan),
-        task_reward=number(task_rewards.get(row["id"]), math.nan),
-        pretrained_task_reward=number(task_rewards.get("pretrained"), math.nan),
+        kl=number(row["kl"]),
+        task_reward=number(task_rewards.get(row["id"])),
+        pretrained_task_reward=number(task_rewards.get("pretrained")),
     )
 
 

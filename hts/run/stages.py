@@ -62,6 +62,11 @@ def _finite(value: Any) -> Any:
     return value
 
 
+def number(value: float | None, otherwise: float = math.nan) -> float:
+    """What `write_json` wrote as null, having neither NaN nor infinity, as the one that it was."""
+    return otherwise if value is None else float(value)
+
+
 class Stages:
     """The stages of one run folder. `do` skips what is done, so that a run killed anywhere goes on by calling it again.
 

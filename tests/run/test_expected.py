@@ -41,7 +41,7 @@ def test_the_interval_is_for_the_next_value():
     assert found["mean"] == pytest.approx(0.2)
     assert found["interval95"] == pytest.approx([0.2 - 0.4968, 0.2 + 0.4968], abs=1e-3)
     assert found["quantiles"]["0.5"] == pytest.approx(0.2)
-    assert prediction([0.1])["interval95"] is None and prediction([])["runs"] == 0
+    assert prediction([0.1])["interval95"] is None and (prediction([])["runs"], prediction([])["mean"]) == (0, None)
 
 
 def test_it_holds_the_next_value_in_95_of_100_cases():

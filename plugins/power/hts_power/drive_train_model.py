@@ -44,12 +44,12 @@ from hts.config import Config
 from hts.contracts import MeasurementModel, ModelContext, Prediction, Signals
 from hts.errors import ConfigError, RecordingError
 from hts.measurement.data import training_data
-from hts.measurement.lstm_fit import one_thread
 from hts.measurement.physics_steps import IN_STEPS as IN_PHYSICS_STEPS
 from hts.measurement.physics_steps import between_samples, torque_at_samples
 from hts.measurement.readings import new_readings
 from hts.measurement.split import left_out_together
 from hts.measurement.torch_model import TorchModel
+from hts.rl.threads import one_thread
 from hts_power.drive_train_fit import BLOCK_SECONDS, DIRECTIONS, Drives, skipped
 from hts_power.drive_train_prior import TERMS, expected
 from hts_power.proxy import JOULE_COEFFICIENT
