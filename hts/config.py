@@ -201,10 +201,15 @@ class SweepConfig(Config):
             for value in values:
                 if not (math.isfinite(value) and value >= 0):
                     raise ValueError(f"weights.{name}: {value} is not a number of at least 0")
+        limits = self.trust_region
+        if limits.enabled and all(map(math.isinf, self.kl_bounds)):
+            raise ValueError(
+                "kl_bounds: none is finite, so the trust region has nothing to move, and a robot would try nobody who "
+                "is held near what it knows; add one, such as [16.0, .inf], or set trust_region.enabled=false"
+            )
         for bound in self.kl_bounds:
             if not bound > 0 or math.isnan(bound):
                 raise ValueError(f"kl_bounds: {bound} is not a positive number")
-            limits = self.trust_region
             if limits.enabled and math.isfinite(bound) and not limits.least <= bound <= limits.most:
                 raise ValueError(
                     f"kl_bounds: {bound:g} is outside of what the trust region may make of it, {limits.least:g} to "

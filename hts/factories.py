@@ -126,7 +126,7 @@ def _check_spec(robot: Robot, who: str, remedy: str) -> None:
 
 def _check_weights(objective: Objective, who: str) -> None:
     """Raise ConfigError for λ that are no finite numbers of at least 0: below 0 more of what is bad would be paid."""
-    for what in ("weights", "baseline_weights"):
+    for what in ("weights", "baseline_weights", "proxy_weights"):
         values = getattr(objective, what)
         numbers = isinstance(values, (tuple, list)) and all(isinstance(one, (int, float)) for one in values)
         if not numbers or not all(math.isfinite(one) and one >= 0 for one in values):

@@ -15,6 +15,7 @@ from hts.errors import ConfigError
 from hts.layers import laid
 from hts.plugins import Entry, Registry, load
 from hts.presets import BASELINES, PRESETS
+from hts.run.budget import candidate_counts
 from hts.testing.examples.log_only_robot.plugin import make_robot
 from hts.testing.examples.objective.objective import Fake
 from hts.testing.examples.robot.robot import Tiny
@@ -110,6 +111,12 @@ def test_set_reaches_nested_settings_of_a_plugin():
 
 def test_set_reads_lists_and_infinity_as_yaml():
     assert fake_config(overrides=["sweep.kl_bounds=[0.5, .inf]"]).sweep.kl_bounds == (0.5, math.inf)
+    nobody_bounded = ["sweep.kl_bounds=[.inf]", "sweep.trust_region.enabled=true"]
+    with pytest.raises(ConfigError, match=r"kl_bounds: none is finite.*such as \[16\.0, \.inf\]"):
+        fake_config(overrides=nobody_bounded)
+    assert fake_config(overrides=[*nobody_bounded[:1], "sweep.trust_region.enabled=false"]).sweep.kl_bounds == (
+        math.inf,
+    )
 
 
 def test_settings_of_an_objective_come_from_the_file_and_the_choice_from_the_command_line(tmp_path):
@@ -328,6 +335,15 @@ def test_a_proxy_as_reward_keeps_the_methods_own_budget():
     assert inside.reward_source == baseline.reward_source == "proxy"
     assert inside.iterations == method.iterations and inside.finetune == method.finetune
     assert baseline.iterations == 1
+
+
+@pytest.mark.parametrize("preset", ["quick", "paper"])
+@pytest.mark.parametrize("objective", ["power", "noise"])
+def test_a_proxy_as_reward_trains_as_many_candidates_as_the_method(preset, objective):
+    def trained(**given) -> list[int]:
+        return candidate_counts(load_config(preset=preset, objectives=[objective], robot="go1", **given), load())
+
+    assert trained(overrides=["reward_source=proxy"]) == trained()
 
 
 @pytest.mark.parametrize("text", ["", "finetunes: {}\n", "preset: [\n"])

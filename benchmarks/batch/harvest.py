@@ -52,6 +52,7 @@ def result_of(folder: Path) -> Result:
         pooled_rank={name: found["rank_correlation"] for name, found in summary["measurement_models"].items()},
         curve=_curve(summary, rows, samples),
         max_real_samples=summary.get("max_real_samples"),
+        first_data_falls=summary.get("first_data_falls"),
         real_samples=samples,
         sim_steps=summary["sim_steps"],
         seconds={**_json(folder / "log/stages.json"), "total": summary["wall_seconds"]},

@@ -154,6 +154,7 @@ class Result(Part):
     curve: list[Point] = []
     max_real_samples: int | None = Field(None, description="the cap before the final")
     real_samples: dict[str, int] = Field(description="by stage; `total` as in summary.json")
+    first_data_falls: int | None = Field(None, description="none: no first data, or a line of before it was kept")
     sim_steps: int
     seconds: dict[str, float] = Field(description="by stage; `total` as in summary.json")
     note: str | None = Field(None, description="what must be said beside these figures, as in summary.json")

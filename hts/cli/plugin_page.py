@@ -88,6 +88,7 @@ def _more(registry: Registry, kind: str, name: str) -> Data:
                 "λ": list(objective.weights),
                 **({"λ behind a fitted model": "from its data, where the settings name none"} if from_data else {}),
                 "λ of the baseline": list(objective.baseline_weights),
+                "λ with --reward proxy": list(objective.proxy_weights or objective.baseline_weights),
             },
             "channels": [_channel(channel) for channel in objective.real_channels],
         }

@@ -37,7 +37,9 @@ class Objective(ABC):
     name: as registered; unit: of the improvement ("1" for a fraction); inputs: sim channels the model reads;
     target: the real channel that the model predicts; also_measured: further real channels that `score` reads, such as
     a voltage beside a current: no model predicts them, but every log and recording must have them; weights: default
-    sweep over λ; baseline_weights: the same for the analytic proxy.
+    sweep over λ; baseline_weights: the same for the analytic proxy, of `hts baseline`; proxy_weights: of a run that the
+    proxy pays (`hts run --reward proxy`): as many as `weights`, so that it trains as much as one that the model pays;
+    none: baseline_weights.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Objective(ABC):
     also_measured: tuple[Channel, ...] = ()
     weights: tuple[float, ...] = (0.5, 1.0, 5.0)
     baseline_weights: tuple[float, ...] = ()
+    proxy_weights: tuple[float, ...] = ()
     instrument: str | None = None  # name of the instrument that measures the real channels on a twin
 
     @property

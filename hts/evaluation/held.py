@@ -88,6 +88,21 @@ def not_held_in_training(config: RunConfig, robot: Robot) -> str | None:
     )
 
 
+def not_tried(config: RunConfig, robot: Robot) -> str | None:
+    """What to tell of speeds that the final is at and candidates are neither simulated nor tried at; None if there are
+    none. Of the velocity task."""
+    known = {*config.simulation_test.speeds, *config.selection.tested_speeds}
+    new = sorted(set(config.evaluation.speeds) - known)
+    if not (new and isinstance(robot.task(), FollowVelocity)):
+        return None
+    told = ", ".join(f"{speed:g}" for speed in sorted(config.evaluation.speeds))
+    return (
+        f"{', '.join(f'{speed:g}' for speed in new)} m/s: only the final is at such a speed; candidates are judged and "
+        f"tried at {', '.join(f'{speed:g}' for speed in sorted(known))}. What is to be reported is better tried: "
+        f"--set selection.speeds=[{told}] --set simulation_test.speeds=[{told}]"
+    )
+
+
 def check_held(where: str, speeds: Sequence[float], hold: HoldSpeed) -> None:
     """Raise ConfigError for a speed, m/s, that lies outside the commands that may be sent. where: it was asked for."""
     low, high = hold.commands

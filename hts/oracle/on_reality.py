@@ -38,7 +38,7 @@ MOST_ENVS = 32  # that say what the truth is like
 def prepared(config: RunConfig, registry: Registry) -> RunConfig:
     """The configuration as it is written: with the λ that it will take, the start's whole path and the real engine."""
     objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
-    own = own_weights(objectives, proxy=False)
+    own = own_weights(objectives, config)
     weights = {name: tuple(round(share * max(own[name]), 6) for share in FACTORS) for name in objectives if own[name]}
     sweep = config.sweep.model_copy(update={"weights": {**weights, **config.sweep.weights}})
     start = str(Path(config.start).resolve()) if config.start else None

@@ -126,6 +126,8 @@ def _facts(run: RunData) -> list[str]:
         facts.append(f"{wording.count(summary['sim_steps'])} steps in simulation")
     if summary.get("real_samples") is not None:
         facts.append(f"{wording.count(summary['real_samples'])} samples from reality")
+    if falls := summary.get("first_data_falls"):
+        facts.append(f"{falls} fall{'' if falls == 1 else 's'} in first data")
     if summary.get("wall_seconds") is not None:
         facts.append(wording.duration(summary["wall_seconds"]))
     return facts

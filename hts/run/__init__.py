@@ -31,10 +31,11 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     check_names(config, registry)
     check_place(Path(out), "--out DIR")
     config = with_engine(config)
-    from hts.evaluation.held import not_held_in_training
+    from hts.evaluation.held import not_held_in_training, not_tried
     from hts.run.ready import check_ready
 
-    if note := not_held_in_training(config, registry.make_robot(config.robot.name, config.robot.settings)):
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    for note in filter(None, (not_held_in_training(config, robot), not_tried(config, robot))):
         print(note, file=sys.stderr)
     if dry_run:
         from hts.run.cost import check_memory, estimate, print_estimate, print_ready

@@ -54,7 +54,7 @@ class Budget:
 def candidate_counts(config: RunConfig, registry: Registry) -> list[int]:
     """How many candidates each iteration trains, if every anchor is another policy from the second on."""
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
-    weights = combinations(own_weights(objectives, config.reward_source == "proxy"), config.sweep.weights)
+    weights = combinations(own_weights(objectives, config), config.sweep.weights)
     counts = []
     for iteration in range(config.iterations):
         hashes: dict[str, str] = {anchor: anchor if iteration else "one" for anchor in config.sweep.anchors}
@@ -93,7 +93,7 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     if selector.rounds() is not None:
         raise ConfigError(
             f"max_real_samples: selector '{config.selection.selector.name}' tests in rounds, and how many there will "
-            "be is not known before. Choose another selector, or leave the cap out."
+            "be is not known before. Choose another selector, or take the cap away: --set max_real_samples=null."
         )
     if whole.samples <= most:
         return whole

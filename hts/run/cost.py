@@ -48,8 +48,7 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     assumed = {"warp": "an H200", "mujoco": "two cores"}.get(config.engine, "two cores")
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     robot = registry.make_robot(config.robot.name, config.robot.settings)
-    proxy = config.reward_source == "proxy"
-    weights = combinations(own_weights(objectives, proxy), config.sweep.weights)
+    weights = combinations(own_weights(objectives, config), config.sweep.weights)
     nowhere = Path(tempfile.gettempdir()) / "hts-dry-run"  # a name only: worlds write with their first request
     context = WorldContext(
         config.robot.name, config.robot.settings, config.objectives, config.seed, folder=nowhere, registry=registry

@@ -90,8 +90,7 @@ class Job:
     @cached_property
     def combinations(self) -> list[dict[str, float]]:
         """The λ of the sweep's candidates, one per objective."""
-        own = own_weights(self.objectives, proxy=self.config.reward_source == "proxy")
-        return combinations(own, self.config.sweep.weights)
+        return combinations(own_weights(self.objectives, self.config), self.config.sweep.weights)
 
     def rewards(self, iteration: int) -> list[Measured] | None:
         """What is paid for in training where it is neither models nor proxies; None: it is one of these."""

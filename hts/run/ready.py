@@ -50,11 +50,11 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
     for objective in objectives.values():
         signals = robot_signals(objective, robot)  # raises for an input that the robot does not give
         try_proxy(objective, signals.inputs)
-    proxy = config.reward_source == "proxy"
-    if not combinations(own_weights(objectives, proxy), config.sweep.weights):
+    own = "λ for its proxy" if config.reward_source == "proxy" else "λ of its own"
+    if not combinations(own_weights(objectives, config), config.sweep.weights):
         raise ConfigError(
-            f"sweep.weights: {', '.join(objectives)} names no {'baseline ' if proxy else ''}λ of its own, so there is "
-            "nothing to train. Give some: --set sweep.weights.NAME=[0.5,1,5]"
+            f"sweep.weights: {', '.join(objectives)} names no {own}, so there is nothing to train. "
+            "Give some: --set sweep.weights.NAME=[0.5,1,5]"
         )
     for name, objective in objectives.items():
         check_score(objective, robot, registry.entry("objectives", name).package)

@@ -9,6 +9,7 @@ from hts.errors import PluginError
 from hts.evaluation.asked import asked
 from hts.evaluation.final import entry_of, judged_speeds
 from hts.evaluation.held import ask_to_hold
+from hts.evaluation.segments import falls_of
 from hts.evaluation.walked_again import samples_of
 from hts.recordings.recording import Recording
 from hts.run.head_to_head import head_to_head, held_head_to_head
@@ -30,7 +31,13 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
             "expected one for each, in order."
         )
     ids = job.keep(recordings, 0)
-    return {"recordings": ids, "samples": sum(recording.num_samples for recording in recordings)}
+    falls = sum(falls_of(one.role, [one]) for one in recordings)
+    if falls:
+        job.stages.progress.say(
+            f"The pretrained policy fell {falls} time{'' if falls == 1 else 's'} in the first data; {config.exploring} "
+            f"of {len(policies)} recordings explore (collection.exploration={config.exploration:g})."
+        )
+    return {"recordings": ids, "samples": sum(one.num_samples for one in recordings), "falls": falls}
 
 
 def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:

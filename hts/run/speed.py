@@ -30,7 +30,7 @@ def control_steps_per_second(config: RunConfig, registry: Registry) -> float | N
     policy = pretrained_policy(robot)
     tune, horizon = config.finetune, config.finetune.ppo.horizon
     envs = max(1, min(tune.num_envs, SAMPLES // horizon))
-    weights = combinations(own_weights(objectives, config.reward_source == "proxy"), config.sweep.weights)
+    weights = combinations(own_weights(objectives, config), config.sweep.weights)
     most = max(1, min(tune.max_candidates, SAMPLES // (horizon * envs)))
     pairs = islice(((one, bound) for one in weights for bound in config.sweep.kl_bounds), most)
     group = [Candidate(f"dry-{i}", PRETRAINED, one, bound) for i, (one, bound) in enumerate(pairs)]

@@ -30,10 +30,11 @@ class Part(BaseModel):
 
 
 class Collect(Part):
-    """collect.json: ids of recordings; samples of the robot."""
+    """collect.json: ids of recordings; samples and falls of the robot."""
 
     recordings: list[str] = Field(description="ids in the run's store")
     samples: int = Field(description="of the robot, control steps")
+    falls: int | None = Field(None, description="none: of before they were counted")
 
 
 class Fitted(Part):

@@ -19,8 +19,8 @@ def summarise(job: Job) -> dict[str, Any]:
     config = job.config
     iterations, steps, samples = [], 0, 0
     learned = config.fits_models
-    if config.records_first:
-        samples += job.read("collect")["samples"]
+    first = job.read("collect") if config.records_first else {}
+    samples += first.get("samples", 0)
     done = job.done_iterations
     for index in range(done):
         name = f"iterations/{index:02d}"
@@ -69,6 +69,7 @@ def summarise(job: Job) -> dict[str, Any]:
         "sim_steps": steps,
         "real_samples": samples + final["samples"],
         "real_samples_before_final": samples,
+        "first_data_falls": first.get("falls"),
         "max_real_samples": config.max_real_samples,
         "iterations_asked": config.iterations,
         "iterations": iterations,

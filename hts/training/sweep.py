@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from hts.config import RunConfig
 from hts.config_base import percent
 from hts.contracts import Objective
 from hts.errors import ConfigError
@@ -39,9 +40,16 @@ def is_nearer(name: str) -> bool:
     return re.search(r"-w\d+$", name) is not None
 
 
-def own_weights(objectives: Mapping[str, Objective], proxy: bool) -> dict[str, tuple[float, ...]]:
-    """Each objective's own λ, for its measurement model or for its analytic proxy."""
-    return {name: one.baseline_weights if proxy else one.weights for name, one in objectives.items()}
+def own_weights(objectives: Mapping[str, Objective], config: RunConfig) -> dict[str, tuple[float, ...]]:
+    """Each objective's own λ: for what pays in such a run, its measurement model or its analytic proxy, and then for
+    the baseline or for the method itself."""
+    return {name: _own(one, config) for name, one in objectives.items()}
+
+
+def _own(objective: Objective, config: RunConfig) -> tuple[float, ...]:
+    if config.reward_source != "proxy":
+        return objective.weights
+    return (config.records_first and objective.proxy_weights) or objective.baseline_weights
 
 
 def combinations(own: Mapping[str, Sequence[float]], given: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:

@@ -14,7 +14,7 @@ from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import candidate_result, entry_both_ways, speeds_missed, walked_speeds
 from hts.evaluation.halves import halves
 from hts.evaluation.head_to_head import compare
-from hts.evaluation.held import SpeedNotHeld, ask_to_hold, check_hold, hold_of, not_held_in_training
+from hts.evaluation.held import SpeedNotHeld, ask_to_hold, check_hold, hold_of, not_held_in_training, not_tried
 from hts.plugins import load
 from hts.recordings.recording import Recording, Series
 from hts.testing.made_up_recordings import CostObjective
@@ -289,3 +289,22 @@ def test_speeds_that_training_does_not_hold_are_told_with_the_key_that_holds_the
     assert told("finetune.hold=false") is None
     assert told("evaluation.speeds=[0.5]", "selection.speeds=[0.5]") is None
     assert told(robot=nothing_held) is None
+
+
+def test_speeds_that_the_final_alone_is_at_are_told_with_the_keys_that_try_them():
+    def told(*settings: str) -> str | None:
+        config = load_config(preset="quick", objectives=["power"], robot="go1", overrides=list(settings))
+        return not_tried(config, load().make_robot("go1"))
+
+    assert told() is None
+    said = told("evaluation.speeds=[0.6, 0.8]")
+    assert said.startswith("0.6 m/s: only the final") and "selection.speeds=[0.6, 0.8]" in said
+    assert told("evaluation.speeds=[0.6, 0.8]", "selection.speeds=[0.6, 0.8]") is None
+
+
+@pytest.mark.parametrize("preset", ["smoke", "quick", "paper", "paper-exact"])
+@pytest.mark.parametrize("baseline", [False, True])
+def test_presets_try_what_they_report_and_hold_it(preset, baseline):
+    config = load_config(preset=preset, objectives=["power"], robot="go1", baseline=baseline)
+    go1 = load().make_robot("go1")
+    assert not_tried(config, go1) is None and not_held_in_training(config, go1) is None

@@ -30,7 +30,7 @@ def has_its_parts(entry: Entry, registry: Registry) -> None:
     for what, channel in [("target", objective.target), *(("also_measured", c) for c in objective.also_measured)]:
         ensure(isinstance(channel, Channel), f"its {what} is a {type(channel).__name__}")
     ensure(bool(objective.inputs) and not isinstance(objective.inputs, str), f"its inputs are {objective.inputs!r}")
-    for what in ("weights", "baseline_weights"):
+    for what in ("weights", "baseline_weights", "proxy_weights"):
         values = getattr(objective, what)
         numbers = isinstance(values, tuple | list) and all(isinstance(v, int | float) for v in values)
         ensure(numbers, f"its {what} are {values!r}, expected a tuple of numbers, such as (0.5, 1.0)")

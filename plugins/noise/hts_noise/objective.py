@@ -40,7 +40,10 @@ class NoiseSettings(Config):
         (1.0,), min_length=1, description="λ swept, reward per second and standard deviation of the level"
     )
     baseline_weights: tuple[Weight, ...] = Field(
-        (1e-4, 3e-4, 1e-3, 3e-3, 1e-2), min_length=1, description="λ swept with the analytic proxy, per N·(rad/s)²"
+        (1e-4, 3e-4, 1e-3, 3e-3, 1e-2), min_length=1, description="λ that `hts baseline` sweeps, per N·(rad/s)²"
+    )
+    proxy_weights: tuple[Weight, ...] = Field(
+        (3e-3,), min_length=1, description="λ of `hts run --reward proxy`, per N·(rad/s)²"
     )
     torque: bool = Field(False, description="give the model joint torque too; see the table in docs/noise.md")
     hidden: int = Field(32, ge=1, description="units of the measurement model")
@@ -61,7 +64,7 @@ class Noise(Objective):
         if self.settings.torque:
             self.inputs = ("joint_torque", *self.inputs)
         self.weights = self.settings.weights
-        self.baseline_weights = self.settings.baseline_weights
+        self.baseline_weights, self.proxy_weights = self.settings.baseline_weights, self.settings.proxy_weights
 
     def measurement_model(self) -> Named:
         """`footfall_level`, of the size that the settings ask for."""

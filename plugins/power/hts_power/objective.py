@@ -53,7 +53,10 @@ class PowerSettings(Config):
         description="λ swept where `weights` is null, reward per second for all of the net current, behind any gauge",
     )
     baseline_weights: tuple[Weight, ...] = Field(
-        (2e-2, 6e-2, 0.15), min_length=1, description="λ swept with the analytic proxy, reward per joule"
+        (2e-2, 6e-2, 0.15), min_length=1, description="λ that `hts baseline` sweeps, reward per joule of the proxy"
+    )
+    proxy_weights: tuple[Weight, ...] = Field(
+        (6e-2,), min_length=1, description="λ of `hts run --reward proxy`, reward per joule of the proxy"
     )
     joule_coefficient: float = Field(
         JOULE_COEFFICIENT,
@@ -94,7 +97,7 @@ class Power(Objective):
         self.weights = self.settings.weights or tuple(
             _rounded(weight * USUAL_SPREAD) for weight in self.settings.net_weights
         )
-        self.baseline_weights = self.settings.baseline_weights
+        self.baseline_weights, self.proxy_weights = self.settings.baseline_weights, self.settings.proxy_weights
 
     def measurement_model(self) -> Named:
         """`drive_train`; `battery_current`, of the size that the settings ask for, where they do."""
