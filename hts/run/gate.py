@@ -46,22 +46,10 @@ def tried(
     candidates: rows of finetune.json; simulated: how they were judged, as in simulate.json; again: whether others are
     looked at where nobody passes; yardstick: the pretrained policy's row, where it was tried before.
     """
-    strict = job.gate_is_strict
+    strict, settings = job.gate_is_strict, job.config.gate
     able, kept_out = _able(simulated, candidates)
-    selector = checked_selector(job.registry, job.config.selection.selector, job.config.max_real_samples is not None)
-    rows: dict[str, dict[str, Any]] = {}
-    chosen: list[str] = list(simulated["elites"])
     trials = Trials(job, simulated)
-    while waiting := [name for name in chosen if name not in rows]:
-        rows |= trials.of(waiting)
-        if not strict:
-            break
-        able = [one for one in able if rows.get(one.id, {}).get("passed", True)]
-        if all(rows[name]["passed"] for name in waiting):
-            break
-        chosen = selector.elites(able, job.elites(iteration))
-        report(min(0.9, len(rows) / max(1, len(rows) + len(able))))
-    elites = [name for name in chosen if rows[name]["passed"] or not strict]
+    elites, rows = _passing(job, iteration, simulated["elites"], able, trials, report)
     refused = [row["refused"] for row in rows.values() if not row["passed"]]
     pretrained = yardstick
     if refused and yardstick is None:
@@ -72,14 +60,9 @@ def tried(
         lines.append(f"a machine would not get {', '.join(fell)}; this world is simulated, so they are tried")
     for line in lines:
         job.stages.progress.say(f"iteration {iteration:02d}: {line}")
-    settings = job.config.gate
     for name, row in rows.items():
         job.note_gate(name, {"instances": trials.instances, "set_points": list(trials.set_points), **row})
-    for candidate in candidates:  # whoever asks for one of these later is told what was known before the gate looked
-        name, stopped = candidate["id"], candidate["stopped"] is not None
-        if name not in rows and (stopped or simulated["falls"][name]):
-            known = {"failed": ["training stopped" if stopped else "falls"], "refused": f"{name}: {kept_out[name]}"}
-            job.note_gate(name, {"instances": 0, "passed": False, **known})
+    _note_others(job, candidates, simulated, kept_out, set(rows))
     return {
         "format": FORMAT,
         "checks": list(trials.checks),
@@ -102,6 +85,46 @@ def tried(
         "first_run": settings.first_run.model_dump(),
         "steps": trials.steps,
     }
+
+
+def _passing(
+    job: Job,
+    iteration: int,
+    proposed: Sequence[str],
+    able: Sequence[SimulatedCandidate],
+    trials: Trials,
+    report: Report,
+) -> tuple[list[str], dict[str, dict[str, Any]]]:
+    """Who is tried for real, and the row of each that the gate looked at. Where the gate is strict and refuses one, the
+    selector chooses anew among those that are left, until all whom it chooses have passed; else those that were
+    proposed go, whatever is seen."""
+    selector = checked_selector(job.registry, job.config.selection.selector, job.config.max_real_samples is not None)
+    strict, chosen, rows = job.gate_is_strict, list(proposed), dict[str, dict[str, Any]]()
+    while waiting := [name for name in chosen if name not in rows]:
+        rows |= trials.of(waiting)
+        if not strict:
+            break
+        able = [one for one in able if rows.get(one.id, {}).get("passed", True)]
+        if all(rows[name]["passed"] for name in waiting):
+            break
+        chosen = selector.elites(able, job.elites(iteration))
+        report(min(0.9, len(rows) / max(1, len(rows) + len(able))))
+    return [name for name in chosen if rows[name]["passed"] or not strict], rows
+
+
+def _note_others(
+    job: Job,
+    candidates: Sequence[Mapping[str, Any]],
+    simulated: Mapping[str, Any],
+    kept_out: Mapping[str, str],
+    looked_at: set[str],
+) -> None:
+    """What was known of a candidate before the gate looked, for whoever asks for one of these later."""
+    for candidate in candidates:
+        name, stopped = candidate["id"], candidate["stopped"] is not None
+        if name not in looked_at and (stopped or simulated["falls"][name]):
+            known = {"failed": ["training stopped" if stopped else "falls"], "refused": f"{name}: {kept_out[name]}"}
+            job.note_gate(name, {"instances": 0, "passed": False, **known})
 
 
 class Trials:
