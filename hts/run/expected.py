@@ -24,7 +24,7 @@ from hts.config import RunConfig
 from hts.config_loading import dump_config
 from hts.errors import RunError
 from hts.plugins import load
-from hts.quantiles import student_quantile
+from hts.quantiles import student_quantile, weighted_quantiles
 from hts.report import wording
 from hts.run import resume_run, start_run, with_engine
 from hts.run.stage_files import read_stage
@@ -151,8 +151,7 @@ def _quantile(values: np.ndarray, share: np.ndarray, q: float) -> float:
     """Of values with equal shares numpy's own; else where the cumulated share, from the middle of each, passes q."""
     if np.allclose(share, share[0]):
         return float(np.quantile(values, q))
-    order = np.argsort(values)
-    return float(np.interp(q, np.cumsum(share[order]) - share[order] / 2, values[order]))
+    return float(weighted_quantiles(values, share, [q])[0])
 
 
 def compared(expected: Mapping[str, Any], summary: Mapping[str, Any]) -> list[dict[str, Any]]:

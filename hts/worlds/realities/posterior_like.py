@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hts.quantiles import weighted_quantiles
 from hts.worlds.realities import sampler
 from hts.worlds.realities.folder import LINES, draws_of
 from hts.worlds.realities.like import Likeness
@@ -88,7 +89,8 @@ def narrowed(parameters: Sequence[Drawn], last: Generation, weights: Mapping[int
         values = np.array([float(draw.values[one.key]) for draw, on in zip(draws, there, strict=True) if on])
         mean = float(own @ points[there, space.at[one.key]])
         z = (mean - 0.5) * np.sqrt(12 * worth * share[there].sum())  # a uniform share has a variance of 1/12
-        found.append(Narrowed(one.key, one.quartiles(), _quartiles(values, own), float(z)))
+        low, middle, high = map(float, weighted_quantiles(values, own, (0.25, 0.5, 0.75)))
+        found.append(Narrowed(one.key, one.quartiles(), (low, middle, high), float(z)))
     return sorted(found, key=lambda one: -abs(one.z))
 
 
@@ -126,14 +128,6 @@ def _figures(like: Likeness, first: Generation, last: Generation) -> list[str]:
         "",
         f"The prior is that of draws with these idle levels; {fallen} of its {len(first.population)} fell.",
     ]
-
-
-def _quartiles(values: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
-    """Of weighted values: where the cumulated weight, from the middle of each, passes the share."""
-    order = np.argsort(values)
-    reached = np.cumsum(weights[order]) - weights[order] / 2
-    low, middle, high = np.interp([0.25, 0.5, 0.75], reached, values[order])
-    return float(low), float(middle), float(high)
 
 
 def _counts(generations: Sequence[Generation]) -> tuple[int, int]:
