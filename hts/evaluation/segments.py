@@ -15,6 +15,7 @@ import numpy as np
 
 from hts.contracts import VELOCITY, Task
 from hts.errors import PluginError, RecordingError, unknown_name
+from hts.recordings.recording import noted_seconds
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -133,7 +134,7 @@ def cut(
     total = falls = gaps = 0
     for index, recording in enumerate(recordings):
         block = blocks.setdefault((recording.session, recording.block), len(blocks))
-        settle = _seconds(recording.notes.get("unsteady_seconds"), settle_seconds)
+        settle = noted_seconds(recording, "unsteady_seconds", settle_seconds)
         near_fall, count = _near_falls(recording, settle)
         falls += count
         achieved = _achieved(recording, task)
@@ -188,21 +189,6 @@ def _achieved(recording: Recording, task: Task) -> np.ndarray:
             "one number per sample."
         )
     return found
-
-
-def _seconds(noted: str | None, otherwise: float) -> float:
-    """A duration from a recording's notes, s. Raises RecordingError if it is not one."""
-    if noted is None:
-        return otherwise
-    try:
-        seconds = float(noted)
-    except ValueError:
-        seconds = math.nan
-    if not 0.0 <= seconds < math.inf:
-        raise RecordingError(
-            f"A recording's note unsteady_seconds is '{noted}', expected a number of seconds from 0 on."
-        )
-    return seconds
 
 
 def _falls_noted(recording: Recording) -> int:
