@@ -15,6 +15,7 @@ import numpy as np
 
 from hts.contracts import VELOCITY, Task
 from hts.errors import PluginError, RecordingError, unknown_name
+from hts.recordings.on_schedule import samples_at
 from hts.recordings.recording import noted_seconds
 
 if TYPE_CHECKING:
@@ -201,17 +202,15 @@ def _falls_noted(recording: Recording) -> int:
 
 def _starts(recording: Recording, settle_seconds: float, samples: int) -> list[tuple[int, float]]:
     """First sample and set-point of each piece, in order."""
-    elapsed = recording.time - recording.time[0]
-    half = 0.5 / recording.rate_hz  # clocks jitter: compare halfway between samples
-    starts: list[tuple[int, float]] = []
-    begin = 0.0
-    for set_point, seconds in _merged(recording):
-        end = begin + seconds
-        first = int(np.searchsorted(elapsed, begin + settle_seconds - half))
-        stop = int(np.searchsorted(elapsed, end - half))
-        starts += [(start, set_point) for start in range(first, stop - samples + 1, samples)]
-        begin = end
-    return starts
+    merged = _merged(recording)
+    ends = np.cumsum([seconds for _, seconds in merged])
+    first = samples_at(recording, np.concatenate([[0.0], ends[:-1]]) + settle_seconds)
+    stop = samples_at(recording, ends)
+    return [
+        (start, set_point)
+        for (set_point, _), begin, end in zip(merged, first.tolist(), stop.tolist(), strict=True)
+        for start in range(begin, end - samples + 1, samples)
+    ]
 
 
 def _merged(recording: Recording) -> list[tuple[float, float]]:
@@ -242,7 +241,7 @@ def _near_falls(recording: Recording, settle_seconds: float) -> tuple[np.ndarray
     for down, up in edges:
         near[max(0, down - before) : up + after] = True
     moments = _moments_noted(recording)
-    for at in np.searchsorted(recording.time - recording.time[0], np.array(moments) - 0.5 / rate):
+    for at in samples_at(recording, moments):
         if not fallen[min(at, num - 1)]:
             near[max(0, at - before - lying) : at + 1 + after] = True
     if recording.fell and not len(edges) and not moments:
