@@ -40,6 +40,7 @@ class Job:
         self.config, self.folder, self.registry, self.stages = config, folder, registry, stages
         self.first = "pretrained"  # the policy that is the best before anything was tried
         self.note: str | None = None  # what must be said beside every result
+        self._said: set[str] = set()
         self.robot: Robot = registry.make_robot(config.robot.name, config.robot.settings)
         self.objectives: dict[str, Objective] = {
             name: registry.make_objective(name, settings) for name, settings in config.objectives.items()
@@ -50,6 +51,12 @@ class Job:
     def do(self, name: str, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
         """See `Stages.do`."""
         return self.stages.do(name, title, work)
+
+    def say_once(self, about: str, line: str) -> None:
+        """One line of the run, unless one about the same was said since it was begun or resumed."""
+        if about not in self._said:
+            self._said.add(about)
+            self.stages.progress.say(line)
 
     def read(self, name: str) -> Any:
         """Result of a finished stage. Raises RunError as `read_stage`."""
