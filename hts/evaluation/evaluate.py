@@ -13,7 +13,7 @@ from hts.atomic import atomic_write
 from hts.config_base import SEEDS
 from hts.contracts import HoldSpeed, World, WorldContext
 from hts.errors import ConfigError, EvaluationError, PolicyError, RunError
-from hts.evaluation.asked import asked, complete
+from hts.evaluation.asked import Check, asked, complete
 from hts.evaluation.final import (
     entry_both_ways,
     entry_of,
@@ -61,6 +61,7 @@ def evaluate_run(
     from hts.evaluation.other_settings import as_options, as_values, with_others
     from hts.plugins import load
     from hts.policies.held_commands import has_held_commands
+    from hts.recordings.needs import check_judged_by, check_recorded
     from hts.recordings.store import RecordingStore
 
     folder = Path(folder)
@@ -112,15 +113,19 @@ def evaluate_run(
         def missed(recordings: Sequence[Recording]) -> list[float]:
             return speeds_missed(next(iter(objectives.values())), recordings, config.evaluation, seed, task)
 
+        def check(recordings: Sequence[Recording]) -> None:
+            check_recorded(objectives.values(), recordings)
+            check_judged_by(recordings, robot)
+
         def ask(hold: HoldSpeed, asked: Sequence[float]) -> list[Recording]:
             ask_to_hold(where, hold)
-            return in_sessions(where, tested, reference, asked, count)
+            return in_sessions(where, tested, reference, asked, count, check)
 
         try:
             if hold is not None:
                 held, vain = walked_again(ask(hold, speeds), hold, config.evaluation.trims_again, missed, ask)
                 ask_to_hold(where, None)
-            recordings = in_sessions(where, tested, reference, speeds, count)
+            recordings = in_sessions(where, tested, reference, speeds, count, check)
         finally:
             where.close()
         store = RecordingStore(place / "data.zarr", create=True)
@@ -181,16 +186,24 @@ def command_of(
     return shlex.join(words)
 
 
-def in_sessions(world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int) -> list[Recording]:
-    """A head-to-head, or as many as asked for. Raises EvaluationError for a world that makes one only."""
+def in_sessions(
+    world: World,
+    policy: Path,
+    reference: Path,
+    speeds: Sequence[float],
+    sessions: int,
+    check: Check | None = None,
+) -> list[Recording]:
+    """A head-to-head, or as many as asked for. check: as `complete` does it. Raises EvaluationError for a world that
+    makes one only."""
     if sessions == 1:
-        return complete(world, "head_to_head", asked(world, "head_to_head", policy, reference, speeds), speeds)
+        return complete(world, "head_to_head", asked(world, "head_to_head", policy, reference, speeds), speeds, check)
     found = asked(world, "head_to_head_sessions", policy, reference, speeds, sessions)
     if found is None:
         raise EvaluationError(
             f"World '{world.name}' makes a head-to-head once; {sessions} sessions were asked for. Ask for one."
         )
-    return complete(world, "head_to_head_sessions", found, speeds)
+    return complete(world, "head_to_head_sessions", found, speeds, check)
 
 
 def policy_file(folder: Path, policy: str | Path) -> Path:

@@ -10,7 +10,7 @@ from hts.config import EvaluationConfig
 from hts.contracts import VELOCITY, FollowVelocity, Objective, Task, TestedCandidate
 from hts.errors import EvaluationError
 from hts.evaluation.across_speeds import mean_comparison
-from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare
+from hts.evaluation.head_to_head import HeadToHead, TooFewSegments, by_speed, compare, judged
 from hts.evaluation.held import CommandAtLimit, NotComparable, SpeedNotHeld, refusal
 from hts.evaluation.segments import Segments, falls_of
 
@@ -143,7 +143,7 @@ def speeds_missed(
         if falls_of("policy", group):
             continue
         try:
-            compare(objective, group, config, seed, task)
+            judged(objective, group, config, seed, task)
         except CommandAtLimit:
             continue
         except NotComparable as error:

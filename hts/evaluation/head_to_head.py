@@ -155,8 +155,7 @@ def compare(
     speeds, fewer than `config.min_valid` of the segments valid, fewer than `config.min_segments` of either policy, a
     quantity that is not a finite number, or a held speed that was not held (`SpeedNotHeld`).
     """
-    sent = commanded({role: [r for r in recordings if r.role == role] for role in ROLES}, _one_speed(recordings, task))
-    measured = _measure(objective, recordings, config, task, sent, seed)
+    measured, sent = _judge(objective, recordings, config, seed, task)
     segments, scores = measured.segments, measured.scores
     comparison = measured.comparison()
 
@@ -178,6 +177,28 @@ def compare(
         commanded=sent,
         every_second=_every_second(objective, recordings, config, task, measured, ci95, seed),
     )
+
+
+def judged(
+    objective: Objective,
+    recordings: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int = 0,
+    task: Task = VELOCITY,
+) -> Comparison:
+    """What `compare` finds, without any interval of it: for who asks whether the two can be compared at all.
+
+    Its arguments are those of `compare`, and so is what it raises, in the same words.
+    """
+    return _judge(objective, recordings, config, seed, task)[0].comparison()
+
+
+def _judge(
+    objective: Objective, recordings: Sequence[Recording], config: EvaluationConfig, seed: int, task: Task
+) -> tuple[_Measured, Commanded]:
+    """What `compare` makes its numbers of, and what was commanded. Raises EvaluationError as it does."""
+    sent = commanded({role: [r for r in recordings if r.role == role] for role in ROLES}, _one_speed(recordings, task))
+    return _measure(objective, recordings, config, task, sent, seed), sent
 
 
 def _every_second(

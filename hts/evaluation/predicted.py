@@ -8,7 +8,7 @@ and one meaning, and their ratio says how far the model can be trusted (`hts.run
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from hts.contracts import VELOCITY, Comparison, Task
 from hts.errors import EvaluationError, PluginError, unknown_name
-from hts.evaluation.scoring import plain
+from hts.evaluation.scoring import as_scores, plain
 from hts.guarded import guarded
 
 if TYPE_CHECKING:
@@ -45,7 +45,9 @@ class PredictedSegments:
     def values(self, channel: str) -> np.ndarray:
         """The channel in each piece, (S, n). Raises EvaluationError for one that nobody predicts."""
         if channel not in self.channels:
-            raise EvaluationError("Nothing predicts it: " + unknown_name("channel", channel, self.channels))
+            raise EvaluationError(
+                "Its score reads what nothing predicts. " + unknown_name("channel", channel, self.channels)
+            )
         return self.channels[channel]
 
     def idle(self, channel: str) -> np.ndarray:
@@ -103,25 +105,53 @@ def _predicted_channels(
 
 
 def predicted_comparison(
-    objective: Objective, policy: PredictedSegments, reference: PredictedSegments
+    objective: Objective,
+    policy: PredictedSegments,
+    reference: PredictedSegments,
+    tell: Callable[[str], None] = lambda why: None,
 ) -> Comparison | None:
     """A policy against its reference, both predicted at one speed. None where nothing is left to compare, where the
-    objective asks for a channel that nobody predicts, or where the comparison is no finite number."""
+    objective's score asks for more than is predicted, or where the comparison is no finite number.
+
+    tell: is told why, where a score cannot be made of what is predicted. Raises PluginError for a mistake in `score` or
+    `compare`.
+    """
     if not len(policy) or not len(reference):
+        return None
+    try:
+        means = [_means(objective, each) for each in (policy, reference)]
+    except EvaluationError as error:
+        tell(str(error))
         return None
 
     def ask() -> Comparison | None:
         try:
-            means = [
-                {name: float(np.mean(values)) for name, values in objective.score(each).items()}  # type: ignore[arg-type]
-                for each in (policy, reference)
-            ]
             return objective.compare(*means)
-        except (EvaluationError, ArithmeticError, AttributeError):  # it looks at more than can be predicted
+        except (EvaluationError, ArithmeticError):  # a reference of 0, say: these means have no comparison
             return None
 
-    given = guarded(f"Objective '{objective.name}': score() and compare() of what is predicted", ask)
+    given = guarded(f"Objective '{objective.name}': compare() of what is predicted", ask)
     if given is None:
         return None
     found = plain(objective, given)
     return found if math.isfinite(found.improvement) and math.isfinite(found.selection_score) else None
+
+
+def _means(objective: Objective, segments: PredictedSegments) -> dict[str, float]:
+    """Means of the objective's quantities. Raises EvaluationError where it looks at more than is predicted, PluginError
+    for any other mistake and for what are no quantities."""
+    who = f"Objective '{objective.name}'"
+
+    def ask() -> Mapping[str, np.ndarray]:
+        try:
+            return objective.score(segments)  # type: ignore[arg-type]
+        except ArithmeticError as error:
+            raise EvaluationError(f"Its score of predicted seconds fails, {type(error).__name__}: {error}") from error
+        except AttributeError as error:
+            if not isinstance(error.obj, PredictedSegments):
+                raise
+            raise EvaluationError(f"Its score reads `{error.name}` of segments, which is not predicted.") from error
+
+    scores = guarded(f"{who}: score() of what is predicted", ask)
+    as_scores(who, scores, len(segments))
+    return {name: float(np.mean(values)) for name, values in scores.items()}

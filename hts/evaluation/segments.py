@@ -15,6 +15,8 @@ import numpy as np
 
 from hts.contracts import VELOCITY, Task
 from hts.errors import PluginError, RecordingError, unknown_name
+from hts.recordings.on_schedule import samples_at
+from hts.recordings.recording import noted_seconds
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -133,7 +135,7 @@ def cut(
     total = falls = gaps = 0
     for index, recording in enumerate(recordings):
         block = blocks.setdefault((recording.session, recording.block), len(blocks))
-        settle = _seconds(recording.notes.get("unsteady_seconds"), settle_seconds)
+        settle = noted_seconds(recording, "unsteady_seconds", settle_seconds)
         near_fall, count = _near_falls(recording, settle)
         falls += count
         achieved = _achieved(recording, task)
@@ -190,21 +192,6 @@ def _achieved(recording: Recording, task: Task) -> np.ndarray:
     return found
 
 
-def _seconds(noted: str | None, otherwise: float) -> float:
-    """A duration from a recording's notes, s. Raises RecordingError if it is not one."""
-    if noted is None:
-        return otherwise
-    try:
-        seconds = float(noted)
-    except ValueError:
-        seconds = math.nan
-    if not 0.0 <= seconds < math.inf:
-        raise RecordingError(
-            f"A recording's note unsteady_seconds is '{noted}', expected a number of seconds from 0 on."
-        )
-    return seconds
-
-
 def _falls_noted(recording: Recording) -> int:
     """A world may see falls that do not tilt the trunk. Raises RecordingError for a note that is no count."""
     noted = recording.notes.get("falls", "0")
@@ -215,17 +202,15 @@ def _falls_noted(recording: Recording) -> int:
 
 def _starts(recording: Recording, settle_seconds: float, samples: int) -> list[tuple[int, float]]:
     """First sample and set-point of each piece, in order."""
-    elapsed = recording.time - recording.time[0]
-    half = 0.5 / recording.rate_hz  # clocks jitter: compare halfway between samples
-    starts: list[tuple[int, float]] = []
-    begin = 0.0
-    for set_point, seconds in _merged(recording):
-        end = begin + seconds
-        first = int(np.searchsorted(elapsed, begin + settle_seconds - half))
-        stop = int(np.searchsorted(elapsed, end - half))
-        starts += [(start, set_point) for start in range(first, stop - samples + 1, samples)]
-        begin = end
-    return starts
+    merged = _merged(recording)
+    ends = np.cumsum([seconds for _, seconds in merged])
+    first = samples_at(recording, np.concatenate([[0.0], ends[:-1]]) + settle_seconds)
+    stop = samples_at(recording, ends)
+    return [
+        (start, set_point)
+        for (set_point, _), begin, end in zip(merged, first.tolist(), stop.tolist(), strict=True)
+        for start in range(begin, end - samples + 1, samples)
+    ]
 
 
 def _merged(recording: Recording) -> list[tuple[float, float]]:
@@ -256,7 +241,7 @@ def _near_falls(recording: Recording, settle_seconds: float) -> tuple[np.ndarray
     for down, up in edges:
         near[max(0, down - before) : up + after] = True
     moments = _moments_noted(recording)
-    for at in np.searchsorted(recording.time - recording.time[0], np.array(moments) - 0.5 / rate):
+    for at in samples_at(recording, moments):
         if not fallen[min(at, num - 1)]:
             near[max(0, at - before - lying) : at + 1 + after] = True
     if recording.fell and not len(edges) and not moments:

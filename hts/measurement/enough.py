@@ -73,7 +73,7 @@ class Enough:
     def as_json(self) -> dict[str, Any]:
         """Plain JSON values."""
         found = asdict(self)
-        return {**found, "speeds": {f"{speed:g}": seconds for speed, seconds in self.speeds.items()}}
+        return {**found, "speeds": {f"{speed:.12g}": seconds for speed, seconds in self.speeds.items()}}
 
 
 def enough(objective: Objective, recordings: Sequence[Recording], speeds: Sequence[float] = ()) -> Enough:

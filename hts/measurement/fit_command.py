@@ -92,7 +92,8 @@ def fit_and_check(
     model: name and settings; fit: see the model's `fit`; held_out: see `checks.check`; training: ids fitted to;
     held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing, such as the first
     with one recording); split: how it was split; same_session: how many of those held out
-    are of sessions that were fitted to, too; masked: samples left out as no machine makes them, see `outliers`;
+    are of sessions that were fitted to, too; masked: samples left out as no machine makes them, see `outliers`, the
+    same ones in both fits, since a range is that of all these recordings together;
     refit: the same as fit, of the model that is returned, which has seen what was held out too (None where
     `config.refit` says no).
     settings, registry, physics_steps: see `new_model`; keep: hashes of policies never held out whole.

@@ -14,6 +14,8 @@ WORSE_THAN_LINEAR = 0.1
 """By so much less variance explained a model is not worth its training."""
 POOR_SPREAD = 2.0
 """Errors that are more than so many times as large as a model says are worth a line."""
+COUNTS = ("samples", "short")
+"""Of what was left out."""
 SHORT_SECONDS = 30.0
 """Less than this held out says little: another half minute may give another R²."""
 
@@ -123,6 +125,19 @@ def _number(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.3f}"
 
 
+def masked_lines(report: Mapping[str, Any], before: Mapping[str, Any] | None = None) -> list[str]:
+    """How many samples the fit left out because no machine makes them, with the worst of each channel, in one line;
+    empty where there are none, or as many as there were before.
+
+    report: that of `fit_and_check`; before: that of an earlier fit to the first of the same recordings. What an earlier
+    version wrote may not know.
+    """
+    found, known = report.get("masked") or {}, (before or {}).get("masked") or {}
+    if not found.get("samples") or [found.get(key) for key in COUNTS] == [known.get(key) for key in COUNTS]:
+        return []
+    return [f"{report['target']}: {told(Masked(**found))}"]
+
+
 def cautions(report: Mapping[str, Any]) -> list[str]:
     """What `hts fit` says beside that of its own data and of the other models, one line each.
 
@@ -135,8 +150,7 @@ def cautions(report: Mapping[str, Any]) -> list[str]:
         why = "; ".join(f"{count}: {reason}" for reason, count in reasons.items())
         many = f"{len(report['left_out'])} recording{'s' if len(report['left_out']) > 1 else ''}"
         lines.append(f"{target}: {many} left out, listed in fit.json under `left_out` ({why}).")
-    if report["masked"]["samples"]:
-        lines.append(f"{target}: {told(Masked(**report['masked']))}")
+    lines += masked_lines(report)
     if shared["held_out"]:
         both = (
             f"{target}: {shared['held_out']} of {shared['of']} held-out samples are in the recordings to fit to as well"

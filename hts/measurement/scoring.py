@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hts.recordings.on_schedule import command_at
+
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
@@ -114,11 +116,8 @@ def policy_costs(traces: Sequence[Trace]) -> list[PolicyCost]:
 
 
 def commanded_speed(recording: Recording) -> np.ndarray:
-    """Commanded forward speed at each sample, m/s rounded to 0.01, or the set-point of another task, shape (T,)."""
-    ends = np.cumsum([command.seconds for command in recording.schedule.commands])
-    speeds = np.array([round(command.commanded, 2) for command in recording.schedule.commands])
-    elapsed = recording.time - recording.time[0]
-    return speeds[np.minimum(np.searchsorted(ends, elapsed, side="right"), len(speeds) - 1)]
+    """Commanded forward speed at each sample, m/s, or the set-point of another task in its unit, shape (T,)."""
+    return np.array([command.commanded for command in recording.schedule.commands])[command_at(recording)]
 
 
 def scores(traces: Sequence[Trace], seen_policies: Collection[str] = ()) -> dict[str, Any]:

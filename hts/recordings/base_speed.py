@@ -18,6 +18,7 @@ import numpy as np
 from hts.contracts import Robot
 from hts.contracts.speeds import fastest
 from hts.errors import RecordingError
+from hts.recordings.on_schedule import command_at
 from hts.recordings.recording import Recording
 
 VELOCITY, COMMAND = "base_velocity", "command"
@@ -109,9 +110,7 @@ def _told(recording: Recording) -> np.ndarray | None:
     commands = recording.schedule.commands
     if "schedule" in recording.notes or not all(command.is_velocity for command in commands):
         return None
-    ends = np.cumsum([command.seconds for command in commands])
-    which = np.minimum(np.searchsorted(ends, recording.time, side="right"), len(commands) - 1)
-    return np.array([(command.vx, command.vy, command.yaw_rate) for command in commands])[which]
+    return np.array([(command.vx, command.vy, command.yaw_rate) for command in commands])[command_at(recording)]
 
 
 def _steady(told: np.ndarray, rate_hz: float) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""What an objective needs of a log or a recording: its inputs, its target, and what else its score reads."""
+"""What is needed of a log or a recording: an objective's inputs, its target, and what else its score reads; and what
+tells whether the robot did its task."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ RATE_TOLERANCE = 0.01
 
 if TYPE_CHECKING:
     from hts.channels import Channel
-    from hts.contracts import Objective, RobotSpec
+    from hts.contracts import Objective, Robot, RobotSpec
     from hts.recordings.recording import Recording
 
 
@@ -124,13 +125,24 @@ def check_recorded(objectives: Iterable[Objective], recordings: Iterable[Recordi
     for recording in recordings:
         for objective in asked:
             for channel in objective.real_channels:
-                _check_one(recording, objective.name, channel)
+                _check_one(recording, f"objective '{objective.name}' measures", channel.name, channel)
             for name in objective.inputs if inputs else ():
                 if name not in recording.channels:
                     text = unknown_name("channel of this recording", name, recording.channels)
                     raise RecordingError(
-                        f"{_begin(recording, objective.name)}'s model reads '{name}', which was not recorded. {text}"
+                        f"{_begin(recording)} objective '{objective.name}'s model reads '{name}', which was not "
+                        f"recorded. {text}"
                     )
+
+
+def check_judged_by(recordings: Iterable[Recording], robot: Robot) -> None:
+    """Raise RecordingError where a channel by which the robot's task is judged was not recorded, or in another unit or
+    shape than the robot's own: km/h would be judged as m/s. First data are not judged, so they may lack it."""
+    own = robot.channels()
+    for recording in recordings:
+        for name in robot.task().channels:
+            if name in recording.channels or recording.role != "collection":
+                _check_one(recording, "the robot's task is judged by", name, own.get(name))
 
 
 def check_rate(recordings: Iterable[Recording], spec: RobotSpec) -> None:
@@ -145,22 +157,32 @@ def check_rate(recordings: Iterable[Recording], spec: RobotSpec) -> None:
             )
 
 
-def _begin(recording: Recording, objective: str) -> str:
-    return f"World '{recording.world}', policy {recording.policy_hash[:8]}: objective '{objective}'"
+def _begin(recording: Recording) -> str:
+    return f"World '{recording.world}', policy {recording.policy_hash[:8]}:"
 
 
-def _check_one(recording: Recording, objective: str, channel: Channel) -> None:
-    where = _begin(recording, objective)
-    if channel.name not in recording.channels:
-        text = unknown_name("channel of this recording", channel.name, recording.channels)
-        raise RecordingError(f"{where} measures '{channel.name}', which was not recorded. {text}")
-    found = recording.channels[channel.name].channel
+def _check_one(recording: Recording, who: str, name: str, channel: Channel | None) -> None:
+    """who: begins what is said of it; channel: as it should be, None where nobody states its unit and shape."""
+    what = f"{_begin(recording)} {who} '{name}'"
+    if name not in recording.channels:
+        text = unknown_name("channel of this recording", name, recording.channels)
+        raise RecordingError(f"{what}, which was not recorded. {text}")
+    found = recording.channels[name].channel
+    if channel is None:
+        return
     if found.shape != channel.shape:
         raise RecordingError(
-            f"{where} measures '{channel.name}' with shape {channel.shape}, recorded is {found.shape}."
+            f"{what} with shape {channel.shape}, recorded is {found.shape}. Record or import it in that shape."
         )
-    if found.unit != channel.unit and conversion(found.unit, channel.unit) != (1.0, 0.0):
+    if not _same_unit(found.unit, channel.unit):
         raise RecordingError(
-            f"{where} measures '{channel.name}' in {channel.unit}, recorded is {found.unit}. Record or import it in "
-            f"{channel.unit}."
+            f"{what} in {channel.unit}, recorded is {found.unit}. Record or import it in {channel.unit}."
         )
+
+
+def _same_unit(found: str, wanted: str) -> bool:
+    """Whether two spellings mean one unit, not another one, or one of another quantity."""
+    try:
+        return found == wanted or conversion(found, wanted) == (1.0, 0.0)
+    except RecordingError:
+        return False

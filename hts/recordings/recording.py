@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -88,14 +89,8 @@ class Recording:
     @property
     def robot_samples(self) -> int:
         """Control steps of the robot: the recorded ones, and those before them that its note `unrecorded_seconds`
-        tells of (warming up, trimming). Raises RecordingError if that note is no number."""
-        try:
-            return self.num_samples + round(float(self.notes.get("unrecorded_seconds", 0.0)) * self.rate_hz)
-        except ValueError as error:
-            raise RecordingError(
-                f"{self.id or 'A recording'}: its note unrecorded_seconds is '{self.notes['unrecorded_seconds']}', "
-                "expected a number of seconds."
-            ) from error
+        tells of (warming up, trimming). Raises RecordingError if that note is no duration."""
+        return self.num_samples + round(noted_seconds(self, "unrecorded_seconds", 0.0) * self.rate_hz)
 
     def values(self, channel: str) -> np.ndarray:
         """Samples of one channel, float32 (T, *shape). Raises RecordingError for a channel that is not there."""
@@ -107,3 +102,22 @@ class Recording:
     def replace(self, **changes: object) -> Recording:
         """A copy with some fields changed. The id is dropped, because it names the content."""
         return dataclasses.replace(self, **{"id": "", **changes})  # type: ignore[arg-type]
+
+
+def noted_seconds(recording: Recording, note: str, otherwise: float) -> float:
+    """A duration, s, that a recording's notes state; `otherwise` where they do not.
+
+    Raises RecordingError, which names the note, for what is no number, below 0, or more than can be counted in samples:
+    fewer than no samples would lengthen what the robot may still walk.
+    """
+    noted = recording.notes.get(note)
+    if noted is None:
+        return otherwise
+    try:
+        seconds = float(noted)
+    except (TypeError, ValueError):
+        seconds = math.nan
+    if not (seconds >= 0.0 and math.isfinite(seconds * recording.rate_hz)):
+        whose = f"{recording.id}: its" if recording.id else "A recording's"
+        raise RecordingError(f"{whose} note {note} is '{noted}', expected a number of seconds from 0 on.")
+    return seconds

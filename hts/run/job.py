@@ -20,7 +20,7 @@ from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
 from hts.policies.onnx_ours import what_differs
-from hts.recordings.needs import check_rate, check_recorded
+from hts.recordings.needs import check_judged_by, check_rate, check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
 from hts.run.budget import Budget, plan, second_trials
@@ -40,6 +40,7 @@ class Job:
         self.config, self.folder, self.registry, self.stages = config, folder, registry, stages
         self.first = "pretrained"  # the policy that is the best before anything was tried
         self.note: str | None = None  # what must be said beside every result
+        self._said: set[str] = set()
         self.robot: Robot = registry.make_robot(config.robot.name, config.robot.settings)
         self.objectives: dict[str, Objective] = {
             name: registry.make_objective(name, settings) for name, settings in config.objectives.items()
@@ -50,6 +51,12 @@ class Job:
     def do(self, name: str, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
         """See `Stages.do`."""
         return self.stages.do(name, title, work)
+
+    def say_once(self, about: str, line: str) -> None:
+        """One line of the run, unless one about the same was said since it was begun or resumed."""
+        if about not in self._said:
+            self._said.add(about)
+            self.stages.progress.say(line)
 
     def read(self, name: str) -> Any:
         """Result of a finished stage. Raises RunError as `read_stage`."""
@@ -245,14 +252,17 @@ class Job:
         """The run's real data."""
         return RecordingStore(self.folder / "data.zarr", create=True)
 
-    def keep(self, recordings: Sequence[Recording], iteration: int) -> list[str]:
-        """Store recordings; writing one twice is harmless. Returns their ids.
-
-        Raises RecordingError, with nothing stored, if one lacks what an objective of this run measures or its model
-        reads, or is of another rate than the policies'.
-        """
+    def check_recordings(self, recordings: Sequence[Recording]) -> None:
+        """Raise RecordingError if one lacks what an objective of this run measures, its model reads or the task is
+        judged by, or has it in another unit or shape, or is of another rate than the policies'."""
         check_recorded(self.objectives.values(), recordings, inputs=self.config.fits_models)
+        check_judged_by(recordings, self.robot)
         check_rate(recordings, self.robot.spec)
+
+    def keep(self, recordings: Sequence[Recording], iteration: int) -> list[str]:
+        """Store recordings; writing one twice is harmless. Returns their ids. Raises RecordingError as
+        `check_recordings` does, with nothing stored."""
+        self.check_recordings(recordings)
         return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
 
     def recordings(self, ids: Sequence[str]) -> list[Recording]:

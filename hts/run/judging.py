@@ -155,10 +155,14 @@ def _promised(
             tolerance = job.config.evaluation.speed_tolerance
             return pieces(objective, target, trial.piece_speed, trial.speed, known, tolerance, task)
 
+        def tell(why: str, objective: Objective = objective) -> None:
+            who = f"Objective '{objective.name}'"
+            job.say_once(f"{who}: not predicted", f"{who}: what candidates would save cannot be predicted. {why}")
+
         references = [seen(trial) for trial in results[PRETRAINED]]
         for name, row in found.items():
             compared = {
-                speed_key(trial.speed): predicted_comparison(objective, seen(trial), reference)
+                speed_key(trial.speed): predicted_comparison(objective, seen(trial), reference, tell)
                 for trial, reference in zip(results[name], references, strict=True)
             }
             row[key] = {

@@ -14,7 +14,7 @@ from hts.errors import PluginError
 from hts.guarded import guarded
 from hts.measurement import files
 from hts.measurement.fit_command import FitResult, fit_and_check
-from hts.measurement.fit_report import doubts
+from hts.measurement.fit_report import doubts, masked_lines
 from hts.measurement.outliers import masked_split
 from hts.measurement.transform import Measured, MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
@@ -56,6 +56,8 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         if before is None or not doubts(before):  # once is enough
             for line in doubts(result[name]):
                 job.stages.progress.say(line)
+        for line in masked_lines(result[name], before):  # again where new recordings have more of them
+            job.stages.progress.say(line)
     return result
 
 

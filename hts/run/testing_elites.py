@@ -140,11 +140,11 @@ def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> 
         call = "head_to_heads_in_session"
         sessions = asked(job.world, call, policies, reference, speeds, selection.block_seconds)
         if sessions is not None:
-            return complete_each(job.world, call, sessions, len(policies), speeds)
+            return complete_each(job.world, call, sessions, len(policies), speeds, job.check_recordings)
         world = job.config.world.name
         job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: {one_for_each(job.robot.task())}")
     found = asked(job.world, "head_to_heads", policies, reference, speeds)
-    return complete_each(job.world, "head_to_heads", found, len(policies), speeds)
+    return complete_each(job.world, "head_to_heads", found, len(policies), speeds, job.check_recordings)
 
 
 def _again(job: Job, of: dict[str, list[Recording]], spent: int, before: int = 0) -> list[Recording]:
@@ -192,7 +192,11 @@ def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Round
         policies = [job.exported(elite) for elite in racing]
         call = "head_to_head_round"
         found = asked(job.world, call, policies, reference, speed, number, rounds.block_seconds)
-        return None if found is None else complete_each(job.world, call, found, len(policies), speeds)
+        return (
+            None
+            if found is None
+            else complete_each(job.world, call, found, len(policies), speeds, job.check_recordings)
+        )
 
     def judge(elite: str, recordings: Sequence[Recording]) -> CandidateResult:
         return _result(job, elite, recordings)

@@ -13,7 +13,7 @@ from hts.errors import ConfigError, EvaluationError, PluginError
 from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.final import candidate_result, entry_both_ways, speeds_missed, walked_speeds
 from hts.evaluation.halves import halves
-from hts.evaluation.head_to_head import compare
+from hts.evaluation.head_to_head import compare, judged
 from hts.evaluation.held import SpeedNotHeld, ask_to_hold, check_hold, hold_of, not_held_in_training, not_tried
 from hts.plugins import load
 from hts.recordings.recording import Recording, Series
@@ -127,6 +127,41 @@ def test_a_speed_is_walked_again_where_the_command_was_wrong_and_not_where_the_p
     assert missed(noise=0.4) == []  # right on average, in few of its seconds
     saturated = {role: held(1.2, saturated=True)}
     assert missed(mean=0.7, notes=saturated) == []  # trimming longer does not help
+
+
+def test_whether_a_speed_was_missed_is_told_without_drawing_an_interval():
+    class Counted(CostObjective):
+        asked = 0
+
+        def compare(self, policy, reference):
+            self.asked += 1
+            return super().compare(policy, reference)
+
+    objective = Counted()
+    assert speeds_missed(objective, session(0.5, 0.5, 0.5) + session(0.8, 0.8, 0.8), CONFIG) == []
+    assert objective.asked == 2  # once at each speed
+
+
+@pytest.mark.parametrize(
+    "recordings",
+    [
+        session(0.8, 0.8, 0.8),
+        session(0.8, 0.81, 0.8),
+        session(0.8, 0.9, 0.8),
+        session(0.8, 0.7, 0.8, notes={"policy": held(1.2, saturated=True)}),
+        session(0.8, 0.8, 0.8, seconds=4),
+    ],
+    ids=["good", "apart", "too fast", "at the limit", "too few"],
+)
+def test_what_is_judged_without_intervals_is_what_is_compared_with_them(recordings):
+    def found(ask):
+        try:
+            return ask(CostObjective(), recordings, CONFIG)
+        except EvaluationError as error:
+            return type(error), str(error)
+
+    with_intervals = found(compare)
+    assert found(judged) == (with_intervals if isinstance(with_intervals, tuple) else with_intervals.comparison)
 
 
 def test_a_speed_at_which_the_policy_fell_is_not_walked_again():

@@ -76,6 +76,92 @@ def test_an_objective_that_scores_an_unpredicted_channel_promises_nothing():
     assert predicted_comparison(Two(), walk(8.0, 0.8), walk(10.0, 0.8)) is None
 
 
+class Mistaken(Effort):
+    """Its comparison asks a number for what it has not."""
+
+    def compare(self, policy, reference):
+        return Comparison(1 - policy["net"] / reference["net"].mean, 0.0)  # a float has no `mean`
+
+
+class OfWrongType(Effort):
+    """Its score asks an array for what it has not."""
+
+    def score(self, segments):
+        return {"net": segments.values("effort").average(-1)}
+
+
+class OfNothing(Effort):
+    """Its score forgets to return."""
+
+    def score(self, segments):
+        segments.values("effort").mean(-1)
+
+
+@pytest.mark.parametrize(
+    ("objective", "said"),
+    [
+        (
+            Mistaken(),
+            r"compare\(\) of what is predicted failed, AttributeError: 'float' object has no attribute 'mean'",
+        ),
+        (OfWrongType(), r"score\(\) of what is predicted failed, AttributeError: .* no attribute 'average'"),
+        (OfNothing(), r"score gives a NoneType, expected names with arrays"),
+    ],
+)
+def test_a_mistake_in_an_objective_is_named_and_does_not_mean_that_nothing_is_predicted(objective, said):
+    with pytest.raises(PluginError, match=f"^Objective 'effort': {said}") as error:
+        predicted_comparison(objective, walk(8.0, 0.8), walk(10.0, 0.8))
+    assert "\n" not in str(error.value)
+
+
+class OfBlocks(Effort):
+    """Its score looks at recordings, of which a prediction has none."""
+
+    def score(self, segments):
+        return {"net": np.full(len(segments), len(segments.recordings))}
+
+
+class OfAnother(Effort):
+    """Its score reads a channel that nobody predicts."""
+
+    def score(self, segments):
+        return {"net": segments.values("other").mean(-1)}
+
+
+class OfNoughts(Effort):
+    """Its score divides by what is nought here."""
+
+    def score(self, segments):
+        return {"net": np.full(len(segments), 1 / int(segments.values("effort").min() - 8))}
+
+
+@pytest.mark.parametrize(
+    ("objective", "said"),
+    [
+        (OfBlocks(), "Its score reads `recordings` of segments, which is not predicted."),
+        (OfAnother(), "Its score reads what nothing predicts. No channel named 'other'."),
+        (OfNoughts(), "Its score of predicted seconds fails, ZeroDivisionError: "),
+    ],
+)
+def test_why_a_score_cannot_be_made_of_what_is_predicted_is_told(objective, said):
+    told = []
+    assert predicted_comparison(objective, walk(8.0, 0.8), walk(10.0, 0.8), told.append) is None
+    assert len(told) == 1 and told[0].startswith(said)
+
+
+def test_nothing_is_told_where_there_is_nobody_or_the_reference_is_nought():
+    told = []
+    nobody = walk(8.0, 0.8, count=0)
+    assert predicted_comparison(Effort(), nobody, walk(10.0, 0.8), told.append) is None
+
+    class Whole(Effort):
+        def compare(self, policy, reference):
+            return Comparison(1 // 0, 0.0)
+
+    assert predicted_comparison(Whole(), walk(8.0, 0.8), walk(10.0, 0.8), told.append) is None
+    assert told == []
+
+
 def test_power_predicts_its_voltage_by_the_sag_in_the_recordings():
     power = pytest.importorskip("hts_power.objective", reason="the objective of this test is not installed").Power()
     rng = np.random.default_rng(0)

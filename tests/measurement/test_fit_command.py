@@ -17,6 +17,7 @@ from hts.errors import ConfigError, PluginError, RunError
 from hts.measurement import files, fit_command, fit_report
 from hts.measurement.data import input_tensor
 from hts.measurement.lstm import LSTMSettings
+from hts.recordings.recording import Series
 from hts.testing.known_signals import SIGNALS, KnownHeat
 from hts.testing.known_signals import known_heat as recording
 
@@ -123,6 +124,20 @@ def test_the_model_that_is_returned_has_seen_what_was_held_out():
     inputs = input_tensor(SIGNALS, recordings[0])[None]
     found, same, other = (one.sequence(inputs)[0].mean for one in (again.model, whole, checked.model))
     assert torch.equal(found, same) and not torch.equal(found, other)
+
+
+def test_what_is_left_out_of_the_model_that_is_returned_is_what_the_report_says():
+    spoilt = [recording(seed, seconds=8.0) for seed in range(4)]
+    for number, place in ((1, 100), (3, 20)):  # 20: what is left before it is shorter than a second
+        values = spoilt[number].values("heat").copy()
+        values[place] = 1e6
+        series = Series(spoilt[number].channels["heat"].channel, values)
+        spoilt[number] = spoilt[number].replace(channels={**spoilt[number].channels, "heat": series})
+    found = fit_command.fit_and_check(KnownHeat(), spoilt, MeasurementConfig(), settings={"model": "linear"})
+    (left_out,), masked = found.report["masked"]["why"].items(), found.report["masked"]
+    assert left_out == ("heat", (2, 1e6, "W")) and (masked["samples"], masked["short"]) == (2, 20)
+    whole = sum(one.num_samples for one in spoilt)
+    assert found.report["refit"]["samples"] == whole - masked["samples"] - masked["short"]
 
 
 def test_fit_and_check_uses_the_given_configuration():
@@ -266,8 +281,26 @@ def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_
     fitted(0.9)
     results["iterations/02/fit"] = learning.fit(Job, 2, print)
     fitted(0.7)
-    learning.fit(Job, 3, print)
+    results["iterations/03/fit"] = learning.fit(Job, 3, print)
     assert len(Job.said) == 2 and "below that of `linear`" in Job.said[1]
+    spoilt = a_report(0.9, 0.9) | {"masked": {"samples": 1, "short": 0, "why": {"heat": (1, 1e6, "W")}}}
+    monkeypatch.setattr(learning, "fit_and_check", lambda *given, **more: fit_command.FitResult(None, spoilt))
+    for iteration in (4, 5):
+        results[f"iterations/{iteration:02d}/fit"] = learning.fit(Job, iteration, print)
+    assert Job.said[2:] == ["heat: 1 sample that no machine makes left out: 'heat' 1 (such as 1e+06 W)."]
+
+
+def test_a_run_says_what_its_fit_left_out_and_again_where_new_recordings_have_more_of_it():
+    def fitted(samples, short=0):
+        why = {"heat": [samples, 1e6, "W"]} if samples else {}
+        return a_report(0.9, 0.9) | {"masked": {"samples": samples, "short": short, "why": why}}
+
+    (line,) = fit_report.masked_lines(fitted(3))
+    assert line == "heat: 3 samples that no machine makes left out: 'heat' 3 (such as 1e+06 W)."
+    assert fit_report.masked_lines(fitted(0)) == fit_report.masked_lines(a_report(0.9, 0.9)) == []
+    assert fit_report.masked_lines(fitted(3), fitted(3)) == []
+    (line,) = fit_report.masked_lines(fitted(4, 20), fitted(3))
+    assert line.startswith("heat: 4 samples that no machine makes left out, and 20 in parts shorter than 1 s")
 
 
 # --------------------------------------------------------------------------------------- a model that goes wrong

@@ -102,6 +102,14 @@ def test_who_was_told_to_stand_or_for_a_moment_or_by_nobody_says_nothing():
     assert velocity_notes(unsaid, LEGGED, "log") == {}
 
 
+@pytest.mark.parametrize("start", [0.0, 100.0])
+def test_a_schedule_begins_with_the_first_sample_whatever_the_clock_says(start):
+    commands = ((10.0, 0.8, 0.0, 0.0), (10.0, 0.0, 0.0, 0.0))
+    made = recording(-walked(commands=commands), commands)
+    with pytest.raises(RecordingError, match="counted the other way"):
+        velocity_notes(made.replace(time=start + made.time), LEGGED, "log")
+
+
 def test_a_robot_that_was_told_to_walk_backwards_or_sideways_passes():
     for vx, vy in ((-0.5, 0.0), (0.0, 0.4)):
         commands = ((10.0, vx, vy, 0.0),)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -195,6 +196,23 @@ def test_values_that_are_no_numbers_are_refused() -> None:
 
 
 # --------------------------------------------------------------------------------------------- data set hashes
+
+
+@pytest.mark.parametrize("noted", ["-100", "inf", "-inf", "nan", "1e308", "a while"])
+def test_unrecorded_seconds_that_are_no_duration_are_refused_in_one_line(noted: str) -> None:
+    recording = a_recording().replace(notes={"unrecorded_seconds": noted})
+    for whose, one in (("A recording's", recording), ("abc: its", replace(recording, id="abc"))):
+        with pytest.raises(RecordingError) as error:
+            _ = one.robot_samples
+        said = f"{whose} note unrecorded_seconds is '{noted}', expected a number of seconds from 0 on."
+        assert str(error.value) == said
+
+
+def test_samples_of_the_robot_are_the_recorded_ones_and_those_that_a_note_tells_of() -> None:
+    recording = a_recording()
+    assert recording.robot_samples == recording.num_samples
+    told = recording.replace(notes={"unrecorded_seconds": "9.5"})
+    assert told.robot_samples == recording.num_samples + round(9.5 * recording.rate_hz)
 
 
 def test_a_dataset_hash_ignores_order_and_repeats_but_not_content(store: RecordingStore) -> None:

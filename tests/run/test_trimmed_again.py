@@ -55,6 +55,7 @@ def held(monkeypatch, again, until=40.0):
         robot=SimpleNamespace(task=lambda: None),
         exported=lambda name: name,
         seed=lambda *what: 0,
+        check_recordings=lambda recordings: None,
     )
 
     def apart(objective, recordings, config, seed, task):
