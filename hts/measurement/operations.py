@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import operator
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -168,8 +168,3 @@ class _Module(nn.Module):
 
     def forward(self, *arguments: Tensor) -> tuple[Tensor, ...]:
         return self.function[0](*arguments)
-
-
-def operations_in(programs: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
-    """Names of all operations, each once, in alphabetical order."""
-    return sorted({operation[0] for program in programs.values() for operation in program["operations"]})

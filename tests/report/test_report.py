@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from example_run import write_example_run
 from rich.console import Console
 
 from hts.contracts import Comparison
@@ -18,7 +19,6 @@ from hts.errors import RunError
 from hts.report import figures, wording, write_report
 from hts.report.data import read_run
 from hts.report.table import print_evaluation, print_table
-from hts.testing.example_run import write_example_run
 from hts.testing.made_up_recordings import CostObjective
 
 SMALL = {"iterations": 1, "bounds": (0.5, float("inf")), "weights": (1.0,), "elites": 2, "block_seconds": 20}

@@ -16,7 +16,7 @@ from hts.contracts import Instrument, Robot
 from hts.errors import HtsError
 from hts.recordings.recording import Recording
 from hts.worlds.base import request_id, seed_sequence
-from hts.worlds.realities.check import COLD_SESSIONS, Stage, Verdict, standing, walked
+from hts.worlds.realities.check import COLD_SESSIONS, Stage, standing, walked
 from hts.worlds.realities.like import Figure, Likeness, facts_of, idle_measured, shown_by
 from hts.worlds.realities.sampler import Found
 from hts.worlds.twin.instruments import Unread
@@ -58,14 +58,6 @@ def misfit(
     except (HtsError, FloatingPointError) as error:  # such as motors that warm up without end
         return Found(math.inf, shown, str(error))
     return Found(distance if distance <= bound else math.inf, shown, _worst(like.figures, shown))
-
-
-def verdict(like: Likeness, found: Found, within: float = 1.0) -> Verdict:
-    """The same as a verdict."""
-    rows = measured_of(like.figures, found)
-    if found.distance <= within:
-        return Verdict(rows, "")
-    return Verdict(rows, found.why or "beyond the tolerance")
 
 
 def measured_of(figures: Sequence[Figure], found: Found) -> tuple[Measured, ...]:
