@@ -161,10 +161,10 @@ def r2_interval(traces: Sequence[Trace]) -> list[float] | None:
     if len(rows) < LEAST_BLOCKS:
         return None
     drawn = np.random.default_rng(0).integers(len(rows), size=(DRAWS, len(rows)))
-    table = np.array(rows)
-    table[:, 2] -= 2 * (level := table[:, 1].sum() / table[:, 0].sum()) * table[:, 1] - level**2 * table[:, 0]
-    table[:, 1] -= level * table[:, 0]  # about the mean, or sums of squares lose their last digits
-    count, total, squares, errors = table[drawn].sum(1).T
+    counts, totals, squared, errors = np.array(rows).T
+    level = totals.sum() / counts.sum()  # about the mean, or sums of squares lose their last digits
+    centred = np.stack((counts, totals - level * counts, squared - (2 * level * totals - level**2 * counts), errors), 1)
+    count, total, squares, errors = centred[drawn].sum(1).T
     around = squares - total**2 / count
     moving = around > ROUNDING * np.maximum(squares, 1e-300)
     if moving.mean() < 0.5:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pydantic import Field
@@ -32,6 +33,23 @@ class HierarchicalSettings(Config):
     )
 
 
+@dataclass(frozen=True, order=True)
+class Rank:
+    """What candidates are sorted by, the best first: a field decides among those that are alike in all before it.
+
+    second: not the first of its KL bound, where each bound is to have one; speeds and score: larger is better, so
+    negative here.
+    """
+
+    unknown: bool
+    fell: bool
+    off_speed: bool
+    unpromised: bool
+    speeds: int
+    second: bool = field(default=False, kw_only=True)
+    score: float = field(kw_only=True)
+
+
 class Hierarchical(Selector):
     """Elites by simulated score, the best by measured selection score.
 
@@ -55,19 +73,26 @@ class Hierarchical(Selector):
         """
         promises = any(self._promise(one) is not None for one in candidates)
 
-        def key(candidate: SimulatedCandidate) -> tuple[bool, bool, bool, bool, float, float]:
+        def rank(candidate: SimulatedCandidate) -> Rank:
             promise = self._promise(candidate)
             score = candidate.scores[self._deciding(candidate.scores)] if candidate.scores else candidate.score
             score = score if promise is None else promise
             unknown = math.isnan(score)
-            missing = promises and promise is None
-            speeds = candidate.predicted_speeds.get(self._deciding(candidate.scores), 0) if candidate.scores else 0
-            return (unknown, candidate.falls > 0, not candidate.tracked, missing, -speeds, 0.0 if unknown else -score)
+            return Rank(
+                unknown,
+                fell=candidate.falls > 0,
+                off_speed=not candidate.tracked,
+                unpromised=promises and promise is None,
+                speeds=-(
+                    candidate.predicted_speeds.get(self._deciding(candidate.scores), 0) if candidate.scores else 0
+                ),
+                score=0.0 if unknown else -score,
+            )
 
-        ordered = sorted(candidates, key=key)
+        ordered = sorted(candidates, key=rank)
         if self.settings.each_bound:
             firsts = list({_bound(candidate): candidate for candidate in reversed(ordered)}.values())
-            ordered = sorted(ordered, key=lambda one: (*key(one)[:5], one not in firsts, key(one)[5]))
+            ordered = sorted(ordered, key=lambda one: replace(rank(one), second=one not in firsts))
         drawn = min(self.settings.at_random, max(0, count - 1))
         chosen, rest = ordered[: count - drawn], ordered[count - drawn :]
         sound = [candidate for candidate in rest if candidate.falls == 0 and candidate.tracked]
