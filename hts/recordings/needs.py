@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hts.errors import ConfigError, RecordingError, unknown_name
 from hts.recordings.recording import Series
-from hts.units import conversion
+from hts.units import conversion, same_unit
 
 RATE_TOLERANCE = 0.01
 """Between the rate that a recording states and that at which the robot's policies act."""
@@ -174,15 +174,7 @@ def _check_one(recording: Recording, who: str, name: str, channel: Channel | Non
         raise RecordingError(
             f"{what} with shape {channel.shape}, recorded is {found.shape}. Record or import it in that shape."
         )
-    if not _same_unit(found.unit, channel.unit):
+    if not same_unit(found.unit, channel.unit):
         raise RecordingError(
             f"{what} in {channel.unit}, recorded is {found.unit}. Record or import it in {channel.unit}."
         )
-
-
-def _same_unit(found: str, wanted: str) -> bool:
-    """Whether two spellings mean one unit, not another one, or one of another quantity."""
-    try:
-        return found == wanted or conversion(found, wanted) == (1.0, 0.0)
-    except RecordingError:
-        return False
