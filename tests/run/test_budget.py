@@ -65,6 +65,16 @@ def test_paper_stays_within_the_papers_real_samples():
     assert planned("paper")["real_samples"] <= planned("paper")["real_samples_most"] <= 384_000
 
 
+def test_the_cap_of_paper_is_the_methods_alone():
+    """The baseline and runs of several objectives try other numbers of candidates."""
+
+    def cap(*objectives: str, **given) -> int | None:
+        return load_config(preset="paper", objectives=objectives, robot="go1", **given).max_real_samples
+
+    assert cap("power") == cap("noise") == cap("power", overrides=["reward_source=proxy"]) == 384_000
+    assert cap("power", baseline=True) is cap("power", "noise") is cap("power", "noise", baseline=True) is None
+
+
 @pytest.mark.parametrize("preset", ["quick", "paper"])
 @pytest.mark.parametrize("most", [96_000, 60_000])
 def test_a_cap_holds_by_estimate_and_is_used(preset, most):
