@@ -8,7 +8,7 @@ end of its range, and mean speeds that are apart all the same.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -76,15 +76,17 @@ def check_hold(config: RunConfig) -> None:
 def not_held_in_training(config: RunConfig, robot: Robot) -> str | None:
     """What to tell of speeds that the run compares policies at and fine-tuning does not hold, since they lie below
     `finetune.env.commands.held_from`; None if there are none, or nothing is held. Of the velocity task."""
-    least = config.finetune.env.commands.held_from
+    commands = config.finetune.env.commands
+    least = commands.held_from
     slow = sorted({speed for speed in (*config.selection.tested_speeds, *config.evaluation.speeds) if speed < least})
     holds = config.finetune.hold and robot.held_at_zero and isinstance(robot.task(), FollowVelocity)
     if not (holds and slow):
         return None
+    standing = f" and stand_below={slow[0]:g}" if slow[0] < commands.stand_below else ""  # else nobody is told to walk
     return (
-        f"{', '.join(f'{speed:g}' for speed in slow)} m/s: fine-tuning holds the speed from {least:g} m/s on, so "
+        f"{_listed(slow)} m/s: fine-tuning holds the speed from {least:g} m/s on, so "
         "candidates may walk such speeds slower or less steadily than the pretrained policy, which is no saving. "
-        f"Hold them too: --set finetune.env.commands.held_from={slow[0]:g} or less."
+        f"Hold them too: --set finetune.env.commands.held_from={slow[0]:g}{standing} or less."
     )
 
 
@@ -95,12 +97,16 @@ def not_tried(config: RunConfig, robot: Robot) -> str | None:
     new = sorted(set(config.evaluation.speeds) - known)
     if not (new and isinstance(robot.task(), FollowVelocity)):
         return None
-    told = ", ".join(f"{speed:g}" for speed in sorted(config.evaluation.speeds))
+    told = _listed(config.evaluation.speeds)
     return (
-        f"{', '.join(f'{speed:g}' for speed in new)} m/s: only the final is at such a speed; candidates are judged and "
-        f"tried at {', '.join(f'{speed:g}' for speed in sorted(known))}. What is to be reported is better tried: "
+        f"{_listed(new)} m/s: only the final is at such a speed; candidates are judged and "
+        f"tried at {_listed(known)}. What is to be reported is better tried: "
         f"--set selection.speeds=[{told}] --set simulation_test.speeds=[{told}]"
     )
+
+
+def _listed(speeds: Iterable[float]) -> str:
+    return ", ".join(f"{speed:g}" for speed in sorted(speeds))
 
 
 def check_held(where: str, speeds: Sequence[float], hold: HoldSpeed) -> None:

@@ -319,6 +319,7 @@ def test_speeds_that_training_does_not_hold_are_told_with_the_key_that_holds_the
         return not_held_in_training(config, robot)
 
     assert "0.2, 0.25 m/s" in told() and "held_from=0.2 or less" in told()
+    assert "stand_below" not in told() and "stand_below=0.1 or less" in told("evaluation.speeds=[0.1]")
     assert "0.25" not in told("selection.speeds=[0.8]")
     assert told("finetune.env.commands.held_from=0.2") is None
     assert told("finetune.hold=false") is None
