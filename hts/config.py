@@ -113,6 +113,11 @@ class FinetuneConfig(Config):
         True,
         description="with `hold`: prices begin where the training of the anchor found them, not at nothing",
     )
+    renew_noise: bool = Field(
+        False,
+        description="candidates begin with the exploration noise of the pretrained policy, not with what is left of it "
+        "in their anchor, and KL to the anchor is counted with it",
+    )
     measured_pull: bool = Field(
         False,
         description="pull at the trunk in training as strongly as the trials so far say that the world does, where "

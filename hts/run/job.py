@@ -145,6 +145,15 @@ class Job:
             }.get(name, self.policy_path(name).parent.with_name("nearer.json" if is_nearer(name) else "finetune.json"))
             raise PolicyError(f"{error} Or delete {maker} and `hts resume {self.folder}` makes it anew.") from error
 
+    def anchor(self, name: str) -> Policy:
+        """A policy as candidates begin at it, and as their KL is counted from it: with `finetune.renew_noise` its sigma
+        is the pretrained policy's. The card stays its own. Raises PolicyError as `policy` does."""
+        policy = self.policy(name)
+        if not self.config.finetune.renew_noise or name == "pretrained":
+            return policy
+        log_std = self.policy("pretrained").tensors["log_std"]
+        return dataclasses.replace(policy, tensors={**policy.tensors, "log_std": log_std})
+
     def onnx_path(self, name: str) -> Path:
         """Where the ONNX file of a policy lies."""
         return self.policy_path(name).with_suffix(".onnx")

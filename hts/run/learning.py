@@ -157,7 +157,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     config = job.config
     group = sweep(job, iteration, best)
     behind = {"best": best}
-    anchors = {name: job.policy(behind.get(name, name)) for name in ("best", *sorted({one.anchor for one in group}))}
+    anchors = {name: job.anchor(behind.get(name, name)) for name in ("best", *sorted({one.anchor for one in group}))}
     checkpoint = job.folder / "iterations" / f"{iteration:02d}" / "checkpoint"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
     begun = any(checkpoint.parent.glob(f"{checkpoint.name}-*"))

@@ -96,7 +96,7 @@ def _looked(job: Job, iteration: int, tuned: Mapping[str, Any], best: str, share
     """The candidates of one share: their rows, and how they were judged."""
     rows, anchors = [], []
     for row in _trained(job, iteration):
-        anchor = job.policy(best if row["anchor"] == "best" else row["anchor"])
+        anchor = job.anchor(best if row["anchor"] == "best" else row["anchor"])
         rows.append(_saved(job, row, anchor, share))
         anchors.append(anchor)
     judged = judge(job, iteration, tuned, rows, anchors)
