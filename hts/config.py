@@ -218,7 +218,7 @@ class SweepConfig(Config):
             if limits.enabled and math.isfinite(bound) and not limits.least <= bound <= limits.most:
                 raise ValueError(
                     f"kl_bounds: {bound:g} is outside of what the trust region may make of it, {limits.least:g} to "
-                    f"{limits.most:g}; set trust_region.least and trust_region.most around it"
+                    f"{limits.most:g}; set trust_region.least and trust_region.most around it, or kl_bounds inside them"
                 )
         return self
 

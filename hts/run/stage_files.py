@@ -59,7 +59,9 @@ class Tuned(Part):
     kl_bound: Number = Field(description="c, nats; null: none")
     kl: Number = Field(description="mean KL to the anchor, nats")
     std: Number = Field(description="its mean σ, action units")
-    anchor_std: Number = Field(description="the anchor's, action units")
+    anchor_std: Number = Field(
+        description="what it began with: the anchor's, or with renewed noise the pretrained policy's, action units"
+    )
     stopped: str | None = Field(description="why its training was stopped; null: it was not")
     policy_hash: str = Field(description="of the exported policy")
 
