@@ -22,7 +22,7 @@ from hts.evaluation.final import (
     walked_speeds,
 )
 from hts.evaluation.held import NotComparable, ask_to_hold
-from hts.recordings.recording import Recording
+from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.front import PRETRAINED
 from hts.run.head_to_head import ends_the_run, head_to_head, held_head_to_head
 from hts.run.iteration import gate_note
@@ -114,7 +114,7 @@ def _walked(job: Job, tried: Sequence[Tried]) -> dict[str, Any]:
     recordings = [recording for one in tried for recording in one.recordings]
     return {
         "recordings": job.keep(recordings, job.config.iterations + 1) if recordings else [],
-        "samples": sum(recording.robot_samples for recording in recordings),
+        "samples": robot_samples_of(recordings),
     }
 
 

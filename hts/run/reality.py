@@ -10,8 +10,7 @@ from hts.evaluation.asked import asked
 from hts.evaluation.final import entry_of, judged_speeds
 from hts.evaluation.held import ask_to_hold
 from hts.evaluation.segments import falls_of
-from hts.evaluation.walked_again import samples_of
-from hts.recordings.recording import Recording
+from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import head_to_head, held_head_to_head
 from hts.run.job import Job
 
@@ -37,7 +36,7 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
             f"The pretrained policy fell {falls} time{'' if falls == 1 else 's'} in the first data; {config.exploring} "
             f"of {len(policies)} recordings explore (collection.exploration={config.exploration:g})."
         )
-    return {"recordings": ids, "samples": sum(one.num_samples for one in recordings), "falls": falls}
+    return {"recordings": ids, "samples": robot_samples_of(recordings), "falls": falls}
 
 
 def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
@@ -62,4 +61,4 @@ def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str
         results, refusals = judged_speeds(objective, recordings, config, job.seed("interval", "best", best), task)
         entries[name] = entry_of(objective, results)
         entries[name]["refused"] = {speed: str(why) for speed, why in refusals.items()}
-    return {"policy": best, "objectives": entries, "uncounted": samples_of([*recordings, *vain])}
+    return {"policy": best, "objectives": entries, "uncounted": robot_samples_of([*recordings, *vain])}
