@@ -22,8 +22,8 @@ from hts.evaluation.final import (
     walked_speeds,
 )
 from hts.evaluation.held import NotComparable, ask_to_hold
+from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording, robot_samples_of
-from hts.run.front import PRETRAINED
 from hts.run.head_to_head import ends_the_run, head_to_head, held_head_to_head
 from hts.run.iteration import gate_note
 from hts.run.job import Job

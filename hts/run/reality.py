@@ -10,6 +10,7 @@ from hts.evaluation.asked import asked
 from hts.evaluation.final import entry_of, judged_speeds
 from hts.evaluation.held import ask_to_hold
 from hts.evaluation.segments import falls_of
+from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import head_to_head, held_head_to_head
 from hts.run.job import Job
@@ -21,8 +22,8 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
     """Roll the pretrained policy out under the schedule: D_0."""
     config = job.config.collection
     job.watch(report)
-    exploring = job.save_exploring("pretrained", config.exploration)
-    policies = [job.exported("pretrained")] * config.repeats + [exploring] * config.exploring
+    exploring = job.save_exploring(PRETRAINED, config.exploration)
+    policies = [job.exported(PRETRAINED)] * config.repeats + [exploring] * config.exploring
     recordings = asked(job.world, "collect", policies, job.schedule)
     if len(recordings) != len(policies):
         raise PluginError(
@@ -42,7 +43,7 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
 def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     """The best so far against the pretrained policy as in a final of its own, with speeds walked again, for
     curves of saving over real samples. Nothing is kept of it but its numbers; `uncounted` is what the robot walked."""
-    if best == "pretrained":
+    if best == PRETRAINED:
         return {"policy": best, "objectives": {}, "uncounted": 0}
     if iteration > 0:
         before = job.read(f"iterations/{iteration - 1:02d}/best")

@@ -8,8 +8,9 @@ from typing import Any
 
 from hts.evaluation.final import task_entry
 from hts.measurement.scoring import spearman
+from hts.policy_ids import PRETRAINED
 from hts.run import iteration
-from hts.run.front import PRETRAINED, front_entry
+from hts.run.front import front_entry
 from hts.run.job import Job
 from hts.run.task_watch import scale_lines
 

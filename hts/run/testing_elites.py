@@ -28,6 +28,7 @@ from hts.evaluation.halves import Half, halves
 from hts.evaluation.held import ask_to_hold
 from hts.evaluation.walked_again import walked_again
 from hts.measurement.checks import check
+from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import ends_the_run
 from hts.run.iteration import elites_of, simulated, tuned
@@ -135,7 +136,7 @@ def check_reference(tests: Tests, world: World, say: Callable[[str], None]) -> N
 def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> list[list[Recording]]:
     """Of each elite, its recordings and its reference's."""
     selection = job.config.selection
-    policies, reference = [job.exported(elite) for elite in elites], job.exported("pretrained")
+    policies, reference = [job.exported(elite) for elite in elites], job.exported(PRETRAINED)
     if len(selection.tested_speeds) > 1 or selection.block_seconds is not None:
         call = "head_to_heads_in_session"
         sessions = asked(job.world, call, policies, reference, speeds, selection.block_seconds)
@@ -184,7 +185,7 @@ def one_for_each(task: Task) -> str:
 
 def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Rounds, report: Report) -> Tests | None:
     """Short head-to-heads of those that are still racing; None if the world knows no rounds."""
-    reference, speeds = job.exported("pretrained"), job.config.selection.tested_speeds
+    reference, speeds = job.exported(PRETRAINED), job.config.selection.tested_speeds
     speed: float | tuple[float, ...] = speeds if len(speeds) > 1 else speeds[0]
 
     def ask(racing: Sequence[str], number: int) -> list[list[Recording]] | None:
