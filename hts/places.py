@@ -9,10 +9,11 @@ from pathlib import Path
 
 from hts.atomic import temporary_of
 from hts.errors import RunError
+from hts.policy_ids import PRETRAINED
 
 PRETRAINING = "pretraining.json"
 """In the folder of a pretraining that is not done: what was asked for."""
-PRETRAINED, CURVE = "pretrained.safetensors", "curve.json"
+PRETRAINED_FILE, CURVE = f"{PRETRAINED}.safetensors", "curve.json"
 """In the folder of one that is done: its policy, with a card beside it, and its learning curve."""
 
 PLACE_FAULTS: dict[int, str] = {

@@ -61,6 +61,7 @@ def command(
         raise ConfigError("--format: " + unknown_name("format", format_, FORMATS))
     check_ending(to, format_)
     chosen = run_or_policy_file(folder, policy)
+    from hts.cli.one_line import clearing_up
     from hts.plugins import load
     from hts.policies.export_command import export_policy
     from hts.policies.gate_notes import warning_beside
@@ -70,7 +71,8 @@ def command(
         from hts.policies.held_commands import held_commands_of
 
         typer.echo(held_commands_of(folder, chosen).said(), err=True)
-    written = export_policy(folder, policy=chosen, format=format_, to=to, robot=spec, held_speed=held_speed)
+    with clearing_up():
+        written = export_policy(folder, policy=chosen, format=format_, to=to, robot=spec, held_speed=held_speed)
     if warning := warning_beside(written):
         typer.echo(warning, err=True)
     typer.echo(str(written))

@@ -49,15 +49,33 @@ def _done(arguments: list[str]) -> Any:
         print(f"hts {__version__}")
         return 0
     from hts.cli.group import hts_group
+
+    _check_here()
+    return hts_group().main(args=arguments or ["--help"], prog_name="hts", standalone_mode=False)
+
+
+def _check_here() -> None:
+    """Raise RunError where the working directory is gone or may not be entered: libraries end the process then, or make
+    faults of a disk or of a plugin out of it."""
     from hts.errors import RunError
 
     try:
-        os.getcwd()
-    except FileNotFoundError as error:  # libraries end the process then
+        here = os.getcwd()
+    except FileNotFoundError as error:
         raise RunError(
             "The folder in which hts is typed was moved away or deleted. `cd` to one that is there."
         ) from error
-    return hts_group().main(args=arguments or ["--help"], prog_name="hts", standalone_mode=False)
+    except OSError as error:
+        raise RunError(
+            f"The folder in which hts is typed cannot be found out ({error.strerror}). `cd` to another one."
+        ) from error
+    try:
+        os.stat(os.path.join(here, os.curdir))
+    except OSError as error:
+        raise RunError(
+            f"{here}: the folder in which hts is typed cannot be entered ({error.strerror}). `cd` to another one, or "
+            "change the owner or mode of it or of a folder above it."
+        ) from error
 
 
 if __name__ == "__main__":

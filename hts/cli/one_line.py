@@ -99,6 +99,17 @@ def resumable(folder: Path | None, begun: str = "config.yaml", option: str = "--
         threading.excepthook = threading.__excepthook__
 
 
+@contextmanager
+def clearing_up() -> Iterator[None]:
+    """SIGTERM and SIGHUP end what is done inside as Ctrl-C does, with what was begun taken away, and in one line."""
+    try:
+        with told_to_end():
+            yield
+    except ToldToEnd as stop:
+        say_last(f"stopped by {stop.name}")
+        raise typer.Exit(stop.exit_code) from None
+
+
 def _in_a_thread(what: threading.ExceptHookArgs) -> None:
     """A thread that a disk stopped (TensorBoard writes in one) need not show it: who waits for it will say it."""
     if not isinstance(what.exc_value, OutputFault) and disk_fault(what.exc_value) is None:

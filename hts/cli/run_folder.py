@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from hts.errors import ConfigError, RunError
-from hts.places import CURVE, PRETRAINED
+from hts.places import CURVE, PRETRAINED_FILE
 
 
 def existing_run(folder: Path) -> Path:
     """The folder itself. Raises RunError where there is no run in it."""
     if not folder.exists():
         raise RunError(f"{folder}: there is no such folder. Give the folder that `hts run` named at its end.")
-    policy = folder / PRETRAINED
+    policy = folder / PRETRAINED_FILE
     if not (folder / "config.yaml").is_file() and policy.is_file() and (folder / CURVE).is_file():
         raise RunError(
             f"{folder}: holds a finished pretraining and no run, so there is nothing to go on with. Its policy is "

@@ -23,20 +23,27 @@ class ToldToEnd(KeyboardInterrupt):
 @contextmanager
 def told_to_end() -> Iterator[None]:
     """Inside, these signals raise ToldToEnd; a second one ends the process at once. One that is ignored, as after
-    `nohup`, stays so."""
+    `nohup`, stays so. Once one came, any error leaves as ToldToEnd: a library written in C that is interrupted while it
+    is imported makes an ImportError of it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    came: list[ToldToEnd] = []
+
+    def end(number: int, frame: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        came.append(ToldToEnd(number))
+        raise came[0]
+
     ours = [number for number in ENDS if signal.getsignal(number) is signal.SIG_DFL]
     for number in ours:
-        signal.signal(number, _end)
+        signal.signal(number, end)
     try:
         yield
+    except Exception as error:
+        if came:
+            raise came[0] from error
+        raise
     finally:
         for number in ours:
             signal.signal(number, signal.SIG_DFL)
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_DFL)
-    raise ToldToEnd(number)

@@ -102,12 +102,6 @@ def resolve_weights(overrides: Mapping[str, float]) -> dict[str, float]:
     return {**DEFAULT_WEIGHTS, **overrides}
 
 
-def terms(inputs: RewardInputs) -> dict[str, torch.Tensor]:
-    """Every unweighted term, each of the leading dimensions."""
-    squares = {name: vector.square().sum(-1) for name, vector in _vectors(inputs).items()}
-    return squares | _others(inputs) | {"joint_range": _beyond(inputs)}
-
-
 def total(inputs: RewardInputs, weights: Mapping[str, float]) -> torch.Tensor:
     """r_sim of each control step: sum of weight x term x dt, of the leading dimensions.
 

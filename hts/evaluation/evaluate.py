@@ -27,6 +27,7 @@ from hts.evaluation.held import ask_to_hold, check_held, hold_of
 from hts.evaluation.walked_again import walked_again
 from hts.locks import only_one
 from hts.overrides import Override, parsed
+from hts.policy_ids import PRETRAINED
 from hts.task_settings import check_speeds
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def evaluate_run(
     count = config.evaluation.sessions if sessions is None else sessions
     if count < 1:
         raise ConfigError(f"--sessions: expected a whole number from 1 on, found {count}.")
-    tested, reference = policy_file(folder, policy or "best"), policy_file(folder, "pretrained")
+    tested, reference = policy_file(folder, policy or "best"), policy_file(folder, PRETRAINED)
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     place = folder / "evaluation"
     context = WorldContext(

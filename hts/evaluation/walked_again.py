@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from hts.contracts import HoldSpeed
-from hts.recordings.recording import Recording
+from hts.recordings.recording import Recording, robot_samples_of
 
 LONGEST = 4.0  # of the first trimming: what still moves the speed then is no noise that a longer one averages out
 
@@ -32,11 +32,11 @@ def walked_again(
     for again in range(hold.again + 1, hold.again + most + 1):
         speeds = missed(good)
         old = [recording for recording in good if _asked(recording) in speeds]
-        if not speeds or 2 * samples_of(old) > room:  # it is trimmed longer now
+        if not speeds or 2 * robot_samples_of(old) > room:  # it is trimmed longer now
             break
         hold = replace(hold, seconds=min(2 * hold.seconds, longest), again=again)
         new = ask(hold, speeds)
-        room -= samples_of(new)
+        room -= robot_samples_of(new)
         vain += old
         good = [*(recording for recording in good if _asked(recording) not in speeds), *new]
     return good, vain
@@ -44,8 +44,3 @@ def walked_again(
 
 def _asked(recording: Recording) -> float:
     return recording.schedule.commands[0].commanded
-
-
-def samples_of(recordings: Sequence[Recording]) -> int:
-    """What they cost of the robot's time, trimming and warming up included, in control steps."""
-    return sum(recording.robot_samples for recording in recordings)

@@ -18,6 +18,7 @@ from hts.config import RunConfig
 from hts.errors import PolicyError
 from hts.measurement.transform import Measured
 from hts.plugins import Registry
+from hts.policy_ids import PRETRAINED
 from hts.run.job import Job
 from hts.run.ready import check_world, pretrained_policy
 from hts.training.sweep import own_weights
@@ -103,7 +104,7 @@ class OracleJob(Job):
         config = self.config
         self.oracle = OracleRobot(self.robot, config.world.settings, config.objectives, self.registry)
         self.robot = self.oracle
-        self.first = START if config.start else "pretrained"
+        self.first = START if config.start else PRETRAINED
 
     def prepare(self) -> None:
         """Besides: the policy to start from, and what the truth is like around it."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from hts.errors import PolicyError
 from hts.policies.files import PolicyCard
+from hts.policy_ids import PRETRAINED
 
 COMMAND, AXES = "command", 3  # the observed part: forward and sideways speed, m/s, and yaw rate, rad/s
 FAR = 1e6  # m/s: beyond any command; 0 · inf would be no number
@@ -145,7 +146,7 @@ def held_commands_of(folder: Path, policy: str) -> HeldCommands:
     if not objectives:
         raise PolicyError(f"{folder}: nobody kept a speed in a final, so no commands are known. Export without them.")
     own = policy in ("best", tried)
-    if not own and policy != "pretrained":
+    if not own and policy != PRETRAINED:
         raise PolicyError(
             f"{folder}: the final was that of {tried} against the pretrained policy, so commands of {policy} are not "
             "known. Export without them, and trim on the robot."

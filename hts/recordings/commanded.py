@@ -18,6 +18,9 @@ from hts.schedules import ScheduleConfig
 SHARE, SECONDS = 0.02, 0.5
 """A log may be longer or shorter than its schedule by this share of it, or by so many seconds if that is more: where it
 is cut by hand, and where channels begin a little apart."""
+EARLY_SECONDS = 0.1
+"""A log is so much shorter than its schedule before anything is said of it: a few samples, which rounding leaves out.
+"""
 RUN = ("run", "labels")
 """Begin the notes that say which part of a file a recording is."""
 UNFINISHED = ".partial"
@@ -50,6 +53,25 @@ def until_the_end(schedule: ScheduleConfig, seconds: float, where: str) -> Sched
             f"{gone:g} s. Correct them, or leave out those that the log does not reach."
         )
     return schedule.model_copy(update={"commands": (*before, last.model_copy(update={"seconds": seconds - gone}))})
+
+
+def ends_early(recording: Recording) -> bool:
+    """Whether it is shorter than its schedule by more than EARLY_SECONDS."""
+    return recording.seconds < recording.schedule.seconds - EARLY_SECONDS
+
+
+def shortfall(recordings: Sequence[Recording]) -> str | None:
+    """One line about those that are accepted although they end before their schedules do: how many, and how much was
+    found and expected of the one that lacks most. None where there are none; where a robot fell, that is known."""
+    short = [one for one in recordings if ends_early(one) and not one.fell]
+    if not short:
+        return None
+    worst = max(short, key=lambda one: one.schedule.seconds - one.seconds)
+    name = worst.notes.get("source", "a recording")
+    who = f"{name} ends before its schedule does:"
+    if len(recordings) > 1:
+        who = f"{len(short)} of {len(recordings)} recordings end before their schedules do, most of all {name}:"
+    return f"note: {who} {worst.seconds:.2f} s of {worst.schedule.seconds:g} s. What is missing counts for nothing."
 
 
 def check_commanded(recording: Recording, files: Sequence[Path]) -> None:

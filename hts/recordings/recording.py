@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -102,6 +102,11 @@ class Recording:
     def replace(self, **changes: object) -> Recording:
         """A copy with some fields changed. The id is dropped, because it names the content."""
         return dataclasses.replace(self, **{"id": "", **changes})  # type: ignore[arg-type]
+
+
+def robot_samples_of(recordings: Iterable[Recording]) -> int:
+    """Real samples: what recordings cost of the robot's time, trimming and warming up included, in control steps."""
+    return sum(recording.robot_samples for recording in recordings)
 
 
 def noted_seconds(recording: Recording, note: str, otherwise: float) -> float:

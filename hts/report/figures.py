@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hts.policy_ids import PRETRAINED
 from hts.report import wording
 from hts.report.data import Json, RunData
 from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, error_bar, figure, ramp, zero_line
@@ -192,7 +193,7 @@ def _styles(rows: list[Json], objective: str) -> dict[str, dict[str, str]]:
     candidates = [candidate for iteration in rows for candidate in iteration["candidates"]]
     weights = sorted({candidate["weights"][objective] for candidate in candidates})
     labels = [f"{weight:g}" for weight in weights]
-    anchors = sorted({str(candidate["anchor"]) for candidate in candidates}, key=lambda a: (a != "pretrained", a))
+    anchors = sorted({str(candidate["anchor"]) for candidate in candidates}, key=lambda a: (a != PRETRAINED, a))
     return {
         "color": {label: ramp(position, len(labels)) for position, label in enumerate(labels)},
         "marker": {anchor: MARKERS[position % len(MARKERS)] for position, anchor in enumerate(anchors)},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
+from hts.policy_ids import PRETRAINED
 from hts.report import wording
 from hts.report.data import RunData
 
@@ -35,7 +36,7 @@ def front_part(run: RunData) -> dict[str, Any] | None:
 def front_text(run: RunData, tested: int) -> str:
     """How many of the tested policies are on the front, and whether the pretrained one is."""
     names = " and ".join(run.objectives)
-    found = [entry for entry in run.front if entry["id"] != "pretrained"]
+    found = [entry for entry in run.front if entry["id"] != PRETRAINED]
     if not found:
         none = f"None of the {tested} policies tried in reality gains in any of {names}"
         return f"{none}: the pretrained policy is the front."

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from hts.policy_ids import PRETRAINED
 from hts.report import wording
 from hts.report.data import Json, RunData
 from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, figure, ramp
@@ -94,7 +95,7 @@ def _measured(panel: Axes, run: RunData, pair: tuple[str, str], tested: Sequence
             )
         if candidate["id"] == best:
             panel.plot([place[0]], [place[1]], "o", markersize=11, markerfacecolor="none", color=INK, zorder=5)
-    if "pretrained" in on_front:
+    if PRETRAINED in on_front:
         line.append((0.0, 0.0))
     if len(run.objectives) == 2:
         _stairs(panel, line, ACCENT)
@@ -135,7 +136,7 @@ def _simulated(panel: Axes, run: RunData, pair: tuple[str, str]) -> None:
                 panel.plot([place[0]], [place[1]], "o", markersize=10, markerfacecolor="none", color=SOFT, mew=0.7)
             if kept:
                 line.append((place[0], place[1]))
-        if "pretrained" in fronts.get(index, ()):
+        if PRETRAINED in fronts.get(index, ()):
             line.append((0.0, 0.0))
         if len(run.objectives) == 2:
             _stairs(panel, line, color)

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
+from hts.policy_ids import PRETRAINED
 from hts.report.task_words import VELOCITY, TaskWords
 
 Row = Mapping[str, Any]
@@ -61,7 +62,7 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
         for number, one in enumerate(summary.get("iterations") or ())
     ]
     sentences, task = [], TaskWords.of(summary)
-    if (summary.get("final") or {}).get("policy") == "pretrained":
+    if (summary.get("final") or {}).get("policy") == PRETRAINED:
         refused = sum(len((one.get("gate") or {}).get("refused") or ()) for one in summary.get("iterations") or ())
         tried = [row for _, _, rows in iterations for row in rows]
         if summary["final"].get("given_up"):
@@ -94,7 +95,7 @@ def second_trial(summary: Mapping[str, Any]) -> str | None:
         return None
     row = again["results"].get(before[-1]) or {}
     lost = "was refused" if row.get("refused") else "fell" if _fell(row) else "measured worse"
-    after = "nobody is left" if again["best"] == "pretrained" else f"{again['best']} went to the final"
+    after = "nobody is left" if again["best"] == PRETRAINED else f"{again['best']} went to the final"
     return f"Tried again before the final, {before[-1]} {lost}; {after}."
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from hts.policy_ids import PRETRAINED
 from hts.report import wording
 from hts.report.outcome import closing
 from hts.report.task_words import VELOCITY, TaskWords
@@ -21,7 +22,7 @@ def print_table(summary: Mapping[str, Any], console: Console | None = None) -> N
         from rich.console import Console
 
         (console or Console()).print(line, soft_wrap=True, markup=False, highlight=False)
-    if final.get("policy") == "pretrained":
+    if final.get("policy") == PRETRAINED:
         return
     title = f"{final.get('policy') or 'final'} policy against pretrained"
     _print(final.get("objectives") or {}, title, console, TaskWords.of(summary))

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hts.run.front import PRETRAINED
+from hts.policy_ids import PRETRAINED
 from hts.run.job import Job
 from hts.run.stage_files import gate_is_due
 from hts.run.stages import damaged

@@ -13,6 +13,7 @@ from typing import Any
 from hts.checked_selector import checked_selector
 from hts.contracts import Selector, TestedCandidate
 from hts.evaluation.across_speeds import mean_comparison
+from hts.recordings.recording import robot_samples_of
 from hts.run.job import Job
 from hts.run.testing_elites import result_row, tested_before, whole
 
@@ -44,7 +45,7 @@ def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
             if one.id in names
         },
         "recordings": ids,
-        "samples": sum(recording.robot_samples for recording in tests.recorded),
+        "samples": robot_samples_of(tests.recorded),
         "best": first,
         "next": [one for one in (*twice, *once) if one != first],
     }

@@ -24,6 +24,7 @@ from hts.config import RunConfig
 from hts.config_loading import dump_config
 from hts.errors import RunError
 from hts.plugins import load
+from hts.policy_ids import PRETRAINED
 from hts.quantiles import student_quantile, weighted_quantiles
 from hts.report import wording
 from hts.run import resume_run, start_run, with_engine
@@ -93,7 +94,7 @@ def _row(name: str, summary: Mapping[str, Any], config: RunConfig) -> dict[str, 
     keys = [f"{speed:g}" for speed in config.evaluation.speeds]
     objectives = {}
     for objective, unit in summary["front"]["units"].items():
-        if final["policy"] == "pretrained":  # nobody was better: nothing is saved
+        if final["policy"] == PRETRAINED:  # nobody was better: nothing is saved
             speeds: dict[str, float | None] = dict.fromkeys(keys, 0.0)
         else:
             found = final["objectives"][objective]["speeds"]
@@ -164,7 +165,7 @@ def compared(expected: Mapping[str, Any], summary: Mapping[str, Any]) -> list[di
         found = ((final.get("objectives") or {}).get(objective) or {}).get("speeds") or {}
         measured = {float(key): one for key, one in found.items()}
         for key, one in told["speeds"].items():
-            if final["policy"] == "pretrained" and objective in summary["objectives"]:
+            if final["policy"] == PRETRAINED and objective in summary["objectives"]:
                 value, interval = 0.0, None
             elif float(key) in measured:
                 value, interval = measured[float(key)]["improvement"], measured[float(key)].get("improvement_ci95")

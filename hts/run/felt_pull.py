@@ -22,8 +22,8 @@ from hts.contracts import HoldSpeed
 from hts.evaluation import wandering
 from hts.evaluation.simulation import simulate as trials
 from hts.evaluation.simulation import test_config, trial_seconds
+from hts.policy_ids import PRETRAINED
 from hts.rl.population import Population
-from hts.run.front import PRETRAINED
 from hts.run.job import Job
 
 PROBE = 0.2  # m/s²: well above what wanders without any pull, and the answer is still in proportion

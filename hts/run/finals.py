@@ -22,8 +22,8 @@ from hts.evaluation.final import (
     walked_speeds,
 )
 from hts.evaluation.held import NotComparable, ask_to_hold
-from hts.recordings.recording import Recording
-from hts.run.front import PRETRAINED
+from hts.policy_ids import PRETRAINED
+from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import ends_the_run, head_to_head, held_head_to_head
 from hts.run.iteration import gate_note
 from hts.run.job import Job
@@ -114,7 +114,7 @@ def _walked(job: Job, tried: Sequence[Tried]) -> dict[str, Any]:
     recordings = [recording for one in tried for recording in one.recordings]
     return {
         "recordings": job.keep(recordings, job.config.iterations + 1) if recordings else [],
-        "samples": sum(recording.robot_samples for recording in recordings),
+        "samples": robot_samples_of(recordings),
     }
 
 

@@ -6,12 +6,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from hts.policy_ids import PRETRAINED
 from hts.run.iteration import simulated as judged
 from hts.run.job import Job
 from hts.run.stages import number
 from hts.selection.fronts import non_dominated
-
-PRETRAINED = "pretrained"
 
 
 @dataclass(frozen=True)

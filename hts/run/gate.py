@@ -12,8 +12,8 @@ from typing import Any
 from hts.checked_selector import checked_selector
 from hts.contracts import SimulatedCandidate
 from hts.evaluation.simulation import test_config
+from hts.policy_ids import PRETRAINED
 from hts.rl.population import Population
-from hts.run.front import PRETRAINED
 from hts.run.gate_checks import Worst, limits, sentence, told_by, untold_by
 from hts.run.gate_trials import LostPackets, channels_of, commands_of, dynamics, rollout, varied
 from hts.run.job import Job

@@ -12,6 +12,7 @@ from hts.evaluation.asked import asked, complete
 from hts.evaluation.final import speeds_missed
 from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.evaluation.walked_again import walked_again
+from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording
 from hts.run.job import Job
 
@@ -39,7 +40,7 @@ def head_to_head(job: Job, policy: str, speeds: Sequence[float] = ()) -> list[Re
     policy: name that it was exported by; speeds: none, all.
     """
     config = job.config.evaluation
-    speeds, pair = speeds or config.speeds, (job.exported(policy), job.exported("pretrained"))
+    speeds, pair = speeds or config.speeds, (job.exported(policy), job.exported(PRETRAINED))
     if config.sessions > 1:
         found = asked(job.world, "head_to_head_sessions", *pair, speeds, config.sessions)
         if found is not None:

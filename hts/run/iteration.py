@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from hts.policy_ids import PRETRAINED
 from hts.run.job import Job
 
 CANDIDATES = ("scores", "objective_scores", "task_rewards", "falls", "tracked", "trials", "predicted")
@@ -77,7 +78,7 @@ def gate_refused(job: Job, iteration: int) -> int:
 def gate_note(job: Job, name: str) -> dict[str, Any] | None:
     """What the note beside a candidate says of it, from the stages' files, which are checked; None where the gate did
     not try it. name: of the run."""
-    if name in ("pretrained", "best"):
+    if name in (PRETRAINED, "best"):
         return None
     found = gated(job, int(name.split("-")[0]))
     row = None if found is None else found["policies"].get(name)

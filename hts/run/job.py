@@ -20,6 +20,8 @@ from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
 from hts.policies.onnx_ours import what_differs
+from hts.policy_ids import PRETRAINED
+from hts.recordings.commanded import shortfall
 from hts.recordings.needs import check_judged_by, check_rate, check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
@@ -38,7 +40,7 @@ class Job:
 
     def __init__(self, config: RunConfig, folder: Path, registry: Registry, stages: Stages) -> None:
         self.config, self.folder, self.registry, self.stages = config, folder, registry, stages
-        self.first = "pretrained"  # the policy that is the best before anything was tried
+        self.first = PRETRAINED  # the policy that is the best before anything was tried
         self.note: str | None = None  # what must be said beside every result
         self._said: set[str] = set()
         self.robot: Robot = registry.make_robot(config.robot.name, config.robot.settings)
@@ -70,7 +72,7 @@ class Job:
             raise ConfigError(f"Robot '{self.robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
         begun = (self.folder / "provenance.json").exists()
         kept = self.read("provenance") if begun else {}
-        if not self.policy_path("pretrained").exists():
+        if not self.policy_path(PRETRAINED).exists():
             policy = load_policy(source, self.robot.spec)
             found, expected = policy.card.policy_hash, kept.get("pretrained_policy")
             if expected not in (None, found):
@@ -78,7 +80,7 @@ class Job:
                     f"{source}: holds policy {found[:12]}, the run was begun with {expected[:12]}. Put that one there, "
                     "or begin a new run."
                 )
-            self.save("pretrained", policy)
+            self.save(PRETRAINED, policy)
         identity = dict(self.world.identity())
         if begun:
             before = kept.get("world", {})
@@ -91,7 +93,7 @@ class Job:
             plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}
             provenance = collect_provenance(self.config.seed, self.config.engine, plugins, self.config.provenance.diff)
             provenance["config_sha256"] = config_sha256(self.folder, self.config, self.registry)
-            provenance["pretrained_policy"] = self.policy("pretrained").card.policy_hash
+            provenance["pretrained_policy"] = self.policy(PRETRAINED).card.policy_hash
             write_json(self.folder / "provenance.json", {**provenance, **({"world": identity} if identity else {})})
 
     @cached_property
@@ -116,7 +118,7 @@ class Job:
 
     def policy_path(self, name: str) -> Path:
         """Where a policy lies: pretrained and best in policies/, candidate 01-03 in iterations/01/candidates/."""
-        if name in ("pretrained", "best"):
+        if name in (PRETRAINED, "best"):
             return self.folder / "policies" / f"{name}.safetensors"
         return self.folder / "iterations" / name.split("-")[0] / "candidates" / f"{name}.safetensors"
 
@@ -140,7 +142,7 @@ class Job:
             return load_policy(self.policy_path(name), self.robot.spec)
         except PolicyError as error:
             maker = {
-                "pretrained": self.policy_path("pretrained"),  # `prepare` writes all of it again
+                PRETRAINED: self.policy_path(PRETRAINED),  # `prepare` writes all of it again
                 "best": self.folder / "final.json",
             }.get(name, self.policy_path(name).parent.with_name("nearer.json" if is_nearer(name) else "finetune.json"))
             raise PolicyError(f"{error} Or delete {maker} and `hts resume {self.folder}` makes it anew.") from error
@@ -149,9 +151,9 @@ class Job:
         """A policy as candidates begin at it, and as their KL is counted from it: with `finetune.renew_noise` its sigma
         is the pretrained policy's. The card stays its own. Raises PolicyError as `policy` does."""
         policy = self.policy(name)
-        if not self.config.finetune.renew_noise or name == "pretrained":
+        if not self.config.finetune.renew_noise or name == PRETRAINED:
             return policy
-        log_std = self.policy("pretrained").tensors["log_std"]
+        log_std = self.policy(PRETRAINED).tensors["log_std"]
         return dataclasses.replace(policy, tensors={**policy.tensors, "log_std": log_std})
 
     def onnx_path(self, name: str) -> Path:
@@ -269,9 +271,11 @@ class Job:
         check_rate(recordings, self.robot.spec)
 
     def keep(self, recordings: Sequence[Recording], iteration: int) -> list[str]:
-        """Store recordings; writing one twice is harmless. Returns their ids. Raises RecordingError as
-        `check_recordings` does, with nothing stored."""
+        """Store recordings, and say which end early; writing one twice is harmless. Returns their ids. Raises
+        RecordingError as `check_recordings` does, with nothing stored."""
         self.check_recordings(recordings)
+        if (short := shortfall(recordings)) is not None:
+            self.stages.progress.say(short)
         return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
 
     def recordings(self, ids: Sequence[str]) -> list[Recording]:

@@ -19,11 +19,11 @@ from hts.evaluation.simulation import simulate as trials
 from hts.measurement.baseline import fit_proxy
 from hts.measurement.proxy import proxy_along
 from hts.policies.files import Policy
+from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording
 from hts.rl.kl_bound import mean_kl
 from hts.rl.population import Population
 from hts.run.felt_pull import pulled
-from hts.run.front import PRETRAINED
 from hts.run.job import Job
 from hts.run.learning import Report, inputs, transforms
 from hts.run.stages import number
@@ -54,7 +54,7 @@ def judge(
     """
     config, pull = job.config, tuned.get("pull")
     test = config.simulation_test
-    names = ["pretrained", *(row["id"] for row in rows)]
+    names = [PRETRAINED, *(row["id"] for row in rows)]
     policies = [job.policy(name) for name in names]
     worlds = test.num_envs * len(test.speeds)
     seed = job.seed("simulate")  # the same worlds in every iteration
@@ -104,7 +104,7 @@ def judge(
         "task_rewards": task_rewards,  # likewise, per second
         "falls": {c.id: c.falls for c in judged},
         "tracked": {c.id: c.tracked for c in judged},
-        "pretrained_tracked": does_it(task, results["pretrained"], test.speed_tolerance),
+        "pretrained_tracked": does_it(task, results[PRETRAINED], test.speed_tolerance),
         "elites": elites,
         "trials": details,
         "predicted": promised,
@@ -234,7 +234,7 @@ def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]
         kl_bound=number(row["kl_bound"], math.inf),
         kl=number(row["kl"]),
         task_reward=number(task_rewards.get(row["id"])),
-        pretrained_task_reward=number(task_rewards.get("pretrained")),
+        pretrained_task_reward=number(task_rewards.get(PRETRAINED)),
     )
 
 

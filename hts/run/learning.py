@@ -19,6 +19,7 @@ from hts.measurement.outliers import masked_split
 from hts.measurement.transform import Measured, MeasurementTransform, ProxyTransform
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
+from hts.policy_ids import PRETRAINED
 from hts.recordings import Recording
 from hts.run.curves import Curves
 from hts.run.felt_pull import felt_pull, pull_line
@@ -131,7 +132,7 @@ def sweep(job: Job, iteration: int, best: str) -> list[Candidate]:
     def policy_hash(name: str) -> str:
         return job.policy(name).card.policy_hash
 
-    behind = {"best": best, "pretrained": "pretrained"}
+    behind = {"best": best, PRETRAINED: PRETRAINED}
     hashes: dict[str, str] = {
         anchor: policy_hash(behind[anchor]) if anchor in behind else "" for anchor in job.config.sweep.anchors
     }

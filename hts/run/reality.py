@@ -10,8 +10,8 @@ from hts.evaluation.asked import asked
 from hts.evaluation.final import entry_of, judged_speeds
 from hts.evaluation.held import ask_to_hold
 from hts.evaluation.segments import falls_of
-from hts.evaluation.walked_again import samples_of
-from hts.recordings.recording import Recording
+from hts.policy_ids import PRETRAINED
+from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import head_to_head, held_head_to_head
 from hts.run.job import Job
 
@@ -22,8 +22,8 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
     """Roll the pretrained policy out under the schedule: D_0."""
     config = job.config.collection
     job.watch(report)
-    exploring = job.save_exploring("pretrained", config.exploration)
-    policies = [job.exported("pretrained")] * config.repeats + [exploring] * config.exploring
+    exploring = job.save_exploring(PRETRAINED, config.exploration)
+    policies = [job.exported(PRETRAINED)] * config.repeats + [exploring] * config.exploring
     recordings = asked(job.world, "collect", policies, job.schedule)
     if len(recordings) != len(policies):
         raise PluginError(
@@ -37,13 +37,13 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
             f"The pretrained policy fell {falls} time{'' if falls == 1 else 's'} in the first data; {config.exploring} "
             f"of {len(policies)} recordings explore (collection.exploration={config.exploration:g})."
         )
-    return {"recordings": ids, "samples": sum(one.num_samples for one in recordings), "falls": falls}
+    return {"recordings": ids, "samples": robot_samples_of(recordings), "falls": falls}
 
 
 def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     """The best so far against the pretrained policy as in a final of its own, with speeds walked again, for
     curves of saving over real samples. Nothing is kept of it but its numbers; `uncounted` is what the robot walked."""
-    if best == "pretrained":
+    if best == PRETRAINED:
         return {"policy": best, "objectives": {}, "uncounted": 0}
     if iteration > 0:
         before = job.read(f"iterations/{iteration - 1:02d}/best")
@@ -62,4 +62,4 @@ def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str
         results, refusals = judged_speeds(objective, recordings, config, job.seed("interval", "best", best), task)
         entries[name] = entry_of(objective, results)
         entries[name]["refused"] = {speed: str(why) for speed, why in refusals.items()}
-    return {"policy": best, "objectives": entries, "uncounted": samples_of([*recordings, *vain])}
+    return {"policy": best, "objectives": entries, "uncounted": robot_samples_of([*recordings, *vain])}

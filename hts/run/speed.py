@@ -8,12 +8,12 @@ from itertools import islice
 from hts.config import RunConfig
 from hts.guarded import guarded
 from hts.plugins import Registry
+from hts.policy_ids import PRETRAINED
 from hts.run.ready import inputs, pretrained_policy, transforms
 from hts.training.sweep import Candidate, combinations, own_weights
 
 BATCHES = 4  # the first one is not timed: it takes memory and fills caches
 SAMPLES = 9_000  # of a batch at most, control steps: a second on two cores
-PRETRAINED = "pretrained"
 
 
 def control_steps_per_second(config: RunConfig, registry: Registry) -> float | None:

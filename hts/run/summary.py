@@ -8,8 +8,9 @@ from typing import Any
 
 from hts.evaluation.final import task_entry
 from hts.measurement.scoring import spearman
+from hts.policy_ids import PRETRAINED
 from hts.run import iteration
-from hts.run.front import PRETRAINED, front_entry
+from hts.run.front import front_entry
 from hts.run.job import Job
 from hts.run.task_watch import scale_lines
 
@@ -17,10 +18,9 @@ from hts.run.task_watch import scale_lines
 def summarise(job: Job) -> dict[str, Any]:
     """The whole run as one JSON object; everything but `wall_seconds` depends on configuration and seed alone."""
     config = job.config
-    iterations, steps, samples = [], 0, 0
+    iterations, steps = [], 0
     learned = config.fits_models
     first = job.read("collect") if config.records_first else {}
-    samples += first.get("samples", 0)
     done = job.done_iterations
     for index in range(done):
         name = f"iterations/{index:02d}"
@@ -28,7 +28,6 @@ def summarise(job: Job) -> dict[str, Any]:
         tuned, simulated = iteration.tuned(job, index), iteration.simulated(job, index)
         tested, gated = job.read(f"{name}/test"), iteration.gated(job, index)
         steps += tuned["steps"] + simulated["steps"] + (gated["steps"] if gated else 0)
-        samples += tested["samples"]
         iterations.append(
             {
                 "index": index,
@@ -45,7 +44,7 @@ def summarise(job: Job) -> dict[str, Any]:
             }
         )
     again = job.read("confirm") if config.selection.confirm else None
-    samples += again["samples"] if again else 0
+    samples = job.spent(done) + (again["samples"] if again else 0)
     final = job.read("final")
     checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(done)]
     ranks = (

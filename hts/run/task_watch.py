@@ -12,6 +12,8 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hts.policy_ids import PRETRAINED
+
 TASK = "spread/task"
 MEASURED = "spread/"
 FAR = 10.0
@@ -68,7 +70,7 @@ def gave_up(elites: Sequence[str], simulated: Row) -> list[str]:
     if not simulated.get("pretrained_tracked"):
         return []
     rewards = simulated.get("task_rewards") or {}
-    before = rewards.get("pretrained")
+    before = rewards.get(PRETRAINED)
 
     def earns_less(name: str) -> bool:
         now = rewards.get(name)
@@ -88,7 +90,7 @@ def gave_up_line(
     means = [trial.get("mean_speed") for trial in simulated["trials"][name]]
     known = [mean for mean in means if mean is not None]
     achieved = f"{quantity} {_numbers(known)}{'' if unit == '1' else ' ' + unit}" if known else "every trial fell"
-    reward = f"{_number(rewards[name])} of the pretrained policy's {_number(rewards['pretrained'])} per second"
+    reward = f"{_number(rewards[name])} of the pretrained policy's {_number(rewards[PRETRAINED])} per second"
     advice = "; ".join(
         f"both rewards of '{key}' weigh the same at λ = {found['equal_weight']:.2g}, try {_setting(key, found)}"
         for key, found in scale.items()

@@ -26,9 +26,10 @@ from hts.evaluation.asked import asked, complete_each
 from hts.evaluation.final import CandidateResult, candidate_result, speeds_missed
 from hts.evaluation.halves import Half, halves
 from hts.evaluation.held import ask_to_hold
-from hts.evaluation.walked_again import samples_of, walked_again
+from hts.evaluation.walked_again import walked_again
 from hts.measurement.checks import check
-from hts.recordings.recording import Recording
+from hts.policy_ids import PRETRAINED
+from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import ends_the_run
 from hts.run.iteration import elites_of, simulated, tuned
 from hts.run.job import Job
@@ -89,7 +90,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
         "best": selector.best(tested),
         # The protocol is the same in every iteration, so an earlier winner that measured better stays.
         "best_so_far": selector.best([*tested, *incumbent]) or best,
-        "samples": samples_of(tests.recorded),
+        "samples": robot_samples_of(tests.recorded),
         **races,
         "model_checks": _check_models(job, iteration, ids),
         **_trust(job, iteration, {elite: result_row(found) for elite, found in tests.results.items()}),
@@ -135,7 +136,7 @@ def check_reference(tests: Tests, world: World, say: Callable[[str], None]) -> N
 def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> list[list[Recording]]:
     """Of each elite, its recordings and its reference's."""
     selection = job.config.selection
-    policies, reference = [job.exported(elite) for elite in elites], job.exported("pretrained")
+    policies, reference = [job.exported(elite) for elite in elites], job.exported(PRETRAINED)
     if len(selection.tested_speeds) > 1 or selection.block_seconds is not None:
         call = "head_to_heads_in_session"
         sessions = asked(job.world, call, policies, reference, speeds, selection.block_seconds)
@@ -155,7 +156,7 @@ def _again(job: Job, of: dict[str, list[Recording]], spent: int, before: int = 0
     hold = replace(job.hold, again=before * selection.trims_again)
     config, task, objective = _evaluation(job), job.robot.task(), next(iter(job.objectives.values()))
     asked = config.model_copy(update={"min_valid": max(config.min_valid, selection.min_valid or 0.0)})
-    spent += sum(map(samples_of, of.values()))
+    spent += sum(map(robot_samples_of, of.values()))
     vain: list[Recording] = []
     for elite, session in of.items():
 
@@ -168,7 +169,7 @@ def _again(job: Job, of: dict[str, list[Recording]], spent: int, before: int = 0
 
         room = math.inf if most is None else most - spent
         good, more = walked_again(session, hold, selection.trims_again, missed, ask, room)
-        spent += samples_of([*good, *more]) - samples_of(session)
+        spent += robot_samples_of([*good, *more]) - robot_samples_of(session)
         of[elite] = good
         vain += more
     ask_to_hold(job.world, job.hold)
@@ -184,7 +185,7 @@ def one_for_each(task: Task) -> str:
 
 def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Rounds, report: Report) -> Tests | None:
     """Short head-to-heads of those that are still racing; None if the world knows no rounds."""
-    reference, speeds = job.exported("pretrained"), job.config.selection.tested_speeds
+    reference, speeds = job.exported(PRETRAINED), job.config.selection.tested_speeds
     speed: float | tuple[float, ...] = speeds if len(speeds) > 1 else speeds[0]
 
     def ask(racing: Sequence[str], number: int) -> list[list[Recording]] | None:

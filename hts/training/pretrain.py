@@ -15,9 +15,10 @@ from hts.contracts import Robot
 from hts.envs.constants import delay_seconds
 from hts.errors import ConfigError, RunError
 from hts.locks import only_one
-from hts.places import CURVE, PRETRAINED, PRETRAINING
+from hts.places import CURVE, PRETRAINED_FILE, PRETRAINING
 from hts.policies.files import Policy, make_card, save_policy
 from hts.policies.layout import layout_of
+from hts.policy_ids import PRETRAINED
 from hts.rl.population import Population, Sizes
 from hts.task_settings import check_env_velocities
 from hts.training.finetune import Saved, check_env
@@ -75,7 +76,7 @@ def _pretrained(
         population,
         config.ppo,
         seeds=[config.seed],
-        names=["pretrained"],
+        names=[PRETRAINED],
         update_normaliser=True,
         resume=before[0] if before is not None else None,
     )
@@ -101,7 +102,7 @@ def _pretrained(
         "delay_seconds": delay_seconds(env_config, robot.spec),
     }
     card = make_card(robot.spec, tensors, layout, sizes, **made)
-    path = save_policy(out / PRETRAINED, Policy(tensors, card))
+    path = save_policy(out / PRETRAINED_FILE, Policy(tensors, card))
     atomic_write(out / CURVE, json.dumps(curve, indent=1) + "\n")
     trainer.close()
     for done in (CHECKPOINT, PRETRAINING, LOCK):

@@ -22,6 +22,7 @@ from hts.contracts import HoldSpeed, Installed, Objective, Requests, Robot, Sett
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
+from hts.recordings.commanded import ends_early
 from hts.recordings.needs import check_mapping, in_units_of, levels_in_units_of
 from hts.recordings.recording import Recording
 from hts.worlds import field_holding
@@ -40,9 +41,6 @@ from hts.worlds.field_logs import (
     described,
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
-
-SHORT_SECONDS = 0.1
-"""A log is so much shorter than its row before it is looked at twice: a few samples, which rounding leaves out."""
 
 
 class FieldSettings(Config):
@@ -384,4 +382,4 @@ class FieldWorld(World):
 
 def _ends_early(recording: Recording) -> bool:
     """Whether a log may be a copy of which the end has still to come."""
-    return "last_line_dropped" in recording.notes or recording.seconds < recording.schedule.seconds - SHORT_SECONDS
+    return "last_line_dropped" in recording.notes or ends_early(recording)

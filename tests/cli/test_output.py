@@ -51,6 +51,14 @@ WAITS = """
         (folder / "cleared").touch()
 """
 
+INTERRUPTED = """
+    try:
+        print("ready", flush=True)
+        time.sleep(60)
+    except KeyboardInterrupt as error:
+        raise ImportError("numpy.core.multiarray failed to import") from error
+"""
+
 
 @pytest.fixture
 def folder(tmp_path):
@@ -140,6 +148,14 @@ def test_a_run_that_is_told_to_end_says_how_to_go_on_and_clears_up(folder, numbe
     assert err == f"\nstopped by {number.name}: `hts resume {folder}` goes on\n"
     assert run.returncode == 128 + number
     assert (folder / "cleared").exists()
+
+
+def test_a_library_that_makes_an_error_of_its_own_of_the_end_shows_no_traceback(folder):
+    run = began(folder, INTERRUPTED, stdout=subprocess.PIPE)
+    assert run.stdout.readline() == "ready\n"
+    run.send_signal(signal.SIGTERM)
+    _, err = run.communicate(timeout=60)
+    assert (run.returncode, err) == (143, f"\nstopped by SIGTERM: `hts resume {folder}` goes on\n")
 
 
 def test_a_run_after_nohup_hears_of_no_terminal(folder):

@@ -39,7 +39,12 @@ def still(**changes) -> rewards.RewardInputs:
 
 
 def term(name: str, **changes) -> float:
-    return float(rewards.terms(still(**changes))[name])
+    return only(name, still(**changes))
+
+
+def only(name: str, inputs: rewards.RewardInputs) -> float:
+    """One term by itself, as a rate per second: the total with that weight 1 and no other."""
+    return float(rewards.total(inputs, {name: 1.0})) / inputs.dt
 
 
 def test_standing_still_when_commanded_to_earns_both_tracking_terms_and_nothing_else():
@@ -52,20 +57,19 @@ def test_joints_cost_what_they_are_beyond_the_middle_share_of_their_range():
     limits = rewards.soft_range([(-0.5, 1.5), (-1.5, 0.5)], (0.4, 0.0), 0.9, torch.device("cpu"))
     assert [end.tolist() for end in limits] == [pytest.approx([-0.8, -1.4]), pytest.approx([1.0, 0.4])]
     seen = dataclasses.replace(still(pose_error=[1.2, -1.5]), pose_range=limits)
-    assert float(rewards.terms(seen)["joint_range"]) == pytest.approx(0.2 + 0.1)
-    alone = dict.fromkeys(rewards.DEFAULT_WEIGHTS, 0.0)
-    assert float(rewards.total(seen, {**alone, "joint_range": -10.0})) == pytest.approx(-10 * 0.3 * 0.02)
+    assert only("joint_range", seen) == pytest.approx(0.2 + 0.1)
+    assert float(rewards.total(seen, {"joint_range": -10.0})) == pytest.approx(-10 * 0.3 * 0.02)
     half = rewards.soft_range([(-0.5, 1.5), (-1.5, 0.5)], (0.4, 0.0), 0.5, torch.device("cpu"))
     assert [end.tolist() for end in half] == [pytest.approx([-0.4, -1.0]), pytest.approx([0.6, 0.0])]
     inside = dataclasses.replace(still(pose_error=[0.9, 0.3]), pose_range=limits)
-    assert float(rewards.terms(inside)["joint_range"]) == 0.0
+    assert only("joint_range", inside) == 0.0
 
 
 def test_joints_without_limits_are_never_beyond_them():
     limits = rewards.soft_range([(-math.inf, math.inf), (0.0, 0.0)], (0.0, 0.0), 0.9, torch.device("cpu"))
     seen = dataclasses.replace(still(pose_error=[9.0, -9.0]), pose_range=limits)
-    assert float(rewards.terms(seen)["joint_range"]) == 0.0
-    assert float(rewards.terms(still(pose_error=[9.0, -9.0]))["joint_range"]) == 0.0
+    assert only("joint_range", seen) == 0.0
+    assert term("joint_range", pose_error=[9.0, -9.0]) == 0.0
 
 
 def test_tracking_pays_by_the_square_of_the_error():

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import onnxruntime
@@ -132,6 +135,37 @@ def test_an_export_that_acts_otherwise_is_not_written(policy, tmp_path, monkeypa
     with pytest.raises(PolicyError, match="actions are off by up to 0.0001 on 512 observations"):
         export_policy(None, str(file), "onnx", tmp_path / "mine.onnx")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.json", "mine.safetensors"]
+
+
+WAITS = """
+import sys, time
+from pathlib import Path
+from hts.cli.main import main
+from hts.policies import export
+
+def slow(policy, path, held):
+    Path(path).touch()
+    print("ready", flush=True)
+    time.sleep(60)
+
+export.to_onnx = slow
+sys.exit(main(["export", "--policy", sys.argv[1], "--to", sys.argv[2]]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [(signal.SIGTERM, "stopped by SIGTERM\n"), (signal.SIGHUP, "stopped by SIGHUP\n"), (signal.SIGINT, "")],
+)
+def test_an_export_that_is_told_to_end_leaves_nothing_behind(policy, tmp_path, number, said):
+    file, place = save_policy(tmp_path / "mine", policy), tmp_path / "out"
+    begun = [sys.executable, "-c", WAITS, str(file), str(place / "mine.onnx")]
+    command = subprocess.Popen(begun, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert command.stdout.readline() == "ready\n"
+    assert [path.name for path in place.glob(".export-*/*")] == ["mine.onnx"]
+    command.send_signal(number)
+    _, err = command.communicate(timeout=60)
+    assert (command.returncode, err, list(place.iterdir())) == (128 + number, said, [])
 
 
 def test_a_policy_whose_weights_cancel_is_told_so_and_no_fault_of_ours(policy, tmp_path):

@@ -66,6 +66,23 @@ def test_import_stores_one_recording_a_file_and_again_changes_nothing(
     assert "other.csv: 0.20 s at 50 Hz, draw, joint_torque" in output
 
 
+def test_a_log_that_is_shorter_than_its_schedule_is_taken_and_told(
+    commands: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ten samples at 50 Hz; up to half a second may be missing."""
+    stated = {"schedule": {"commands": [{"seconds": 0.6, "vx": 0.5}]}}
+    (commands / "m.yaml").write_text(yaml.safe_dump(a_mapping(recording=stated)))
+    hts_import(commands, a_log(commands))
+    assert capsys.readouterr().err == (
+        "note: log.csv ends before its schedule does: 0.20 s of 0.6 s. What is missing counts for nothing. "
+        "If a log was not copied whole, copy and import it again.\n"
+    )
+    stated["schedule"]["commands"][0]["seconds"] = 0.22
+    (commands / "m.yaml").write_text(yaml.safe_dump(a_mapping(recording=stated)))
+    hts_import(commands, a_log(commands))
+    assert capsys.readouterr().err == ""
+
+
 def test_import_stores_nothing_if_one_of_the_files_is_refused(commands: Path) -> None:
     bad = a_log(commands, [f"{20 * i},{i},{i},58" for i in range(10)], name="bad.csv")
     with pytest.raises(

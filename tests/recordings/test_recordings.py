@@ -21,6 +21,7 @@ from hts.errors import RecordingError
 from hts.recordings import Recording, RecordingStore, Series
 from hts.recordings.checks import check
 from hts.recordings.header import array_digest
+from hts.recordings.recording import robot_samples_of
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -213,6 +214,7 @@ def test_samples_of_the_robot_are_the_recorded_ones_and_those_that_a_note_tells_
     assert recording.robot_samples == recording.num_samples
     told = recording.replace(notes={"unrecorded_seconds": "9.5"})
     assert told.robot_samples == recording.num_samples + round(9.5 * recording.rate_hz)
+    assert robot_samples_of([recording, told]) == 2 * recording.num_samples + round(9.5 * recording.rate_hz)
 
 
 def test_a_dataset_hash_ignores_order_and_repeats_but_not_content(store: RecordingStore) -> None:

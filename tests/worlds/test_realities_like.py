@@ -87,6 +87,15 @@ def test_figures_are_means_over_stretches_without_their_beginnings():
     assert "standing" not in " ".join(one)
 
 
+def test_a_stretch_is_found_by_the_clock_where_samples_are_missing():
+    whole = made([4.0, 5.0], speeds=(0.5, 0.8))
+    there = np.r_[:200, 350:800]  # from 4 s to 7 s nothing was received: 2 s of the first stretch are left to read
+    cut = {name: Series(one.channel, one.values[there]) for name, one in whole.channels.items()}
+    one = found(whole.replace(time=whole.time[there], channels=cut))
+    assert one["gross power at 0.5 m/s"].value == pytest.approx(100.0)
+    assert one["gross power at 0.8 m/s"].value == pytest.approx(125.0)
+
+
 def test_the_tolerance_is_where_the_next_stretch_lies_and_a_share_for_what_no_twin_has():
     # t_4 = 2.776, s = 1.4832: 2.776 x 1.4832 x sqrt(1 + 1/5) = 4.510, and 5 % of 40.2
     values = [40.0, 42.0, 38.0, 40.0, 41.0]

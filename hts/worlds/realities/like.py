@@ -30,6 +30,7 @@ from hts.config import Config, ScheduleConfig
 from hts.contracts import Fact, Instrument, Reading
 from hts.errors import RecordingError
 from hts.quantiles import student_quantile
+from hts.recordings.on_schedule import samples_at
 from hts.recordings.recording import Recording
 from hts.worlds.twin.reality import Measured
 
@@ -128,14 +129,14 @@ def _usual_schedule(recordings: Sequence[Recording]) -> ScheduleConfig | None:
 def _stretches(recordings: Sequence[Recording]) -> Iterator[Stretch]:
     """Straight stretches, without their beginnings; standing ones too."""
     for recording in recordings:
-        begin, rate = 0.0, recording.rate_hz
-        for command in recording.schedule.commands:
-            rows = slice(
-                round((begin + SETTLING) * rate), min(round((begin + command.seconds) * rate), recording.num_samples)
-            )
-            begin += command.seconds
+        schedule = recording.schedule.commands
+        ends = np.cumsum([command.seconds for command in schedule])
+        first = samples_at(recording, np.concatenate([[0.0], ends[:-1]]) + SETTLING)
+        stop = samples_at(recording, ends)
+        for command, begin, end in zip(schedule, first.tolist(), stop.tolist(), strict=True):
+            rows = slice(begin, end)
             straight = command.is_velocity and command.vy == 0 and command.yaw_rate == 0 and command.vx >= 0
-            if not straight or rows.stop - rows.start < SHORTEST * rate:
+            if not straight or end - begin < SHORTEST * recording.rate_hz:
                 continue
             sent = command.vx
             if "command" in recording.channels and command.vx > 0:
