@@ -22,10 +22,10 @@ from hts.policies.gate_notes import refusal
 from hts.policies.proof import unproven
 from hts.recordings.partial import publish
 from hts.worlds.field_manifest import WARMUP_SECONDS, Facts, first_runs, gate_of, manifest, policy_entry
+from hts.worlds.field_places import CHECKSUMS, PAGE, into, renew, then_type
 from hts.worlds.field_runner import runner, who_does_the_rows
 
 UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
-CHECKSUMS = "SHA256SUMS"
 
 
 @dataclass(frozen=True)
@@ -126,9 +126,9 @@ def instructions(
         "",
         *(hold or ["## Then", ""]),
         f"1. {idle}",
-        f"2. Write it, and the names of your log's columns, into `{mapping}`.",
+        into(mapping),
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
-        f"4. Type: `{command}`",
+        then_type(command),
         "",
         _watch(first, task, _gates(entries)),
         "",
@@ -204,8 +204,10 @@ def write_bundle(
     hold: Sequence[str] = (),
 ) -> None:
     """Write policies, cards, manifest, plan, instructions and checksums; complete or not at all, on the disk when this
-    returns. A bundle that is there stays as it is, so half of one that a crash left would stay too."""
+    returns. A bundle that is there stays as it is, so half of one that a crash left would stay too; only the places
+    that its page names are those of now, see `renew`."""
     if folder.exists():
+        renew(folder, mapping, command)
         return
     temporary = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(temporary, ignore_errors=True)
@@ -245,9 +247,7 @@ def _fill(
     rows = [{**row, "trim": row.get("trim", False), "policy_hash": hashes[row["policy"]]} for row in plan]
     _write_json(temporary / "plan.json", plan)
     _write_json(temporary / "manifest.json", manifest(facts, entries, rows))
-    (temporary / "README.md").write_text(
-        instructions(shown, mapping, command, task, hold, facts, entries), encoding="utf-8"
-    )
+    (temporary / PAGE).write_text(instructions(shown, mapping, command, task, hold, facts, entries), encoding="utf-8")
     (temporary / CHECKSUMS).write_text(checksums(temporary), encoding="utf-8")
 
 
