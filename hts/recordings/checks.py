@@ -43,7 +43,8 @@ def check_moves(name: str, unit: str, values: np.ndarray, where: str) -> None:
             part = f"'{name}'" if flat.shape[1] == 1 else f"'{name}' column {column}"
             raise RecordingError(
                 f"{where}: {part} is {flat[0, column]:g} {unit} in all {len(flat)} samples. The sensor was probably "
-                f"not being read. Record again, or leave it out, where it is imported: hts import --drop {name}"
+                "not being read. See that it is, and record again (of a run on a robot, the same row). A log that is "
+                f"imported may go without: hts import --drop {name}."
             )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import itertools
 import re
-import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
 from hts.recordings.csv_end import Unended, of_last_line, unended_line
-from hts.recordings.encoding import not_plain, not_utf8
+from hts.recordings.encoding import in_place, not_plain, not_utf8
 from hts.recordings.table import ColumnName, Table, no_column, whole_rows
 
 if TYPE_CHECKING:
@@ -127,10 +126,9 @@ def _what_is_wrong(path: Path, log: CsvMapping, names: Sequence[str], what: str)
         what = what[: row.start()] + place + what[row.end() :]
     shown = "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in what[:300])
     if number is not None and number > _before(log) + 1 and _cut_off(path, number, what):
-        whole = path.with_stem(path.stem + "-whole")
         return (
-            f"line {number}, the last one, is cut off, as a logger leaves it that is killed ({shown}). Leave it out, "
-            f"and import that: sed {number}d {shlex.quote(str(path))} > {shlex.quote(str(whole))}"
+            f"line {number}, the last one, is cut off, as a logger leaves it that is killed ({shown}). Leave it out: "
+            f"{in_place(f'sed {number}d', path)}."
         )
     hint = _hint(path, log, what, number)
     return f"not the table that the mapping describes: {shown}.{hint} Repair the file or the mapping."

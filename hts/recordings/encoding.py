@@ -5,13 +5,15 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
+from hts.atomic import temporary_of
+
 PACKED = {
-    b"\x1f\x8b": ("gzip", "gunzip --keep"),
-    b"BZh": ("bzip2", "bunzip2 --keep"),
-    b"\xfd7zXZ\x00": ("xz", "unxz --keep"),
-    b"\x28\xb5\x2f\xfd": ("zstd", "unzstd"),
+    b"\x1f\x8b": ("gzip", ".gz", "gunzip"),
+    b"BZh": ("bzip2", ".bz2", "bunzip2"),
+    b"\xfd7zXZ\x00": ("xz", ".xz", "unxz"),
+    b"\x28\xb5\x2f\xfd": ("zstd", ".zst", "unzstd --rm"),
 }
-"""First bytes -> what packed it, and the command that unpacks."""
+"""First bytes -> what packed it, its ending, and the command that unpacks, with nothing packed left beside."""
 MARKS = {
     b"\xff\xfe\x00\x00": "UTF-32",
     b"\x00\x00\xfe\xff": "UTF-32",
@@ -32,9 +34,11 @@ def not_plain(path: Path) -> str:
             head = file.read(HEAD)
     except OSError:
         return ""
-    for begin, (what, command) in PACKED.items():
+    for begin, (what, ending, command) in PACKED.items():
         if head.startswith(begin):
-            return f"packed ({what}), expected text. Unpack it first: {command} {shlex.quote(str(path))}"
+            named = path.suffix == ending  # the tools refuse another name
+            unpack = f"`{command} {shlex.quote(str(path))}`" if named else in_place(f"{command.split()[0]} -c <", path)
+            return f"packed ({what}), expected text. Unpack it first: {unpack}."
     for begin, encoding in MARKS.items():
         if head.startswith(begin):
             return f"begins with the bytes {begin.hex(' ')}, which is {encoding}. {_converted(path, encoding)}"
@@ -65,8 +69,12 @@ def not_utf8(path: Path) -> str:
     return ""
 
 
+def in_place(command: str, path: Path) -> str:
+    """For a shell: `path` replaced by what the command makes of it, once that is whole. A second file beside the log is
+    of no use where logs are known by their names, and would count as another part of it."""
+    log, part = shlex.quote(str(path)), shlex.quote(str(temporary_of(path)))
+    return f"`{command} {log} > {part} && mv {part} {log}`"
+
+
 def _converted(path: Path, encoding: str) -> str:
-    to = path.with_name(f"{path.stem}-utf8{path.suffix}")
-    return (
-        f"Convert it, and import that: iconv -f {encoding} -t UTF-8 {shlex.quote(str(path))} > {shlex.quote(str(to))}"
-    )
+    return f"Convert it: {in_place(f'iconv -f {encoding} -t UTF-8', path)}."

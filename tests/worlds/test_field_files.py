@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import shutil
+import subprocess
 
 import pytest
 from field_folder import SECONDS, bundle, field, fill_in, write_log
@@ -120,4 +122,34 @@ def test_a_log_whose_name_is_almost_a_rows_is_named_with_the_row(run, policy, lo
 def test_a_second_copy_under_a_rows_name_is_for_a_person_to_take_away(run, policy, logs, name):
     shutil.copy(logs / "00.csv", logs / name)
     with pytest.raises(ConfigError, match="2 files for one recording: .* Take away those that are no log of it"):
+        field(run).collect([policy], ASKED)
+
+
+@pytest.mark.parametrize(
+    ("written", "name"),
+    [
+        (lambda plain: plain.decode().encode("utf-16"), "00.csv"),
+        (gzip.compress, "00.csv"),
+        (gzip.compress, "00.csv.gz"),
+        (lambda plain: plain.rstrip()[:-40] + b"\n", "00.csv"),
+    ],
+    ids=["UTF-16", "packed", "packed, by its name", "last line cut"],
+)
+def test_the_command_that_mends_a_log_leaves_it_as_the_only_one_of_its_row(run, policy, logs, written, name):
+    content = written((logs / "00.csv").read_bytes())
+    (logs / "00.csv").unlink()
+    (logs / name).write_bytes(content)
+    with pytest.raises(RecordingError) as refused:
+        field(run).collect([policy], ASKED)
+    subprocess.run(["sh", "-c", str(refused.value).split("`")[1]], check=True)
+    assert [path.name for path in logs.iterdir()] == ["00.csv"]
+    assert field(run).collect([policy], ASKED)[0].seconds == pytest.approx(SECONDS, abs=0.05)
+
+
+def test_a_gauge_that_nobody_reads_is_to_be_read_and_the_row_walked_again(run, policy, logs):
+    head, *rows = (logs / "00.csv").read_text().splitlines()
+    assert head.endswith(",battery_current")
+    silent = [head, *(f"{row.rpartition(',')[0]},0.0" for row in rows)]
+    (logs / "00.csv").write_text("\n".join(silent) + "\n")
+    with pytest.raises(RecordingError, match=r"is 0 A in all .* record again \(of a run on a robot, the same row\)\."):
         field(run).collect([policy], ASKED)
