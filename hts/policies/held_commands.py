@@ -128,7 +128,8 @@ def has_held_commands(path: Path) -> bool:
 def held_commands_of(folder: Path, policy: str) -> HeldCommands:
     """What the final of a finished run sent. policy: "best", its id, or "pretrained" (the final's reference).
 
-    Raises PolicyError where the run has no final, its final held no speed, or it was another policy's.
+    Raises PolicyError where the run has no final, its final held no speed or was refused at all that it was to hold, or
+    it was another policy's.
     """
     path = folder / "summary.json"
     try:
@@ -137,6 +138,7 @@ def held_commands_of(folder: Path, policy: str) -> HeldCommands:
         rows = [(float(speed), row) for one in objectives for speed, row in one["speeds"].items() if row.get("held")]
         asked = {speed for speed, _ in rows} | {float(speed) for one in objectives for speed in one.get("refused", ())}
         tried = final["policy"] if final else ""
+        why = {str(said) for one in objectives if not one["speeds"] for said in dict(one.get("refused", {})).values()}
     except FileNotFoundError:
         raise PolicyError(
             f"{folder}: has no summary.json yet. Commands are found in the final: finish the run."
@@ -150,6 +152,11 @@ def held_commands_of(folder: Path, policy: str) -> HeldCommands:
         raise PolicyError(
             f"{folder}: the final was that of {tried} against the pretrained policy, so commands of {policy} are not "
             "known. Export without them, and trim on the robot."
+        )
+    if not rows and why:
+        raise PolicyError(
+            f"{folder}: its final was to hold a speed and was refused, so no command of it counts. "
+            f"{' '.join(sorted(why))} Export without them, and trim on the robot."
         )
     if not rows:
         raise PolicyError(

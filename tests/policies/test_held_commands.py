@@ -192,6 +192,19 @@ def test_a_speed_that_was_refused_or_at_which_it_fell_is_no_point_and_is_told(tm
     assert "Commands for 0.8 m/s: 0.7; above 0.8 m/s as there. In the final it was refused or fell at 0.5, 1.1" in told
 
 
+def test_a_final_that_was_refused_at_the_speed_that_it_was_to_hold_is_not_called_one_without(tmp_path, capsys):
+    why = "Head-to-head at 0.8 m/s: the speeds are 1.2% apart, at most 1% counts as one speed. Trim longer."
+    beside = {"speeds": {"0.8": {"held": False, "commanded": 0.8, "reference": {"commanded": 0.8}}}}
+    refused = {"speeds": {}, "open_loop": beside, "refused": {"0.8": why}}
+    folder = run_folder(tmp_path / "run", made(), objectives={"cost": refused, "other": refused})
+    assert main(["export", str(folder), "--held-speed", "--to", str(tmp_path / "p.onnx")]) == PolicyError.exit_code
+    assert capsys.readouterr().err == (
+        f"error: {folder}: its final was to hold a speed and was refused, so no command of it counts. {why} "
+        "Export without them, and trim on the robot.\n"
+    )
+    assert not (tmp_path / "p.onnx").exists()
+
+
 @pytest.mark.parametrize(
     ("policy", "change", "words"),
     [
