@@ -26,9 +26,10 @@ def _ended(arguments: list[str]) -> int:
     from hts.cli.one_line import one_line
     from hts.cli.output import NobodyReads, careful_output, say_last
     from hts.cli.printable import printable
+    from hts.cli.told_to_end import interruptible
 
     try:
-        with careful_output():
+        with careful_output(), interruptible():
             status = _done(arguments)
     except NobodyReads:  # who ended the pipe knows
         return 1

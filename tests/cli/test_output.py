@@ -58,6 +58,14 @@ INTERRUPTED = """
     except KeyboardInterrupt as error:
         raise ImportError("numpy.core.multiarray failed to import") from error
 """
+SLOWLY = """
+    try:
+        print("ready", flush=True)
+        time.sleep(60)
+    finally:
+        print("ready", flush=True)
+        time.sleep(60)
+"""
 
 
 @pytest.fixture
@@ -150,12 +158,24 @@ def test_a_run_that_is_told_to_end_says_how_to_go_on_and_clears_up(folder, numbe
     assert (folder / "cleared").exists()
 
 
-def test_a_library_that_makes_an_error_of_its_own_of_the_end_shows_no_traceback(folder):
+@pytest.mark.parametrize(
+    ("number", "status", "by"), [(signal.SIGTERM, 143, " by SIGTERM"), (signal.SIGINT, 130, "")], ids=["TERM", "INT"]
+)
+def test_a_library_that_makes_an_error_of_its_own_of_the_end_shows_no_traceback(folder, number, status, by):
     run = began(folder, INTERRUPTED, stdout=subprocess.PIPE)
     assert run.stdout.readline() == "ready\n"
-    run.send_signal(signal.SIGTERM)
+    run.send_signal(number)
     _, err = run.communicate(timeout=60)
-    assert (run.returncode, err) == (143, f"\nstopped by SIGTERM: `hts resume {folder}` goes on\n")
+    assert (run.returncode, err) == (status, f"\nstopped{by}: `hts resume {folder}` goes on\n")
+
+
+def test_a_second_ctrl_c_ends_the_clearing_up_too(folder):
+    run = began(folder, SLOWLY, stdout=subprocess.PIPE)
+    for _ in range(2):
+        assert run.stdout.readline() == "ready\n"
+        run.send_signal(signal.SIGINT)
+    _, err = run.communicate(timeout=60)
+    assert (run.returncode, err) == (130, f"\nstopped: `hts resume {folder}` goes on\n")
 
 
 def test_a_run_after_nohup_hears_of_no_terminal(folder):
@@ -175,6 +195,22 @@ def test_ctrl_c_while_modules_are_imported_shows_no_traceback():
         "class Stop:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         "        if name == 'typer': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Stop())\n"
+        "from hts.cli.main import main\n"
+        "sys.exit(main(['plugins']))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
+def test_ctrl_c_of_which_an_import_makes_an_error_of_its_own_shows_no_traceback():
+    code = (
+        "import os, signal, sys\n"
+        "class Stop:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name != 'hts.cli.group': return\n"
+        "        try: os.kill(os.getpid(), signal.SIGINT)\n"
+        "        except KeyboardInterrupt as error: raise ImportError('initialization failed') from error\n"
         "sys.meta_path.insert(0, Stop())\n"
         "from hts.cli.main import main\n"
         "sys.exit(main(['plugins']))\n"
