@@ -100,3 +100,12 @@ class DeployedPolicy:
             noise = self._random.standard_normal(self._last_action.shape, np.float32)
             self._last_action = self._last_action + self._noise * noise
         return self._last_action
+
+    def replayed(self, readings: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Actions (T, J), without noise of ours, in T rows of one walk that was recorded. readings: as `action`, each
+        (T, size), with the `last_action` of the record."""
+        rows = np.concatenate([np.asarray(readings[name], np.float32) for name in self._parts], axis=1)
+        past = np.vstack([np.zeros((self.card.history - 1, rows.shape[1]), np.float32), rows])
+        stacked = [past[first : first + len(rows)] for first in range(self.card.history)]
+        found: np.ndarray = self._session.run(["action"], {"observation": np.concatenate(stacked, axis=1)})[0]
+        return found

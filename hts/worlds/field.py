@@ -41,6 +41,7 @@ from hts.worlds.field_logs import (
     described,
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
+from hts.worlds.field_ran import check_whose
 
 
 class FieldSettings(Config):
@@ -253,6 +254,8 @@ class FieldWorld(World):
             time.sleep(LOOK_AGAIN_SECONDS)
         check_still(before, self._command())
         check_all_differ([files[order.name][0] for order in orders], recordings)
+        if isinstance(self._robot, VelocityRobot):
+            check_whose([files[o.name][0] for o in orders], recordings, [o.policy for o in orders])
         if held:
             field_holding.check_one_command(recordings)
         return recordings
