@@ -25,7 +25,7 @@ from hts.plugins import load
 from hts.recordings.commanded import ends_early
 from hts.recordings.needs import check_mapping, in_units_of, levels_in_units_of
 from hts.recordings.recording import Recording
-from hts.worlds import field_holding
+from hts.worlds import field_holding, field_levels
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits, write_bundle
 from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, stamps, whole
@@ -39,6 +39,7 @@ from hts.worlds.field_logs import (
     check_sections,
     check_weighed,
     described,
+    mapping_of,
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
 
@@ -255,7 +256,8 @@ class FieldWorld(World):
         check_all_differ([files[order.name][0] for order in orders], recordings)
         if held:
             field_holding.check_one_command(recordings)
-        return recordings
+        mappings = [mapping_of(bundle / "logs", order.name, self._mapping_path()) for order in orders]
+        return field_levels.with_one_level(recordings, list(files), mappings, self._mapping_path())
 
     def _read(self, files: Sequence[Path], order: Order, bundle: Path) -> Recording:
         from hts.policies.deploy import DeployedPolicy
