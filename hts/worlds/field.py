@@ -31,7 +31,6 @@ from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits
 from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, stamps, whole
 from hts.worlds.field_logs import (
     FOLDER,
-    check_all_differ,
     check_judged,
     check_of_all,
     check_ran,
@@ -42,6 +41,7 @@ from hts.worlds.field_logs import (
     mapping_of,
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
+from hts.worlds.field_once import check_once
 
 
 class FieldSettings(Config):
@@ -253,7 +253,8 @@ class FieldWorld(World):
         if any(_ends_early(recording) for recording in recordings):
             time.sleep(LOOK_AGAIN_SECONDS)
         check_still(before, self._command())
-        check_all_differ([files[order.name][0] for order in orders], recordings)
+        store = self._run_folder() / "data.zarr"
+        check_once(self._folder, store, bundle, [files[order.name][0] for order in orders], recordings)
         if held:
             field_holding.check_one_command(recordings)
         mappings = [mapping_of(bundle / "logs", order.name, self._mapping_path()) for order in orders]

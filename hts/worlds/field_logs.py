@@ -7,20 +7,16 @@ the run's own says would be of no use there, so it is refused rather than passed
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
-
 from hts.contracts import Task
 from hts.errors import ConfigError, RecordingError, unknown_name
 from hts.explain import shortened
 from hts.recordings.mapping import load_mapping
-from hts.recordings.recording import Recording
 
 FOLDER = "mappings"
 SECTIONS = {
@@ -179,19 +175,3 @@ def check_weighed(where: Path, mapping: Mapping[str, Any]) -> None:
             f"{where}: recording.mass_kg is still empty. Weigh the robot as it walks and write the kilograms there, or "
             "delete the line if nothing that is measured needs them."
         )
-
-
-def check_all_differ(files: Sequence[Path], recordings: Sequence[Recording]) -> None:
-    """Raise RecordingError if two rows hold the same samples: one log that was saved under two names."""
-    seen: dict[str, Path] = {}
-    for file, recording in zip(files, recordings, strict=True):
-        digest = hashlib.sha256()
-        for name in sorted(recording.channels):
-            digest.update(name.encode())
-            digest.update(np.ascontiguousarray(recording.channels[name].values).tobytes())
-        first = seen.setdefault(digest.hexdigest(), file)
-        if first is not file:
-            raise RecordingError(
-                f"{file}: the same samples as {first.name}; no two walks are alike. Put there the log of its own "
-                "row, or record the row again."
-            )

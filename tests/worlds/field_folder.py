@@ -27,7 +27,7 @@ def holding(run: Path, **settings):
 
 def write_log(path: Path, robot, seconds: float = SECONDS, command: float | np.ndarray | None = None) -> None:
     """A log whose columns are named as the template names them. command: forward, m/s; None: noise."""
-    rng, steps = np.random.default_rng(list(path.name.encode())), round(seconds * 50)  # no two rows are alike
+    rng, steps = np.random.default_rng(list(str(path)[-30:].encode())), round(seconds * 50)  # no two rows are alike
     columns: dict[str, np.ndarray] = {"time": np.arange(steps) / 50}
     for name, channel in robot.channels().items():
         for i in range(channel.shape[0]):
