@@ -28,6 +28,7 @@ from hts.recordings.recording import Recording
 from hts.worlds import field_holding, field_levels
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits, write_bundle
+from hts.worlds.field_commands import check_sent
 from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, stamps, whole
 from hts.worlds.field_logs import (
     FOLDER,
@@ -298,6 +299,7 @@ class FieldWorld(World):
             )
         if self._hold is not None and order.role != "collection":
             return field_holding.held(files, recording, self._hold, order.trim)
+        check_sent(files[0], order.name, recording)
         return recording
 
     @cached_property
