@@ -25,13 +25,13 @@ from hts.plugins import load
 from hts.recordings.commanded import ends_early
 from hts.recordings.needs import check_mapping, in_units_of, levels_in_units_of
 from hts.recordings.recording import Recording
-from hts.worlds import field_holding
+from hts.worlds import field_holding, field_levels
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits, write_bundle
+from hts.worlds.field_commands import check_sent
 from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, stamps, whole
 from hts.worlds.field_logs import (
     FOLDER,
-    check_all_differ,
     check_judged,
     check_of_all,
     check_ran,
@@ -39,8 +39,10 @@ from hts.worlds.field_logs import (
     check_sections,
     check_weighed,
     described,
+    mapping_of,
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
+from hts.worlds.field_once import check_once
 from hts.worlds.field_ran import check_whose
 
 
@@ -253,12 +255,14 @@ class FieldWorld(World):
         if any(_ends_early(recording) for recording in recordings):
             time.sleep(LOOK_AGAIN_SECONDS)
         check_still(before, self._command())
-        check_all_differ([files[order.name][0] for order in orders], recordings)
+        firsts = [files[order.name][0] for order in orders]
+        check_once(self._folder, self._run_folder() / "data.zarr", bundle, firsts, recordings)
         if isinstance(self._robot, VelocityRobot):
-            check_whose([files[o.name][0] for o in orders], recordings, [o.policy for o in orders])
+            check_whose(firsts, recordings, [order.policy for order in orders])
         if held:
             field_holding.check_one_command(recordings)
-        return recordings
+        mappings = [mapping_of(bundle / "logs", order.name, self._mapping_path()) for order in orders]
+        return field_levels.with_one_level(recordings, list(files), mappings, self._mapping_path())
 
     def _read(self, files: Sequence[Path], order: Order, bundle: Path) -> Recording:
         from hts.policies.deploy import DeployedPolicy
@@ -298,6 +302,7 @@ class FieldWorld(World):
             )
         if self._hold is not None and order.role != "collection":
             return field_holding.held(files, recording, self._hold, order.trim)
+        check_sent(files[0], order.name, recording)
         return recording
 
     @cached_property

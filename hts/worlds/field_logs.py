@@ -7,20 +7,16 @@ the run's own says would be of no use there, so it is refused rather than passed
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
-
 from hts.contracts import Task
 from hts.errors import ConfigError, RecordingError, unknown_name
 from hts.explain import shortened
 from hts.recordings.mapping import load_mapping
-from hts.recordings.recording import Recording
 
 FOLDER = "mappings"
 SECTIONS = {
@@ -30,14 +26,20 @@ SECTIONS = {
 GAINS = {"kp": "a list of one gain a joint, N*m/rad", "kd": "a list of one gain a joint, N*m*s/rad"}
 
 
+def mapping_of(logs: Path, name: str, own_path: Path) -> Path:
+    """Where the mapping of one log lies: beside it, else the run's own."""
+    beside = logs / FOLDER / f"{name}.yaml"
+    return beside if beside.is_file() else own_path
+
+
 def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> tuple[dict[str, Any], Path]:
     """The mapping of one log and where it lies: that beside it, completed by the run's own; the run's own if there is
     none. One beside it without `channels` adds what it says to the run's own. Raises RecordingError for either that is
     not built as a mapping is, see `check_sections`, and where the run's own tells of a second file, or of a level of a
     channel that is not in the log: see `_check_one_file`."""
-    path = logs / FOLDER / f"{name}.yaml"
+    path = mapping_of(logs, name, own_path)
     check_sections(own_path, own)
-    if not path.is_file():
+    if path == own_path:
         return dict(own), own_path
     mapping = _with_levels(load_mapping(path), own)
     check_sections(path, mapping)
@@ -173,19 +175,3 @@ def check_weighed(where: Path, mapping: Mapping[str, Any]) -> None:
             f"{where}: recording.mass_kg is still empty. Weigh the robot as it walks and write the kilograms there, or "
             "delete the line if nothing that is measured needs them."
         )
-
-
-def check_all_differ(files: Sequence[Path], recordings: Sequence[Recording]) -> None:
-    """Raise RecordingError if two rows hold the same samples: one log that was saved under two names."""
-    seen: dict[str, Path] = {}
-    for file, recording in zip(files, recordings, strict=True):
-        digest = hashlib.sha256()
-        for name in sorted(recording.channels):
-            digest.update(name.encode())
-            digest.update(np.ascontiguousarray(recording.channels[name].values).tobytes())
-        first = seen.setdefault(digest.hexdigest(), file)
-        if first is not file:
-            raise RecordingError(
-                f"{file}: the same samples as {first.name}; no two walks are alike. Put there the log of its own "
-                "row, or record the row again."
-            )

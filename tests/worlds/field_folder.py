@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,8 @@ def holding(run: Path, **settings):
 
 
 def write_log(path: Path, robot, seconds: float = SECONDS, command: float | np.ndarray | None = None) -> None:
-    """A log whose columns are named as the template names them. command: forward, m/s; None: noise."""
-    rng, steps = np.random.default_rng(list(path.name.encode())), round(seconds * 50)  # no two rows are alike
+    """A log whose columns are named as the template names them. command: forward, m/s; None: as asked."""
+    rng, steps = np.random.default_rng(list(str(path)[-30:].encode())), round(seconds * 50)  # no two rows are alike
     columns: dict[str, np.ndarray] = {"time": np.arange(steps) / 50}
     for name, channel in robot.channels().items():
         for i in range(channel.shape[0]):
@@ -43,12 +44,19 @@ def write_log(path: Path, robot, seconds: float = SECONDS, command: float | np.n
     length = np.sqrt(sum(part**2 for part in gravity))
     for i, part in enumerate(gravity):
         columns[f"projected_gravity_{i}"] = part / length
-    if command is not None:
-        columns["command_0"] = np.broadcast_to(command, steps)
+    columns["command_0"] = np.broadcast_to(as_asked(path, steps) if command is None else command, steps)
     columns["battery_voltage"] = 22.0 + 0.1 * rng.standard_normal(steps)
     columns["battery_current"] = 5.0 + 0.1 * rng.standard_normal(steps)
     rows = np.stack(list(columns.values()), axis=1)
     np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+
+
+def as_asked(log: Path, steps: int) -> np.ndarray:
+    """Forward commands of a row, m/s: those of the bundle that the log lies in, the last one until the end."""
+    plan = json.loads((log.parent.parent / "plan.json").read_text())
+    (row,) = [row for row in plan if row["log"] == log.stem]
+    asked = [np.full(round(one["seconds"] * 50), one["vx"]) for one in row["schedule"]["commands"]]
+    return np.resize(np.concatenate([*asked, np.full(steps, asked[-1][-1])]), steps)
 
 
 def bundle(run: Path) -> Path:

@@ -1,0 +1,131 @@
+"""Idle levels and masses that the rows of one comparison state: what is alike in all of them must be said alike.
+
+A row's idle level is taken off that row alone, and its mass divides that row alone. So where policy and reference state
+different ones, the difference counts as a saving, or as a loss, however they walked.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hts.errors import RecordingError
+from hts.recordings.recording import Recording
+
+IDLE_NOTED = 0.03
+"""Share by which idle levels may differ before it is said: two readings of ten seconds each agree better, and a
+runtime asks the same of the levels before and after a visit."""
+IDLE_REFUSED = 0.15
+"""Share by which they may differ at all. Over a day, with the state of charge and the heat of the electronics, a level
+moved by 11 %; more than that is another reading, or electronics that do something else."""
+IDLE_UNSEEN = 0.005
+"""What is less than this share of what walking adds to the level changes no result, whatever share of the level it is:
+a level of about 0 is a sensor's offset, which is never read alike twice."""
+MASS_REFUSED = 0.02
+"""Share by which masses may differ: a sensor or a pack more is seen, two scales agree better. One robot walks all
+rows of a comparison as it is."""
+NOTE = "idle_differs"
+"""Note of the recordings of a comparison whose rows state idle levels further apart than IDLE_NOTED."""
+
+
+def with_one_level(
+    recordings: Sequence[Recording], names: Sequence[str], mappings: Sequence[Path], own: Path
+) -> list[Recording]:
+    """The recordings, with a NOTE, which is printed too, where rows of one session state idle levels that differ.
+
+    names: of the rows; mappings: where each row's level and mass stand; own: the run's own mapping, which wins over
+    them. Raises RecordingError, one line, where levels or masses differ by more than IDLE_REFUSED or MASS_REFUSED.
+    """
+    sessions: dict[str, list[int]] = {}
+    for number, recording in enumerate(recordings):
+        sessions.setdefault(recording.session, []).append(number)
+    found = list(recordings)
+    for rows in sessions.values():
+        _check_mass(rows, recordings, names, mappings, own)
+        said = _idle_levels(rows, recordings, names, mappings, own)
+        if said:
+            text = "; ".join(said)
+            where_to = "Where an objective takes the idle level off, the difference goes straight into net savings."
+            print(f"note: {text}. {where_to}", file=sys.stderr)
+            for row in rows:
+                found[row] = found[row].replace(notes={**found[row].notes, NOTE: text})
+    return found
+
+
+def _idle_levels(
+    rows: Sequence[int],
+    recordings: Sequence[Recording],
+    names: Sequence[str],
+    mappings: Sequence[Path],
+    own: Path,
+) -> list[str]:
+    """What is to be said of the idle levels of the rows of one session, a few words a channel."""
+    said = []
+    for channel in sorted({name for row in rows for name in recordings[row].idle}):
+        levels = {row: recordings[row].idle[channel] for row in rows if channel in recordings[row].idle}
+        low, high = min(levels, key=lambda row: levels[row]), max(levels, key=lambda row: levels[row])
+        difference = levels[high] - levels[low]
+        walking = float(np.mean([_added(recordings[row], channel) for row in levels]))
+        if difference <= IDLE_UNSEEN * walking:
+            continue
+        apart = _apart(levels[low], levels[high])
+        unit = recordings[low].channels[channel].channel.unit
+        if apart > IDLE_REFUSED:
+            odd, other = _odd_first(levels, low, high)
+            raise RecordingError(
+                f"{mappings[odd]}: channels.{channel}.idle is {levels[odd]:.4g} {unit} in row {names[odd]}, but "
+                f"{levels[other]:.4g} {unit} in row {names[other]}, with which it is compared; expected at most "
+                f"{IDLE_REFUSED:.0%} apart, since the difference goes straight into net savings. Measure it once more "
+                f"and walk all rows of session {recordings[odd].session} anew, or, if one of the two was misread, "
+                f"state the level of all rows in {own}."
+            )
+        if apart > IDLE_NOTED:
+            said.append(
+                f"session {recordings[low].session}: the idle level of '{channel}' is {levels[low]:.4g} {unit} in row "
+                f"{names[low]} and {levels[high]:.4g} {unit} in row {names[high]} ({apart:.1%} apart, "
+                f"{difference / walking if walking > 0 else 1.0:.1%} of what walking adds to it)"
+            )
+    return said
+
+
+def _check_mass(
+    rows: Sequence[int],
+    recordings: Sequence[Recording],
+    names: Sequence[str],
+    mappings: Sequence[Path],
+    own: Path,
+) -> None:
+    masses = {row: mass for row in rows if (mass := recordings[row].mass_kg) is not None}
+    if not masses:
+        return
+    low, high = min(masses, key=lambda row: masses[row]), max(masses, key=lambda row: masses[row])
+    if _apart(masses[low], masses[high]) > MASS_REFUSED:
+        odd, other = _odd_first(masses, low, high)
+        raise RecordingError(
+            f"{mappings[odd]}: recording.mass_kg is {masses[odd]:.4g} in row {names[odd]}, but {masses[other]:.4g} in "
+            f"row {names[other]}, with which it is compared; expected at most {MASS_REFUSED:.0%} apart. Weigh the "
+            f"robot as it walks and state that mass in {own}, or, if it carried something in one of them alone, walk "
+            f"all rows of session {recordings[odd].session} anew."
+        )
+
+
+def _added(recording: Recording, channel: str) -> float:
+    """What walking adds to the idle level of a channel."""
+    return abs(float(recording.values(channel).mean(dtype=np.float64)) - recording.idle[channel])
+
+
+def _apart(low: float, high: float) -> float:
+    """By what share of the smaller one two numbers differ; infinite about 0."""
+    smaller = min(abs(low), abs(high))
+    if low == high:
+        return 0.0
+    return (high - low) / smaller if smaller > 0 and low * high > 0 else float("inf")
+
+
+def _odd_first(found: dict[int, float], low: int, high: int) -> tuple[int, int]:
+    """The row of the two that is further from most of the rows, then the other one."""
+    middle = float(np.median(list(found.values())))
+    return (low, high) if middle - found[low] > found[high] - middle else (high, low)

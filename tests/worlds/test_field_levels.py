@@ -1,0 +1,85 @@
+"""The world `field`: rows that are compared with each other state one idle level and one mass."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+from field_folder import bundle, field, fill_in, write_log
+
+from hts.errors import RecordingError, WaitingForRobot
+from hts.worlds.field_levels import NOTE
+
+
+def walked(run, policy, robot, changed, **said):
+    """A head-to-head whose rows have mappings beside their logs. changed: row -> (channel's idle level, or mass_kg)."""
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+    own = run / "field" / "mapping.yaml"
+    empty = own.read_text()
+    fill_in(run)
+    mapping = yaml.safe_load(own.read_text())
+    own.write_text(empty.replace("  mass_kg: null\n", "  {}\n"))
+    logs = bundle(run) / "logs"
+    (logs / "mappings").mkdir()
+    for number in range(4):
+        write_log(logs / f"{number:02d}.csv", robot)
+        for key, value in {**said, **changed.get(number, {})}.items():
+            if key == "mass_kg":
+                mapping["recording"][key] = value
+            else:
+                mapping["channels"][key]["idle"] = value
+        (logs / "mappings" / f"{number:02d}.yaml").write_text(yaml.safe_dump(mapping))
+    return field(run).head_to_head(policy, policy, [0.8])
+
+
+def refused(run, policy, robot, changed, **said):
+    with pytest.raises(RecordingError) as error:
+        walked(run, policy, robot, changed, **said)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_idle_levels_that_differ_by_a_fifth_are_refused_with_both_rows(run, policy, robot):
+    text = refused(run, policy, robot, {2: {"battery_current": 1.6}}, battery_current=1.3)
+    assert "mappings/02.yaml: channels.battery_current.idle is 1.6 A in row 02, but 1.3 A in row " in text
+    assert "expected at most 15% apart" in text and "state the level of all rows in" in text
+
+
+def test_an_idle_level_that_drifted_is_told_and_kept_in_the_notes(run, policy, robot, capsys):
+    recordings = walked(run, policy, robot, {1: {"battery_current": 1.43}}, battery_current=1.3)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'battery_current' is 1.3 A in row 00 and 1.43 A in row 01 (10.0% apart" in line
+    assert "straight into net savings" in line
+    assert all(recording.notes[NOTE] in line for recording in recordings)
+
+
+def test_small_differences_are_not_told(run, policy, robot, capsys):
+    recordings = walked(run, policy, robot, {1: {"battery_current": 1.33}}, battery_current=1.3)
+    assert not capsys.readouterr().err and all(NOTE not in recording.notes for recording in recordings)
+
+
+def test_any_channel_is_compared(run, policy, robot):
+    text = refused(run, policy, robot, {3: {"battery_voltage": 27.5}}, battery_voltage=23.0)
+    assert "mappings/03.yaml: channels.battery_voltage.idle is 27.5 V in row 03, but 23 V" in text
+
+
+def test_a_level_that_is_small_beside_walking_may_differ(run, policy, robot, capsys):
+    """0.01 A of the 5 A that walking adds change no result, although they are a tenth of the level."""
+    walked(run, policy, robot, {2: {"battery_current": 0.11}}, battery_current=0.1)
+    assert not capsys.readouterr().err
+
+
+def test_masses_that_differ_by_a_kilogram_are_refused(run, policy, robot):
+    text = refused(run, policy, robot, {1: {"mass_kg": 14.2}, 2: {"mass_kg": 13.2}}, mass_kg=13.2)
+    assert "mappings/01.yaml: recording.mass_kg is 14.2 in row 01, but 13.2 in row" in text
+
+
+def test_the_level_that_the_runs_own_mapping_states_is_that_of_all_rows(run, policy, robot, capsys):
+    refused(run, policy, robot, {2: {"battery_current": 1.6}}, battery_current=1.3)
+    own = run / "field" / "mapping.yaml"
+    mapping = yaml.safe_load(own.read_text())
+    mapping["channels"]["battery_current"]["idle"] = 1.3
+    own.write_text(yaml.safe_dump(mapping))
+    recordings = field(run).head_to_head(policy, policy, [0.8])
+    assert {recording.idle["battery_current"] for recording in recordings} == {1.3}
+    assert not capsys.readouterr().err
