@@ -8,6 +8,7 @@ import numpy as np
 
 from hts import units
 from hts.errors import RecordingError, unknown_name
+from hts.recordings.gravity import check_gravity
 from hts.recordings.recording import ROLES, Recording, Series
 
 # The mean rate of the time stamps may differ from the stated rate by this much before it is taken for a mistake.
@@ -25,6 +26,7 @@ def check(recording: Recording, where: str = "Recording") -> None:
         raise RecordingError(f"{where}: no channels. Expected at least one; record or map some.")
     for name, series in recording.channels.items():
         _check_series(name, series, recording, where)
+    check_gravity(recording.channels, where)
     for name in recording.idle:
         if name not in recording.channels:
             raise RecordingError(

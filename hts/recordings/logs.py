@@ -7,7 +7,7 @@
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
 the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle`,
-`torque_notes`, `work_notes`, `velocity_notes` and `repeated_notes` for values.
+`check_read`, `torque_notes`, `work_notes`, `velocity_notes` and `repeated_notes` for values.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ from hts.recordings.samples import Samples, common_grid, held, interpolated, lis
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
 from hts.recordings.stretches import Stretch, stretches
 from hts.recordings.table import ColumnName, Table, table_of
+from hts.recordings.unread import check_read
 
 __all__ = [
     "LogMapping",
@@ -59,6 +60,7 @@ __all__ = [
     "check_idle",
     "check_limits",
     "check_motion",
+    "check_read",
     "common_grid",
     "held",
     "recording_from_columns",
@@ -183,6 +185,8 @@ def _one(
     check(recording, where)
     check_motion(channels, robot.spec, log.rate_hz, where, stated)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
+    slow = {name: (1 / one.rate_hz, one.oldest) for name, one in samples.items() if one.oldest is not None}
+    check_read(channels, log.rate_hz, list(recording.idle), where, slow)
     doubts = torque_notes(recording, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
     doubts |= repeated_notes(channels, log.rate_hz) | work_notes(recording, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording

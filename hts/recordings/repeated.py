@@ -30,7 +30,7 @@ MOST_TOLD = 3
 def repeated_notes(channels: Mapping[str, Series], rate_hz: float) -> dict[str, str]:
     """Notes of joint channels that stay the same for all joints while these move, with the times, s from the beginning
     of the recording."""
-    speed = _speed(channels, rate_hz)
+    speed = joint_speed(channels, rate_hz)
     if speed is None:
         return {}
     found = []
@@ -43,7 +43,7 @@ def repeated_notes(channels: Mapping[str, Series], rate_hz: float) -> dict[str, 
         least = max(MOVING, AS_BEFORE * float(np.sqrt((changing**2).mean())) if len(changing) else 0.0)
         stretches = [
             f"{first / rate_hz:.2f} to {last / rate_hz:.2f} s"
-            for first, last in _runs(same)
+            for first, last in runs_of(same)
             if last - first >= LEAST_SECONDS * rate_hz and np.sqrt((speed[first : last + 1] ** 2).mean()) > least
         ]
         if stretches:
@@ -57,7 +57,7 @@ def repeated_notes(channels: Mapping[str, Series], rate_hz: float) -> dict[str, 
     }
 
 
-def _speed(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | None:
+def joint_speed(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | None:
     """Root mean square of all joints' speeds, rad/s, (T,), by velocities, else by positions; None without either."""
     for name in ("joint_velocity", "joint_position"):
         if name in channels and channels[name].values.ndim == 2 and len(channels[name].values) > 1:
@@ -68,7 +68,7 @@ def _speed(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | None:
     return None
 
 
-def _runs(same: np.ndarray) -> list[tuple[int, int]]:
+def runs_of(same: np.ndarray) -> list[tuple[int, int]]:
     """First and last sample of each stretch that is the same. same: (T - 1,) bool, of each step to the next sample."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -22,6 +22,7 @@ from hts.policies.files import Policy, load_policy, save_policy
 from hts.policies.onnx_ours import what_differs
 from hts.policy_ids import PRETRAINED
 from hts.recordings.commanded import shortfall
+from hts.recordings.doubts import doubts
 from hts.recordings.needs import check_judged_by, check_rate, check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
@@ -271,11 +272,13 @@ class Job:
         check_rate(recordings, self.robot.spec)
 
     def keep(self, recordings: Sequence[Recording], iteration: int) -> list[str]:
-        """Store recordings, and say which end early; writing one twice is harmless. Returns their ids. Raises
-        RecordingError as `check_recordings` does, with nothing stored."""
+        """Store recordings, and say which end early and what is doubtful of them; writing one twice is harmless.
+        Returns their ids. Raises RecordingError as `check_recordings` does, with nothing stored."""
         self.check_recordings(recordings)
         if (short := shortfall(recordings)) is not None:
             self.stages.progress.say(short)
+        for line in doubts(recordings):
+            self.stages.progress.say(line)
         return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
 
     def recordings(self, ids: Sequence[str]) -> list[Recording]:

@@ -1,0 +1,30 @@
+"""Doubts about values that are taken all the same: notes of an import that somebody should read before going on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hts.recordings.recording import Recording
+
+DOUBTS = (
+    "joint_torque_scale",
+    "joint_torque_late",
+    "joint_torque_unlike",
+    "joint_torque_takes_work",
+    "base_velocity_scale",
+    "repeated_while_moving",
+)
+"""Names of the notes of `torque_notes`, `work_notes`, `velocity_notes` and `repeated_notes`."""
+
+
+def doubts(recordings: Sequence[Recording]) -> list[str]:
+    """One line for each kind of doubt that the notes tell of: in how many recordings, and what is said of the first."""
+    lines = []
+    for name in DOUBTS:
+        told = [one for one in recordings if name in one.notes]
+        if not told:
+            continue
+        first = told[0].notes.get("source", "a recording")
+        who = first if len(recordings) == 1 else f"{len(told)} of {len(recordings)} recordings, the first {first}"
+        lines.append(f"note: {name} of {who}: {told[0].notes[name].rstrip('.')}.".replace("?.", "?"))
+    return lines

@@ -1,0 +1,78 @@
+"""`projected_gravity` that is no unit vector is refused where recordings come in: falls would not be seen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from two_joint_log import TWO_JOINTS
+from walker_recording import a_recording
+
+from hts.channels import Channel
+from hts.errors import RecordingError
+from hts.evaluation.segments import falls_of
+from hts.recordings import Series
+from hts.recordings.checks import check
+from hts.recordings.logs import recording_from_columns
+
+UPRIGHT = np.tile([0.0, 0.0, -1.0], (500, 1))
+
+
+def lying(share: float = 0.5) -> np.ndarray:
+    """Upright, then on its side."""
+    values = UPRIGHT.copy()
+    values[round(len(values) * (1 - share)) :] = [0.0, 0.995, -0.1]
+    return values
+
+
+def imported(values: np.ndarray):
+    columns = {"t": 20.0 * np.arange(len(values)), "x": values[:, 0], "y": values[:, 1], "z": values[:, 2]}
+    mapping = {
+        "time": {"column": "t", "unit": "ms"},
+        "rate_hz": 50,
+        "channels": {"projected_gravity": {"columns": ["x", "y", "z"], "unit": "1", "real": False}},
+    }
+    return recording_from_columns([Path("01.csv")], mapping, TWO_JOINTS, lambda path: columns)
+
+
+def test_metres_per_second_squared_are_refused_with_what_to_write():
+    with pytest.raises(RecordingError) as told:
+        imported(9.81 * lying())
+    assert str(told.value) == (
+        "01.csv: 'projected_gravity' is 9.81 long (median of 500 samples). Expected a unit vector, (0, 0, -1) of an "
+        "upright robot, by which falls are told; it looks like m/s^2: say scale: 0.102 of it in the mapping."
+    )
+
+
+def test_a_robot_that_lies_on_its_side_has_fallen():
+    assert falls_of("", [imported(lying()).replace(role="")]) == 1
+
+
+@pytest.mark.parametrize(
+    ("factor", "told"),
+    [
+        (-9.81, "say scale: 0.102 of it in the mapping, and sign: -1 if it is an accelerometer's"),
+        (1.2, "1.2 long .* or say scale: 0.833 of it in the mapping if it is in another unit"),
+        (0.8, "0.8 long .* or say scale: 1.25 "),
+        (0.0, "0 long .* these are no attitude: correct its columns"),
+    ],
+)
+def test_other_lengths_are_refused_too(factor, told):
+    with pytest.raises(RecordingError, match=told):
+        imported(factor * UPRIGHT)
+
+
+def test_noise_like_that_of_an_accelerometer_is_taken():
+    rng = np.random.default_rng(5)
+    noisy = UPRIGHT + 0.1 * rng.standard_normal(UPRIGHT.shape)
+    noisy[::50] *= 4.0  # impacts
+    imported(noisy)
+
+
+def test_a_recording_of_any_world_is_held_against_it_before_it_is_stored():
+    series = Series(Channel("projected_gravity", "1", (3,), may_be_constant=True), 9.81 * UPRIGHT[:50])
+    good = a_recording()
+    check(good)
+    with pytest.raises(RecordingError, match="9.81 long"):
+        check(good.replace(channels={**good.channels, "projected_gravity": series}))
