@@ -17,6 +17,7 @@ from hts.config import Command, ScheduleConfig
 from hts.contracts import MODEL, Objective, Robot, chosen_model
 from hts.cores import available
 from hts.measurement.fit_command import new_model
+from hts.recordings.gravity import GRAVITY
 from hts.recordings.recording import Recording, Series
 from hts.recordings.store import RecordingStore
 
@@ -92,6 +93,8 @@ def made_up(objective: Objective, robot: Robot, seed: int, seconds: float = SHOR
         phase, hertz = rng.uniform(0, 2 * np.pi, size), rng.uniform(0.5, 3.0, size)
         angle = 2 * np.pi * hertz * time_axis.reshape(-1, *(1,) * len(size)) + phase
         values = np.sin(angle) + 0.1 * rng.standard_normal(angle.shape)
+        if name == GRAVITY:
+            values /= np.linalg.norm(values, axis=1, keepdims=True)
         channels[name] = Series(known[name], values)
         if name in objective.inputs:
             sums += np.square(values).reshape(len(time_axis), -1).mean(1)

@@ -9,7 +9,7 @@ import numpy as np
 from hts.errors import RecordingError
 from hts.recordings.recording import Series
 
-NAME = "projected_gravity"
+GRAVITY = "projected_gravity"
 TOLERANCE = 0.1
 """By which the median of its length may differ from 1: noise of a sample, and single impacts, do not move it so far."""
 EARTH = 9.81
@@ -21,9 +21,9 @@ def check_gravity(channels: Mapping[str, Series], where: str) -> None:
 
     In m/s^2 a robot that lies on its side, z = -0.1 of 1, reads -1, which is upright.
     """
-    if NAME not in channels or channels[NAME].values.shape[1:] != (3,):
+    if GRAVITY not in channels or channels[GRAVITY].values.shape[1:] != (3,):
         return
-    values = channels[NAME].values.astype(np.float64)
+    values = channels[GRAVITY].values.astype(np.float64)
     length = float(np.median(np.sqrt((values**2).sum(axis=1))))
     if abs(length - 1.0) <= TOLERANCE:
         return
@@ -36,6 +36,6 @@ def check_gravity(channels: Mapping[str, Series], where: str) -> None:
     else:
         hint = f"correct its columns, or say scale: {1 / length:.3g} of it in the mapping if it is in another unit"
     raise RecordingError(
-        f"{where}: '{NAME}' is {length:.3g} long (median of {len(values)} samples). Expected a unit vector, (0, 0, -1) "
-        f"of an upright robot, by which falls are told; {hint}."
+        f"{where}: '{GRAVITY}' is {length:.3g} long (median of {len(values)} samples). Expected a unit vector, "
+        f"(0, 0, -1) of an upright robot, by which falls are told; {hint}."
     )

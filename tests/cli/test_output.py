@@ -74,10 +74,15 @@ def folder(tmp_path):
     return tmp_path
 
 
+def hears():
+    """A suite that a shell began in the background ignores Ctrl-C, one after `nohup` a hang-up; children inherit it."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 def began(folder, work, **given):
-    return subprocess.Popen(
-        [sys.executable, "-c", SCRIPT.format(work=work), str(folder)], stderr=subprocess.PIPE, text=True, **given
-    )
+    command = [sys.executable, "-c", SCRIPT.format(work=work), str(folder)]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **{"preexec_fn": hears, **given})
 
 
 def hts(*arguments, **given):
@@ -211,6 +216,7 @@ def test_ctrl_c_of_which_an_import_makes_an_error_of_its_own_shows_no_traceback(
         "        if name != 'hts.cli.group': return\n"
         "        try: os.kill(os.getpid(), signal.SIGINT)\n"
         "        except KeyboardInterrupt as error: raise ImportError('initialization failed') from error\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)  # the suite may ignore it\n"
         "sys.meta_path.insert(0, Stop())\n"
         "from hts.cli.main import main\n"
         "sys.exit(main(['plugins']))\n"

@@ -138,7 +138,9 @@ def test_an_export_that_acts_otherwise_is_not_written(policy, tmp_path, monkeypa
 
 
 WAITS = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a suite in the background may ignore it, or a hang-up
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 from pathlib import Path
 from hts.cli.main import main
 from hts.policies import export
@@ -189,6 +191,10 @@ def test_exports_act_as_the_policy_on_random_and_recorded_observations(policy, t
     rng, rows = np.random.default_rng(0), 120
     shapes = {name: channel for name, channel in standard_channels(2, 2).items() if name != "joint_torque"}
     made_up = {name: Series(one, rng.normal(size=(rows, *one.shape))) for name, one in shapes.items()}
+    down = made_up["projected_gravity"].values
+    made_up["projected_gravity"] = Series(
+        shapes["projected_gravity"], down / np.linalg.norm(down, axis=1, keepdims=True)
+    )
     base = known_recording([8.0] * 1)
     recording = base.replace(
         robot="dog", joint_names=SPEC.joint_names, kp=SPEC.kp, kd=SPEC.kd, rate_hz=50.0, time=np.arange(rows) / 50,
