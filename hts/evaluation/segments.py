@@ -240,7 +240,7 @@ def _near_falls(recording: Recording, settle_seconds: float) -> tuple[np.ndarray
     edges = np.flatnonzero(np.diff(np.concatenate([[False], fallen, [False]]).astype(int))).reshape(-1, 2)
     for down, up in edges:
         near[max(0, down - before) : up + after] = True
-    moments = _moments_noted(recording)
+    moments = moments_of_falls(recording)
     for at in samples_at(recording, moments):
         if not fallen[min(at, num - 1)]:
             near[max(0, at - before - lying) : at + 1 + after] = True
@@ -251,7 +251,7 @@ def _near_falls(recording: Recording, settle_seconds: float) -> tuple[np.ndarray
     return near, max(len(edges), len(moments), int(recording.fell), _falls_noted(recording))
 
 
-def _moments_noted(recording: Recording) -> list[float]:
+def moments_of_falls(recording: Recording) -> list[float]:
     """When a world saw it fall, s after the first sample. Raises RecordingError for a note that says no such times."""
     noted = recording.notes.get(FELL_AT)
     if noted is None:

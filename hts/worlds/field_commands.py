@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hts.errors import RecordingError
-from hts.evaluation.segments import BEFORE_FALL_SECONDS, FALLEN_GRAVITY_Z, FELL_AT
+from hts.evaluation.segments import BEFORE_FALL_SECONDS, FALLEN_GRAVITY_Z, moments_of_falls
 from hts.recordings.on_schedule import samples_at
 from hts.recordings.recording import Recording, noted_seconds
 from hts.worlds.field_bundle import UNSTEADY_SECONDS
@@ -27,7 +27,8 @@ AXES = ("forward", "sideways", "turning")
 
 def check_sent(file: Path, row: str, recording: Recording) -> None:
     """Raise RecordingError, one line, where the means of the log's commands are not the schedule's. Each stretch counts
-    from where it is steady, up to a fall; a log without the channel, or another task's, passes. file: of the log."""
+    from where it is steady, up to a fall; a log without the channel, or another task's, passes. A note of falls that
+    says no times is refused too. file: of the log."""
     commands = recording.schedule.commands
     if CHANNEL not in recording.channels or not all(command.is_velocity for command in commands):
         return
@@ -62,18 +63,9 @@ def _sound_until(recording: Recording) -> float:
     """Until when the log shows the schedule, s after its first sample: a robot that fell is let go and set up again."""
     elapsed = recording.time - recording.time[0]
     end = float(elapsed[-1]) + 1 / recording.rate_hz
-    falls = _falls_noted(recording)
+    falls = moments_of_falls(recording)
     if "projected_gravity" in recording.channels:
         falls += elapsed[recording.values("projected_gravity")[:, 2] > FALLEN_GRAVITY_Z].tolist()[:1]
     if recording.fell and not falls:
         falls = [end - UNSTEADY_SECONDS]
     return min([fall - BEFORE_FALL_SECONDS for fall in falls], default=end)
-
-
-def _falls_noted(recording: Recording) -> list[float]:
-    """When it fell as its note says, s; none where that is no list of times, which is refused where falls count."""
-    try:
-        noted = [float(one) for one in recording.notes.get(FELL_AT, "").split(",") if one.strip()]
-    except ValueError:
-        return []
-    return [one for one in noted if one >= 0.0]

@@ -8,7 +8,6 @@ second for each gigabyte of the bundle's own logs, which are in memory then.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -57,9 +56,9 @@ def check_once(folder: Path, store: Path, bundle: Path, files: Sequence[Path], r
 
 
 def _check_rows(files: Sequence[Path], found: Sequence[Samples]) -> None:
-    seen: dict[str, Path] = {}
+    seen: dict[tuple[tuple[str, str], ...], Path] = {}
     for file, samples in zip(files, found, strict=True):
-        first = seen.setdefault(hashlib.sha256(repr(sorted(samples.items())).encode()).hexdigest(), file)
+        first = seen.setdefault(tuple(sorted(samples.items())), file)
         if first is not file:
             raise RecordingError(
                 f"{file}: the same samples as {first.name}; no two walks are alike. Put there the log of its own "

@@ -194,6 +194,12 @@ def test_a_run_after_nohup_hears_of_no_terminal(folder):
     assert "stopped by SIGTERM" in err
 
 
+def ended(code):
+    """Status and errors of a Python that runs it."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    return done.returncode, done.stderr
+
+
 def test_ctrl_c_while_modules_are_imported_shows_no_traceback():
     code = (
         "import sys\n"
@@ -204,8 +210,7 @@ def test_ctrl_c_while_modules_are_imported_shows_no_traceback():
         "from hts.cli.main import main\n"
         "sys.exit(main(['plugins']))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (130, "")
+    assert ended(code) == (130, "")
 
 
 def test_ctrl_c_of_which_an_import_makes_an_error_of_its_own_shows_no_traceback():
@@ -221,5 +226,4 @@ def test_ctrl_c_of_which_an_import_makes_an_error_of_its_own_shows_no_traceback(
         "from hts.cli.main import main\n"
         "sys.exit(main(['plugins']))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (130, "")
+    assert ended(code) == (130, "")
