@@ -186,7 +186,7 @@ def _one(
     check_motion(channels, robot.spec, log.rate_hz, where, stated)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
     slow = {name: (1 / one.rate_hz, one.oldest) for name, one in samples.items() if one.oldest is not None}
-    check_read(channels, log.rate_hz, list(recording.idle), where, slow)
+    check_read(channels, log.rate_hz, list(recording.idle), where, slow, log.frozen_real_seconds)
     doubts = torque_notes(recording, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
     doubts |= repeated_notes(channels, log.rate_hz) | work_notes(recording, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
