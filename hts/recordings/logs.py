@@ -7,7 +7,8 @@
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
 the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle`,
-`check_read`, `torque_notes`, `work_notes`, `velocity_notes` and `repeated_notes` for values.
+`check_read`, `check_upright`, `check_turning`, `check_targets`, `torque_notes`, `work_notes`, `velocity_notes` and
+`repeated_notes` for values.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from hts.errors import ConfigError, HtsError, RecordingError, unknown_name
 from hts.recordings.base_speed import velocity_notes
 from hts.recordings.checks import check
 from hts.recordings.commanded import until_the_end
+from hts.recordings.gravity import GRAVITY, check_upright
 from hts.recordings.joining import joined
 from hts.recordings.joint_work import work_notes
 from hts.recordings.mapping import (
@@ -51,6 +53,8 @@ from hts.recordings.samples import Samples, common_grid, held, interpolated, lis
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
 from hts.recordings.stretches import Stretch, stretches
 from hts.recordings.table import ColumnName, Table, table_of
+from hts.recordings.targets import check_targets
+from hts.recordings.turning import check_turning
 from hts.recordings.unread import check_read
 
 __all__ = [
@@ -61,6 +65,9 @@ __all__ = [
     "check_limits",
     "check_motion",
     "check_read",
+    "check_targets",
+    "check_turning",
+    "check_upright",
     "common_grid",
     "held",
     "recording_from_columns",
@@ -185,8 +192,12 @@ def _one(
     check(recording, where)
     check_motion(channels, robot.spec, log.rate_hz, where, stated)
     check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
+    turned = GRAVITY in log.channels and log.channels[GRAVITY].sign * log.channels[GRAVITY].scale < 0
+    check_upright(recording, where, stated, turned)
+    check_turning(channels, log.rate_hz, where, stated)
+    check_targets(recording, robot.spec, where, stated)
     slow = {name: (1 / one.rate_hz, one.oldest) for name, one in samples.items() if one.oldest is not None}
-    check_read(channels, log.rate_hz, list(recording.idle), where, slow)
+    check_read(channels, log.rate_hz, list(recording.idle), where, slow, log.frozen_real_seconds)
     doubts = torque_notes(recording, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
     doubts |= repeated_notes(channels, log.rate_hz) | work_notes(recording, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording

@@ -26,6 +26,7 @@ from hts.errors import ConfigError, unknown_name
 from hts.explain import explain
 from hts.recordings.commanded import without_end
 from hts.recordings.table import DATES, ColumnName
+from hts.recordings.unread import LONGEST_SECONDS
 from hts.yaml_text import load_mapping_file
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, DATES: 1e-9}
@@ -164,6 +165,12 @@ class LogMapping(Config):
     rate_hz: float = Field(gt=0, description="of the recording, Hz; the log is resampled to it")
     max_gap_seconds: float = Field(
         0.1, allow_inf_nan=True, gt=0, description="longest gap that is filled by interpolation, s"
+    )
+    frozen_real_seconds: float = Field(
+        LONGEST_SECONDS,
+        ge=0,
+        le=600,
+        description="for how long what only the robot measures may keep one number while joints move, s; 0: for ever",
     )
     runs: RunsMapping | None = Field(None, description="how several runs in one file are told apart")
     labels: LabelsMapping | None = Field(None, description="a file of labelled stretches")

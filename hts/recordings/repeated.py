@@ -24,6 +24,8 @@ SAME = 1e-6
 MOVING, AS_BEFORE = 0.5, 0.5
 """rad/s, root mean square of all joints, and as a share of that where the channel changes: a robot that stands, or is
 let go, has targets that stay as they are."""
+OVER_SECONDS = 1.0
+"""Over so many the speed of the joints is averaged: within a stride all of them may be slow for a moment."""
 MOST_TOLD = 3
 
 
@@ -66,6 +68,16 @@ def joint_speed(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | 
                 values = np.gradient(values, 1.0 / rate_hz, axis=0)
             return np.asarray(np.sqrt((values**2).mean(axis=1)))
     return None
+
+
+def moving(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | None:
+    """Samples (T,) bool around which the joints move, in the mean over OVER_SECONDS; None without `joint_speed`."""
+    speed = joint_speed(channels, rate_hz)
+    if speed is None:
+        return None
+    window = np.ones(max(1, min(round(OVER_SECONDS * rate_hz), len(speed))))
+    squares = np.convolve(speed**2, window, "same") / np.convolve(np.ones(len(speed)), window, "same")
+    return np.asarray(np.sqrt(squares) > MOVING)
 
 
 def runs_of(same: np.ndarray) -> list[tuple[int, int]]:

@@ -17,12 +17,10 @@ import numpy as np
 from hts import units
 from hts.errors import RecordingError
 from hts.recordings.recording import Series
-from hts.recordings.repeated import MOVING, joint_speed, runs_of
+from hts.recordings.repeated import moving, runs_of
 
 LONGEST_SECONDS = 3.0
 """Of moving, in which what is measured has to change; one reading a second may then come out alike twice."""
-OVER_SECONDS = 1.0
-"""Over so many the speed of the joints is averaged: within a stride all of them may be slow for a moment."""
 SAME = 1e-6
 """As a share of the largest value: what resampling leaves of a difference of nothing."""
 
@@ -33,28 +31,29 @@ def check_read(
     measured: Collection[str],
     where: str,
     slow: Mapping[str, tuple[float, float]] | None = None,
+    longest_seconds: float = LONGEST_SECONDS,
 ) -> None:
-    """Raise RecordingError for a measured channel that is the same for more than LONGEST_SECONDS of moving joints.
+    """Raise RecordingError for a measured channel that is the same for more than `longest_seconds` of moving joints; 0:
+    never.
 
     measured: names of what only the robot gives; where: begins the message; slow: of gauges whose readings are held,
     name -> seconds between two of them, by which that is more, and for which one may stand, which is not refused.
     Nothing is said of voltages, which may stay as they are within the resolution of a cheap monitor, of what
     `may_be_constant`, nor of a log without joints.
     """
-    speed = joint_speed(channels, rate_hz)
-    if speed is None:
+    walks = moving(channels, rate_hz)
+    if walks is None or longest_seconds == 0:
         return
-    moving = np.sqrt(_averaged(speed**2, round(OVER_SECONDS * rate_hz))) > MOVING
     for name in measured:
         series = channels[name]
-        if series.channel.may_be_constant or len(series.values) != len(speed) or _volts(series.channel.unit):
+        if series.channel.may_be_constant or len(series.values) != len(walks) or _volts(series.channel.unit):
             continue
-        values = series.values.reshape(len(speed), -1).astype(np.float64)
+        values = series.values.reshape(len(walks), -1).astype(np.float64)
         same = (np.abs(np.diff(values, axis=0)) <= SAME * np.abs(values).max()).all(axis=1)
         period, stands = (slow or {}).get(name, (0.0, 0.0))
-        longest = max(LONGEST_SECONDS + period, stands)
+        longest = max(longest_seconds + period, stands)
         for first, last in runs_of(np.asarray(same)):
-            moved = float(moving[first + 1 : last + 1].sum()) / rate_hz
+            moved = float(walks[first + 1 : last + 1].sum()) / rate_hz
             if moved > longest:
                 number = f"{values[first, 0]:g}" if values.shape[1] == 1 else "the same in all components"
                 raise RecordingError(
@@ -62,14 +61,8 @@ def check_read(
                     f"{last / rate_hz:.2f} s while the joints move for {moved:.1f} s of that. Expected another number "
                     f"after at most {longest:g} s: the sensor was probably not being read. Record again, or cut the "
                     f"log there; if '{name}' may honestly stand still for so long, say may_be_constant: true of it in "
-                    "the mapping."
+                    "the mapping, or for how long there: frozen_real_seconds."
                 )
-
-
-def _averaged(values: np.ndarray, samples: int) -> np.ndarray:
-    """Running mean over so many samples, (T,); at the ends over those that are there."""
-    window = np.ones(max(1, min(samples, len(values))))
-    return np.asarray(np.convolve(values, window, "same") / np.convolve(np.ones(len(values)), window, "same"))
 
 
 def _volts(unit: str) -> bool:

@@ -65,7 +65,7 @@ class FieldSettings(Config):
         ge=0,
         le=600,
         description="for how long a channel that only the robot gives may repeat one number in a row; then the runtime "
-        "sits down; 0: for ever, s",
+        "sits down, and a log is refused whose mapping says no other; 0: for ever, s",
     )
 
 
@@ -287,8 +287,9 @@ class FieldWorld(World):
         if where != self._mapping_path():
             check_row(where, load_mapping(where).get("recording") or {}, asked)  # the run's own says no row
         facts |= {"world": self.name, "policy_hash": card.policy_hash, **asked}
+        frozen = self.settings.model_dump(include={"frozen_real_seconds"}, exclude_defaults=True)
         try:
-            recording = read_log(registry, files, {**mapping, "recording": facts}, self._robot)
+            recording = read_log(registry, files, {**frozen, **mapping, "recording": facts}, self._robot)
         except ConfigError as error:
             raise ConfigError(f"Row {order.name}: {where}: {error}") from error
         recording = in_units_of(self._objectives, recording, self._robot.channels(), f"Row {order.name}: {where}")

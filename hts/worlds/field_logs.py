@@ -1,8 +1,9 @@
 """Logs that describe themselves: a runtime writes `logs/mappings/NAME.yaml` beside `logs/NAME.csv`.
 
 It says which column is which channel, the clock, the gains and the policy that ran. What only a person knows, the
-robot's mass and an idle level measured by hand, comes from the run's own mapping and wins where it is there. What else
-the run's own says would be of no use there, so it is refused rather than passed over.
+robot's mass, an idle level measured by hand and for how long a gauge may repeat itself, comes from the run's own
+mapping and wins where it is there. What else the run's own says would be of no use there, so it is refused rather than
+passed over.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ SECTIONS = {
     "channels": "keys and values (a channel's name: its columns and unit)",
     "recording": "keys and values (such as mass_kg: 13.2)",
 }
+OF_GAUGES = "frozen_real_seconds"
 GAINS = {"kp": "a list of one gain a joint, N*m/rad", "kd": "a list of one gain a joint, N*m*s/rad"}
 
 
@@ -49,7 +51,8 @@ def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> 
     _check_one_file(path, mapping, own, own_path)
     facts, stated = dict(mapping.get("recording") or {}), dict(own.get("recording") or {})
     facts |= {key: value for key, value in stated.items() if value is not None or key not in facts}
-    return {**mapping, "channels": dict(mapping.get("channels") or {}), "recording": facts}, path
+    gauges = {OF_GAUGES: own[OF_GAUGES]} if OF_GAUGES in own else {}
+    return {**mapping, **gauges, "channels": dict(mapping.get("channels") or {}), "recording": facts}, path
 
 
 def _with_levels(mapping: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:

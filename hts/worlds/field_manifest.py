@@ -36,6 +36,7 @@ from hts.contracts import HoldSpeed, RobotSpec
 from hts.errors import PolicyError, WorldError
 from hts.policies.export import CLIP
 from hts.policies.gate_notes import lost, note_of, place, refusal
+from hts.recordings.unread import LONGEST_SECONDS
 
 SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
 WARMUP_SECONDS = 600.0  # of walking before a head-to-head: windings take about that long
@@ -65,7 +66,7 @@ class Frozen:
     observe, three times what a walking quadruped showed; real: one that only the robot has, while a row is recorded."""
 
     seen_seconds: float = 0.1
-    real_seconds: float = 3.0
+    real_seconds: float = LONGEST_SECONDS
 
 
 @dataclass(frozen=True)

@@ -76,3 +76,71 @@ def test_a_recording_of_any_world_is_held_against_it_before_it_is_stored():
     check(good)
     with pytest.raises(RecordingError, match="9.81 long"):
         check(good.replace(channels={**good.channels, "projected_gravity": series}))
+
+
+# ------------------------------------------------------------------------------------------ which way it points
+
+WALK = np.arange(10 * 50) / 50
+
+
+def leaning(upright: float = -1.0) -> np.ndarray:
+    """Gravity of a trunk that rolls a little as it walks; upright: its third component when it does not."""
+    roll = 0.1 * np.sin(2 * np.pi * 2.0 * WALK)
+    return np.stack([np.zeros_like(roll), np.sin(roll), upright * np.cos(roll)], axis=1)
+
+
+def walked(gravity: np.ndarray, speed: float | np.ndarray = 2.0, fell: bool = False, **settings: object):
+    """A log of joints that swing at 2 Hz with up to `speed` rad/s, and of gravity. settings: of its mapping."""
+    velocity = speed * np.cos(2 * np.pi * 2.0 * WALK)
+    columns = {"t": 20.0 * np.arange(len(WALK)), "hip": velocity, "knee": -velocity}
+    columns |= dict(zip("xyz", gravity.T, strict=True))
+    mapping = {
+        "time": {"column": "t", "unit": "ms"},
+        "rate_hz": 50,
+        "channels": {
+            "joint_velocity": {"columns": "{joint}", "unit": "rad/s"},
+            "projected_gravity": {"columns": ["x", "y", "z"], "unit": "1", "real": False, **settings},
+        },
+        "recording": {"fell": fell},
+    }
+    return recording_from_columns([Path("01.csv")], mapping, TWO_JOINTS, lambda path: columns)
+
+
+def test_a_walk_whose_gravity_points_up_is_refused_with_the_line_to_write():
+    with pytest.raises(RecordingError) as told:
+        walked(leaning(upright=1.0))
+    assert str(told.value) == (
+        "01.csv: 'projected_gravity' has z at +1 (median of 10 s in which the joints move), as of one that walks "
+        "upside down. Expected (0, 0, -1) of an upright robot, by which falls are told: the log probably has the up "
+        "vector, so say sign: -1 of it in the mapping (of a trunk frame whose z points down, turn y and z in the log "
+        "instead); if it is right, say so with `limits`, or recording.fell: true."
+    )
+    upright = walked(leaning(upright=1.0), sign=-1)
+    assert upright.values("projected_gravity")[:, 2].max() < -0.9
+
+
+def test_one_sign_too_many_is_told_as_that():
+    with pytest.raises(RecordingError, match="the mapping turns it over .sign or scale., so leave that out"):
+        walked(leaning(), sign=-1)
+
+
+def test_a_fall_late_in_such_a_log_changes_nothing():
+    gravity = leaning(upright=1.0)
+    gravity[400:] = [0.0, 0.0, -1.0]  # on its back, as an up vector has it
+    with pytest.raises(RecordingError, match="upside down"):
+        walked(gravity)
+
+
+def test_a_robot_that_turned_over_and_kicks_for_the_rest_is_read_as_it_is():
+    gravity = leaning()
+    gravity[100:] = [0.0, 0.0, 1.0]
+    walked(gravity)
+
+
+@pytest.mark.parametrize("settings", [{"fell": True}, {"limits": [-1.01, 1.01]}, {"speed": 0.1}])
+def test_a_robot_that_fell_or_hangs_or_stands_may_be_upside_down(settings):
+    walked(leaning(upright=1.0), **settings)
+
+
+def test_a_moment_of_moving_tells_nothing():
+    walked(leaning(upright=1.0), speed=np.where(WALK < 0.8, 2.0, 0.0))

@@ -21,14 +21,18 @@ def repeating(first: float, last: float, gauge: np.ndarray = GAUGE) -> np.ndarra
     return np.where((first < TIMES) & (last >= TIMES), gauge[round(first * RATE)], gauge)
 
 
-def imported(gauge: np.ndarray, moving: np.ndarray | float = 1.0, **settings: object):
-    """A log whose hip and knee swing at 2 and 2.6 Hz times `moving`, with a measured channel."""
+def imported(
+    gauge: np.ndarray, moving: np.ndarray | float = 1.0, of_all: dict[str, object] | None = None, **settings: object
+):
+    """A log whose hip and knee swing at 2 and 2.6 Hz times `moving`, with a measured channel. of_all: keys of the
+    mapping; settings: of the channel."""
     rates = 2 * np.pi * np.array([2.0, 2.6])
     velocity = np.asarray(moving).reshape(-1, 1) * 0.3 * rates * np.cos(TIMES[:, None] * rates)
     columns = {"t": 1000 * TIMES, "amps": gauge, "H": velocity[:, 0], "K": velocity[:, 1]}
     mapping = {
         "time": {"column": "t", "unit": "ms"},
         "rate_hz": RATE,
+        **(of_all or {}),
         "joints": {"hip": "H", "knee": "K"},
         "channels": {
             "joint_velocity": {"columns": "{joint}", "unit": "rad/s"},
@@ -44,7 +48,8 @@ def test_a_gauge_that_keeps_one_number_for_more_than_3_s_of_a_walk_is_refused_wi
     assert str(told.value) == (
         f"log.csv: 'draw' is {GAUGE[100]:g} A from 2.00 to 19.98 s while the joints move for 18.0 s of that. Expected "
         "another number after at most 3 s: the sensor was probably not being read. Record again, or cut the log there; "
-        "if 'draw' may honestly stand still for so long, say may_be_constant: true of it in the mapping."
+        "if 'draw' may honestly stand still for so long, say may_be_constant: true of it in the mapping, or for how "
+        "long there: frozen_real_seconds."
     )
 
 
@@ -53,6 +58,16 @@ def test_one_number_for_3_s_is_taken_and_so_is_more_where_the_mapping_says_that_
     imported(repeating(2.0, 20.0), may_be_constant=True)
     with pytest.raises(RecordingError, match="from 2.00 to 5.10 s"):
         imported(repeating(2.0, 5.1))
+
+
+def test_a_mapping_may_say_for_how_long_one_number_is_taken_0_for_ever():
+    five, six = repeating(2.0, 7.0), repeating(2.0, 8.0)
+    imported(five, of_all={"frozen_real_seconds": 5.0})
+    with pytest.raises(RecordingError, match="after at most 5 s: the sensor"):
+        imported(six, of_all={"frozen_real_seconds": 5.0})
+    with pytest.raises(RecordingError, match="after at most 1 s: the sensor"):
+        imported(repeating(2.0, 3.5), of_all={"frozen_real_seconds": 1.0})
+    imported(repeating(2.0, 20.0), of_all={"frozen_real_seconds": 0.0})
 
 
 def test_limits_of_a_channel_do_not_make_it_one_that_is_read():

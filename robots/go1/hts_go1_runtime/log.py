@@ -88,8 +88,15 @@ def samples(state: State, sent: np.ndarray, command: Command) -> dict[str, Any]:
     }
 
 
-def mapping(channels: Sequence[str], idle: Mapping[str, float], rate_hz: float, facts: Mapping[str, Any]) -> str:
-    """The mapping of a log, as JSON, which is YAML. facts: of `recording`."""
+def mapping(
+    channels: Sequence[str],
+    idle: Mapping[str, float],
+    rate_hz: float,
+    facts: Mapping[str, Any],
+    frozen_real_seconds: float | None = None,
+) -> str:
+    """The mapping of a log, as JSON, which is YAML. facts: of `recording`; frozen_real_seconds: for how long what is
+    measured may repeat itself in it, s, 0: for ever; None: as whoever reads it says."""
     described: dict[str, Any] = {}
     for name in channels:
         unit, size = CHANNELS[name]
@@ -107,6 +114,7 @@ def mapping(channels: Sequence[str], idle: Mapping[str, float], rate_hz: float, 
         "joints": {joint: joint for joint in JOINTS},
         "channels": described,
         "recording": dict(facts),
+        **({} if frozen_real_seconds is None else {"frozen_real_seconds": frozen_real_seconds}),
     }
     return json.dumps(content, indent=1) + "\n"
 

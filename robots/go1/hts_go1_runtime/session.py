@@ -382,7 +382,8 @@ class Session:
         }
         if self.options.mass_kg is not None:
             facts["mass_kg"] = self.options.mass_kg
-        return mapping(self._channels, self._idle, self.bundle.rate_hz, facts)
+        frozen = self.options.frozen_real_seconds
+        return mapping(self._channels, self._idle, self.bundle.rate_hz, facts, frozen)
 
 
 def steps_of(commands: Sequence[tuple[float, float, float, float]], rate_hz: float) -> np.ndarray:

@@ -144,6 +144,11 @@ def test_a_stamp_that_stands_still_is_a_lost_link_that_says_so():
 # ---------------------------------------------------------------------- what only the robot gives
 
 
+def said_of_log(bundle):
+    """The mapping beside a bundle's first log, which is JSON."""
+    return json.loads(min((bundle / "logs" / "mappings").glob("*.yaml")).read_text())
+
+
 def test_a_pack_current_that_repeats_itself_for_seconds_of_a_row_ends_the_visit_sitting(change, visit, capsys):
     def edit(manifest):
         manifest["frozen"]["real_seconds"] = 0.4
@@ -160,6 +165,7 @@ def test_a_pack_current_that_repeats_itself_for_seconds_of_a_row_ends_the_visit_
     assert '"sat down"' in (bundle / "logs" / "events.jsonl").read_text()
     assert not list((bundle / "logs").glob("*.csv"))
     assert visit("--yes", "--frozen-real-seconds", "0", link=scripted.ScriptedLink(link._spoil)) == 0
+    assert said_of_log(bundle)["frozen_real_seconds"] == 0.0  # for who reads it
 
 
 @pytest.mark.parametrize(("asked_for", "options"), [(False, ()), (True, ("--external", "battery_current"))])
