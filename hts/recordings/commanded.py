@@ -84,8 +84,8 @@ def excess(recordings: Sequence[Recording]) -> str | None:
     if len(recordings) > 1:
         who = f"{len(long)} of {len(recordings)} recordings go on after their schedules, longest {_name(worst)}:"
     return (
-        f"note: {who} {worst.seconds:.2f} s for {worst.schedule.seconds:g} s. What comes after counts in no comparison, "
-        "but is learned from under the last command; cut it off if that had ended."
+        f"note: {who} {worst.seconds:.2f} s for {worst.schedule.seconds:g} s. What comes after counts in no "
+        "comparison, but is learned from under the last command; cut it off if that had ended."
     )
 
 

@@ -47,7 +47,9 @@ def with_one_level(
         _check_mass(rows, recordings, names, mappings, own)
         said = _idle_levels(rows, recordings, names, mappings, own)
         if said:
-            text = "; ".join(said) + ". Where an objective takes the idle level off, this goes straight into net savings"
+            text = (
+                "; ".join(said) + ". Where an objective takes the idle level off, this goes straight into net savings"
+            )
             for row in rows:
                 found[row] = found[row].replace(notes={**found[row].notes, NOTE: text})
     return found
