@@ -135,6 +135,7 @@ def evaluate(
     Like `hts evaluate`.
 
     settings: dotted key of `evaluation.` or `world.` -> value, laid over the run's for this once, as --set takes them.
+    What is to be known of the recordings, such as that a log ends early, is printed.
 
     For example `api.evaluate("runs/first", [0.8])["objectives"]["OBJECTIVE"]["speeds"]["0.8"]["improvement"]`.
     """
@@ -155,6 +156,7 @@ def evaluate(
         registry=registry,
         sessions=sessions,
         overrides=[Override.of(key, value) for key, value in (settings or {}).items()],
+        say=print,
     )
 
 

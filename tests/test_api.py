@@ -93,6 +93,7 @@ def test_evaluate_passes_on_speeds_policy_world_seed_and_settings(folder, monkey
         "policy": "pretrained",
         "world": None,
         "seed": 1,
+        "say": print,
         "sessions": None,
     }
 

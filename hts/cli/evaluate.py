@@ -28,6 +28,7 @@ def command(
     ] = None,
 ) -> None:
     """Head-to-head against the pretrained policy, written to DIR/evaluation.json."""
+    from hts.cli.printable import printable
     from hts.cli.run_folder import existing_run
 
     existing_run(folder)
@@ -52,6 +53,7 @@ def command(
         registry=registry,
         sessions=sessions,
         overrides=set_ or (),
+        say=lambda line: typer.echo(printable(line), err=True),
     )
     print_evaluation(found)
     typer.echo(str(folder / "evaluation.json"))

@@ -59,7 +59,7 @@ def command(
     from hts.errors import ConfigError
     from hts.places import check_place
     from hts.plugins import load
-    from hts.recordings.commanded import shortfall
+    from hts.recordings.commanded import excess, shortfall
     from hts.recordings.drawing import check_picture, draw
     from hts.recordings.mapping import assumed_order, load_mapping
     from hts.recordings.needs import check_mapping, check_measured, in_units_of
@@ -92,10 +92,13 @@ def command(
         [in_units_of(objectives, recording, own, mapping) for recording in recordings]
         for recordings in _read(registry, groups, given, machine, mapping)
     ]
-    if (short := shortfall([recording for recordings in read for recording in recordings])) is not None:
+    everything = [recording for recordings in read for recording in recordings]
+    if (short := shortfall(everything)) is not None:
         typer.echo(printable(f"{short} If a log was not copied whole, copy and import it again."), err=True)
+    if (long := excess(everything)) is not None:
+        typer.echo(printable(long), err=True)
     if figure is not None:
-        draw([recording for recordings in read for recording in recordings], figure)
+        draw(everything, figure)
     stored = _dry(read) if dry_run or to is None else _store(to, groups, read)
     order = assumed_order(given, machine.spec.joint_names)
     for group, recordings, ids in zip(groups, read, stored, strict=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +46,7 @@ def evaluate_run(
     registry: Registry | None = None,
     sessions: int | None = None,
     overrides: Sequence[str | Override] = (),
+    say: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Head-to-head of a policy against the run's pretrained one, written to `folder`/evaluation.json and returned.
 
@@ -54,7 +55,7 @@ def evaluate_run(
     front: trimming it again would find nothing); world: a name, by default the run's own world with its settings;
     seed, sessions: by default the run's; sessions: how often it is done anew, and the interval is over them.
     overrides: KEY=VALUE each, of `evaluation.` and `world.` alone, laid over the run's settings for this once; the
-    result says which.
+    result says which. say: gets a line for each thing to know of the recordings, such as that a log ends early.
     Recordings are kept in `folder`/evaluation/data.zarr, apart from the run's data, those of a head-to-head that is
     refused (EvaluationError) too; nothing else is written then. Raises ConfigError for speeds, sessions or a seed that
     cannot be walked, RunError while another process evaluates the same run.
@@ -62,6 +63,7 @@ def evaluate_run(
     from hts.evaluation.other_settings import as_options, as_values, with_others
     from hts.plugins import load
     from hts.policies.held_commands import has_held_commands
+    from hts.recordings.doubts import remarks
     from hts.recordings.needs import check_judged_by, check_recorded
     from hts.recordings.store import RecordingStore
 
@@ -129,8 +131,12 @@ def evaluate_run(
             recordings = in_sessions(where, tested, reference, speeds, count, check)
         finally:
             where.close()
+        walked = [*held, *vain, *recordings]
+        if say is not None:
+            for line in remarks(walked):
+                say(line)
         store = RecordingStore(place / "data.zarr", create=True)
-        ids = [store.write(recording) for recording in [*held, *vain, *recordings]]
+        ids = [store.write(recording) for recording in walked]
         entries, segments = {}, {}
         for name, objective in objectives.items():
             if hold is not None:

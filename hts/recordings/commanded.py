@@ -19,8 +19,8 @@ SHARE, SECONDS = 0.02, 0.5
 """A log may be longer or shorter than its schedule by this share of it, or by so many seconds if that is more: where it
 is cut by hand, and where channels begin a little apart."""
 EARLY_SECONDS = 0.1
-"""A log is so much shorter than its schedule before anything is said of it: a few samples, which rounding leaves out.
-"""
+"""A log is so much shorter, or longer, than its schedule before anything is said of it: a few samples, which rounding
+leaves out."""
 RUN = ("run", "labels")
 """Begin the notes that say which part of a file a recording is."""
 UNFINISHED = ".partial"
@@ -67,11 +67,30 @@ def shortfall(recordings: Sequence[Recording]) -> str | None:
     if not short:
         return None
     worst = max(short, key=lambda one: one.schedule.seconds - one.seconds)
-    name = worst.notes.get("source", "a recording")
-    who = f"{name} ends before its schedule does:"
+    who = f"{_name(worst)} ends before its schedule does:"
     if len(recordings) > 1:
-        who = f"{len(short)} of {len(recordings)} recordings end before their schedules do, most of all {name}:"
+        who = f"{len(short)} of {len(recordings)} recordings end before their schedules do, most of all {_name(worst)}:"
     return f"note: {who} {worst.seconds:.2f} s of {worst.schedule.seconds:g} s. What is missing counts for nothing."
+
+
+def excess(recordings: Sequence[Recording]) -> str | None:
+    """One line about those that are accepted although they go on after their schedules by more than EARLY_SECONDS: how
+    many, and how much was found and expected of the one that goes on longest. None where there are none."""
+    long = [one for one in recordings if one.seconds > one.schedule.seconds + EARLY_SECONDS]
+    if not long:
+        return None
+    worst = max(long, key=lambda one: one.seconds - one.schedule.seconds)
+    who = f"{_name(worst)} goes on after its schedule:"
+    if len(recordings) > 1:
+        who = f"{len(long)} of {len(recordings)} recordings go on after their schedules, longest {_name(worst)}:"
+    return (
+        f"note: {who} {worst.seconds:.2f} s for {worst.schedule.seconds:g} s. What comes after counts in no "
+        "comparison, but is learned from under the last command; cut it off if that had ended."
+    )
+
+
+def _name(recording: Recording) -> str:
+    return recording.notes.get("source", "a recording")
 
 
 def check_commanded(recording: Recording, files: Sequence[Path]) -> None:

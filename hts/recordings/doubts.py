@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hts.recordings.commanded import excess, shortfall
 from hts.recordings.recording import Recording
 
 DOUBTS = (
@@ -13,8 +14,17 @@ DOUBTS = (
     "joint_torque_takes_work",
     "base_velocity_scale",
     "repeated_while_moving",
+    "idle_differs",
 )
-"""Names of the notes of `torque_notes`, `work_notes`, `velocity_notes` and `repeated_notes`."""
+"""Names of the notes of `torque_notes`, `work_notes`, `velocity_notes` and `repeated_notes`, and that of a world whose
+recordings are compared although they state idle levels that differ."""
+
+
+def remarks(recordings: Sequence[Recording]) -> list[str]:
+    """What is said of recordings where they are stored, a line each: which end before their schedules or go on after
+    them, and what is doubtful of them."""
+    lengths = (shortfall(recordings), excess(recordings))
+    return [*(line for line in lengths if line is not None), *doubts(recordings)]
 
 
 def doubts(recordings: Sequence[Recording]) -> list[str]:

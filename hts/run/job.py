@@ -21,8 +21,7 @@ from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
 from hts.policies.onnx_ours import what_differs
 from hts.policy_ids import PRETRAINED
-from hts.recordings.commanded import shortfall
-from hts.recordings.doubts import doubts
+from hts.recordings.doubts import remarks
 from hts.recordings.needs import check_judged_by, check_rate, check_recorded
 from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
@@ -272,12 +271,10 @@ class Job:
         check_rate(recordings, self.robot.spec)
 
     def keep(self, recordings: Sequence[Recording], iteration: int) -> list[str]:
-        """Store recordings, and say which end early and what is doubtful of them; writing one twice is harmless.
+        """Store recordings, and say what `remarks` has to say of them; writing one twice is harmless.
         Returns their ids. Raises RecordingError as `check_recordings` does, with nothing stored."""
         self.check_recordings(recordings)
-        if (short := shortfall(recordings)) is not None:
-            self.stages.progress.say(short)
-        for line in doubts(recordings):
+        for line in remarks(recordings):
             self.stages.progress.say(line)
         return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
 

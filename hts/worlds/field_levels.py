@@ -6,7 +6,6 @@ different ones, the difference counts as a saving, or as a loss, however they wa
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,7 +33,8 @@ NOTE = "idle_differs"
 def with_one_level(
     recordings: Sequence[Recording], names: Sequence[str], mappings: Sequence[Path], own: Path
 ) -> list[Recording]:
-    """The recordings, with a NOTE, which is printed too, where rows of one session state idle levels that differ.
+    """The recordings, with a NOTE where rows of one session state idle levels that differ: it is among the doubts that
+    whoever stores recordings tells of.
 
     names: of the rows; mappings: where each row's level and mass stand; own: the run's own mapping, which wins over
     them. Raises RecordingError, one line, where levels or masses differ by more than IDLE_REFUSED or MASS_REFUSED.
@@ -47,9 +47,9 @@ def with_one_level(
         _check_mass(rows, recordings, names, mappings, own)
         said = _idle_levels(rows, recordings, names, mappings, own)
         if said:
-            text = "; ".join(said)
-            where_to = "Where an objective takes the idle level off, the difference goes straight into net savings."
-            print(f"note: {text}. {where_to}", file=sys.stderr)
+            text = (
+                "; ".join(said) + ". Where an objective takes the idle level off, this goes straight into net savings"
+            )
             for row in rows:
                 found[row] = found[row].replace(notes={**found[row].notes, NOTE: text})
     return found

@@ -1,8 +1,14 @@
-"""Whose walk a log shows: its joint targets are held against what each policy of the bundle would have asked for."""
+"""Whose walk a log shows: its joint targets are held against what each policy of the bundle would have asked for.
+
+A log of another policy of the bundle is refused where that one fits clearly better. A log of none of them cannot be
+told by itself from one of a runner that filters, or of a logger that is late or noisy. So it is refused only where
+other logs of the same visit show, each with its own policy, that what was asked for can be computed again there.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +21,36 @@ FEWEST = 50  # rows
 LEAST = 1e-4  # rad: what is nearer than that differs by a log's decimals
 CLEARLY = 0.5  # of how far the stated policy's targets are off: another one's that are nearer than this are whose it is
 AGREES = 0.1  # of how much the targets move: what is farther off shows nobody's policy, such as through a filter
+STRANGE = 0.3
+"""Of how much the targets move: a row of which three quarters are farther off is of another policy, where other logs of
+the visit agree. Walks of a twin with a log that is rounded, half a row late, noisy, smoothed, or whose IMU is 0.2 s
+late: 0.16 at most. Walks of eight policies of one robot, each held against the seven others: 0.22 to 1.8, in one pair
+of twenty below 0.3, the least of two that one run fine-tuned in iterations one after the other."""
+MOVING = 0.05  # rad: targets that move less are those of a robot that stands, of which noise is a large share
+LATE = range(4)  # rows by which a state may be logged before the target that was computed from it
 
 
 def check_whose(files: Sequence[Path], recordings: Sequence[Recording], policies: Sequence[Path]) -> None:
-    """Raise RecordingError for a log whose joint targets are those of another policy of the bundle, for robots whose
-    targets are default_pose + action_scale * action. files, recordings, policies (ONNX, without noise): of each row.
+    """Raise RecordingError for a log whose joint targets are those of another policy of the bundle, or of none (see
+    `_check_stranger`), for robots whose targets are default_pose + action_scale * action. files, recordings, policies
+    (ONNX, without noise): of each row.
 
     A log that lacks something that a policy observes, or is not at its rate, says nothing; noise of a policy that
     explores is in all differences alike.
     """
+    if len(recordings) < 2:
+        return
     loaded = {path: DeployedPolicy(path) for path in dict.fromkeys(policies)}
+    _check_exchanged(files, recordings, policies, loaded)
+    _check_stranger(files, recordings, policies, loaded)
+
+
+def _check_exchanged(
+    files: Sequence[Path],
+    recordings: Sequence[Recording],
+    policies: Sequence[Path],
+    loaded: dict[Path, DeployedPolicy],
+) -> None:
     hashes = [str(loaded[path].card.policy_hash) for path in policies]
     known = {one: (path.name, loaded[path]) for one, path in reversed([*zip(hashes, policies, strict=True)])}
     if len(known) < 2:
@@ -42,9 +68,59 @@ def check_whose(files: Sequence[Path], recordings: Sequence[Recording], policies
         )
 
 
+@dataclass(frozen=True)
+class _Row:
+    """How far the targets of one log are from those of its own policy in half, and in three quarters, of its samples at
+    least; moves: how much they move; all rad."""
+
+    half: float
+    most: float
+    moves: float
+
+
+def _check_stranger(
+    files: Sequence[Path],
+    recordings: Sequence[Recording],
+    policies: Sequence[Path],
+    loaded: dict[Path, DeployedPolicy],
+) -> None:
+    """Raise RecordingError for a log that its own policy did not make, where at least as many of the others agree with
+    theirs. Not asked: rows that explore, in which the robot fell or stands, and visits in which no log agrees."""
+    rows: dict[int, _Row] = {}
+    for number, (recording, path) in enumerate(zip(recordings, policies, strict=True)):
+        moves = _moves(recording) if "joint_target" in recording.channels else 0.0
+        if moves < MOVING or recording.fell or loaded[path].card.exploration_std:
+            continue
+        off = differences(loaded[path], recording, LATE)
+        if off is not None:
+            nearest = min(off, key=lambda one: float(np.median(one)))
+            rows[number] = _Row(float(np.median(nearest)), float(np.quantile(nearest, 0.25)), moves)
+    agree = [row for row in rows.values() if row.half <= AGREES * row.moves]
+    if not agree or len(agree) < len(rows) - len(agree):
+        return
+    for number, row in rows.items():
+        most = STRANGE * max(row.moves, *(one.moves for one in agree))
+        if row.most > most:
+            name = policies[number].name
+            raise RecordingError(
+                f"{files[number]}: its joint targets are not those of {name}, of which this row is, nor of another "
+                f"policy of the bundle: computed again from the log they are off by {row.most:.2g} rad and more in "
+                f"three quarters of it; expected less than {most:.2g}, as in other logs of this visit ({len(agree)}). "
+                f"Run that row's policy, {name}, and record the row again; if it did run, the log holds other states "
+                "than the policy was given: correct its mapping, or leave joint_target out of it."
+            )
+
+
 def distance(policy: DeployedPolicy, recording: Recording) -> float | None:
     """How far a log's joint targets are from those that the policy asks for in its place, rad, root mean square; None
     where the log does not show it. The state that a target came from is in its row, or in the row before."""
+    off = differences(policy, recording, range(2))
+    return None if off is None else min(float(np.sqrt(np.mean(one**2))) for one in off)
+
+
+def differences(policy: DeployedPolicy, recording: Recording, late: range) -> list[np.ndarray] | None:
+    """The same in each sample, (T,), root mean square over joints; one for each of the rows `late` by which the state
+    may be logged before the target. Samples whose past is not in the log are left out. None as `distance`."""
     card = policy.card
     held = {name: np.asarray(series.values, np.float64) for name, series in recording.channels.items()}
     if abs(recording.rate_hz / card.control_rate_hz - 1.0) > 0.01 or {*card.joint_names} != {*recording.joint_names}:
@@ -63,15 +139,15 @@ def distance(policy: DeployedPolicy, recording: Recording) -> float | None:
     sizes = {str(part["name"]): int(part["size"]) for part in card.observation}
     if any(name not in held or held[name].shape[1:] != (size,) for name, size in sizes.items()):
         return None
-    first, found = card.history + 1, []
-    for offset in (0, 1):
+    first, found = card.history + late[-1], []
+    for offset in late:
         seen = {
             name: held[name] if name in ("last_action", "command") else np.roll(held[name], offset, axis=0)
             for name in sizes
         }
         off = (scale * (policy.replayed(seen) - actions))[first:]
-        found.append(float(np.sqrt(np.mean(off**2))))
-    return min(found) if np.isfinite(found).all() else None
+        found.append(np.sqrt(np.mean(off**2, axis=1)))
+    return found if all(np.isfinite(one).all() for one in found) else None
 
 
 def _moves(recording: Recording) -> float:

@@ -1,4 +1,4 @@
-"""What is said of recordings that are accepted although they end early: a visit's logs may, by up to a tenth."""
+"""What is said of recordings that are accepted although they end early or late: a visit's logs may, by a tenth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
-from hts.recordings.commanded import shortfall
+from hts.recordings.commanded import excess, shortfall
 from hts.recordings.recording import Recording, Series
 from hts.run.job import Job
 
@@ -53,6 +53,18 @@ def test_nothing_is_said_of_a_few_samples_of_a_longer_log_and_of_a_fall_that_is_
     assert shortfall([walked(79.9, 80.0), walked(81.0, 80.0), walked(30.0, 80.0, fell=True)]) is None
 
 
+def test_of_a_recording_that_goes_on_after_its_schedule_it_is_said_how_long_and_what_becomes_of_it():
+    several = [walked(80.1, 80.0), walked(87.5, 80.0, "01.csv"), walked(73.5, 80.0, "02.csv")]
+    assert excess(several[1:2]) == (
+        "note: 01.csv goes on after its schedule: 87.50 s for 80 s. What comes after counts in no comparison, but is "
+        "learned from under the last command; cut it off if that had ended."
+    )
+    assert str(excess([*several, walked(80.2, 80.0)])).startswith(
+        "note: 2 of 4 recordings go on after their schedules, longest 01.csv: 87.50 s for 80 s. "
+    )
+    assert excess([several[0], several[2]]) is None
+
+
 def test_a_run_says_it_once_of_all_that_it_keeps_of_a_visit():
     said: list[str] = []
     job = SimpleNamespace(
@@ -63,3 +75,5 @@ def test_a_run_says_it_once_of_all_that_it_keeps_of_a_visit():
     assert Job.keep(job, [walked(80.0, 80.0), walked(73.5, 80.0, "01.csv")], 1) == ["00.csv", "01.csv"]
     assert Job.keep(job, [walked(80.0, 80.0)], 1) == ["00.csv"]
     assert len(said) == 1 and "1 of 2 recordings end" in said[0] and "01.csv: 73.50 s of 80 s" in said[0]
+    assert Job.keep(job, [walked(87.5, 80.0)], 1) == ["00.csv"]
+    assert len(said) == 2 and "00.csv goes on after its schedule: 87.50 s for 80 s" in said[1]
