@@ -92,6 +92,19 @@ def step(before: str = "", after: str = "") -> dict[str, str]:
     return {"body": STEP.format(before=before or "pass", after=after or "pass")}
 
 
+SEQUENCE = """
+        def sequence(self, inputs, state=None):
+            {before}
+            prediction, state = super().sequence(inputs, state)
+            {after}
+            return prediction, state
+"""
+
+
+def sequence(before: str = "", after: str = "") -> dict[str, str]:
+    return {"body": SEQUENCE.format(before=before or "pass", after=after or "pass")}
+
+
 FIT = """
         def fit(self, recordings, **how):
             {before}
@@ -232,6 +245,30 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
         (
             step(after="prediction = Prediction(prediction.mean + 0.1)"),
             "sequence is off from step after step by up to 0.1",
+        ),
+        (
+            step(after="prediction = Prediction(prediction.mean, 3 + prediction.std)"),
+            "sequence: std is off from step after step by up to 3 standard deviations",
+        ),
+        (
+            step(after="prediction = Prediction(prediction.mean)"),
+            "sequence gives a std, step after step gives none",
+        ),
+        (
+            sequence(after="prediction = Prediction(prediction.mean)"),
+            "sequence gives no std, step after step gives one",
+        ),
+        (
+            {
+                "body": "        def steps(self, inputs, state, ended):\n"
+                "            prediction, state = super().steps(inputs, state, ended)\n"
+                "            return Prediction(prediction.mean, prediction.std + 0.5), state"
+            },
+            "steps: std is off from step after step by up to 0.5 standard deviations",
+        ),
+        (
+            sequence(before="state = None"),
+            "sequence in two parts, the second from the state after the first, is off from one whole sequence by up to",
         ),
         (
             step(before="state = state.mean(0).expand_as(state)"),
