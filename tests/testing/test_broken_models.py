@@ -64,6 +64,17 @@ def test_a_network_whose_layers_are_made_from_a_seed_of_their_own_passes(install
     assert faults(install, **network(), made=OWN_SEED) == []
 
 
+def test_a_network_that_adds_nan_where_an_input_is_infinite_passes(install):
+    refuses = "".join(
+        f"\n        def {name}(self, inputs, state{default}):"
+        f"\n            prediction, state = super().{name}(inputs, state)"
+        "\n            bad = (inputs - inputs).sum(-1)"
+        "\n            return Prediction(prediction.mean + bad, prediction.std), state\n"
+        for name, default in (("step", ""), ("sequence", "=None"))
+    )
+    assert faults(install, body=SATURATED + refuses) == []
+
+
 def test_a_slow_machine_finds_the_same_fault(install, monkeypatch):
     """Whatever the clock says, here half an hour from one look at it to the next."""
     hours = itertools.count(0.0, 1800.0)
@@ -103,6 +114,12 @@ SEQUENCE = """
 
 def sequence(before: str = "", after: str = "") -> dict[str, str]:
     return {"body": SEQUENCE.format(before=before or "pass", after=after or "pass")}
+
+
+SATURATED = """
+        def scaled_features(self, inputs):
+            return super().scaled_features(inputs).tanh()
+"""
 
 
 FIT = """
@@ -275,6 +292,7 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
             "the prediction of world 0 depends on the worlds beside it",
         ),
         (step(before="inputs = inputs.nan_to_num()"), "of an input that is nan"),
+        ({"body": SATURATED}, "of an input that is inf"),
         (step(before="state += 0.01"), "changes its state in place"),
         (step(before="inputs = inputs / max(1.0, float(inputs.abs().max()) / 1e6)"), "looks at a value"),
         (
