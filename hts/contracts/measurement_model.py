@@ -152,8 +152,11 @@ class MeasurementModel(ABC):
 
     @abstractmethod
     def sequence(self, inputs: torch.Tensor, state: torch.Tensor | None = None) -> tuple[Prediction, torch.Tensor]:
-        """Along recordings: inputs (B, T, F) in channel units -> predictions (B, T), and the state after them
-        (B, ...)."""
+        """Along recordings: inputs (B, T, F) in channel units -> predictions (B, T), and the state after them (B, ...).
+
+        state: that before them, as a sequence or steps before these left it; None: as `initial_state`. The predictions,
+        mean and std, are those of `step` sample after sample: it is `step` that rewards, and this that is reported.
+        """
 
     @abstractmethod
     def step(self, inputs: torch.Tensor, state: torch.Tensor) -> tuple[Prediction, torch.Tensor]:

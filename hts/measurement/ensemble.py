@@ -172,7 +172,8 @@ class Ensemble(Learner):
         return self._joined([member.steps(inputs, part, ended) for member, part in pairs])
 
     def _joined(self, found: Sequence[tuple[Prediction, Tensor]]) -> tuple[Prediction, Tensor]:
-        """Mean and spread of the members' predictions, (...,), in the ensemble's z-scores."""
+        """Mean and standard deviation (a sample's, over K - 1) of the members' predictions, (...,), in the ensemble's
+        z-scores."""
         scale, shift = self._own["scale"], self._own["shift"]
         each = torch.stack([scale[k] * one.mean + shift[k] for k, (one, _) in enumerate(found)])
         return Prediction(each.mean(0), each.std(0)), _together([state for _, state in found])

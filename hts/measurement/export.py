@@ -1,7 +1,8 @@
 """A fitted measurement model with its objective's reward, in one file for those who train elsewhere.
 
-The file is safetensors: numbers, and in its header one JSON text. Any registered model can be written, since its step
-is written down as operations (`operations.py`) and not as a class that the reader would have to have. Beside the
+The file is safetensors: numbers, and in its header one JSON text. A plugin's model can be written too, since its step
+is written down as operations (`operations.py`) and not as a class that the reader would have to have; one whose step
+needs another operation than these is refused by that operation's name. Beside the
 programs it holds a reference: inputs of some worlds, where their episodes ended, and what this `hts` gives for them in
 its own env. Who opens the file replays it first, with another torch, maybe on another device, and refuses what differs.
 

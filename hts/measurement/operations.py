@@ -24,6 +24,7 @@ import torch
 from torch import Tensor, nn
 
 from hts.errors import ConfigError
+from hts.measurement.convolution import decompositions
 
 ALLOWED = frozenset(
     f"aten.{name}"
@@ -82,7 +83,7 @@ class Recorded:
                 warnings.simplefilter("ignore")  # of torch's, about itself
                 written = torch.export.export(
                     _Module(function), tuple(arguments.values()), dynamic_shapes=(shapes,), strict=False
-                ).run_decompositions()
+                ).run_decompositions(decompositions())
         except Exception as error:  # whatever a model may do that cannot be traced; torch names dozens
             reason = " ".join(str(error).split())[:160]
             raise ConfigError(

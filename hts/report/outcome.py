@@ -45,13 +45,15 @@ def fates(rows: Sequence[Row], task: TaskWords = VELOCITY) -> str:
     return ", ".join(parts)
 
 
-def nobody_chosen(rows: Sequence[Row], task: TaskWords = VELOCITY, refused: int = 0) -> str:
-    """Of an iteration whose tests chose nobody: one sentence. refused: so many by the gate."""
-    if not rows and refused:
-        return f"nobody was tested: {_at_the_gate(refused)}"
-    if not rows:
-        return "nobody was tested: every candidate fell or was stopped in simulation"
-    return f"nobody was chosen: {fates(rows, task)}"
+def nobody_chosen(
+    rows: Sequence[Row], task: TaskWords = VELOCITY, refused: int = 0, over: Mapping[str, Any] | None = None
+) -> str:
+    """Of an iteration whose tests chose nobody: one sentence. refused: so many by the gate; over: the selector that
+    chose nobody of so many `candidates` that could be tested, as the summary has it under `passed_over`."""
+    if rows:
+        return f"nobody was chosen: {fates(rows, task)}"
+    why = _why_untested(refused, [] if over is None else [over])
+    return f"nobody was tested: {why or 'every candidate fell or was stopped in simulation'}"
 
 
 def closing(summary: Mapping[str, Any]) -> list[str]:
@@ -63,12 +65,14 @@ def closing(summary: Mapping[str, Any]) -> list[str]:
     ]
     sentences, task = [], TaskWords.of(summary)
     if (summary.get("final") or {}).get("policy") == PRETRAINED:
-        refused = sum(len((one.get("gate") or {}).get("refused") or ()) for one in summary.get("iterations") or ())
+        every = summary.get("iterations") or ()
+        refused = sum(len((one.get("gate") or {}).get("refused") or ()) for one in every)
+        why = _why_untested(refused, [one["passed_over"] for one in every if one.get("passed_over")])
         tried = [row for _, _, rows in iterations for row in rows]
         if summary["final"].get("given_up"):
             sentences.append(f"{NOBODY_KEPT} {_advice(task)}")
         else:
-            sentences.append(_no_final(tried, bool(iterations), task, refused))
+            sentences.append(_no_final(tried, bool(iterations), task, why))
     sentences += changes(summary)
     for number, one in enumerate(summary.get("iterations") or ()):
         sentences += [f"Iteration {one.get('index', number):02d}: {line}" for line in one.get("warnings") or ()]
@@ -112,20 +116,26 @@ def finals_before(summary: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _at_the_gate(refused: int) -> str:
-    return f"the gate before reality refused {refused}, and all others fell or were stopped in simulation"
+def _why_untested(refused: int, over: Sequence[Mapping[str, Any]]) -> str | None:
+    """Why candidates were not tested that simulation let pass: the gate, the selector or both; None: there were none.
+    over: of each iteration in which the selector chose nobody of those that could be tested."""
+    gate = f"the gate before reality refused {refused}, and "
+    if not over:
+        return f"{gate}all others fell or were stopped in simulation" if refused else None
+    left, name = sum(one["candidates"] for one in over), over[0]["selector"]
+    whom = f"{left} {'other' if refused else 'candidate'}{'' if left == 1 else 's'}"
+    return f"{gate if refused else ''}selector '{name}' chose nobody of {whom} that could be tested"
 
 
-def _no_final(rows: Sequence[Row], known: bool, task: TaskWords, refused: int = 0) -> str:
+def _no_final(rows: Sequence[Row], known: bool, task: TaskWords, why: str | None) -> str:
+    """why: candidates that simulation let pass were not tested, if so."""
     text = "No final head-to-head: "
     if rows and all(row.get("refused") for row in rows):
         text += "every elite was refused, so nothing could be compared; the pretrained policy stays the best."
         return f"{text} {_capital(fates(rows, task))}. {_advice(task)}"
-    if known and not rows and refused:
-        return f"{text}no candidate was tested, since {_at_the_gate(refused)}; the pretrained policy stays the best."
     if known and not rows:
-        text += "no candidate was tested, since all fell or were stopped in simulation; "
-        return f"{text}the pretrained policy stays the best."
+        why = why or "all fell or were stopped in simulation"
+        return f"{text}no candidate was tested, since {why}; the pretrained policy stays the best."
     text += "no candidate measured better than the pretrained policy, which stays the best."
     return f"{text} {_capital(fates(rows, task))}." if rows else text
 

@@ -33,6 +33,7 @@ from hts.run.job import Job
 from hts.run.judging import simulate
 from hts.run.learning import finetune, fit
 from hts.run.nearer import is_due, may_go_nearer, nearer
+from hts.run.passed_over import passed_over
 from hts.run.progress import Progress
 from hts.run.provenance import check_config
 from hts.run.reality import best_so_far, collect
@@ -118,7 +119,8 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         if tested["best"] is None:
             rows = [tested["results"][one] for one in tested["elites"]]
             task = TaskWords(**task_entry(job.robot.task()))
-            job.stages.progress.say(f"{about}: {nobody_chosen(rows, task, refused=gate_refused(job, i))}")
+            why = nobody_chosen(rows, task, gate_refused(job, i), passed_over(job, i))
+            job.stages.progress.say(f"{about}: {why}")
         best = tested["best_so_far"]
         if config.evaluation.each_iteration:
             job.do(f"{name}/best", f"{about}: measure the best so far", partial(best_so_far, job, i, best))

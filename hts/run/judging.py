@@ -86,8 +86,7 @@ def judge(
         for row in rows
     ]
     selector = checked_selector(job.registry, config.selection.selector, config.max_real_samples is not None)
-    lenient = job.world.simulated is True and not (config.gate.enabled and job.gate_is_strict)
-    alike = same_policies(rows)
+    lenient, alike = is_lenient(job), same_policies(rows)
     able = [
         one
         for one, row in zip(judged, rows, strict=True)
@@ -215,6 +214,11 @@ def same_policies(rows: Sequence[Mapping[str, Any]]) -> set[str]:
             alike.add(row["id"])
         seen.add(row["policy_hash"])
     return alike
+
+
+def is_lenient(job: Job) -> bool:
+    """Whether the run's world gets who fell or was stopped in simulation too: a simulated one without a strict gate."""
+    return job.world.simulated is True and not (job.config.gate.enabled and job.gate_is_strict)
 
 
 def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:

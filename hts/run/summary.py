@@ -12,6 +12,7 @@ from hts.policy_ids import PRETRAINED
 from hts.run import iteration
 from hts.run.front import front_entry
 from hts.run.job import Job
+from hts.run.passed_over import passed_over
 from hts.run.task_watch import scale_lines
 
 
@@ -40,6 +41,7 @@ def summarise(job: Job) -> dict[str, Any]:
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
                 **({"measured_best": job.read(f"{name}/best")} if config.evaluation.each_iteration else {}),
                 **_with_gate(_task(tuned, simulated), gated),
+                **({} if (over := passed_over(job, index)) is None else {"passed_over": over}),
                 "candidates": [_candidate(row, simulated, tested, gated) for row in tuned["candidates"]],
             }
         )

@@ -18,6 +18,7 @@ from hts.errors import ConfigError, PolicyError, RunError
 from hts.measurement import files, operations
 from hts.measurement.export import export_model
 from hts.measurement.export_command import export_measurement_model
+from hts.measurement.torch_model import TorchModel
 from hts.measurement.transform import MeasurementTransform
 from hts.plugins import load
 from hts.testing.known_signals import SIGNALS, KnownHeat, known_heat
@@ -40,6 +41,45 @@ def fitted(name: str, **settings) -> MeasurementModel:
     return model
 
 
+class Tcn(TorchModel):
+    """A small causal convolution in time, each layer dilated twice as far as the one before; its memory is the past."""
+
+    def __init__(self) -> None:
+        super().__init__(SIGNALS, False)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(0)
+            kinds = ((self.num_features, 8, 1), (8, 8, 4), (8, 4, 1))
+            self.layers = torch.nn.ModuleList(
+                torch.nn.Conv1d(one, other, 2, dilation=2**level, groups=groups)
+                for level, (one, other, groups) in enumerate(kinds)
+            )
+            self.head = torch.nn.Conv1d(4, 1, 1, bias=False)
+        self.set_statistics(torch.tensor([[-1.0] * 6, [2.0] * 6]), torch.tensor([1.0, 3.0]))
+        self.requires_grad_(False)
+
+    @property
+    def settings(self):
+        return {}
+
+    def learn(self, recordings, how):
+        return {}
+
+    def initial_state(self, num_worlds):
+        return torch.zeros(num_worlds, 7, self.num_features, device=self.device)
+
+    def sequence(self, inputs, state=None):
+        before = self.initial_state(len(inputs)) if state is None else state
+        whole = torch.cat([before, self.scaled_features(inputs)], 1)
+        seen = whole.transpose(1, 2)
+        for layer in self.layers:
+            seen = layer(seen).relu()
+        return Prediction(self.head(seen)[:, 0] + 0 * inputs.sum(-1)), whole[:, -7:]
+
+    def step(self, inputs, state):
+        prediction, after = self.sequence(inputs[:, None], state)
+        return Prediction(prediction.mean[:, 0]), after
+
+
 def in_env(model: MeasurementModel, inputs: torch.Tensor, ended: torch.Tensor) -> dict[str, torch.Tensor]:
     """What the transform writes in an env of one candidate: inputs (T, W, F), ended (T, W)."""
     transform, rows = MeasurementTransform.of(KnownHeat(), model), []
@@ -59,7 +99,15 @@ def in_env(model: MeasurementModel, inputs: torch.Tensor, ended: torch.Tensor) -
     ],
 )
 def test_a_reader_without_hts_gives_what_the_env_gives(name, settings, tmp_path, reader):
-    model = fitted(name, **settings)
+    gives_what_the_env_gives(fitted(name, **settings), name, tmp_path, reader)
+
+
+def test_a_convolution_in_time_is_written_down_too(tmp_path, reader):
+    gives_what_the_env_gives(Tcn(), "Tcn", tmp_path, reader)
+
+
+def gives_what_the_env_gives(model: MeasurementModel, name: str, tmp_path: Path, reader) -> None:
+    """Raises AssertionError if a reader of the model's file gives something else than the model in an env of hts."""
     path = export_model(model, KnownHeat(), tmp_path / "m.safetensors", joint_names=("x", "y", "z"))
     read = reader.MeasurementModel(path)
     assert (read.name, read.objective, read.rate_hz, read.joint_names) == (name, "cool", 50.0, ("x", "y", "z"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 
+import pytest
 from rich.console import Console
 
 from hts.report.outcome import closing, nobody_chosen
@@ -68,7 +69,27 @@ def test_an_iteration_that_chose_nobody_says_so_as_it_ends():
     assert nobody_chosen([result, {"refused": None, "tested": {"fell": True}}]) == (
         "nobody was chosen: 1 of 2 refused (it went 0.52 m/s on average, 0.8 m/s was commanded), 1 fell"
     )
-    assert "nobody was tested" in nobody_chosen([])
+    assert nobody_chosen([]) == "nobody was tested: every candidate fell or was stopped in simulation"
+
+
+@pytest.mark.parametrize(
+    ("candidates", "refused", "why"),
+    [
+        (4, 0, "selector 'odd' chose nobody of 4 candidates that could be tested"),
+        (1, 0, "selector 'odd' chose nobody of 1 candidate that could be tested"),
+        (2, 3, "the gate before reality refused 3, and selector 'odd' chose nobody of 2 others that could be tested"),
+        (1, 3, "the gate before reality refused 3, and selector 'odd' chose nobody of 1 other that could be tested"),
+    ],
+)
+def test_a_selector_that_chose_nobody_is_why_and_not_simulation(candidates, refused, why):
+    over = {"selector": "odd", "candidates": candidates}
+    assert nobody_chosen([], refused=refused, over=over) == f"nobody was tested: {why}"
+    summary = run([NEVER_TESTED])
+    summary["iterations"][0] |= {"passed_over": over, "gate": {"refused": ["00-00"] * refused}}
+    (line,) = closing(summary)
+    assert line == (
+        f"No final head-to-head: no candidate was tested, since {why}; the pretrained policy stays the best."
+    )
 
 
 def test_the_terminal_says_it_in_place_of_a_table():

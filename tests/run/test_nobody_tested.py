@@ -9,8 +9,9 @@ import pytest
 
 from hts.contracts import SimulatedCandidate
 from hts.run import judging
+from hts.run.passed_over import could_be_tried
 from hts.testing.known_world import KnownWorld
-from hts.testing.packages import kit_installed
+from hts.testing.packages import kit_installed, on_path
 from hts.testing.tiny_run import tiny_run
 
 
@@ -54,3 +55,50 @@ def test_a_run_on_a_machine_whose_candidates_all_fell_tests_nobody_and_says_so(t
     assert "nobody was tested: every candidate fell or was stopped in simulation" in said
     assert "no candidate was tested, since all fell or were stopped in simulation" in said
     assert (tmp_path / "run" / "report.html").is_file()
+
+
+CHOOSES_NOBODY = """
+from hts import hookimpl
+from hts.contracts import Selector
+
+HTS_API = 2
+
+
+class Nobody(Selector):
+    def elites(self, candidates, count):
+        return []
+
+    def best(self, tested):
+        return None
+
+
+@hookimpl
+def hts_selectors(register):
+    register("nobody", lambda settings: Nobody())
+"""
+
+
+def test_a_selector_that_chooses_nobody_is_said_to_and_not_simulation(tmp_path, install, capsys):
+    with kit_installed(), on_path(install("odd-lab", {"odd_lab": CHOOSES_NOBODY}, {"odd": "odd_lab"})):
+        run = tiny_run(tmp_path / "run", selector="nobody")
+    assert run.summary is not None
+    (iteration,) = run.summary["iterations"]
+    count = len(iteration["candidates"])
+    assert iteration["passed_over"] == {"selector": "nobody", "candidates": count} and count > 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"nobody was tested: selector 'nobody' chose nobody of {count} candidate" in said
+    assert "no candidate was tested, since selector 'nobody' chose nobody of" in said
+    assert "in simulation" not in said[said.index("nobody was tested") :]
+
+
+def row(name: str, policy: str = "", stopped: str | None = None) -> dict:
+    return {"id": name, "policy_hash": policy or name, "stopped": stopped}
+
+
+def test_who_could_be_tried_is_who_neither_fell_nor_was_stopped_nor_is_a_twin_nor_was_refused():
+    rows = [row("stands"), row("fell"), row("stopped", stopped="NaN"), row("twin", "stands"), row("refused")]
+    falls = {one["id"]: int(one["id"] == "fell") for one in rows}
+    gated = {"policies": {"refused": {"passed": False}}}
+    assert could_be_tried(rows, falls, gated, lenient=False) == ["stands"]
+    assert could_be_tried(rows, falls, None, lenient=False) == ["stands", "refused"]
+    assert could_be_tried(rows, falls, None, lenient=True) == ["stands", "fell", "stopped", "refused"]

@@ -42,7 +42,77 @@ def faults(install, body: str) -> list[str]:
         return [finding.line() for finding in check_package(load(), "odd-lab") if finding.fault is not None]
 
 
-@pytest.mark.parametrize("body", ["", SLOW])
+OFFSETS = """
+        def reset(self, num_worlds, rng):
+            super().reset(num_worlds, rng)
+            self.offset = rng.normal(0, 1, num_worlds)
+
+        def read(self):
+            return {CHANNEL.name: 5 + self.offset + super().read()[CHANNEL.name]}
+
+        def idle(self):
+            return {CHANNEL.name: 5.0}
+"""  # each robot's sensor has a zero error of its own, and one number is read off
+COOLING = """
+        def reset(self, num_worlds, rng):
+            super().reset(num_worlds, rng)
+            self.warm = np.full(num_worlds, 50.0)
+
+        def step(self, sample):
+            super().step(sample)
+            self.warm = self.warm * (1 - sample.dt / 600)
+
+        def read(self):
+            return {CHANNEL.name: self.warm + super().read()[CHANNEL.name]}
+"""  # still warm, and a minute is not enough
+LATE = """
+        def reset(self, num_worlds, rng):
+            super().reset(num_worlds, rng)
+            self.shown = np.zeros(num_worlds)
+
+        def step(self, sample):
+            super().step(sample)
+            self.shown = self.shown + sample.dt / 2.0 * (30 + self.kelvin - self.shown)
+
+        def read(self):
+            return {CHANNEL.name: self.shown.copy()}
+
+        def idle(self):
+            return {CHANNEL.name: 30.0}
+"""  # begins at 0 and comes to its level within seconds
+WHOLE_TENS = """
+        def read(self):
+            return {CHANNEL.name: 10 * np.rint((4 + 20 * self.kelvin) / 10)}
+
+        def idle(self):
+            return {CHANNEL.name: 4.0}
+"""  # a level of 4 reads 0
+SCALES = """
+        def step(self, sample):
+            super().step(sample)
+            self.weight = sample.foot_force.sum(axis=-1)
+
+        def read(self):
+            return {CHANNEL.name: self.weight + self.kelvin}
+
+        def idle(self):
+            return {CHANNEL.name: 120.0}
+"""  # the robot's weight, which the made-up one does not have
+COUNTS = """
+        def reset(self, num_worlds, rng):
+            super().reset(num_worlds, rng)
+            self.joules = np.zeros(num_worlds)
+
+        def step(self, sample):
+            super().step(sample)
+            self.joules = self.joules + sample.dt * (3 + self.kelvin)
+
+        def read(self):
+            return {CHANNEL.name: self.joules.copy()}
+"""  # begins at its level and leaves it
+
+
+@pytest.mark.parametrize("body", ["", SLOW, OFFSETS, COOLING, LATE, WHOLE_TENS, SCALES, COUNTS])
 def test_a_sound_instrument_passes(install, body):
     assert faults(install, body) == []
 
@@ -62,6 +132,17 @@ def method(signature: str, *lines: str) -> str:
         (
             method("advance(self, samples)", "super().advance(samples)", "samples.motor_torque[:] = 0"),
             "advance() changes motor_torque in place",
+        ),
+        (
+            method("idle(self)", "return {CHANNEL.name: 3.0}"),
+            "idle() gives 3 for 'warmth_reading', with motors off and nothing moving it reads ",
+        ),
+        (
+            method(
+                "read(self)",
+                "return {CHANNEL.name: 2 + self.kelvin + 0.1 * self.rng.standard_normal(self.kelvin.shape)}",
+            ),
+            "idle() gives 0 for 'warmth_reading', with motors off and nothing moving it reads ",
         ),
         (method("step(self, sample)", "pass"), "reads of 60 s of motion what it reads of robots at rest"),
         (method("settle(self)", "self.kelvin = self.kelvin * np.nan"), "after settle() 'warmth_reading' is not finite"),

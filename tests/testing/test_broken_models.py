@@ -64,6 +64,17 @@ def test_a_network_whose_layers_are_made_from_a_seed_of_their_own_passes(install
     assert faults(install, **network(), made=OWN_SEED) == []
 
 
+def test_a_network_that_adds_nan_where_an_input_is_infinite_passes(install):
+    refuses = "".join(
+        f"\n        def {name}(self, inputs, state{default}):"
+        f"\n            prediction, state = super().{name}(inputs, state)"
+        "\n            bad = (inputs - inputs).sum(-1)"
+        "\n            return Prediction(prediction.mean + bad, prediction.std), state\n"
+        for name, default in (("step", ""), ("sequence", "=None"))
+    )
+    assert faults(install, body=SATURATED + refuses) == []
+
+
 def test_a_slow_machine_finds_the_same_fault(install, monkeypatch):
     """Whatever the clock says, here half an hour from one look at it to the next."""
     hours = itertools.count(0.0, 1800.0)
@@ -90,6 +101,25 @@ STEP = """
 
 def step(before: str = "", after: str = "") -> dict[str, str]:
     return {"body": STEP.format(before=before or "pass", after=after or "pass")}
+
+
+SEQUENCE = """
+        def sequence(self, inputs, state=None):
+            {before}
+            prediction, state = super().sequence(inputs, state)
+            {after}
+            return prediction, state
+"""
+
+
+def sequence(before: str = "", after: str = "") -> dict[str, str]:
+    return {"body": SEQUENCE.format(before=before or "pass", after=after or "pass")}
+
+
+SATURATED = """
+        def scaled_features(self, inputs):
+            return super().scaled_features(inputs).tanh()
+"""
 
 
 FIT = """
@@ -234,10 +264,35 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
             "sequence is off from step after step by up to 0.1",
         ),
         (
+            step(after="prediction = Prediction(prediction.mean, 3 + prediction.std)"),
+            "sequence: std is off from step after step by up to 3 standard deviations",
+        ),
+        (
+            step(after="prediction = Prediction(prediction.mean)"),
+            "sequence gives a std, step after step gives none",
+        ),
+        (
+            sequence(after="prediction = Prediction(prediction.mean)"),
+            "sequence gives no std, step after step gives one",
+        ),
+        (
+            {
+                "body": "        def steps(self, inputs, state, ended):\n"
+                "            prediction, state = super().steps(inputs, state, ended)\n"
+                "            return Prediction(prediction.mean, prediction.std + 0.5), state"
+            },
+            "steps: std is off from step after step by up to 0.5 standard deviations",
+        ),
+        (
+            sequence(before="state = None"),
+            "sequence in two parts, the second from the state after the first, is off from one whole sequence by up to",
+        ),
+        (
             step(before="state = state.mean(0).expand_as(state)"),
             "the prediction of world 0 depends on the worlds beside it",
         ),
         (step(before="inputs = inputs.nan_to_num()"), "of an input that is nan"),
+        ({"body": SATURATED}, "of an input that is inf"),
         (step(before="state += 0.01"), "changes its state in place"),
         (step(before="inputs = inputs / max(1.0, float(inputs.abs().max()) / 1e6)"), "looks at a value"),
         (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hts.config import Named
-from hts.contracts import MeasurementModel, ModelContext
+from hts.contracts import MeasurementModel, ModelContext, Prediction
 from hts.errors import HtsError
 from hts.plugins import Entry, Registry
 from hts.recordings.recording import Recording, Series
@@ -124,15 +124,17 @@ def samples_of_worlds(entry: Entry, registry: Registry) -> torch.Tensor:
     return torch.stack([whole[place] for place in places], 1)
 
 
-def step_by_step(model: MeasurementModel, data: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Means (T, W) and the last state of step after step."""
+def step_by_step(model: MeasurementModel, data: torch.Tensor) -> tuple[Prediction, torch.Tensor]:
+    """Predictions (T, W) and the last state of step after step; no std where one step gave none."""
     import torch
 
-    state, means = model.initial_state(data.shape[1]), []
+    state, found = model.initial_state(data.shape[1]), []
     for inputs in data:
         prediction, state = model.step(inputs, state)
-        means.append(prediction.mean)
-    return torch.stack(means), state
+        found.append(prediction)
+    stds = [one.std for one in found if one.std is not None]
+    std = torch.stack(stds) if len(stds) == len(found) else None
+    return Prediction(torch.stack([one.mean for one in found]), std), state
 
 
 def with_series(recording: Recording, *series: Series) -> Recording:

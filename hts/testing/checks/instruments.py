@@ -18,6 +18,11 @@ STEPS = 60  # of 1 ms: three control steps
 AT_ONCE = 20  # of them between two readings
 WALKS = ((300, 1.0), (3_000, 3.0), (60_000, 3.0))
 """Physics steps and how strong they are: a slow sensor gets longer to show that something moved."""
+LOOKS = (150, 3_000)  # readings at rest, 3 s and a minute: a slow sensor gets longer to come to its idle level
+AT_REST = 8  # robots, each with a zero error of its own
+FAR_OFF = 10.0  # standard deviations of the readings at rest, over robots and time, that an idle level may be off
+SHARE_OFF = 0.05  # of the level, likewise
+NEARER = 0.98  # of its distance from the idle level: a reading that comes so much nearer may still be on its way
 
 Readings = Mapping[str, np.ndarray]
 
@@ -46,6 +51,67 @@ def knows_idle(entry: Entry, registry: Registry) -> None:
     ensure(bool(levels) and set(levels) <= names, f"idle() gives {listed(levels)}, its channels are {listed(names)}")
     for name, level in levels.items():
         ensure(bool(np.isfinite(level)), f"the idle level of '{name}' is {level}")
+
+
+def idles_at_its_level(entry: Entry, registry: Registry) -> None:
+    """With motors off and nothing moving it reads what idle() gives, as somebody would read it off: this level is
+    subtracted to get from gross to net."""
+    for looks in LOOKS:
+        levels, shown = _at_rest(_made(entry), looks, newtons=0.0)
+        loaded = _at_rest(_made(entry), looks, newtons=10.0)[1]
+        off = {
+            name: level
+            for name, level in levels.items()
+            # What the ground's force changes is no matter of motion: the robot's weight is not known here.
+            if np.isfinite(shown[name]).all() and same(shown[name], loaded[name]) and _is_off(shown[name], level)
+        }
+        if not off:
+            return
+    steps = _smallest_steps(entry)
+    for name, level in off.items():
+        read, scatter = shown[name].mean(), shown[name].std()
+        ensure(
+            abs(read - level) <= steps[name],
+            f"idle() gives {level:g} for '{name}', with motors off and nothing moving it reads {read:.4g} ± "
+            f"{scatter:.2g}",
+        )
+
+
+def _at_rest(
+    instrument: Instrument, looks: int, newtons: float
+) -> tuple[Mapping[str, float], Mapping[str, np.ndarray]]:
+    """Idle levels, and what it reads at each of so many looks (looks, robots), of its channels of one number;
+    newtons: on each foot."""
+    instrument.reset(AT_REST, np.random.default_rng(7))
+    sample, rows = rest(AT_REST), list[Readings]()
+    sample.foot_force = np.full_like(sample.foot_force, newtons)
+    for _ in range(looks):
+        for _ in range(AT_ONCE):
+            instrument.step(sample)
+        rows.append(_read(instrument))
+    levels = {name: float(level) for name, level in instrument.idle().items() if rows[0][name].ndim == 1}
+    return levels, {name: np.stack([row[name] for row in rows]) for name in levels}
+
+
+def _is_off(shown: np.ndarray, level: float) -> bool:
+    """Whether readings at rest (looks, robots) are far from the level, from the first to the last, and come no nearer.
+    One that begins at it or comes to it has a memory of its own."""
+    quarter = len(shown) // 4
+    first, last = (abs(part.mean() - level) for part in (shown[:quarter], shown[-quarter:]))
+    near = max(FAR_OFF * shown.std(), SHARE_OFF * max(abs(level), abs(shown.mean())))
+    return bool(min(abs(shown[0].mean() - level), first, last) > near and last > NEARER * first)
+
+
+def _smallest_steps(entry: Entry) -> Mapping[str, float]:
+    """By how much readings of a moving robot differ at least, channel by channel: that of a rounded display."""
+    instrument, made_up, rows = _made(entry), np.random.default_rng(1), list[Readings]()
+    instrument.reset(AT_REST, np.random.default_rng(7))
+    for _ in range(LOOKS[0]):
+        for _ in range(AT_ONCE):
+            instrument.step(_weaker(physics(made_up, AT_REST), 3.0))
+        rows.append(_read(instrument))
+    differences = {name: np.diff(np.unique(np.stack([row[name] for row in rows]))) for name in rows[0]}
+    return {name: float(steps.min(initial=np.inf)) if len(steps) else 0.0 for name, steps in differences.items()}
 
 
 def repeats_itself(entry: Entry, registry: Registry) -> None:
@@ -202,6 +268,7 @@ def _read(instrument: Instrument) -> Readings:
 CHECKS = (
     reads_its_channels,
     knows_idle,
+    idles_at_its_level,
     repeats_itself,
     sees_the_motion,
     reads_each_robot_alone,

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     import torch
 
 LONG = 500  # samples: longer than any sensor is late
+CUT = 5  # of STEPS samples, where a sequence is cut in two
 
 
 def _pair(what: str, found: Any) -> tuple[Prediction, torch.Tensor]:
@@ -72,7 +73,8 @@ def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
 
 @after(is_made_unfitted, predicts_for_each_world)
 def step_and_sequence_agree(entry: Entry, registry: Registry) -> None:
-    """Step by step, along a whole recording, and with `steps`, it predicts the same."""
+    """Step by step, along a whole recording, and with `steps`, it predicts the same, doubt included: training is paid
+    by `step`, reports are made from `sequence`."""
     import torch
 
     model = fitted_model(entry, registry)
@@ -81,10 +83,45 @@ def step_and_sequence_agree(entry: Entry, registry: Registry) -> None:
     along, last = model.sequence(data.movedim(0, 1))
     ended = torch.zeros(STEPS, WORLDS, dtype=torch.bool)
     together, end = _pair("steps", model.steps(data, model.initial_state(WORLDS), ended))
-    for what, mean, left in (("sequence", along.mean.t(), last), ("steps", together.mean, end)):
-        off = float((mean - walked).abs().max())
-        ensure(nearly_equal(mean, walked), f"{what} is off from step after step by up to {off:g} standard deviations")
+    for what, found, left in (("sequence", _turned(along), last), ("steps", together, end)):
+        _same_predictions(what, found, walked, "step after step")
         ensure(nearly_equal(left, state), f"{what} leaves another state than step after step")
+
+
+@after(is_made_unfitted, predicts_for_each_world)
+def sequence_goes_on(entry: Entry, registry: Registry) -> None:
+    """`sequence` begins from the state that it is given: in two parts it predicts what it does of the whole."""
+    model = fitted_model(entry, registry)
+    data = samples_of_worlds(entry, registry).movedim(0, 1)
+    whole, last = model.sequence(data)
+    first, between = model.sequence(data[:, :CUT])
+    second, end = _pair("sequence", model.sequence(data[:, CUT:], between))
+    parts = "sequence in two parts, the second from the state after the first,"
+    for part, place in ((first, slice(None, CUT)), (second, slice(CUT, None))):
+        _same_predictions(parts, part, _part(whole, place), "one whole sequence")
+    ensure(nearly_equal(end, last), f"{parts} leaves another state than one whole sequence")
+
+
+def _turned(along: Prediction) -> Prediction:
+    """(B, T) as (T, B)."""
+    return Prediction(along.mean.t(), None if along.std is None else along.std.t())
+
+
+def _part(along: Prediction, place: slice) -> Prediction:
+    """Some samples of (B, T)."""
+    return Prediction(along.mean[:, place], None if along.std is None else along.std[:, place])
+
+
+def _same_predictions(what: str, found: Prediction, wanted: Prediction, of: str) -> None:
+    """Raises PluginError where mean or std differ, or one has a std and the other has none; shapes are the same."""
+    off = float((found.mean - wanted.mean).abs().max())
+    ensure(nearly_equal(found.mean, wanted.mean), f"{what} is off from {of} by up to {off:g} standard deviations")
+    if found.std is None or wanted.std is None:
+        ensure(found.std is None, f"{what} gives a std, {of} gives none")
+        ensure(wanted.std is None, f"{what} gives no std, {of} gives one")
+        return
+    off = float((found.std - wanted.std).abs().max())
+    ensure(nearly_equal(found.std, wanted.std), f"{what}: std is off from {of} by up to {off:g} standard deviations")
 
 
 @after(is_made_unfitted, predicts_for_each_world)
@@ -96,13 +133,19 @@ def keeps_worlds_apart(entry: Entry, registry: Registry) -> None:
     for world in range(WORLDS):
         alone, _ = step_by_step(model, data[:, world : world + 1])
         ensure(
-            nearly_equal(alone[:, 0], crowd[:, world]),
+            _alike(alone, 0, crowd, world),
             f"the prediction of world {world} depends on the worlds beside it",
         )
     others = data.clone()
     others[:, 1:] *= 3.0
     changed, _ = step_by_step(model, others)
-    ensure(nearly_equal(changed[:, 0], crowd[:, 0]), "the prediction of world 0 depends on the worlds beside it")
+    ensure(_alike(changed, 0, crowd, 0), "the prediction of world 0 depends on the worlds beside it")
+
+
+def _alike(first: Prediction, world: int, second: Prediction, other: int) -> bool:
+    """Whether one world of the first is predicted as another of the second, doubt included."""
+    pairs = [(one, two) for one, two in zip(first, second, strict=True) if one is not None and two is not None]
+    return all(nearly_equal(one[:, world], two[:, other]) for one, two in pairs)
 
 
 @after(is_made_unfitted, predicts_for_each_world)
@@ -193,8 +236,10 @@ def is_saved_and_loaded(entry: Entry, registry: Registry) -> None:
     with tempfile.TemporaryDirectory() as folder:
         loaded = files.load(files.save(model, Path(folder) / "model"), registry=registry)
     before, after = step_by_step(model, data)[0], step_by_step(loaded, data)[0]
-    ensure(bool(torch.equal(before, after)), "it predicts something else after it was saved and loaded")
-    same = torch.equal(model.denormalise(before), loaded.denormalise(before))
+    ensure(bool(torch.equal(before.mean, after.mean)), "it predicts something else after it was saved and loaded")
+    doubts = [one.std if one.std is not None else torch.empty(0) for one in (before, after)]
+    ensure(bool(torch.equal(*doubts)), "it doubts by another std after it was saved and loaded")
+    same = torch.equal(model.denormalise(before.mean), loaded.denormalise(before.mean))
     ensure(bool(same), "its z-scores mean something else after it was saved and loaded")
     ensure(loaded.pessimism == model.pessimism, "its pessimism is another after it was saved and loaded")
 
@@ -287,6 +332,7 @@ CHECKS: Sequence[Check] = (
     predicts_for_each_world,
     predicts_in_deviations_of_the_target,
     step_and_sequence_agree,
+    sequence_goes_on,
     keeps_worlds_apart,
     forgets_only_who_begins,
     lets_nan_through,
