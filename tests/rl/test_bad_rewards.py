@@ -57,6 +57,23 @@ def test_a_target_alone_may_be_no_number():
         loss(data)
 
 
+@pytest.mark.parametrize(
+    ("key", "who"), [("action", "policy"), ("action_log_prob", "policy"), ("state_value", "critic")]
+)
+@pytest.mark.parametrize("bad", BAD)
+def test_so_may_what_was_done_or_was_thought_of_it(key, who, bad):
+    loss, data = loss_and_batch()
+    data[key].view(COUNT, -1)[3] = bad
+    with pytest.raises(ValueError, match=rf"^'{key}' is {bad:g} at \[3.*\], in . of .* The {who} that acted gave it"):
+        loss(data)
+
+
+def test_a_value_of_the_old_critic_that_nobody_reads_may_be_anything():
+    loss, data = loss_and_batch(clip_value=None)
+    data["state_value"][3] = math.nan
+    assert torch.isfinite(loss(data)["loss_critic"])
+
+
 def test_of_candidates_it_is_told_where_nobody_is_left_for_they_do_not_see_each_other():
     loss, data = collected("reward", kl_bound=torch.tensor([0.1, 0.2]))
     first, second = loss(estimated(loss, data).view(2, 4))["loss_objective"].isnan().tolist()
