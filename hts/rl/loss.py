@@ -273,7 +273,8 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
 
     def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
         """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch; see `LagrangeMultiplier`. Returns the new
-        alpha. Raises ValueError for a KL that is NaN or of another shape than kl_bound."""
+        alpha. Raises ValueError for a KL that is NaN or of another shape than kl_bound. Warns, once, of one that stays
+        above 2 c."""
         return self.multiplier.update(kl)
 
     def _policy_in(self, batch: TensorDictBase) -> Distribution:
