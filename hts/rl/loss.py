@@ -198,11 +198,13 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     # --------------------------------------------------------------------------------------------------- computing
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """tensordict [...], or [P, ...]: see `in_keys`. Raises KeyError naming what the batch lacks, ValueError where
-        its log-probabilities carry gradients: against themselves nothing would be learned; for shapes that do not fit
-        each other, actions of another shape than the actor's, an empty batch, and, on a CPU, actions,
-        log-probabilities, advantages, targets or old values that are not finite, of several candidates where nobody's
-        are."""
+        """tensordict [...], or [P, ...]: see `in_keys`. Returns `out_keys`, each [] or [P]: three losses, and without
+        gradients kl, kl_approx (an estimate of that to the policy that acted), nats, and clip_fraction.
+
+        Raises KeyError naming what the batch lacks, ValueError where its log-probabilities carry gradients: against
+        themselves nothing would be learned; for shapes that do not fit each other, actions of another shape than the
+        actor's, an empty batch, and, on a CPU, actions, log-probabilities, advantages, targets or old values that are
+        not finite, of several candidates where nobody's are."""
         if torch.is_grad_enabled() and not torch.compiler.is_compiling():  # a number that changes is compiled anew
             self._count()
         keys, batch = self.tensor_keys, tensordict.copy()
