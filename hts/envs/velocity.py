@@ -50,6 +50,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
     """
 
     batch_locked = True
+    random: PopulationRandom
 
     def __init__(
         self,

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hts.rl.actor import PopulationActor, PopulationCritic
+    from hts.rl.actor_bound import project_actor_to_kl_bound
     from hts.rl.advantage import advantages
     from hts.rl.backend import Backend, backend_for
     from hts.rl.captured_collector import CapturedCollector
@@ -60,6 +61,7 @@ _HOMES = {
     "backend_for": "backend",
     "distribution_kl": "kl",
     "gaussian_kl": "kl",
+    "project_actor_to_kl_bound": "actor_bound",
     "project_to_kl_bound": "kl_bound",
 }
 """Public name -> the module it lives in. Torch and TorchRL take seconds to import, and not everybody needs all of
@@ -90,6 +92,7 @@ __all__ = [
     "backend_for",
     "distribution_kl",
     "gaussian_kl",
+    "project_actor_to_kl_bound",
     "project_to_kl_bound",
 ]
 

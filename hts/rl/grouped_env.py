@@ -29,7 +29,12 @@ class GroupedEnv(SplitStepEnv):
         self._groups = tuple(groups)
         self._sizes = [group.batch_size[0] for group in groups]
         self.dt, self.observation_layout = first.dt, first.observation_layout
-        self.random = PopulationRandom.joined([group.random for group in groups])
+        randoms = [group.random for group in groups if group.random is not None]
+        if randoms and len(randoms) < len(groups):
+            raise ValueError(
+                f"{len(randoms)} of {len(groups)} groups have generators of their own (random); expected all, or none."
+            )
+        self.random = PopulationRandom.joined(randoms) if randoms else None
         for name in ("observation_spec", "action_spec", "reward_spec", "done_spec"):
             spec = getattr(first, f"full_{name}" if name == "done_spec" else name)
             setattr(self, name, spec[0].expand(count, *spec.shape[1:]))

@@ -6,7 +6,24 @@ import math
 
 import torch
 from tensordict.nn import CompositeDistribution
-from torch.distributions import Categorical, Distribution, Independent, TransformedDistribution, kl_divergence
+from torch.distributions import (
+    Categorical,
+    ComposeTransform,
+    Distribution,
+    Independent,
+    Transform,
+    TransformedDistribution,
+    constraints,
+    kl_divergence,
+)
+
+LIMITED = (
+    constraints.interval,
+    constraints.half_open_interval,
+    constraints.greater_than,
+    constraints.greater_than_eq,
+    constraints.less_than,
+)
 
 
 def gaussian_kl(
@@ -29,9 +46,13 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
     In closed form where torch knows one. Both squashed by the same bijection (a tanh, to the same limits): that of what
     was squashed, since a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action
     a ~ policy, which has the right mean. Raises NotImplementedError where torch knows neither a formula nor how to take
-    such an action (`rsample`), as of mixtures; ValueError for distributions of different actions, or of other states.
+    such an action (`rsample`), as of mixtures; ValueError for distributions of different actions, of other states, or
+    for a reference of actions within limits (a squashed one) of a policy whose actions have none: that KL is infinite.
+    Of two that both have limits, which may lie on a GPU, the limits are not compared.
     """
     _check_alike(policy, reference)
+    if not torch.compiler.is_compiling():  # which cannot look at what a distribution may do
+        _check_reach(policy, reference)
     first, second = policy, reference
     squashed, other = _squashed(policy), _squashed(reference)
     if squashed is not None and other is not None and squashed.transforms == other.transforms:
@@ -41,7 +62,7 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
     try:
         divergence = kl_divergence(first, second)
     except NotImplementedError:
-        action = policy.rsample()
+        action = _reparametrised(policy, reference)
         return policy.log_prob(action) - reference.log_prob(action)
     extra = divergence.ndim - len(policy.batch_shape)
     return divergence.sum(tuple(range(-extra, 0))) if extra else divergence
@@ -52,14 +73,58 @@ def _check_alike(policy: Distribution, reference: Distribution) -> None:
     composite of several distributions has no shape of its own and is not looked at."""
     if isinstance(policy, CompositeDistribution) or isinstance(reference, CompositeDistribution):
         return
-    states = len(reference.batch_shape)
-    fits = len(policy.batch_shape) >= states and all(
-        of_reference in (1, of_policy)
-        for of_reference, of_policy in zip(reference.batch_shape[::-1], policy.batch_shape[::-1], strict=False)
-    )
-    if policy.event_shape != reference.event_shape or not fits:
+    if policy.event_shape != reference.event_shape or not expands(reference.batch_shape, policy.batch_shape):
         told = (f"actions {tuple(one.event_shape)} in states {tuple(one.batch_shape)}" for one in (policy, reference))
         raise ValueError(f"The policy is of {next(told)}, its reference of {next(told)}; expected the same of both.")
+
+
+def expands(shape: torch.Size, to: torch.Size) -> bool:
+    """Whether what has this shape can be expanded to that one."""
+    return len(shape) <= len(to) and all(own in (1, other) for own, other in zip(shape[::-1], to[::-1], strict=False))
+
+
+def _check_reach(policy: Distribution, reference: Distribution) -> None:
+    """Raise ValueError where the policy does, with some probability, what the reference never does: a density that
+    is clamped at its limits, as a squashed one's, would make a finite number of that."""
+    if _limited(reference) is True and _limited(policy) is False:
+        names = type(policy).__name__, type(reference).__name__
+        raise ValueError(
+            f"KL({names[0]} || {names[1]}) is infinite: the policy's actions have no limits, its reference's have. "
+            "Expected the same kind of distribution of both."
+        )
+
+
+def _limited(distribution: Distribution) -> bool | None:
+    """Whether the numbers of an action have limits, as far as types tell, for no value is looked at; None: they do
+    not."""
+    if isinstance(distribution, Independent):
+        return _limited(distribution.base_dist)
+    if isinstance(distribution, TransformedDistribution):  # whose own `support` is that of its last transform alone
+        return True if any(map(_limits, distribution.transforms)) else _limited(distribution.base_dist)
+    try:
+        support = distribution.support
+    except NotImplementedError:
+        return None
+    while isinstance(support, constraints.independent):
+        support = support.base_constraint
+    return True if isinstance(support, LIMITED) else False if support is constraints.real else None
+
+
+def _limits(transform: Transform) -> bool:
+    if isinstance(transform, ComposeTransform):
+        return any(map(_limits, transform.parts))
+    return isinstance(transform.codomain, LIMITED)
+
+
+def _reparametrised(policy: Distribution, reference: Distribution) -> torch.Tensor:
+    try:
+        return policy.rsample()
+    except NotImplementedError as error:
+        names = type(policy).__name__, type(reference).__name__
+        raise NotImplementedError(
+            f"torch knows no formula of KL({names[0]} || {names[1]}), and {names[0]} has no rsample, with which one "
+            "action would stand for it. Give the policy a distribution that has either, such as TorchRL's TanhNormal."
+        ) from error
 
 
 def _categorical_kl(policy: Categorical, reference: Categorical) -> torch.Tensor:

@@ -21,6 +21,7 @@ from hts.rl.actor import PopulationActor
 from hts.rl.given import OfItsSizes
 from hts.rl.kl import distribution_kl
 from hts.rl.loss_checks import (
+    check_action,
     check_actor,
     check_critic,
     check_finite,
@@ -197,10 +198,13 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     # --------------------------------------------------------------------------------------------------- computing
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """tensordict [...], or [P, ...]: see `in_keys`. Raises KeyError naming what the batch lacks, ValueError where
-        its log-probabilities carry gradients: against themselves nothing would be learned; for shapes that do not fit
-        each other, an empty batch, and, on a CPU, advantages or targets that are not finite, of several candidates
-        where nobody's are."""
+        """tensordict [...], or [P, ...]: see `in_keys`. Returns `out_keys`, each [] or [P]: three losses, and without
+        gradients kl, kl_approx (an estimate of that to the policy that acted), nats, and clip_fraction.
+
+        Raises KeyError naming what the batch lacks, ValueError where its log-probabilities carry gradients: against
+        themselves nothing would be learned; for shapes that do not fit each other, actions of another shape than the
+        actor's, an empty batch, and, on a CPU, actions, log-probabilities, advantages, targets or old values that are
+        not finite, of several candidates where nobody's are."""
         if torch.is_grad_enabled() and not torch.compiler.is_compiling():  # a number that changes is compiled anew
             self._count()
         keys, batch = self.tensor_keys, tensordict.copy()
@@ -215,7 +219,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         if batch.ndim:  # else only what is computed of it says whose it is
             self._check_candidates(batch.shape)
         for key in (keys.advantage, keys.value_target):
-            check_finite(batch, key, keys.reward, candidates=self.kl_bound.ndim > 0)
+            self._check_finite(batch, key)
         old_value = batch.get(keys.value, None)
         if batch[keys.sample_log_prob].requires_grad:
             raise ValueError(
@@ -223,11 +227,14 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
                 "under torch.no_grad(), as collectors do, or detach it."
             )
         policy = self._policy_in(batch)
+        check_action(batch[keys.action], policy, keys.action)
+        self._check_finite(batch, keys.action)
         log_prob = policy.log_prob(batch[keys.action])
         self._check_candidates(log_prob.shape)
         if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
             self._tell_frozen()
         log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
+        self._check_finite(batch, keys.sample_log_prob)
         advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
             advantage = self._standardised(advantage)
@@ -238,6 +245,8 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         if self.clip_value is not None and old_value is None:
             raise lacks_old_value(batch, keys.value, self.critic_network.in_keys)
         old_value = value.detach() if old_value is None else _as(log_prob, old_value, keys.value)
+        if self.clip_value is not None:
+            self._check_finite(batch, keys.value)
         mean_kl = self._mean(kl)
         objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon)) + self.multiplier(mean_kl)
         with torch.no_grad():
@@ -266,7 +275,8 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
 
     def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
         """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch; see `LagrangeMultiplier`. Returns the new
-        alpha. Raises ValueError for a KL that is NaN or of another shape than kl_bound."""
+        alpha. Raises ValueError for a KL that is NaN or of another shape than kl_bound. Warns, once, of one that stays
+        above 2 c."""
         return self.multiplier.update(kl)
 
     def _policy_in(self, batch: TensorDictBase) -> Distribution:
@@ -298,6 +308,12 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
                 "learns. Give the policy that is to be trained, not a frozen copy, or actor.requires_grad_().",
                 stacklevel=3,
             )
+
+    def _check_finite(self, batch: TensorDictBase, key: NestedKey) -> None:
+        keys = self.tensor_keys
+        made = {keys.action: "policy", keys.sample_log_prob: "policy", keys.value: "critic"}
+        gives = None if key not in made else f"The {made[key]} that acted gave it, or what it saw is not finite"
+        check_finite(batch, key, self.kl_bound.ndim > 0, gives, keys.reward)
 
     def _check_candidates(self, shape: torch.Size) -> None:
         """Raise ValueError unless a batch of this shape begins with as many candidates as there are bounds."""

@@ -11,9 +11,11 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import CompositeDistribution, TensorDictModuleBase, TensorDictSequential
 from tensordict.utils import NestedKey
+from torch.distributions import Distribution
 
 from hts.rl.actor import PopulationActor
 from hts.rl.given import check_number
+from hts.rl.kl import expands
 
 Read = TypeVar("Read")
 
@@ -83,11 +85,30 @@ def check_not_empty(shape: torch.Size) -> None:
         )
 
 
+def check_action(action: torch.Tensor, policy: Distribution, key: NestedKey) -> None:
+    """Raise ValueError for actions of another shape than the policy's, which torch would broadcast, or speak of
+    dimensions."""
+    states = action.shape[: action.ndim - len(policy.event_shape)]
+    if action.shape != states + policy.event_shape or not expands(policy.batch_shape, states):
+        raise ValueError(
+            f"{key!r} has the shape {tuple(action.shape)}, expected {tuple(policy.batch_shape + policy.event_shape)}: "
+            f"in states {tuple(policy.batch_shape)} the policy has actions {tuple(policy.event_shape)}."
+        )
+
+
 def read_by(name: str, module: TensorDictModuleBase, batch: TensorDictBase, ask: Callable[[Any], Read]) -> Read:
-    """What a network, asked, makes of a batch. Raises ValueError where it was made for numbers of another size, of
-    which torch would speak without saying whose they are."""
+    """What a network, asked, makes of a batch. Raises KeyError where the batch lacks what it reads, ValueError where it
+    was made for numbers of another size, of which torch would speak without saying whose they are."""
     try:
         return ask(batch)
+    except KeyError as error:
+        lacks = [key for key in module.in_keys if batch.get(key, None) is None]
+        if not lacks:  # a mistake of its own
+            raise
+        raise KeyError(
+            f"The batch has no {lacks[0]!r}, which {name} reads; it has {sorted(map(str, batch.keys()))}. A collector "
+            "gives it, where the env has it."
+        ) from error
     except RuntimeError as error:
         if type(error) is not RuntimeError:  # memory has run out, or a GPU is gone
             raise
@@ -104,10 +125,13 @@ def first_bad(value: torch.Tensor, bad: torch.Tensor) -> str:
     return f"{float(value[tuple(index)]):g} at {index}, in {int(bad.sum())} of {bad.numel()} numbers"
 
 
-def check_finite(batch: TensorDictBase, key: NestedKey, reward: NestedKey, candidates: bool) -> None:
-    """Raise ValueError where what GAE has made of the rewards is not finite; of candidates only where nobody's is, for
+def check_finite(batch: TensorDictBase, key: NestedKey, candidates: bool, gives: str | None, reward: NestedKey) -> None:
+    """Raise ValueError where what a batch has under key is not finite; of candidates only where nobody's is, for
     they do not see each other, and one that is bad shows in its own loss. On a CPU alone: asking waits for a GPU, in
-    every gradient step; there the update of the multiplier tells. reward: its key under "next"."""
+    every gradient step; there the update of the multiplier tells.
+
+    gives: where it comes from, in words; None: GAE has made it of the rewards, whose key under "next" reward is.
+    """
     value = batch[key]
     if value.device.type != "cpu" or torch.compiler.is_compiling():
         return
@@ -117,7 +141,9 @@ def check_finite(batch: TensorDictBase, key: NestedKey, reward: NestedKey, candi
         return
     paid = batch.get(("next", *reward) if isinstance(reward, tuple) else ("next", reward), None)
     worse = None if paid is None else ~paid.isfinite()
-    if paid is not None and worse is not None and bool(worse.any()):
+    if gives is not None:
+        source = f"{gives}: look at the collected batch."
+    elif paid is not None and worse is not None and bool(worse.any()):
         source = f"The step's reward is {first_bad(paid, worse)}."
     else:
         source = "It comes from a reward, a value or a state of an earlier or later step: look at the collected batch."

@@ -7,6 +7,7 @@ import math
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
+from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
 from hts.rl.centring import RewardCentring
@@ -25,10 +26,15 @@ class MeasuredReward(OfItsSizes, Transform):
 
     Inside an env (`TransformedEnv`) each step's reward is changed, and the centre follows step by step at its `rate`.
     On a batch from a collector (called as a module) the centre is updated once with the whole batch and then
-    subtracted; a batch that has its measured reward already is refused. Centred before anything else, never clipped. A
-    reward that is not finite, measured or the task's, is refused in a batch, and in an env on a CPU: to ask at every
-    step would wait for a GPU. Raises ValueError for a weight or dt that cannot be, and for weights of candidates with
-    a centring of another number of them, TypeError for what is no number.
+    subtracted. Centred before anything else, never clipped. A reward that is not finite, measured or the task's, is
+    refused in a batch, and in an env on a CPU: to ask at every step would wait for a GPU. The reward keeps its dtype.
+
+    Either way the reward as it was goes into an entry of its own beside it, `before_key`: "reward_before_effort" of
+    reward_key "reward" and in_key "effort". A batch, or a part or copy of one, that has it and whose reward is another
+    now, has got its measured reward already and is refused.
+
+    Raises ValueError for a weight or dt that cannot be, and for weights of candidates with a centring of another number
+    of them, TypeError for what is no number.
     """
 
     def __init__(
@@ -40,7 +46,8 @@ class MeasuredReward(OfItsSizes, Transform):
         reward_key: NestedKey = "reward",
         centring: RewardCentring | None = None,
     ) -> None:
-        super().__init__(in_keys=[in_key, reward_key], out_keys=[reward_key])
+        self.before_key = f"{_flat(reward_key)}_before_{_flat(in_key)}"
+        super().__init__(in_keys=[in_key, reward_key], out_keys=[reward_key, self.before_key])
         self.dt = dt
         self.register_buffer("weight", as_numbers("weight", weight, "a finite number, or [P] for P candidates"))
         if self.weight.ndim > 1 or not bool(self.weight.isfinite().all()):
@@ -50,7 +57,6 @@ class MeasuredReward(OfItsSizes, Transform):
             raise ValueError(f"dt is {dt}; expected the length of a control step, s.")
         count = self.weight.numel() if self.weight.ndim else None
         self.centring = centring if centring is not None else RewardCentring(STEP_RATE, count)
-        self._rewarded: tuple[torch.Tensor, int, torch.Tensor] | None = None
         centres = self.centring.mean.numel()
         if count is not None and centres != count and self.centring.rate > 0.0:  # it would centre across candidates
             raise ValueError(
@@ -72,7 +78,8 @@ class MeasuredReward(OfItsSizes, Transform):
         return self._with_reward(next_tensordict)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """A batch of steps, as a collector gives it: changes ("next", reward_key)."""
+        """A batch of steps, as a collector gives it: changes ("next", reward_key), adds ("next", before_key). Raises
+        KeyError naming what it lacks, ValueError for one that is empty, not finite, of other shapes, or rewarded."""
         outcome = tensordict.get("next", None)
         if outcome is None:
             found = ", ".join(map(repr, tensordict.keys()))
@@ -97,32 +104,41 @@ class MeasuredReward(OfItsSizes, Transform):
                 "number for each step is expected, so write both alike, [..., 1]."
             )
         if batch:
-            self._refuse_twice(measured, task)
+            self._refuse_twice(outcome, task)
         if batch or measured.device.type == "cpu":
             _check_finite(measured_key, measured)
             _check_finite(reward_key, task)
         self.centring.update(measured)
-        outcome.set(reward_key, task + self.added(measured))
-        if batch:
-            self._rewarded = measured.detach(), _version(measured), task.detach()
+        added = self.added(measured)
+        outcome.set(reward_key, task + (added.to(task.dtype) if task.is_floating_point() else added))
+        outcome.set(self.before_key, task.detach())
         return outcome
 
-    def _refuse_twice(self, measured: torch.Tensor, task: torch.Tensor) -> None:
-        """Raise ValueError for the batch that was rewarded last, unless its reward is what it was before: then it was
-        put back. Collectors that write their batches into the same memory have written there since."""
-        if self._rewarded is None:
-            return
-        known, version, before = self._rewarded
-        if not _same_memory(known, measured) or version != _version(measured) or _same_memory(before, task):
-            return
-        if not torch.equal(before, task):
+    def _refuse_twice(self, outcome: TensorDictBase, task: torch.Tensor) -> None:
+        """Raise ValueError for what has got its measured reward, unless its reward is what it was before: then it was
+        put back."""
+        before = outcome.get(self.before_key, None)
+        if before is not None and (before.shape != task.shape or bool((before != task).any())):
             raise ValueError(
-                f"This batch has got the measured reward of {self.in_keys[0]!r} already, and would get it again. Call "
-                "MeasuredReward once for each batch of a collector: before GAE, outside the loop over epochs."
+                f"This batch has got the measured reward of {self.in_keys[0]!r} already ('next' has "
+                f"{self.before_key!r}), and would get it again. Call MeasuredReward once for each batch of a "
+                "collector: before GAE, outside the loop over epochs, and not where the env has it. Of a collector "
+                "with return_same_td=True, give it data.copy() and go on with that."
             )
 
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """With before_key. Raises ValueError where another MeasuredReward of the env adds the same."""
+        if self.before_key in list(observation_spec):
+            raise ValueError(
+                f"The env has {self.before_key!r}: it adds the measured reward of {self.in_keys[0]!r} already. Leave "
+                "one MeasuredReward out."
+            )
+        reward = self.parent.full_reward_spec[self.in_keys[1]]
+        observation_spec[self.before_key] = Unbounded(reward.shape, dtype=reward.dtype, device=reward.device)
+        return observation_spec
+
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset
+        return tensordict_reset.set(self.before_key, self.parent.full_reward_spec[self.in_keys[1]].zero())
 
 
 def _check_finite(key: NestedKey, reward: torch.Tensor) -> None:
@@ -135,10 +151,5 @@ def _check_finite(key: NestedKey, reward: torch.Tensor) -> None:
         )
 
 
-def _same_memory(one: torch.Tensor, other: torch.Tensor) -> bool:
-    return one.untyped_storage().data_ptr() == other.untyped_storage().data_ptr()
-
-
-def _version(tensor: torch.Tensor) -> int:
-    """How often it was changed in place; 0 where torch does not count."""
-    return 0 if tensor.is_inference() else tensor._version
+def _flat(key: NestedKey) -> str:
+    return key if isinstance(key, str) else "_".join(key)

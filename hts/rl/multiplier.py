@@ -4,6 +4,7 @@ mean that is to stay below a number."""
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import torch
@@ -11,6 +12,7 @@ import torch
 from hts.rl.given import OfItsSizes, as_numbers, check_number
 
 LARGEST_EXCESS = 2.0  # of KL / c - 1 in one update: one bad batch must not spend the training on getting back
+FAR, LONG = 2.0, 50  # KL / c, updates: alpha has risen by rate * LONG at least, and it has not been enough
 LARGEST_PRICE = 5.0  # of a mean that stays too large whatever it costs, per strength
 LARGEST_ERROR = (
     10.0  # of m / scale, likewise. Much smaller and the proportional part cannot damp what the integral swings
@@ -33,11 +35,15 @@ class LagrangeMultiplier(OfItsSizes):
     bounds: c in nats, a float or [P]; infinity switches the bound off. rate: eta. It acts on KL / c, so that tight and
     loose bounds are approached in the same number of batches; alpha starts at 0: nothing pulls until the bound is near.
 
+    A UserWarning, once, tells of a KL above 2 c in 50 calls of `update` one after the other: alpha rises by 2 eta in
+    each at most, which large rewards that are not normalised outweigh for long. `step` does not look.
+
     Buffers value and bounds, both of the shape of bounds. updated: whether `update` or `step` was ever called.
     """
 
     value: torch.Tensor
     bounds: torch.Tensor
+    beyond: torch.Tensor
 
     def __init__(self, bounds: float | torch.Tensor, rate: float = 0.05) -> None:
         super().__init__()
@@ -48,6 +54,8 @@ class LagrangeMultiplier(OfItsSizes):
         self.rate, self.updated = rate, False
         self.register_buffer("bounds", limits.clone())
         self.register_buffer("value", torch.zeros_like(limits))
+        self.register_buffer("beyond", torch.zeros_like(limits), persistent=False)  # updates with a KL far beyond
+        self._told = False
 
     def forward(self, kl: torch.Tensor) -> torch.Tensor:
         """alpha KL: what the loss adds; nothing where alpha is 0, be KL infinite. Changes nothing."""
@@ -67,7 +75,24 @@ class LagrangeMultiplier(OfItsSizes):
                 f"kl is {kl.tolist()}: the policy, its reference or a state is not finite, as the policy is after a "
                 "step on a reward that is NaN. Stop training."
             )
+        self._tell_far(kl)
         return self.step(kl)
+
+    def _tell_far(self, kl: torch.Tensor) -> None:
+        """Warn, once, of a KL that stays far beyond its bound."""
+        if self._told or self.rate == 0.0:
+            return
+        self.beyond = torch.where(kl > FAR * self.bounds, self.beyond + 1, 0.0)
+        if not bool((self.beyond >= LONG).any()):
+            return
+        self._told = True
+        warnings.warn(
+            f"The KL was above {FAR:g} times its bound in {LONG} updates of the multiplier one after the other: KL / c "
+            f"is {(kl / self.bounds).tolist()}, alpha {self.value.tolist()}. Rewards may be so large that alpha, which "
+            f"rises by {self.rate * LARGEST_EXCESS:g} an update at most, does not reach what they pay: make the loss "
+            "with normalize_advantage=True, or divide the rewards.",
+            stacklevel=4,
+        )
 
     @torch.no_grad()
     def step(self, kl: torch.Tensor) -> torch.Tensor:

@@ -23,8 +23,12 @@ from hts.rl.tracing import any_or_tracing
 class TaskEnv(EnvBase):
     """A TorchRL env of batch size [P, N]: P candidates, N env instances each.
 
-    dt: control step, s; observation_layout: names and sizes of the parts of `observation`, for the card of a policy
-    that is pretrained here, [{"name", "size"}], or None.
+    A subclass sets, in its `__init__`, TorchRL's specs: observation_spec, a Composite of what it observes (a population
+    reads `observation` [P, N, O] and `critic_observation` [P, N, O_c]); action_spec [P, N, A]; reward_spec [P, N, 1];
+    full_done_spec, a Composite of terminated, truncated and done, bool [P, N, 1].
+
+    dt: control step, s, set by each subclass; observation_layout: names and sizes of the parts of `observation`, for
+    the card of a policy that is pretrained here, [{"name", "size"}], or None.
     """
 
     dt: float
@@ -93,9 +97,12 @@ class SplitStepEnv(TaskEnv):
     `_step` and `_reset` are made of these parts here and nowhere else: whatever collects by the parts collects what a
     plain `env.step` would give. A subclass that wants a step of its own derives from `TaskEnv` (or `EnvBase`) instead;
     overriding `_step` or `_reset` is refused.
+
+    random: generators of what the env draws, one for each candidate, which a `CapturedCollector` prefetches; None, the
+    default: it draws nothing, or by means of its own. An env whose steps are captured as graphs draws by these alone.
     """
 
-    random: PopulationRandom
+    random: PopulationRandom | None = None
     _goes_on = False
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

@@ -8,8 +8,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 from test_loss_shapes import COUNT, loss_and_batch
-from torchrl.data import Bounded, Composite, Unbounded
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.collectors import Collector
+from torchrl.data import Bounded, Composite, LazyTensorStorage, ReplayBuffer, Unbounded
+from torchrl.envs import Compose, EnvBase, TransformedEnv
+from torchrl.envs.utils import check_env_specs
 from torchrl.objectives.value import GAE
 
 from hts.rl import KLConstrainedPPOLoss, MeasuredReward, RewardCentring
@@ -55,6 +57,23 @@ def test_a_target_alone_may_be_no_number():
     data["value_target"][3] = math.nan
     with pytest.raises(ValueError, match=r"^'value_target' is nan at \[3, 0\], in 1 of 8 numbers"):
         loss(data)
+
+
+@pytest.mark.parametrize(
+    ("key", "who"), [("action", "policy"), ("action_log_prob", "policy"), ("state_value", "critic")]
+)
+@pytest.mark.parametrize("bad", BAD)
+def test_so_may_what_was_done_or_was_thought_of_it(key, who, bad):
+    loss, data = loss_and_batch()
+    data[key].view(COUNT, -1)[3] = bad
+    with pytest.raises(ValueError, match=rf"^'{key}' is {bad:g} at \[3.*\], in . of .* The {who} that acted gave it"):
+        loss(data)
+
+
+def test_a_value_of_the_old_critic_that_nobody_reads_may_be_anything():
+    loss, data = loss_and_batch(clip_value=None)
+    data["state_value"][3] = math.nan
+    assert torch.isfinite(loss(data)["loss_critic"])
 
 
 def test_of_candidates_it_is_told_where_nobody_is_left_for_they_do_not_see_each_other():
@@ -146,13 +165,73 @@ def efforts() -> torch.Tensor:
     return torch.arange(float(COUNT)).unsqueeze(-1)
 
 
-@pytest.mark.parametrize("again", [lambda data: data, lambda data: data.view(2, 4), lambda data: data.copy()])
+def sampled(data: TensorDict) -> TensorDict:
+    buffer = ReplayBuffer(storage=LazyTensorStorage(COUNT), batch_size=COUNT)
+    buffer.extend(data)
+    return buffer.sample()
+
+
+@pytest.mark.parametrize(
+    "again",
+    [
+        lambda data: data,
+        lambda data: data.view(2, 4),
+        lambda data: data.copy(),
+        lambda data: data.clone(),
+        lambda data: data[torch.randperm(COUNT)],
+        lambda data: data[2:4],
+        lambda data: data.to(torch.float64),
+        lambda data: torch.cat([data, data]),
+        lambda data: data.exclude("loc"),
+        sampled,
+    ],
+)
 def test_a_batch_is_not_paid_twice(again):
-    measured, data = reward_of(), batch_of(efforts())
+    data = batch_of(efforts())
+    measured = reward_of()
     paid, centre = measured(data)["next", "reward"].clone(), measured.centring.mean.clone()
-    with pytest.raises(ValueError, match="^This batch has got the measured reward of 'effort' already"):
-        measured(again(data))
+    assert data["next", "reward_before_effort"].tolist() == [[0.0]] * COUNT
+    for another in (measured, reward_of()):
+        with pytest.raises(ValueError, match="^This batch has got the measured reward of 'effort' already"):
+            another(again(data))
     assert torch.equal(data["next", "reward"], paid) and torch.equal(measured.centring.mean, centre)
+
+
+class Chosen(Pushed):
+    """Its effort is of another precision than its reward."""
+
+    def __init__(self, kind: torch.dtype) -> None:
+        super().__init__()
+        self.kind = kind
+        self.observation_spec = Composite(observation=Unbounded(1), effort=Unbounded(1, dtype=kind))
+
+    def _reset(self, tensordict):
+        return super()._reset(tensordict).set("effort", torch.zeros(1, dtype=self.kind))
+
+    def _step(self, tensordict):
+        done = torch.zeros(1, dtype=torch.bool)
+        effort = tensordict["action"].abs()
+        found = {"observation": effort, "effort": effort.to(self.kind), "reward": effort * 0, "done": done}
+        return TensorDict(found, [])
+
+
+@pytest.mark.parametrize("kind", [torch.float32, torch.float64])
+def test_an_env_that_pays_says_so_in_its_specs_and_in_its_batches(kind):
+    env = TransformedEnv(Chosen(kind), reward_of())
+    check_env_specs(env)
+    data = next(iter(Collector(env, frames_per_batch=8, total_frames=8)))
+    assert data["next", "reward"].dtype == torch.float32 and data["next", "reward"].any()
+    assert not data["next", "reward_before_effort"].any()
+    with pytest.raises(ValueError, match="'next' has 'reward_before_effort'.*and not where the env has it"):
+        reward_of()(data)
+    with pytest.raises(ValueError, match="^The env has 'reward_before_effort'"):
+        TransformedEnv(Chosen(kind), Compose(reward_of(), reward_of())).reset()
+
+
+def test_a_reward_keeps_its_precision():
+    for of_reward, of_effort in ((torch.float32, torch.float64), (torch.float64, torch.float32)):
+        data = batch_of(efforts().to(of_effort), torch.zeros(COUNT, 1, dtype=of_reward))
+        assert reward_of()(data)["next", "reward"].dtype == of_reward
 
 
 def test_nor_where_another_reward_was_added_between():
@@ -169,9 +248,16 @@ def test_another_batch_is_paid_also_where_it_lies_in_the_memory_of_the_last_one(
     measured(batch_of(effort, reward))  # the same memory, as a captured collector gives it: the reward is bare again
     data = measured(batch_of(effort, reward))
     for key in ("effort", "reward"):
-        data["next", key].copy_(efforts() + 1.0)  # a collector that writes into the batch that it gave
-    assert not torch.equal(measured(data)["next", "reward"], efforts() + 1.0)
+        data["next", key].copy_(efforts() + 1.0)  # a collector that writes into the batch that it gave: with its mark
+    with pytest.raises(ValueError, match=r"return_same_td=True, give it data.copy\(\)"):
+        measured(data)
     measured(batch_of(efforts()))
+
+
+def test_batches_of_a_collector_that_gives_one_tensordict_again_are_paid_as_copies():
+    measured = reward_of()
+    for data in Collector(Chosen(torch.float32), frames_per_batch=8, total_frames=24, return_same_td=True):
+        assert measured(data.copy())["next", "reward"].any() and not data["next", "reward"].any()
 
 
 def test_a_reward_that_was_put_back_is_paid_anew():

@@ -8,9 +8,11 @@ from tensordict import TensorDict
 from tensordict.nn import CompositeDistribution, set_composite_lp_aggregate
 from torch.distributions import (
     AffineTransform,
+    Beta,
     Categorical,
     Independent,
     MixtureSameFamily,
+    MultivariateNormal,
     Normal,
     StudentT,
     TransformedDistribution,
@@ -70,7 +72,8 @@ def test_where_no_formula_is_known_one_sample_has_the_right_mean():
 
 def test_a_distribution_without_a_formula_or_reparametrised_samples_is_refused():
     mixture = MixtureSameFamily(Categorical(logits=torch.zeros(4, 2)), Normal(torch.zeros(4, 2), 1.0))
-    with pytest.raises(NotImplementedError):
+    said = r"^torch knows no formula of KL\(MixtureSameFamily \|\| \w+\), and MixtureSameFamily has no rsample"
+    with pytest.raises(NotImplementedError, match=said):
         distribution_kl(mixture, mixture)
 
 
@@ -97,3 +100,15 @@ def test_a_composite_of_distributions_has_the_kl_of_one_sample():
         torch.manual_seed(0)
         found = torch.stack([distribution_kl(*made) for _ in range(4000)]).mean()
     assert float(found) == pytest.approx(6 * 0.1**2 / 2, abs=0.005)  # two parts of three; standard error 0.0017
+
+
+def test_a_reference_within_limits_is_none_of_a_policy_without_any():
+    free, squashed = (kind(torch.zeros(4, 2), torch.ones(4, 2)) for kind in (IndependentNormal, TanhNormal))
+    doubled = TanhNormal(torch.zeros(4, 2), torch.ones(4, 2), low=-2.0, high=2.0)
+    beta = Independent(Beta(torch.ones(4, 2), torch.ones(4, 2)), 1)
+    for reference in (squashed, doubled, beta):
+        with pytest.raises(ValueError, match=r"^KL\(IndependentNormal \|\| \w+\) is infinite: the policy's actions"):
+            distribution_kl(free, reference)
+        assert torch.isfinite(distribution_kl(reference, free)).all()  # the other way round it is finite
+    several = MultivariateNormal(torch.zeros(4, 2), torch.eye(2))
+    assert torch.isfinite(distribution_kl(several, free)).all() and torch.isfinite(distribution_kl(free, several)).all()

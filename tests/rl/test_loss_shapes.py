@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -14,10 +16,15 @@ from hts.rl import (
     KLConstrainedPPOLoss,
     LagrangeMultiplier,
     MeasuredReward,
+    Population,
+    PopulationActor,
+    PopulationCritic,
     PopulationRandom,
     RewardCentring,
+    Sizes,
     distribution_kl,
 )
+from hts.rl.loss_checks import check_action
 
 COUNT, ACTIONS = 8, 2
 
@@ -30,7 +37,8 @@ def actor_of(actions: int = ACTIONS, distribution=IndependentNormal) -> Probabil
 
 def loss_and_batch(**how) -> tuple[KLConstrainedPPOLoss, TensorDict]:
     torch.manual_seed(0)
-    actor, critic = actor_of(distribution=how.pop("distribution", IndependentNormal)), nn.Linear(3, 1)
+    actor = actor_of(how.pop("actions", ACTIONS), how.pop("distribution", IndependentNormal))
+    critic = nn.Linear(3, 1)
     loss = KLConstrainedPPOLoss(actor, ValueOperator(critic, in_keys=["observation"]), **how)
     data = TensorDict({"observation": torch.randn(COUNT, 3)}, [COUNT])
     with torch.no_grad():
@@ -58,6 +66,41 @@ def test_two_numbers_for_an_action_are_told_by_their_key(key):
         loss(data)
 
 
+@pytest.mark.parametrize(
+    ("actions", "shape"), [(2, (8, 1)), (2, (8, 3)), (2, (8,)), (2, (8, 2, 1)), (1, (8,)), (1, (8, 2))]
+)
+def test_an_action_of_another_width_is_told_though_it_would_broadcast(actions, shape):
+    loss, data = loss_and_batch(actions=actions)
+    data["action"] = torch.zeros(shape)
+    said = rf"^'action' has the shape {re.escape(str(shape))}, expected \(8, {actions}\): in states \(8,\) the policy"
+    with pytest.raises(ValueError, match=said):
+        loss(data)
+
+
+def test_so_is_one_of_candidates():
+    population = Population(Sizes(3, 3, 2, (4,)), 2)
+    loss = KLConstrainedPPOLoss(PopulationActor(population), PopulationCritic(population))
+    states = {name: torch.randn(2, 5, 3) for name in ("observation", "critic_observation")}
+    numbers = {name: torch.zeros(2, 5, 1) for name in ("advantage", "value_target", "state_value", "action")}
+    data = TensorDict({**states, **numbers, "action_log_prob": torch.zeros(2, 5)}, [2, 5])
+    with pytest.raises(ValueError, match=r"^'action' has the shape \(2, 5, 1\), expected \(2, 5, 2\)"):
+        loss(data)
+
+
+def test_actions_of_a_policy_that_looks_at_no_state_are_many():
+    loss, data = loss_and_batch()
+    head = loss.actor_network[0].module[0]
+    with torch.no_grad():
+        head.weight.zero_()  # it does the same everywhere, and its distribution may say so once
+    expected = loss(data)
+    dist = loss.actor_network.get_dist(data[:1])
+    check_action(data["action"], dist, "action")
+    torch.testing.assert_close(
+        dist.log_prob(data["action"]), loss.actor_network.get_dist(data).log_prob(data["action"])
+    )
+    assert torch.isfinite(expected["loss_objective"])
+
+
 def test_a_distribution_of_single_components_is_told_what_it_lacks():
     loss, data = loss_and_batch(distribution=Normal)
     with pytest.raises(ValueError, match=r"log-probabilities \(8, 2\).*by torch's Independent"):
@@ -77,6 +120,17 @@ def test_what_a_batch_lacks_is_said_with_who_gives_it(lacks, gives):
     loss, data = loss_and_batch()
     with pytest.raises(KeyError, match=rf"has no '{lacks}'; it has .*\. {gives} gives it"):
         loss(data.exclude(lacks))
+
+
+def test_so_is_what_the_networks_read_and_it_lacks():
+    loss, data = loss_and_batch()
+    said = "^.The batch has no 'observation', which actor_network reads; it has .*'action', .*A collector gives it"
+    for ask in (loss, loss.kl_to_reference):
+        with pytest.raises(KeyError, match=said):
+            ask(data.exclude("observation"))
+    loss.critic_network = ValueOperator(nn.Linear(3, 1), in_keys=["seen"])
+    with pytest.raises(KeyError, match="has no 'seen', which critic_network reads"):
+        loss(data)
 
 
 def test_a_batch_without_its_candidates_in_front_is_told():
