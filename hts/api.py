@@ -11,6 +11,7 @@ Every function raises the errors of `hts.errors`, whose text is what the command
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -135,7 +136,7 @@ def evaluate(
     Like `hts evaluate`.
 
     settings: dotted key of `evaluation.` or `world.` -> value, laid over the run's for this once, as --set takes them.
-    What is to be known of the recordings, such as that a log ends early, is printed.
+    What is to be known of the recordings, such as that a log ends early, goes to stderr, a line each.
 
     For example `api.evaluate("runs/first", [0.8])["objectives"]["OBJECTIVE"]["speeds"]["0.8"]["improvement"]`.
     """
@@ -156,7 +157,7 @@ def evaluate(
         registry=registry,
         sessions=sessions,
         overrides=[Override.of(key, value) for key, value in (settings or {}).items()],
-        say=print,
+        say=lambda line: print(line, file=sys.stderr),
     )
 
 

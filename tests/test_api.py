@@ -80,22 +80,23 @@ def test_fit_returns_what_was_written(tmp_path, monkeypatch):
     }
 
 
-def test_evaluate_passes_on_speeds_policy_world_seed_and_settings(folder, monkeypatch):
+def test_evaluate_passes_on_speeds_policy_world_seed_and_settings(folder, monkeypatch, capsys):
     from hts.evaluation import evaluate
 
     monkeypatch.setattr(evaluate, "evaluate_run", lambda place, **given: {"folder": place, **given})
     found = api.evaluate(folder, [0.8], policy="pretrained", seed=1, settings={"world.reality": "mine.json"})
     laid_over = [(".".join(one.path), one.value) for one in found.pop("overrides")]
     assert laid_over == [("world.reality", "mine.json")] and "twin" in found.pop("registry").worlds
+    found.pop("say")("a note")
     assert found == {
         "folder": folder,
         "speeds": [0.8],
         "policy": "pretrained",
         "world": None,
         "seed": 1,
-        "say": print,
         "sessions": None,
     }
+    assert capsys.readouterr() == ("", "a note\n")
 
 
 def test_load_gives_configuration_and_summary_of_a_finished_run(folder):

@@ -87,6 +87,9 @@ class Instrument(ABC):
     """
 
     channels: tuple[Channel, ...]
+    idles_at_rest: bool = True
+    """Whether motors that are on and hold still without torque read as idle ones do. False: they do not, as of drives
+    that draw something once they are enabled; then nobody holds `read` at rest against `idle`."""
 
     @abstractmethod
     def reset(self, num_worlds: int, rng: np.random.Generator) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 from tensordict import TensorDictBase
@@ -60,18 +62,32 @@ def project_actor_to_kl_bound(
             distribution_kl(policy, read_by("reference", reference, tensordict.copy(), reference.get_dist)).mean()
         )
 
-    kl, low, high = place(1.0), 0.0, 1.0
-    if kl <= bound:
-        return 1.0
-    least = place(0.0)
-    if math.isnan(kl) or not least <= bound:
-        place(1.0)
-        raise ValueError(
-            f"The KL is {kl:g}, and {least:g} with the reference's parameters; expected at most {bound:g} then. A "
-            "weight or a state is not finite, or the two differ in more than parameters, such as a normaliser."
-        )
-    for _ in range(steps):
-        middle = (low + high) / 2
-        low, high = (middle, high) if place(middle) <= bound else (low, middle)
-    place(low)
-    return low
+    with _evaluating(actor, reference):
+        kl, low, high = place(1.0), 0.0, 1.0
+        if kl <= bound:
+            return 1.0
+        least = place(0.0)
+        if math.isnan(kl) or not least <= bound:
+            place(1.0)
+            raise ValueError(
+                f"The KL is {kl:g}, and {least:g} with the reference's parameters; expected at most {bound:g} then. A "
+                "weight or a state is not finite, or the two differ in more than parameters, such as a normaliser."
+            )
+        for _ in range(steps):
+            middle = (low + high) / 2
+            low, high = (middle, high) if place(middle) <= bound else (low, middle)
+        place(low)
+        return low
+
+
+@contextmanager
+def _evaluating(*networks: TensorDictModuleBase) -> Iterator[None]:
+    """In `eval` mode, so that no dropout is drawn and no running mean moves; then each module as it was."""
+    modes = [(module, module.training) for network in networks for module in network.modules()]
+    for network in networks:
+        network.eval()
+    try:
+        yield
+    finally:
+        for module, training in modes:
+            module.training = training

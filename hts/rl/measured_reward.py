@@ -30,8 +30,9 @@ class MeasuredReward(OfItsSizes, Transform):
     refused in a batch, and in an env on a CPU: to ask at every step would wait for a GPU. The reward keeps its dtype.
 
     Either way the reward as it was goes into an entry of its own beside it, `before_key`: "reward_before_effort" of
-    reward_key "reward" and in_key "effort". A batch, or a part or copy of one, that has it and whose reward is another
-    now, has got its measured reward already and is refused.
+    reward_key "reward" and in_key "effort"; one number a step, without the last dimension that vectors have, so that
+    what gathers an env's vectors (`CatTensors`) leaves it out of what a policy sees. A batch, or a part or copy of one,
+    that has it and whose reward is another now, has got its measured reward already and is refused.
 
     Raises ValueError for a weight or dt that cannot be, and for weights of candidates with a centring of another number
     of them, TypeError for what is no number.
@@ -111,14 +112,14 @@ class MeasuredReward(OfItsSizes, Transform):
         self.centring.update(measured)
         added = self.added(measured)
         outcome.set(reward_key, task + (added.to(task.dtype) if task.is_floating_point() else added))
-        outcome.set(self.before_key, task.detach())
+        outcome.set(self.before_key, _numbers(task.detach(), outcome.batch_dims))
         return outcome
 
     def _refuse_twice(self, outcome: TensorDictBase, task: torch.Tensor) -> None:
         """Raise ValueError for what has got its measured reward, unless its reward is what it was before: then it was
         put back."""
-        before = outcome.get(self.before_key, None)
-        if before is not None and (before.shape != task.shape or bool((before != task).any())):
+        before, now = outcome.get(self.before_key, None), _numbers(task, outcome.batch_dims)
+        if before is not None and (before.shape != now.shape or bool((before != now).any())):
             raise ValueError(
                 f"This batch has got the measured reward of {self.in_keys[0]!r} already ('next' has "
                 f"{self.before_key!r}), and would get it again. Call MeasuredReward once for each batch of a "
@@ -133,12 +134,15 @@ class MeasuredReward(OfItsSizes, Transform):
                 f"The env has {self.before_key!r}: it adds the measured reward of {self.in_keys[0]!r} already. Leave "
                 "one MeasuredReward out."
             )
-        reward = self.parent.full_reward_spec[self.in_keys[1]]
+        reward = self._numbers_of_env()
         observation_spec[self.before_key] = Unbounded(reward.shape, dtype=reward.dtype, device=reward.device)
         return observation_spec
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set(self.before_key, self.parent.full_reward_spec[self.in_keys[1]].zero())
+        return tensordict_reset.set(self.before_key, self._numbers_of_env())
+
+    def _numbers_of_env(self) -> torch.Tensor:
+        return _numbers(self.parent.full_reward_spec[self.in_keys[1]].zero(), len(self.parent.batch_size))
 
 
 def _check_finite(key: NestedKey, reward: torch.Tensor) -> None:
@@ -149,6 +153,11 @@ def _check_finite(key: NestedKey, reward: torch.Tensor) -> None:
             f"The reward {key!r} is {first_bad(reward, bad)}. Nothing may be learned from that: stop, and look at the "
             "env, or at the transform that writes it, such as a measurement model."
         )
+
+
+def _numbers(reward: torch.Tensor, batch_dims: int) -> torch.Tensor:
+    """One number a step, [...], of rewards [..., 1]."""
+    return reward.squeeze(-1) if reward.ndim > batch_dims else reward
 
 
 def _flat(key: NestedKey) -> str:

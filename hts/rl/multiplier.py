@@ -90,7 +90,7 @@ class LagrangeMultiplier(OfItsSizes):
             f"The KL was above {FAR:g} times its bound in {LONG} updates of the multiplier one after the other: KL / c "
             f"is {(kl / self.bounds).tolist()}, alpha {self.value.tolist()}. Rewards may be so large that alpha, which "
             f"rises by {self.rate * LARGEST_EXCESS:g} an update at most, does not reach what they pay: make the loss "
-            "with normalize_advantage=True, or divide the rewards.",
+            "with normalize_advantage=True if it is not, or divide the rewards.",
             stacklevel=4,
         )
 

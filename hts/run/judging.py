@@ -90,7 +90,7 @@ def judge(
     able = [
         one
         for one, row in zip(judged, rows, strict=True)
-        if may_be_tested(one, row["stopped"], lenient) and one.id not in alike
+        if may_be_tested(one.falls, row["stopped"], lenient) and one.id not in alike
     ]
     details = {
         name: [{key: value for key, value in vars(trial).items() if key not in NOT_WRITTEN} for trial in row]
@@ -217,17 +217,15 @@ def same_policies(rows: Sequence[Mapping[str, Any]]) -> set[str]:
 
 
 def is_lenient(job: Job) -> bool:
-    """Whether the run's world gets who fell or was stopped in simulation too: a simulated one without a strict gate."""
+    """Whether the run's world gets who fell or was stopped in simulation too: a simulated one without a strict gate. A
+    world that does not say what it is counts as a machine."""
     return job.world.simulated is True and not (job.config.gate.enabled and job.gate_is_strict)
 
 
-def may_be_tested(candidate: SimulatedCandidate, stopped: str | None, simulated: bool | None) -> bool:
-    """A machine never gets a candidate that fell in simulation, or whose training was stopped; a simulated world may,
-    where no gate stands before it.
-
-    simulated: as `World.simulated`; a world that does not say counts as a machine, and so does one behind a gate.
-    """
-    return simulated is True or (candidate.falls == 0 and stopped is None)
+def may_be_tested(falls: int, stopped: str | None, lenient: bool) -> bool:
+    """A machine never gets a candidate that fell in simulation, so often, or whose training was stopped, for this
+    reason; a simulated world may, where no gate stands before it. lenient: as `is_lenient` says."""
+    return lenient or (falls == 0 and stopped is None)
 
 
 def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]) -> FineTuning:

@@ -8,7 +8,7 @@ from typing import Any
 
 from hts.run import iteration
 from hts.run.job import Job
-from hts.run.judging import is_lenient, same_policies
+from hts.run.judging import is_lenient, may_be_tested, same_policies
 
 
 def passed_over(job: Job, index: int) -> dict[str, Any] | None:
@@ -32,4 +32,6 @@ def could_be_tried(
     out = same_policies(rows)
     if gated is not None:
         out |= {name for name, row in gated["policies"].items() if not row["passed"]}
-    return [row["id"] for row in rows if row["id"] not in out and (lenient or not (falls[row["id"]] or row["stopped"]))]
+    return [
+        row["id"] for row in rows if row["id"] not in out and may_be_tested(falls[row["id"]], row["stopped"], lenient)
+    ]

@@ -103,9 +103,9 @@ def _check_stranger(
         if row.most > most:
             name = policies[number].name
             raise RecordingError(
-                f"{files[number]}: its joint targets are not those of {name}, of which this row is, nor of another "
-                f"policy of the bundle: computed again from the log they are off by {row.most:.2g} rad and more in "
-                f"three quarters of it; expected less than {most:.2g}, as in other logs of this visit ({len(agree)}). "
+                f"{files[number]}: its joint targets are not those of {name}, of which this row is, nor clearly of "
+                f"another policy of the bundle: computed again from the log they are off by {row.most:.2g} rad and more in "
+                f"three quarters of it; expected less than {most:.2g}, as in {len(agree)} other logs of this visit. "
                 f"Run that row's policy, {name}, and record the row again; if it did run, the log holds other states "
                 "than the policy was given: correct its mapping, or leave joint_target out of it."
             )
@@ -113,8 +113,8 @@ def _check_stranger(
 
 def distance(policy: DeployedPolicy, recording: Recording) -> float | None:
     """How far a log's joint targets are from those that the policy asks for in its place, rad, root mean square; None
-    where the log does not show it. The state that a target came from is in its row, or in the row before."""
-    off = differences(policy, recording, range(2))
+    where the log does not show it. The state that a target came from is in its row, or up to three rows before."""
+    off = differences(policy, recording, LATE)
     return None if off is None else min(float(np.sqrt(np.mean(one**2))) for one in off)
 
 

@@ -8,8 +8,10 @@ import math
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import NormalParamExtractor, TensorDictModule
 from test_loss_shapes import actor_of, loss_and_batch
-from torchrl.modules import TanhNormal
+from torch import nn
+from torchrl.modules import ProbabilisticActor, TanhNormal
 
 from hts.rl import (
     KLConstrainedPPOLoss,
@@ -50,6 +52,26 @@ def test_one_that_is_inside_stays_what_it_is(bound):
     end = vector(loss.actor_network)
     assert project_actor_to_kl_bound(loss.actor_network, loss.reference, data, bound) == 1.0
     assert torch.equal(vector(loss.actor_network), end)
+
+
+@pytest.mark.parametrize("layer", [nn.Dropout(0.3), nn.BatchNorm1d(3)], ids=["dropout", "batch norm"])
+def test_what_differs_while_training_is_judged_as_it_will_act_and_left_as_it_was(layer):
+    inner = nn.Sequential(layer, nn.Linear(3, 4), NormalParamExtractor())
+    actor = ProbabilisticActor(
+        TensorDictModule(inner, ["observation"], ["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+    )
+    reference, data = copy.deepcopy(actor), TensorDict({"observation": torch.randn(200, 3)}, [200])
+    with torch.no_grad():
+        for parameter in actor.parameters():
+            parameter.add_(0.5 * torch.randn_like(parameter))
+    kept = [buffer.clone() for network in (actor, reference) for buffer in network.buffers()]
+    assert 0.0 < project_actor_to_kl_bound(actor, reference, data, 0.01) < 1.0
+    now = [buffer for network in (actor, reference) for buffer in network.buffers()]
+    assert all(torch.equal(one, other) for one, other in zip(kept, now, strict=True))
+    assert all(module.training for network in (actor, reference) for module in network.modules())
 
 
 def test_a_copy_of_the_actor_is_a_reference_as_the_losss_own_is():

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from test_loss_shapes import COUNT, loss_and_batch
 from torchrl.collectors import Collector
 from torchrl.data import Bounded, Composite, LazyTensorStorage, ReplayBuffer, Unbounded
-from torchrl.envs import Compose, EnvBase, TransformedEnv
+from torchrl.envs import CatTensors, Compose, EnvBase, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 from torchrl.objectives.value import GAE
 
@@ -190,7 +190,7 @@ def test_a_batch_is_not_paid_twice(again):
     data = batch_of(efforts())
     measured = reward_of()
     paid, centre = measured(data)["next", "reward"].clone(), measured.centring.mean.clone()
-    assert data["next", "reward_before_effort"].tolist() == [[0.0]] * COUNT
+    assert data["next", "reward_before_effort"].tolist() == [0.0] * COUNT
     for another in (measured, reward_of()):
         with pytest.raises(ValueError, match="^This batch has got the measured reward of 'effort' already"):
             another(again(data))
@@ -226,6 +226,15 @@ def test_an_env_that_pays_says_so_in_its_specs_and_in_its_batches(kind):
         reward_of()(data)
     with pytest.raises(ValueError, match="^The env has 'reward_before_effort'"):
         TransformedEnv(Chosen(kind), Compose(reward_of(), reward_of())).reset()
+
+
+def test_what_was_paid_before_is_no_part_of_what_a_policy_sees():
+    seen = []
+    for paying in ([], [reward_of()]):
+        gathered = CatTensors(out_key="seen", del_keys=False)
+        env = TransformedEnv(Chosen(torch.float32), Compose(*paying, gathered))
+        seen.append((gathered.in_keys, env.rollout(3)["next", "seen"].shape))
+    assert seen[0] == seen[1]
 
 
 def test_a_reward_keeps_its_precision():

@@ -110,9 +110,18 @@ COUNTS = """
         def read(self):
             return {CHANNEL.name: self.joules.copy()}
 """  # begins at its level and leaves it
+ENABLED = """
+        idles_at_rest = False
+
+        def read(self):
+            return {CHANNEL.name: 38 + self.kelvin}
+
+        def idle(self):
+            return {CHANNEL.name: 30.0}
+"""  # inverters take 8 W once they are on
 
 
-@pytest.mark.parametrize("body", ["", SLOW, OFFSETS, COOLING, LATE, WHOLE_TENS, SCALES, COUNTS])
+@pytest.mark.parametrize("body", ["", SLOW, OFFSETS, COOLING, LATE, WHOLE_TENS, SCALES, COUNTS, ENABLED])
 def test_a_sound_instrument_passes(install, body):
     assert faults(install, body) == []
 

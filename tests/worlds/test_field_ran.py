@@ -74,7 +74,11 @@ def logs(run, policies) -> Path:
     return bundle(run) / "logs"
 
 
-@pytest.mark.parametrize(("noise", "late"), [(0.0, 0), (0.0, 1), (0.002, 0)], ids=["same row", "row before", "noise"])
+@pytest.mark.parametrize(
+    ("noise", "late"),
+    [(0.0, 0), (0.0, 1), (0.0, 3), (0.002, 0)],
+    ids=["same row", "row before", "three rows before", "noise"],
+)
 def test_exchanged_logs_are_refused_and_those_in_their_places_read(run, robot, policies, logs, noise, late):
     for name, policy in zip(("01", "00"), policies, strict=True):
         walk(logs / f"{name}.csv", robot, policy, noise, late)
