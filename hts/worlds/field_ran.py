@@ -104,10 +104,10 @@ def _check_stranger(
             name = policies[number].name
             raise RecordingError(
                 f"{files[number]}: its joint targets are not those of {name}, of which this row is, nor clearly of "
-                f"another policy of the bundle: computed again from the log they are off by {row.most:.2g} rad and more in "
-                f"three quarters of it; expected less than {most:.2g}, as in {len(agree)} other logs of this visit. "
-                f"Run that row's policy, {name}, and record the row again; if it did run, the log holds other states "
-                "than the policy was given: correct its mapping, or leave joint_target out of it."
+                f"another policy of the bundle: computed again from the log they are off by {row.most:.2g} rad and "
+                f"more in three quarters of it; expected less than {most:.2g}, as in other logs of this visit "
+                f"({len(agree)}). Run that row's policy, {name}, and record the row again; if it did run, the log "
+                "holds other states than the policy was given: correct its mapping, or leave joint_target out of it."
             )
 
 
