@@ -35,8 +35,8 @@ LATE_SECONDS, CLEARLY = 0.3, 0.3
 as they are at the best of these delays: on the walks above by 0.37 to 0.92 more, where an attitude is late and a trunk
 rocks periodically by 0 at most."""
 LEAST_HZ, MOST_FAST = 20.0, 0.5
-"""Slower samples tell nothing: a trot rocks with 2 to 3 Hz and twice that. Nor does a trunk of which so much of the
-power lies above a quarter of the rate, where what is faster than half of it is folded to."""
+"""Slower samples tell nothing: a trot rocks with 2 to 3 Hz and twice that. Nor does a trunk whose turning has so much of
+its squares above a quarter of the rate, where what is faster than half of it is folded to."""
 
 
 def check_turning(channels: Mapping[str, Series], rate_hz: float, where: str, stated: Collection[str] = ()) -> None:
@@ -90,10 +90,10 @@ def _late(seen: np.ndarray, told: np.ndarray, most: int) -> float:
 
 
 def _fast(turning: np.ndarray) -> float:
-    """Share of the power above a quarter of the rate, of the component of (T, 2) where it is larger."""
-    power = np.abs(np.fft.rfft(turning - turning.mean(axis=0), axis=0)) ** 2
+    """Share of the squares above a quarter of the rate, of the component of (T, 2) where it is larger."""
+    squares = np.abs(np.fft.rfft(turning - turning.mean(axis=0), axis=0)) ** 2
     above = np.fft.rfftfreq(len(turning)) > 1 / 4  # periods a sample
-    return float((power[above].sum(axis=0) / power.sum(axis=0)).max())
+    return float((squares[above].sum(axis=0) / squares.sum(axis=0)).max())
 
 
 def _averaged(values: np.ndarray, samples: int) -> np.ndarray:
