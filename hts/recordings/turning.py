@@ -35,8 +35,8 @@ LATE_SECONDS, CLEARLY = 0.3, 0.3
 as they are at the best of these delays: on the walks above by 0.37 to 0.92 more, where an attitude is late and a trunk
 rocks periodically by 0 at most."""
 LEAST_HZ, MOST_FAST = 20.0, 0.5
-"""Slower samples tell nothing: a trot rocks with 2 to 3 Hz and twice that. Nor does a trunk whose turning has so much of
-its squares above a quarter of the rate, where what is faster than half of it is folded to."""
+"""Slower samples tell nothing: a trot rocks with 2 to 3 Hz and twice that. Nor does a trunk whose turning has so much
+of its squares above a quarter of the rate, where what is faster than half of it is folded to."""
 
 
 def check_turning(channels: Mapping[str, Series], rate_hz: float, where: str, stated: Collection[str] = ()) -> None:
