@@ -31,7 +31,7 @@ def check_gravity(channels: Mapping[str, Series], where: str) -> None:
         return
     values = channels[GRAVITY].values.astype(np.float64)
     length = float(np.median(np.sqrt((values**2).sum(axis=1))))
-    if abs(length - 1.0) <= TOLERANCE:
+    if not abs(length - 1.0) > TOLERANCE:  # nor is anything said of values that are missing, NaN
         return
     if length < 1e-3:
         hint = "these are no attitude: correct its columns"
@@ -63,17 +63,18 @@ def check_upright(recording: Recording, where: str, stated: Collection[str] = ()
         return
     down = channels[GRAVITY].values[walks, 2].astype(np.float64)
     median, first = float(np.median(down)), float(np.median(down[: round(BEGINS_SECONDS * recording.rate_hz)]))
-    if min(median, first) <= UPSIDE_DOWN:
+    if not (median > UPSIDE_DOWN and first > UPSIDE_DOWN):  # nor of values that are missing, NaN
         return
     if turned:
-        hint = "the mapping turns it over (sign or scale), so leave that out"
+        hint = "the mapping turns it over (sign or scale): leave that out"
     else:
         hint = (
-            "the log probably has the up vector, so say sign: -1 of it in the mapping (of a trunk frame whose z points "
+            "the log probably has the up vector: say sign: -1 of it in the mapping (of a trunk frame whose z points "
             "down, turn y and z in the log instead)"
         )
     raise RecordingError(
         f"{where}: '{GRAVITY}' has z at {median:+.2g} (median of {len(down) / recording.rate_hz:.3g} s in which the "
-        f"joints move), as of one that walks upside down. Expected (0, 0, -1) of an upright robot, by which falls are "
-        f"told: {hint}; if it is right, say so with `limits`, or recording.fell: true."
+        f"joints move), as of one that moves upside down. Expected (0, 0, -1) of an upright robot, by which falls are "
+        "told. Is it mounted upside down (an arm on a ceiling), or does it climb? Then this is right: say so with "
+        f"`limits`, and of one that lay on its back recording.fell: true. Else {hint}."
     )

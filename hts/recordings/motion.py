@@ -74,6 +74,12 @@ def standardized(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (values - values.mean(0)) / spread, spread
 
 
+def correlations(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(k,), of each column with the other's, (T, k) each; 0 of a column that stays as it is."""
+    one, other = one - one.mean(axis=0), other - other.mean(axis=0)
+    return np.asarray((one * other).mean(axis=0) / np.maximum(one.std(axis=0) * other.std(axis=0), 1e-12))
+
+
 def exchanged(alike: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
     """Joints (m,) that fit another one's quantity by more than `least`, either way, and by BETTER more than their own;
     and whose each joint fits best, (k,). alike: (k, k) correlations [one's joint, the other's joint]."""

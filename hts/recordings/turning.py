@@ -9,6 +9,9 @@ tests/recordings/test_real_logs.py) the correlation is 0.95 to 0.98 for each com
 as it must be; on two simulated walks 0.84 to 0.97 and 0.9 to 1.0. Of 20 drawn robots, some of a very noisy gravity,
 they go down to 0.16 and 0.2: noise of gravity makes w look too small, but never too large, and none that is as it must
 be was refused.
+
+An attitude that an estimator gives late looks like one counted the other way where the trunk rocks periodically, and
+rocking that is faster than the samples looks like slower: a sign is refused only where no delay explains it.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ import numpy as np
 
 from hts.errors import RecordingError
 from hts.recordings.gravity import GRAVITY
-from hts.recordings.motion import ALIKE, OTHER_UNIT, UNLIKE
+from hts.recordings.motion import ALIKE, OTHER_UNIT, UNLIKE, correlations
 from hts.recordings.recording import Series
 
 TURNING = "angular_velocity"
@@ -27,14 +30,24 @@ OVER_SECONDS, LEAST_SECONDS = 0.1, 3.0
 """Over so many both are averaged; a shorter log tells nothing."""
 TURNS = 0.03
 """1/s of standard deviation: with less the trunk hardly turns."""
+LATE_SECONDS, CLEARLY = 0.3, 0.3
+"""By up to so many one of the two may be late (or early). Turned over, they must correlate by so much more than they do
+as they are at the best of these delays: on the walks above by 0.37 to 0.92 more, where an attitude is late and a trunk
+rocks periodically by 0 at most."""
+LEAST_HZ, MOST_FAST = 20.0, 0.5
+"""Slower samples tell nothing: a trot rocks with 2 to 3 Hz and twice that. Nor does a trunk whose turning has so much
+of its squares above a quarter of the rate, where what is faster than half of it is folded to."""
 
 
 def check_turning(channels: Mapping[str, Series], rate_hz: float, where: str, stated: Collection[str] = ()) -> None:
     """Raise RecordingError where `angular_velocity` is not how `projected_gravity` turns, saying what it looks like.
 
     rate_hz: of the samples; where: begins the message; stated: names of channels whose limits a mapping states, which
-    is a person's word for them. Nothing is said of a trunk that hardly turns, nor where the two do not go together.
+    is a person's word for them. Nothing is said of a trunk that hardly turns, or faster than the samples tell, nor
+    where the two do not go together, or do with one of them late.
     """
+    if rate_hz < LEAST_HZ:
+        return
     names = (GRAVITY, TURNING)
     if any(name not in channels or name in stated or channels[name].values.shape[1:] != (3,) for name in names):
         return
@@ -45,8 +58,12 @@ def check_turning(channels: Mapping[str, Series], rate_hz: float, where: str, st
     seen_size, told_size = seen.std(axis=0), told.std(axis=0)
     if seen_size.min() < TURNS or told_size.min() < TURNS / OTHER_UNIT:
         return
-    alike = ((seen - seen.mean(axis=0)) * (told - told.mean(axis=0))).mean(axis=0) / (seen_size * told_size)
+    if max(_fast(seen), _fast(told)) > MOST_FAST:
+        return
+    alike = correlations(seen, told)
     ratio = float(np.median(told_size / seen_size))
+    if alike.min() < -ALIKE and np.abs(alike).min() < _late(seen, told, round(LATE_SECONDS * rate_hz)) + CLEARLY:
+        return
     if alike.max() < -ALIKE:
         hint = f"it is counted the other way: say sign: -1 of '{TURNING}'"
     elif (alike.mean() > UNLIKE and ratio > OTHER_UNIT) or (alike.min() > ALIKE and ratio < 1 / OTHER_UNIT):
@@ -61,6 +78,22 @@ def check_turning(channels: Mapping[str, Series], rate_hz: float, where: str, st
         f"{where}: '{TURNING}' is not how '{GRAVITY}' turns in the trunk's frame (correlation {alike[0]:.2f} and "
         f"{alike[1]:.2f}): {hint}; if it is right, say so with `limits`."
     )
+
+
+def _late(seen: np.ndarray, told: np.ndarray, most: int) -> float:
+    """Correlation of the component that fits worse, at the delay of up to `most` samples, either way, where that is
+    highest. seen, told: (T, 2), 1/s."""
+    fits = [correlations(seen, told)]
+    for by in range(1, most + 1):
+        fits += [correlations(seen[by:], told[:-by]), correlations(seen[:-by], told[by:])]
+    return float(np.min(fits, axis=1).max())
+
+
+def _fast(turning: np.ndarray) -> float:
+    """Share of the squares above a quarter of the rate, of the component of (T, 2) where it is larger."""
+    squares = np.abs(np.fft.rfft(turning - turning.mean(axis=0), axis=0)) ** 2
+    above = np.fft.rfftfreq(len(turning)) > 1 / 4  # periods a sample
+    return float((squares[above].sum(axis=0) / squares.sum(axis=0)).max())
 
 
 def _averaged(values: np.ndarray, samples: int) -> np.ndarray:

@@ -14,7 +14,8 @@ from hts.errors import RecordingError
 from hts.evaluation.segments import falls_of
 from hts.recordings import Series
 from hts.recordings.checks import check
-from hts.recordings.logs import recording_from_columns
+from hts.recordings.gravity import check_gravity
+from hts.recordings.logs import check_upright, recording_from_columns
 
 UPRIGHT = np.tile([0.0, 0.0, -1.0], (500, 1))
 
@@ -110,17 +111,20 @@ def test_a_walk_whose_gravity_points_up_is_refused_with_the_line_to_write():
     with pytest.raises(RecordingError) as told:
         walked(leaning(upright=1.0))
     assert str(told.value) == (
-        "01.csv: 'projected_gravity' has z at +1 (median of 10 s in which the joints move), as of one that walks "
-        "upside down. Expected (0, 0, -1) of an upright robot, by which falls are told: the log probably has the up "
-        "vector, so say sign: -1 of it in the mapping (of a trunk frame whose z points down, turn y and z in the log "
-        "instead); if it is right, say so with `limits`, or recording.fell: true."
+        "01.csv: 'projected_gravity' has z at +1 (median of 10 s in which the joints move), as of one that moves "
+        "upside down. Expected (0, 0, -1) of an upright robot, by which falls are told. Is it mounted upside down (an "
+        "arm on a ceiling), or does it climb? Then this is right: say so with `limits`, and of one that lay on its "
+        "back recording.fell: true. Else the log probably has the up vector: say sign: -1 of it in the mapping (of a "
+        "trunk frame whose z points down, turn y and z in the log instead)."
     )
     upright = walked(leaning(upright=1.0), sign=-1)
     assert upright.values("projected_gravity")[:, 2].max() < -0.9
 
 
 def test_one_sign_too_many_is_told_as_that():
-    with pytest.raises(RecordingError, match="the mapping turns it over .sign or scale., so leave that out"):
+    with pytest.raises(
+        RecordingError, match="mounted upside down .* Else the mapping turns it over .sign or scale.: leave that out"
+    ):
         walked(leaning(), sign=-1)
 
 
@@ -144,3 +148,12 @@ def test_a_robot_that_fell_or_hangs_or_stands_may_be_upside_down(settings):
 
 def test_a_moment_of_moving_tells_nothing():
     walked(leaning(upright=1.0), speed=np.where(WALK < 0.8, 2.0, 0.0))
+
+
+def test_missing_values_are_another_check_s_to_tell():
+    one = walked(leaning(upright=1.0), limits=[-1.01, 1.01])
+    with pytest.raises(RecordingError, match="upside down"):
+        check_upright(one, "01.csv")
+    one.channels["projected_gravity"].values[250, 2] = np.nan
+    check_upright(one, "01.csv")
+    check_gravity(one.channels, "01.csv")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +12,10 @@ import numpy as np
 import pytest
 from two_joint_log import LogOnly, read
 
+from hts.channels import Channel
 from hts.errors import RecordingError
+from hts.recordings import Series
+from hts.recordings.logs import check_targets, check_turning
 
 LOGS = Path(os.environ.get("HTS_REAL_LOGS", Path(__file__).parents[3] / "shared" / "real-logs"))
 pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason="real logs are not here; HTS_REAL_LOGS names their folder")
@@ -115,3 +119,59 @@ def test_every_log_of_an_arm_is_read_although_their_line_ends_differ() -> None:
     lengths = {name: recording.num_samples for name, recording in recordings.items()}
     assert not any("repeated_while_moving" in recording.notes for recording in recordings.values())
     assert lengths == {"L0L1": 29, "L1L2": 65, "L2L3": 40, "L3L4": 49, "L4L5": 42, "fig9": 888}
+
+
+def test_targets_of_a_walk_are_taken_and_offsets_actions_degrees_and_other_signs_are_not() -> None:
+    """The robot is let go at the end, so 6 s of its targets stay; of the moving ones few do."""
+    mapping = {
+        "header": False,
+        "files": {"state": "*state*", "command": "*command*"},
+        "time": {"column": 0, "unit": "ns"},
+        "rate_hz": 50,
+        "joint_order": [f"{leg}_{part}" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf")],
+        "channels": {
+            "joint_position": {"columns": "1..12", "unit": "rad", "file": "state"},
+            "joint_target": {"columns": "1..12", "unit": "rad", "file": "command"},
+        },
+    }
+    files = [LOGS / "go2_rl" / f"test_1__{name}_history.csv" for name in ("state", "command")]
+    walk = read(files, mapping, QUADRUPED)
+    pose = np.array([0.0, 0.8, -1.5] * 4)  # rad, as such policies stand
+    spec = dataclasses.replace(QUADRUPED.spec, default_pose=tuple(pose))  # its action scale is 0.25 rad
+    targets = walk.values("joint_target")
+    check_targets(walk, spec, "walk")
+    for wrong, told in (
+        (targets - pose, "offsets from the default pose"),
+        ((targets - pose) / 0.25, "or actions"),
+        (np.degrees(targets), "taken as degrees"),
+        (-targets, "say sign: -1"),
+    ):
+        changed = Series(walk.channels["joint_target"].channel, wrong)
+        with pytest.raises(RecordingError, match=told):
+            check_targets(walk.replace(channels={**walk.channels, "joint_target": changed}), spec, "walk")
+
+
+@pytest.mark.parametrize("name", ["walking5", "back_both_wire2"])
+def test_a_gyroscope_may_be_late_and_not_in_degrees_or_counted_the_other_way(name: str) -> None:
+    log = np.genfromtxt(LOGS / "go2_walk" / f"{name}.csv", delimiter=",", names=True)
+    log = log[np.isfinite(log["roll"]) & np.isfinite(log["gyro_x"])]
+    times = np.arange(log["timestamp"][0] + 0.5, log["timestamp"][-1], 1 / 50)
+
+    def look(factors: tuple[float, ...], late: float = 0.0) -> None:
+        """factors: of the gyroscope's axes; late: s by which the attitude is."""
+        roll, pitch = (np.interp(times - late, log["timestamp"], log[angle]) for angle in ("roll", "pitch"))
+        gravity = np.stack([np.sin(pitch), -np.cos(pitch) * np.sin(roll), -np.cos(pitch) * np.cos(roll)], axis=1)
+        gyro = np.stack([np.interp(times, log["timestamp"], log[f"gyro_{axis}"]) for axis in "xyz"], axis=1)
+        told = {"projected_gravity": (gravity, "1"), "angular_velocity": (gyro * factors, "rad/s")}
+        channels = {kind: Series(Channel(kind, unit, (3,)), values) for kind, (values, unit) in told.items()}
+        check_turning(channels, 50.0, name)
+
+    for late in (0.0, 0.1, 0.2, 0.3):
+        look((1.0, 1.0, 1.0), late)
+    for factors, told in (
+        ((57.3, 57.3, 57.3), "in another unit"),
+        ((-1.0, -1.0, -1.0), "it is counted the other way"),
+        ((1.0, -1.0, -1.0), "one is counted the other way"),
+    ):
+        with pytest.raises(RecordingError, match=told):
+            look(factors)
