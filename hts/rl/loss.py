@@ -313,7 +313,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         keys = self.tensor_keys
         made = {keys.action: "policy", keys.sample_log_prob: "policy", keys.value: "critic"}
         gives = None if key not in made else f"The {made[key]} that acted gave it, or what it saw is not finite"
-        check_finite(batch, key, self.kl_bound.ndim > 0, gives, keys.reward)
+        check_finite(batch, key, reward=keys.reward, candidates=self.kl_bound.ndim > 0, gives=gives)
 
     def _check_candidates(self, shape: torch.Size) -> None:
         """Raise ValueError unless a batch of this shape begins with as many candidates as there are bounds."""

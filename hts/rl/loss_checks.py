@@ -125,7 +125,9 @@ def first_bad(value: torch.Tensor, bad: torch.Tensor) -> str:
     return f"{float(value[tuple(index)]):g} at {index}, in {int(bad.sum())} of {bad.numel()} numbers"
 
 
-def check_finite(batch: TensorDictBase, key: NestedKey, candidates: bool, gives: str | None, reward: NestedKey) -> None:
+def check_finite(
+    batch: TensorDictBase, key: NestedKey, *, reward: NestedKey, candidates: bool, gives: str | None
+) -> None:
     """Raise ValueError where what a batch has under key is not finite; of candidates only where nobody's is, for
     they do not see each other, and one that is bad shows in its own loss. On a CPU alone: asking waits for a GPU, in
     every gradient step; there the update of the multiplier tells.

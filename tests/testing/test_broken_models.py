@@ -90,30 +90,21 @@ def test_a_file_of_that_name_in_the_current_folder_takes_no_ones_place(install, 
     assert faults(install) == []
 
 
-STEP = """
-        def step(self, inputs, state):
+AROUND = """
+        def {method}(self, inputs, state=None):
             {before}
-            prediction, state = super().step(inputs, state)
+            prediction, state = super().{method}(inputs, state)
             {after}
             return prediction, state
 """
 
 
-def step(before: str = "", after: str = "") -> dict[str, str]:
-    return {"body": STEP.format(before=before or "pass", after=after or "pass")}
+def step(before: str = "pass", after: str = "pass") -> dict[str, str]:
+    return {"body": AROUND.format(method="step", before=before, after=after)}
 
 
-SEQUENCE = """
-        def sequence(self, inputs, state=None):
-            {before}
-            prediction, state = super().sequence(inputs, state)
-            {after}
-            return prediction, state
-"""
-
-
-def sequence(before: str = "", after: str = "") -> dict[str, str]:
-    return {"body": SEQUENCE.format(before=before or "pass", after=after or "pass")}
+def sequence(before: str = "pass", after: str = "pass") -> dict[str, str]:
+    return {"body": AROUND.format(method="sequence", before=before, after=after)}
 
 
 SATURATED = """
