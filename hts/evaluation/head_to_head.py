@@ -301,7 +301,7 @@ def _measure(
     if sent is not None:
         check_range(segments, speed, sent)  # the reason of all that follows from it
     for role in ROLES:
-        _check_enough(segments[role], role, speed, config, task)
+        _check_enough(segments, role, speed, config, task)
     if sent is not None:
         check_apart(segments, speed, sent, config, seed)
     scores = {role: scored(objective, segments[role], role) for role in ROLES}
@@ -332,11 +332,15 @@ def _one_speed(recordings: Sequence[Recording], task: Task) -> float:
     return speeds[0]
 
 
-def _check_enough(segments: Segments, role: str, speed: float, config: EvaluationConfig, task: Task) -> None:
-    where, name = f"Head-to-head{task.at(speed)}", NAMES[role]
+def _enough(segments: Segments, config: EvaluationConfig) -> bool:
+    return segments.valid >= config.min_valid and len(segments) >= config.min_segments
+
+
+def _check_enough(both: Mapping[str, Segments], role: str, speed: float, config: EvaluationConfig, task: Task) -> None:
+    segments, where, name = both[role], f"Head-to-head{task.at(speed)}", NAMES[role]
     if not segments.recordings:
         raise EvaluationError(f"{where}: no recording has the role '{role}'. Record {name} too.")
-    if segments.valid >= config.min_valid and len(segments) >= config.min_segments:
+    if _enough(segments, config):
         return
     fell = f", with {segments.falls} falls" if segments.falls else ""
     fell += f", samples are missing in {segments.gaps}" if segments.gaps else ""
@@ -350,12 +354,16 @@ def _check_enough(segments: Segments, role: str, speed: float, config: Evaluatio
         mean = "" if math.isnan(segments.walked) else f"; {task.quantity} {segments.walked:.3g} {task.unit} on average"
         rule = f"the task was done in them{fell}{mean}"
         remedy = f"check that it does its task and that {', '.join(task.channels)} are right."
+    numbers, reference = refusal(segments, speed), both["reference"]
+    if role != "reference" and reference.recordings and not _enough(reference, config):
+        numbers["reference_walked"] = refusal(reference, speed)["walked"]
+        remedy += f" {NAMES['reference'].capitalize()} has too few as well."
     raise TooFewSegments(
         f"{where}: {len(segments)} of {segments.total} segments of {name} are valid "
         f"({rule}); at least {config.min_segments} and {config.min_valid:.0%} are needed. "
         f"Nothing is reported: {remedy}",
         role,
-        refusal(segments, speed),
+        numbers,
     )
 
 

@@ -31,7 +31,8 @@ NAMES = {"policy": "the policy", "reference": "the reference policy"}
 class NotComparable(EvaluationError):
     """Nothing can be reported about the policy against the reference; `role` says because of which of them.
 
-    numbers: asked `speed` and mean speed `walked` (None if unknown), m/s; `valid` share of the segments; `falls`.
+    numbers: asked `speed` and mean speed `walked` (None if unknown), m/s; `valid` share of the segments; `falls`;
+    `reference_walked`, m/s, only where it is the policy, and the reference has too few segments as well.
     """
 
     def __init__(self, message: str, role: str = "policy", numbers: Mapping[str, float | None] | None = None) -> None:

@@ -75,7 +75,8 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
     found, linear = held["r2"], (held.get("linear") or {}).get("r2")
     linear = None if model.get("name") == "linear" else linear  # whoever chose it is not told to choose it
     lines = []
-    if found is not None and linear is not None and linear > 0 and linear - found >= WORSE_THAN_LINEAR:
+    explains = linear is not None and linear >= WORSE_THAN_LINEAR  # else there is nothing in it to choose
+    if found is not None and linear is not None and explains and linear - found >= WORSE_THAN_LINEAR:
         lines.append(
             f"{target}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
             f"{_number(linear)}. {_instead(model, report.get('fit') or {}, report['objective'])}, or record more."

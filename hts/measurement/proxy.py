@@ -89,13 +89,17 @@ def has_proxy(objective: Objective, inputs: Sequence[Channel]) -> bool:
     return proxy_of(objective, {one.name: torch.zeros(1, *one.shape) for one in inputs}, (1,)) is not None
 
 
-def try_proxy(objective: Objective, inputs: Sequence[Channel]) -> None:
-    """Ask for it with made-up inputs, between -0.5 and 1.5 in their units. Raises PluginError for what a run or a fit
-    would end in. Of the numbers one that is finite is enough: an angle of a unit vector has none for most of them."""
+def try_proxy(objective: Objective, inputs: Sequence[Channel]) -> bool:
+    """Whether there is one: ask for it with made-up inputs, between -0.5 and 1.5 in their units. Raises PluginError for
+    what a run or a fit would end in. Of the numbers one that is finite is enough: an angle of a unit vector has none
+    for most of them."""
     rng = np.random.default_rng(0)
+    known = False
     for batch in BATCHES:
         made_up = {one.name: rng.uniform(-0.5, 1.5, (*batch, *one.shape)).astype(np.float32) for one in inputs}
         if len(batch) == 1:
             proxy_series(objective, made_up, "made-up channels between -0.5 and 1.5", some=True)
         else:
-            proxy_of(objective, {name: torch.from_numpy(one) for name, one in made_up.items()}, batch)
+            asked = {name: torch.from_numpy(one) for name, one in made_up.items()}
+            known = proxy_of(objective, asked, batch) is not None or known
+    return known

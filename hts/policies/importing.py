@@ -140,6 +140,12 @@ def _finished(
     layout = replace(layout, observation=observation)
     inputs, outputs = network.layers[0][0].shape[1], network.layers[-1][0].shape[0]
     size = sum(int(part["size"]) for part in layout.observation)
+    if inputs != size and given is not None and given.observation:
+        raise PolicyError(
+            f"{path}: its actor takes {inputs} observations, the parts of the layout's `observation` have {size}. Add "
+            "the parts that are missing, correct their sizes, or leave the key out if it observes what "
+            f"'{robot.name}' does."
+        )
     if inputs != size or outputs != robot.num_joints:
         raise PolicyError(
             f"{path}: its actor maps {inputs} observations to {outputs} actions, expected {size} to "

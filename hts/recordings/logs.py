@@ -24,10 +24,11 @@ from hts import units
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
-from hts.errors import ConfigError, HtsError, RecordingError, unknown_name
+from hts.errors import ConfigError, HtsError, RecordingError
 from hts.recordings.base_speed import velocity_notes
 from hts.recordings.checks import check
 from hts.recordings.commanded import until_the_end
+from hts.recordings.factors import common_factor, times_factors_of_joints
 from hts.recordings.gravity import GRAVITY, check_upright
 from hts.recordings.joining import joined
 from hts.recordings.joint_work import work_notes
@@ -51,6 +52,8 @@ from hts.recordings.recording import Recording, Series
 from hts.recordings.repeated import repeated_notes
 from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
+from hts.recordings.standard_units import in_standard_units
+from hts.recordings.stated_channels import check_channels
 from hts.recordings.stretches import Stretch, stretches
 from hts.recordings.table import ColumnName, Table, table_of
 from hts.recordings.targets import check_targets
@@ -137,7 +140,7 @@ def recordings_from_tables(
     """One recording for each run that the mapping's `runs` or `labels` tell apart; one where it has neither."""
     check_joint_order(log, robot.spec.joint_names)
     check_held(log, robot)
-    _check_real(log, robot)
+    check_channels(log, robot)
     columns = {name: column_names(name, one, log, robot.spec.joint_names) for name, one in log.channels.items()}
     assigned = assign(files, log)
     try:
@@ -171,6 +174,7 @@ def _one(
         source = source_of(one)
         table, when = tables[source], times[source]
         values = np.stack([table.columns[column] for column in columns[name]], axis=1)
+        values = times_factors_of_joints(values, one, robot.spec.joint_names)
         if one.sum:
             values = values.sum(axis=1, keepdims=True)
         kept = _within(when, log, table)
@@ -190,16 +194,18 @@ def _one(
     stated = _stated_limits(channels, log)
     check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
     check(recording, where)
-    check_motion(channels, robot.spec, log.rate_hz, where, stated)
-    check_idle(channels, {name: level for name, level in recording.idle.items() if name not in stated}, where)
-    turned = GRAVITY in log.channels and log.channels[GRAVITY].sign * log.channels[GRAVITY].scale < 0
-    check_upright(recording, where, stated, turned)
-    check_turning(channels, log.rate_hz, where, stated)
-    check_targets(recording, robot.spec, where, stated)
+    judged = recording.replace(channels=in_standard_units(channels, besides=recording.idle))
+    check_motion(judged.channels, robot.spec, log.rate_hz, where, stated)
+    levels = {name: level for name, level in recording.idle.items() if name not in stated}
+    check_idle(judged.channels, levels, where)
+    turned = GRAVITY in log.channels and common_factor(log.channels[GRAVITY]) < 0
+    check_upright(judged, where, stated, turned)
+    check_turning(judged.channels, log.rate_hz, where, stated)
+    check_targets(judged, robot.spec, where, stated)
     slow = {name: (1 / one.rate_hz, one.oldest) for name, one in samples.items() if one.oldest is not None}
-    check_read(channels, log.rate_hz, list(recording.idle), where, slow, log.frozen_real_seconds)
-    doubts = torque_notes(recording, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
-    doubts |= repeated_notes(channels, log.rate_hz) | work_notes(recording, stated)
+    check_read(judged.channels, log.rate_hz, list(recording.idle), where, slow, log.frozen_real_seconds)
+    doubts = torque_notes(judged, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
+    doubts |= repeated_notes(judged.channels, log.rate_hz) | work_notes(judged, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 
@@ -216,18 +222,6 @@ def _about_joints(
                 f"{{{listed}}}. Without it the robot's own names are taken."
             )
     return None
-
-
-def _check_real(log: LogMapping, robot: Robot) -> None:
-    """Raise ConfigError for a channel that only the real robot measures and whose idle level is not given."""
-    own = robot.channels()
-    for name, channel in log.channels.items():
-        if name not in own and channel.real and channel.idle is None:
-            unknown = unknown_name(f"channel of robot '{robot.spec.name}'", name, own)
-            raise ConfigError(
-                f"Mapping: {unknown} If only the real robot measures it, give its `idle` level (electronics on, motors "
-                "idle); if not, say real: false."
-            )
 
 
 def _times(tables: Tables, log: LogMapping) -> dict[Source, np.ndarray]:
@@ -256,7 +250,7 @@ def _series(samples: Samples, log: LogMapping, robot: Robot, grid: np.ndarray) -
     one = log.channels[samples.name]
     values = resampled(samples, grid, log.rate_hz, one.resample)
     channel = _channel(samples.name, one, samples.values.shape[1], robot)
-    values = one.sign * one.scale * values + one.offset
+    values = common_factor(one) * values + one.offset
     scale, offset = units.conversion(one.unit, channel.unit)
     if (scale, offset) != (1.0, 0.0):
         values = scale * values + offset

@@ -53,8 +53,10 @@ class ChannelMapping(Config):
     file: str | None = Field(None, description="which of `files` the columns are in")
     topic: str | None = Field(None, description="of a file of messages: the topic, where it is not the mapping's own")
     sum: bool = Field(False, description="the channel is the sum of the columns, empty where one of them is")
-    sign: Literal[1, -1] = Field(1, description="-1 where the log counts the other way")
-    scale: float = Field(1.0, description="factor to the unit above, where the log has none that has a name")
+    sign: Literal[1, -1] | dict[str, Literal[1, -1]] = Field(
+        1, description="-1 where the log counts the other way; {joint: -1} of some joints, by the robot's names"
+    )
+    scale: float | dict[str, float] = Field(1.0, description="factor to the unit above; {joint: factor} likewise")
     offset: float = Field(0.0, description="added after the factor, in the unit above")
     resample: Literal["interpolate", "mean", "hold"] = Field(
         "interpolate",

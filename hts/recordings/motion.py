@@ -42,13 +42,20 @@ def check_motion(
     slope = np.gradient(position, 1.0 / rate_hz, axis=0)
     moving = np.flatnonzero((slope.std(0) > MOVING) & (velocity.std(0) > MOVING))
     if not len(moving):
+        _check_unit(slope, velocity, where)
         return
     (slopes, slope_spread), (speeds, speed_spread) = standardized(slope[:, moving]), standardized(velocity[:, moving])
     alike = slopes.T @ speeds / len(position)  # [position's joint, velocity's joint]
     own, ratio = np.median(np.diag(alike)), float(np.median(speed_spread / slope_spread))
-    hint = _another_order(alike, [spec.joint_names[joint] for joint in moving], own)
+    names_of_moving = [spec.joint_names[joint] for joint in moving]
+    hint = _another_order(alike, names_of_moving, own)
+    turned = [name for name, fits in zip(names_of_moving, np.diag(alike), strict=True) if fits < -SURE]
     if hint:  # first: in a trot a leg moves against the one on the other side, as if it were counted the other way
         pass
+    elif 0 < len(turned) < len(moving) and (np.abs(np.diag(alike)) > ALIKE).all():
+        said = ", ".join(f"{name}: -1" for name in turned)
+        hint = f"of {', '.join(turned)} alone one of them is counted the other way: say sign: {{{said}}}"
+        hint += _or_another_order(alike, np.flatnonzero(np.diag(alike) < -SURE))
     elif own < -SURE:
         hint = "one of them is counted the other way: say sign: -1" + _or_another_order(alike)
     elif own < -ALIKE:
@@ -65,6 +72,23 @@ def check_motion(
             f"{where}: 'joint_velocity' is not how fast 'joint_position' changes (correlation {own:.2f} for the "
             "joint in "
             f"the middle): {hint}. Correct the mapping; if both are right, say so with `limits`."
+        )
+
+
+def _check_unit(slope: np.ndarray, velocity: np.ndarray, where: str) -> None:
+    """Raise RecordingError where no joint moves by both, but by one of them, and the two go together as if one were in
+    another unit: of a slow arm, turns a minute that are taken for rad/s are below MOVING. (T, J) each, rad/s."""
+    one_moves = np.maximum(slope.std(0), velocity.std(0)) > MOVING
+    joints = np.flatnonzero(one_moves & (np.minimum(slope.std(0), velocity.std(0)) > 0))
+    if not len(joints):
+        return
+    alike = float(np.median(correlations(slope[:, joints], velocity[:, joints])))
+    ratio = float(np.median(velocity[:, joints].std(0) / slope[:, joints].std(0)))
+    if abs(alike) > SURE and not 1 / OTHER_UNIT < ratio < OTHER_UNIT:
+        raise RecordingError(
+            f"{where}: 'joint_velocity' is not how fast 'joint_position' changes: it is {ratio:.3g} times the slope of "
+            "the positions, so one of them is in another unit. Correct the mapping; if both are right, say so with "
+            "`limits`."
         )
 
 
@@ -106,10 +130,11 @@ def _another_order(alike: np.ndarray, joints: list[str], own: float) -> str:
     )
 
 
-def _or_another_order(alike: np.ndarray) -> str:
+def _or_another_order(alike: np.ndarray, joints: np.ndarray | None = None) -> str:
     """A warning where another order of the columns would explain a log that looks as if it were counted the other way,
-    since legs that move against each other look so too."""
+    since legs that move against each other look so too. joints: which look so, all of them where it is None."""
     others = np.where(np.eye(len(alike), dtype=np.bool_), -1.0, alike).max(axis=1)
+    others = others if joints is None else others[joints]
     if np.median(others) < SURE:
         return ""
     return (

@@ -144,7 +144,11 @@ def _refused(fit: _Fit, best: _Fit, names: list[str]) -> str:
     against = np.flatnonzero(own < -ALIKE)
     if fit.own > ALIKE and len(against):
         first, more = against[0], f", as of {len(against) - 1} more" if len(against) > 1 else ""
-        return f"that of {names[first]} is counted the other way ({own[first]:.2f}){more}, others are not{unsure}"
+        signs = ", ".join(f"{names[joint]}: -1" for joint in against)
+        return (
+            f"that of {names[first]} is counted the other way ({own[first]:.2f}){more}, others are not: say sign: "
+            f"{{{signs}}}{unsure}"
+        )
     return ""
 
 

@@ -15,6 +15,7 @@ from hts.contracts import Robot, RobotSpec
 from hts.contracts.speeds import fastest
 from hts.errors import RecordingError
 from hts.recordings.recording import Recording, Series
+from hts.recordings.standard_units import in_standard_units
 
 # A log may overshoot a limit for a moment (estimates, impacts). It may not do so typically, nor by half in 1 % of it.
 PEAK_FACTOR = 1.5
@@ -150,7 +151,7 @@ def check_facts(recording: Recording, robot: Robot, where: str) -> None:
 def implausible(channels: Mapping[str, Series], per_joint: Mapping[str, bool], spec: RobotSpec) -> list[str]:
     """What cannot be true, one phrase per channel. per_joint: whether a channel follows the robot's joints."""
     found = []
-    for name, series in channels.items():
+    for name, series in in_standard_units(channels).items():
         if not per_joint[name]:
             continue
         unit = series.channel.unit

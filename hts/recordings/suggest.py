@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hts.channels import Channel
-from hts.contracts import Objective, Robot
+from hts.contracts import FollowVelocity, Objective, Robot
 from hts.errors import RecordingError
 from hts.recordings.glance import Glance, glance
 from hts.units import one_quantity
@@ -47,8 +47,8 @@ def suggested_mapping(path: Path, robot: Robot, objectives: Sequence[Objective] 
     """YAML of a mapping for logs like this one. It is not importable before what is marked was answered: idle levels,
     and a time column or joint channels where none was recognised. Raises RecordingError for a file that cannot be read.
 
-    objectives: a gauge gets the name of what they measure where it is the only one in such a unit; what they need and
-    the log does not show is listed.
+    objectives: a gauge gets the name of what they measure where it is the only one in such a unit, and so does a column
+    that is called so, of whatever quantity; what they need and the log does not show is listed.
     """
     seen = glance(path)
     columns = _flat(seen.columns)
@@ -68,16 +68,21 @@ def suggested_mapping(path: Path, robot: Robot, objectives: Sequence[Objective] 
     lines += joints
     channels, used = _joint_channels(templates, columns, robot)
     gauges = _gauges(columns, {*used, *([time] if time else [])})
-    scalars = set(gauges)
-    named = _as_asked(gauges, [channel for one in objectives for channel in one.real_channels])
-    lines += ["channels:", *channels, *_gauge_lines(gauges, named, columns, seen)]
+    asked = [channel for one in objectives for channel in one.real_channels]
+    called = _called_so([one for one in columns if one not in {*used, *gauges, time}], asked, robot)
+    scalars = {*gauges, *called}
+    named = _as_asked(gauges, [channel for channel in asked if channel not in called.values()])
+    lines += ["channels:", *channels, *_called_lines(called, columns, robot, seen)]
+    lines += _gauge_lines(gauges, named, columns, seen)
     lines += _missing(objectives, {line.split(":")[0].strip() for line in lines}, robot)
     if not channels:
         lines.append(f"  # {CHECK}: no joint channel was recognised. joint_torque: {{columns: ..., unit: N*m}}")
     left = [one for one in columns if one not in {*used, *scalars, time}]
     if left:
         lines.append("# not used: " + ", ".join(left[:60]) + (f", … {len(left) - 60} more" if len(left) > 60 else ""))
-    lines.append(f"# recording: {{mass_kg: {CHECK}, schedule: {{commands: [{{seconds: {CHECK}, vx: {CHECK}}}]}}}}")
+    asked_for = "vx" if isinstance(robot.task(), FollowVelocity) else "set_point"
+    commands = f"[{{seconds: {CHECK}, {asked_for}: {CHECK}}}]"
+    lines.append(f"# recording: {{mass_kg: {CHECK}, schedule: {{commands: {commands}}}}}")
     return "\n".join(lines) + "\n"
 
 
@@ -258,6 +263,28 @@ def _as_asked(gauges: Mapping[str, str], asked: Iterable[Channel]) -> dict[str, 
     }
     rivals = Counter(name for names in fits.values() for name in names)
     return {column: names[0] for column, names in fits.items() if len(names) == 1 and rivals[names[0]] == 1}
+
+
+def _called_so(names: Sequence[str], asked: Iterable[Channel], robot: Robot) -> dict[str, Channel]:
+    """Column -> the single channel, of the robot or asked for, whose very name it has, capitals and dots apart."""
+    wanted = {channel.name: channel for channel in (*asked, *robot.channels().values()) if channel.shape == ()}
+    plain = {name: re.sub(r"\W+", "_", name).strip("_").lower() for name in names}
+    often = Counter(plain.values())
+    return {name: wanted[one] for name, one in plain.items() if one in wanted and often[one] == 1}
+
+
+def _called_lines(
+    called: Mapping[str, Channel], columns: Mapping[str, np.ndarray], robot: Robot, seen: Glance
+) -> list[str]:
+    lines = []
+    for name, channel in called.items():
+        what = f"{_text(name, seen)}, unit: {json.dumps(channel.unit)}"
+        about = "whether the column is in that unit: its name is all that was looked at"
+        if channel.name not in robot.channels():
+            what += ", resample: hold" if np.isfinite(columns[name]).mean() < SELDOM else ""
+            what, about = f"{what}, idle: {CHECK}", f"idle level, and {about}"
+        lines.append(f"  {channel.name}: {{columns: {what}}}  # {CHECK}: {about}")
+    return lines
 
 
 def _gauge_lines(

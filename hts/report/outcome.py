@@ -25,13 +25,31 @@ NOBODY_KEPT = (
 SMALLER = "try smaller λ (sweep.weights) or KL bounds (sweep.kl_bounds)"
 
 
-def _advice(task: TaskWords) -> str:
+def _advice(task: TaskWords, rows: Sequence[Row] = ()) -> str:
+    numbers = [row.get("refusal") or {} for row in rows]
+    if numbers and all("reference_walked" in one for one in numbers):
+        return _own_fault(task, numbers)
     if task.velocity:
         return (
             f"Who is refused walks too unlike the command to be compared: {SMALLER}, or allow more "
             "(evaluation.speed_tolerance)."
         )
     return f"Who is refused does its task too little of the time to be compared: {SMALLER}."
+
+
+def _own_fault(task: TaskWords, numbers: Sequence[Mapping[str, Any]]) -> str:
+    """What to do where the pretrained policy itself did not do its task. numbers: of the refusals."""
+    walked: dict[float, list[float]] = {}
+    for one in numbers:
+        if one["reference_walked"] is not None:
+            walked.setdefault(one["speed"], []).append(one["reference_walked"])
+    means = {speed: f"{sum(found) / len(found):.2f}{task.unit_after}" for speed, found in sorted(walked.items())}
+    went = " and ".join(f"{mean}{task.at([f'{speed:g}'])}" for speed, mean in means.items())
+    begin = f"The pretrained policy did no better{f' ({went})' if went else ''}, so λ need not be why: "
+    others = "start from a policy that does its task (robot.policy)"
+    if not task.velocity:
+        return f"{begin}{others}."
+    return f"{begin}ask for speeds that it reaches (selection.speed or speeds, evaluation.speeds), or {others}."
 
 
 def fates(rows: Sequence[Row], task: TaskWords = VELOCITY) -> str:
@@ -132,7 +150,7 @@ def _no_final(rows: Sequence[Row], known: bool, task: TaskWords, why: str | None
     text = "No final head-to-head: "
     if rows and all(row.get("refused") for row in rows):
         text += "every elite was refused, so nothing could be compared; the pretrained policy stays the best."
-        return f"{text} {_capital(fates(rows, task))}. {_advice(task)}"
+        return f"{text} {_capital(fates(rows, task))}. {_advice(task, rows)}"
     if known and not rows:
         why = why or "all fell or were stopped in simulation"
         return f"{text}no candidate was tested, since {why}; the pretrained policy stays the best."

@@ -49,7 +49,11 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
     objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
     for objective in objectives.values():
         signals = robot_signals(objective, robot)  # raises for an input that the robot does not give
-        try_proxy(objective, signals.inputs)
+        if not try_proxy(objective, signals.inputs) and config.reward_source == "proxy":
+            raise ConfigError(
+                f"Objective '{objective.name}' has no analytic stand-in, so there is no baseline to train. Write its "
+                "`proxy` and `baseline_weights`; `hts run` needs neither."
+            )
     own = "λ for its proxy" if config.reward_source == "proxy" else "λ of its own"
     if not combinations(own_weights(objectives, config), config.sweep.weights):
         raise ConfigError(

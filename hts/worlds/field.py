@@ -371,6 +371,7 @@ class FieldWorld(World):
             frozen,
             commands=robot.bundle_commands,
             own_env=not isinstance(robot, VelocityRobot),
+            task=robot.task(),
         )
 
     def _request(self, what: str, policies: Sequence[Path], rest: Any) -> str:

@@ -32,7 +32,7 @@ import hts
 from hts.channels import Channel
 from hts.config_env import within_a_step
 from hts.config_gate import FirstRunConfig
-from hts.contracts import HoldSpeed, RobotSpec
+from hts.contracts import VELOCITY, FollowVelocity, HoldSpeed, RobotSpec, Task
 from hts.errors import PolicyError, WorldError
 from hts.policies.export import CLIP
 from hts.policies.gate_notes import lost, note_of, place, refusal
@@ -40,14 +40,16 @@ from hts.recordings.unread import LONGEST_SECONDS
 
 SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
 WARMUP_SECONDS = 600.0  # of walking before a head-to-head: windings take about that long
+COMMAND = "command"
 PARTS = {
     "angular_velocity": ("rad/s", "of the trunk, in the trunk frame"),
     "projected_gravity": ("1", "unit vector of gravity in the trunk frame; (0, 0, -1) upright"),
-    "command": ("m/s, m/s, rad/s", "vx, vy, yaw rate as sent"),
+    COMMAND: ("m/s, m/s, rad/s", "vx, vy, yaw rate as sent"),
     "joint_position_offset": ("rad", "joint angle - default_pose"),
     "joint_velocity": ("rad/s", "joint speed"),
     "last_action": ("action units", "the action of the step before, noise included; 0 at the start"),
 }
+THREE_AXES = {"angular_velocity", "projected_gravity", COMMAND}  # the others have a number for each joint
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class Frozen:
 @dataclass(frozen=True)
 class Facts:
     """What a bundle says of the robot and the run. run: its resolved configuration, {} where there is none; folder: of
-    the run, None where there is none."""
+    the run, None where there is none; task: what the robot is commanded."""
 
     spec: RobotSpec
     request: str = ""
@@ -84,6 +86,7 @@ class Facts:
     frozen: Frozen = field(default_factory=Frozen)
     commands: Sequence[str] = ()
     own_env: bool = False
+    task: Task = VELOCITY
 
 
 def run_configuration(folder: Path) -> Mapping[str, Any]:
@@ -164,7 +167,7 @@ def policy_entry(
         "policy_hash": card.policy_hash,
         **{key: list(getattr(card, key)) for key in ("joint_names", "default_pose", "action_scale", "kp", "kd")},
         "control_rate_hz": card.control_rate_hz,
-        "observation": [_part(part) for part in card.observation],
+        "observation": [_part(part, facts.task, len(card.joint_names)) for part in card.observation],
         "history": card.history,
         "normaliser": {"where": "graph", "formula": "clip((observation - mean) / std)", "clip": CLIP},
         "exploration": exploration,
@@ -173,8 +176,16 @@ def policy_entry(
     }
 
 
-def _part(part: Mapping[str, Any]) -> dict[str, Any]:
-    unit, meaning = PARTS.get(str(part["name"]), ("", ""))
+def _part(part: Mapping[str, Any], task: Task, joints: int) -> dict[str, Any]:
+    """A part with its unit and meaning; "" for both where only the robot's env knows, as of a part of another size than
+    the one that is known by this name."""
+    name, size = str(part["name"]), int(part["size"])
+    unit, meaning = PARTS.get(name, ("", ""))
+    if size != (3 if name in THREE_AXES else joints):
+        unit, meaning = "", ""
+    if name == COMMAND and not isinstance(task, FollowVelocity):
+        commanded = task.set_points != () and size == 1
+        unit, meaning = (task.unit, f"set-point as sent: the {task.quantity} that is wanted") if commanded else ("", "")
     return {"name": part["name"], "size": part["size"], "unit": unit, "meaning": meaning}
 
 

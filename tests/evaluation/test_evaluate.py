@@ -159,6 +159,15 @@ def test_a_seed_that_no_generator_takes_is_refused(folder, registry, seed):
         evaluate_run(folder, speeds=[0.8], seed=seed, registry=registry)
 
 
+@pytest.mark.parametrize(("policy", "best", "told"), [(None, b"", 1), ("pretrained", b"", 0), (None, b"another", 0)])
+def test_a_comparison_of_the_pretrained_policy_with_itself_is_called_so(folder, registry, policy, best, told):
+    (folder / "policies" / "best.onnx").write_bytes(best)
+    said: list[str] = []
+    with pytest.raises(Asked):
+        evaluate_run(folder, policy=policy, registry=registry, say=said.append)
+    assert len(said) == told and all("compares it with itself" in line for line in said)
+
+
 def test_a_world_is_told_the_whole_command_that_asks_again(folder, registry):
     with pytest.raises(Asked) as caught:
         evaluate_run(folder, [0.5, 0.85], "pretrained", "asking", seed=3, registry=registry)

@@ -198,6 +198,17 @@ def test_a_reference_that_does_not_walk_is_why_nothing_can_be_said():
     assert "evaluation.hold_speed" not in result.refused  # no command makes somebody walk who stands
 
 
+def test_where_neither_walks_the_refusal_says_so_of_the_reference_too():
+    recordings = [
+        known_recording([8.0] * 40, speed=0.2 if r.role == "policy" else 0.3, block=r.block, role=r.role)
+        for r in known_head_to_head(8.0, 10.0)
+    ]
+    result = candidate_result("c1", {"cost": OBJECTIVE}, recordings, QUICK)
+    assert "segments of the policy are valid" in result.refused
+    assert result.refused.endswith("The reference policy has too few as well.")
+    assert result.refusal["walked"] == pytest.approx(0.2) and result.refusal["reference_walked"] == pytest.approx(0.3)
+
+
 @pytest.mark.parametrize(("held", "advised"), [(False, True), (True, False)])
 def test_a_reference_that_goes_another_speed_may_be_trimmed(held, advised):
     recordings = [

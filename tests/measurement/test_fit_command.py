@@ -160,6 +160,7 @@ def a_report(r2, linear, spread=None):
 @pytest.mark.parametrize(
     ("found", "linear", "expected"),
     [
+        (-0.5, 0.02, "heat: held-out R² -0.500 is below 0"),  # linear explains nothing either, so is nothing to choose
         (-0.5, -0.2, "heat: held-out R² -0.500 is below 0.*more than about a second.*the loss that heats instead"),
         (
             0.5,

@@ -218,6 +218,14 @@ def test_a_term_that_no_robot_measures_is_named_with_what_to_do(run):
     assert "\n" not in str(caught.value)
 
 
+def test_a_layout_of_another_size_than_the_policy_is_what_is_to_be_corrected(run):
+    parts = ({"name": "command", "size": 3}, {"name": "angular_velocity", "size": 3})
+    with pytest.raises(
+        PolicyError, match=r"takes 24 observations, the parts of the layout's `observation` have 6\. Add"
+    ):
+        import_whole(run(SEES_VELOCITY, net=network(24)), SPEC, Layout(parts, NAMES), strict=True)
+
+
 @pytest.mark.parametrize("instead", [{"hold": 0.0}, {"stand_in": "command"}])
 def test_a_constant_or_the_command_can_stand_in_for_the_velocity(run, instead):
     net = network(24)

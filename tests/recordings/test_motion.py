@@ -7,7 +7,8 @@ import pytest
 from two_joint_log import LogOnly
 
 from hts.channels import Channel
-from hts.errors import RecordingError
+from hts.contracts import LogOnlyRobot
+from hts.errors import ConfigError, RecordingError
 from hts.recordings import Series
 from hts.recordings.logs import check_motion, recording_from_columns
 
@@ -68,6 +69,96 @@ def test_columns_swapped_in_a_log_are_noticed(tmp_path, two_joints, mapping):
     }
     with pytest.raises(RecordingError, match="log: 'joint_velocity' is not how fast"):
         recording_from_columns([tmp_path / "log"], mapping, two_joints, lambda path: columns)
+
+
+@pytest.mark.parametrize("turned", [lambda speed: speed * 0.1047, lambda speed: -speed * 0.1047])
+def test_a_slow_joint_in_another_unit_is_told_although_it_then_hardly_moves(two_joints, turned):
+    slow = {"joint_position": 0.3 * np.sin(TIMES[:, None] * [1.0, 1.5]), "joint_velocity": None}
+    slow["joint_velocity"] = turned(np.gradient(slow["joint_position"], 0.02, axis=0))  # turns a minute for rad/s
+    changed = moving(**{name: lambda v, one=values: one for name, values in slow.items()})
+    with pytest.raises(RecordingError, match=r"it is 0.105 times the slope of the positions, so one of them"):
+        check_motion(changed, two_joints.spec, 50.0, "log")
+    check_motion(changed, two_joints.spec, 50.0, "log", stated=["joint_velocity"])
+
+
+def test_noise_beside_a_joint_that_moves_is_not_another_unit(two_joints):
+    noise = np.random.default_rng(0).normal(0, 0.05, (300, 2))
+    changed = moving(joint_velocity=lambda v: noise)
+    check_motion(changed, two_joints.spec, 50.0, "log")
+
+
+def in_degrees(robot, tmp_path, mapping, turn=1.0):
+    """A log whose angles are in degrees, of a machine that has a channel of torques alone. turn: angles times this."""
+    only = LogOnlyRobot(robot.spec, [Channel("joint_torque", "N*m", (2,))])
+    found = {name: np.degrees(one.values) for name, one in moving().items()}
+    columns = {"t": 1000 * TIMES}
+    for at, joint in enumerate("HK"):
+        columns[f"{joint}_q"] = turn * found["joint_position"][:, at]
+        columns[f"{joint}_dq"] = found["joint_velocity"][:, at]
+        columns[f"{joint}_tau"] = np.sin(TIMES)
+    mapping["channels"] = {
+        "joint_torque": {"columns": "{joint}_tau", "unit": "N*m"},
+        "joint_position": {"columns": "{joint}_q", "unit": "deg", "real": False},
+        "joint_velocity": {"columns": "{joint}_dq", "unit": "deg/s", "real": False},
+    }
+    return recording_from_columns([tmp_path / "log"], mapping, only, lambda path: columns)
+
+
+def test_degrees_that_are_called_degrees_are_held_against_limits_in_rad(tmp_path, two_joints, mapping):
+    recording = in_degrees(two_joints, tmp_path, mapping)
+    assert recording.channels["joint_position"].channel.unit == "deg"  # as the mapping says; only judged in rad
+    assert np.abs(recording.channels["joint_position"].values).max() > 20
+    with pytest.raises(RecordingError, match=r"'joint_position' of .* rad, beyond its range \(-3 to 3\)"):
+        in_degrees(two_joints, tmp_path, mapping, turn=57.3)
+    with pytest.raises(RecordingError, match="times the slope of the positions"):
+        in_degrees(two_joints, tmp_path, mapping, turn=0.1)
+
+
+@pytest.mark.parametrize("which", ["joint_position", "joint_velocity"])
+def test_a_single_joint_that_is_counted_the_other_way_is_told_with_the_line_to_write(two_joints, which):
+    with pytest.raises(RecordingError, match=r"of knee alone one of them .* other way: say sign: \{knee: -1\}"):
+        check_motion(moving(**{which: lambda v: v[which] * [1, -1]}), two_joints.spec, 50.0, "log")
+
+
+def of_single_joints(robot, tmp_path, mapping, **changes):
+    """A log whose knee counts its speed the other way and on the motor's side of a gear of 9."""
+    values = {name: one.values for name, one in moving().items()}
+    columns = {"t": 1000 * TIMES, "H_tau": np.sin(TIMES), "K_tau": np.cos(TIMES)}
+    for at, (joint, factor) in enumerate((("H", 1), ("K", -9))):
+        columns |= {f"{joint}_q": values["joint_position"][:, at]}
+        columns |= {f"{joint}_dq": factor * values["joint_velocity"][:, at]}
+    mapping["channels"] = {
+        "joint_torque": {"columns": "{joint}_tau", "unit": "N*m"},
+        "joint_position": {"columns": "{joint}_q", "unit": "rad"},
+        "joint_velocity": {"columns": "{joint}_dq", "unit": "rad/s", **changes},
+    }
+    recording = recording_from_columns([tmp_path / "log"], mapping, robot, lambda path: columns)
+    return recording.channels["joint_velocity"].values, values["joint_velocity"]
+
+
+def test_sign_and_scale_may_be_those_of_single_joints(tmp_path, two_joints, mapping):
+    found, expected = of_single_joints(two_joints, tmp_path, mapping, sign={"knee": -1}, scale={"knee": 1 / 9})
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    found, expected = of_single_joints(two_joints, tmp_path, mapping, sign=1, scale={"knee": -1 / 9, "hip": 1.0})
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (
+            {"sign": {"nee": -1}},
+            r"channels\.joint_velocity\.sign: No joint of the robot named 'nee'. Did you mean 'knee'",
+        ),
+        ({"sign": {"knee": 2}}, r"channels\.joint_velocity\.sign\.knee: expected 1 or -1, found 2"),
+        ({"sign": {"knee": -1}, "per_joint": False}, r"'joint_velocity' has no column for each joint\. Say one number"),
+    ],
+)
+def test_a_sign_of_a_joint_that_is_none_is_refused(tmp_path, two_joints, mapping, changes, expected):
+    if changes.get("per_joint") is False:
+        changes = {**changes, "columns": ["H_dq", "K_dq"]}
+    with pytest.raises(ConfigError, match=expected):
+        of_single_joints(two_joints, tmp_path, mapping, **changes)
 
 
 # ------------------------------------------------------------------------------------------------ legs that trot

@@ -77,6 +77,7 @@ def test_torques_that_are_counted_the_other_way_are_refused():
 def test_one_joint_that_is_counted_the_other_way_is_named():
     said = refusal(with_torque(lambda torque: torque * [1, 1, -1, 1]))
     assert "that of RL is counted the other way (-0.9" in said and "others are not" in said
+    assert "say sign: {RL: -1}" in said
 
 
 @pytest.mark.parametrize("order", [SWAPPED, [1, 0, 2, 3]])

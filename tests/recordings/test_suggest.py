@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 import yaml
 
+from hts.channels import Channel
+from hts.contracts import LogOnlyRobot, Task
 from hts.errors import ConfigError, RecordingError
 from hts.plugins import load
 from hts.recordings.csv_reader import make as make_csv
 from hts.recordings.mapping import load_mapping
 from hts.recordings.suggest import suggested_mapping
+from hts.testing.made_up_recordings import CostObjective
 
 STEPS = np.arange(60)
 COLUMNS = {
@@ -224,3 +227,44 @@ def test_what_an_objective_measures_gets_its_name_and_what_it_lacks_is_listed(tm
         "battery_voltage: {columns: ..., unit: V, idle: CHECK}",
     ]
     assert set(yaml.safe_load(text)["channels"]) == {"joint_torque", "joint_velocity", "supply_a_mean", "motor_amps"}
+
+
+class Warmth(CostObjective):
+    """Measures what no unit in a column's name tells."""
+
+    target = Channel("motor_temperature", "degC", ())
+
+
+class Holding(LogOnlyRobot):
+    """Its task is a height."""
+
+    def task(self):
+        return Hold()
+
+
+class Hold(Task):
+    quantity, unit, channels, set_points = "height", "m", ("tip_height",), (0.1,)
+
+    def achieved(self, channels):
+        return channels["tip_height"]
+
+    def done(self, achieved, set_point, tolerance):
+        return achieved > set_point
+
+
+def test_a_column_of_the_very_name_is_recognised_whatever_its_quantity(tmp_path, two_joints):
+    arm = Holding(two_joints.spec, [*two_joints.channels().values(), Channel("tip_height", "m", ())])
+    (tmp_path / "log.csv").write_text(csv_of({**COLUMNS, "Motor.Temperature": 30 + STEPS, "tip_height": STEPS / 60}))
+    text = suggested_mapping(tmp_path / "log.csv", arm, [Warmth()])
+    given = yaml.safe_load(text)["channels"]
+    assert given["motor_temperature"] == {"columns": "Motor.Temperature", "unit": "degC", "idle": "CHECK"}
+    assert given["tip_height"] == {"columns": "tip_height", "unit": "m"}
+    assert "needs it" not in "".join(line for line in text.splitlines() if "motor_temperature" in line)
+    assert "commands: [{seconds: CHECK, set_point: CHECK}]" in text
+    assert "motor_temperature" not in yaml.safe_load(suggested_mapping(tmp_path / "log.csv", arm))["channels"]
+
+
+def test_of_two_columns_of_one_name_none_is_taken(tmp_path, two_joints):
+    (tmp_path / "log.csv").write_text(csv_of({**COLUMNS, "motor_temperature": STEPS, "Motor.Temperature": STEPS}))
+    text = suggested_mapping(tmp_path / "log.csv", two_joints, [Warmth()])
+    assert "objective 'cost' needs it, no column was recognised. motor_temperature" in text

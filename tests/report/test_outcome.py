@@ -27,6 +27,20 @@ def run(*iterations: list[dict], best: list[str | None] | None = None, final: st
     return {"objectives": ["power"], "iterations": rows, "final": {"policy": final, "objectives": {}}}
 
 
+def test_where_the_pretrained_policy_did_no_better_smaller_weights_are_not_advised():
+    rows = [refused(0.2), refused(0.1), refused(0.1)]
+    for row, walked in zip(rows, (0.2, 0.22, None), strict=True):
+        row["refusal"]["reference_walked"] = walked
+    (line,) = closing(run(rows))
+    assert (
+        "The pretrained policy did no better (0.21 m/s at 0.8 m/s), so λ need not be why: ask for speeds that it"
+        in line
+    )
+    assert "sweep.weights" not in line
+    (line,) = closing(run([rows[0], refused(0.1)]))  # of one of them it was the candidate's fault
+    assert "try smaller λ (sweep.weights)" in line
+
+
 def test_a_run_whose_elites_were_all_refused_says_how_many_why_and_how_fast_they_went():
     (line,) = closing(run([refused(0.55), refused(0.61, falls=2), NEVER_TESTED]))
     assert line.startswith("No final head-to-head: every elite was refused, so nothing could be compared")

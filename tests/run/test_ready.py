@@ -318,3 +318,12 @@ def test_a_trunk_that_would_weigh_nothing_is_one_line_with_its_key_and_mass(key)
     where = key.removeprefix("finetune.env.")
     assert said.startswith(where) and ": -20 kg would leave nothing of the trunk of 'tiny'" in said
     assert re.search(r"which weighs [\d.]+ kg\. Raise the lower end\.$", said)
+
+
+def test_a_baseline_without_a_stand_in_is_not_told_to_name_weights_for_it(broken):
+    broken("baseline_weights = ()\n\ndef proxy(self, channels):\n    return None")
+    config = load_config(
+        preset="smoke", objectives=["broken"], robot="tiny", world="known", overrides=["reward_source=proxy"]
+    )
+    with pytest.raises(ConfigError, match=r"^Objective 'broken' has no analytic stand-in.*Write its `proxy`"):
+        check_ready(config, load())
