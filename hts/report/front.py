@@ -28,6 +28,7 @@ def front_part(run: RunData) -> dict[str, Any] | None:
     return {
         "text": front_text(run, tested),
         "speeds": _speeds(run),
+        "measured": any(result.get("speeds") for result in run.final.values()),
         "figures": front_figures(run),
         "objectives": run.objectives,
         "rows": front_rows(run),

@@ -127,3 +127,10 @@ def test_seconds_of_a_quantity_of_any_size_have_short_numbers_at_their_axis(tmp_
     first = figures.distribution(run, "level").axes[0]
     assert first.get_ylabel() == label
     assert max(first.get_ylim()) < 10.0
+
+
+@pytest.mark.parametrize("speeds", [{}, {"0.8": {"improvement": 0.2}}])
+def test_a_front_without_a_final_promises_none_below(tmp_path, speeds):
+    run = run_of(tmp_path, {"00-00": {"cost": 0.2, "level": 1.0}}, [A], "00-00")
+    run.summary["final"]["objectives"] = {"cost": {"unit": "1", "speeds": speeds}} if speeds else {}
+    assert front_part(run)["measured"] == bool(speeds)
