@@ -125,8 +125,10 @@ def pack(repository: Path, file: Path, realities: Sequence[str], out: Path) -> N
         mine = {name: rows for name, rows in mine.items() if rows}
         for path in {path for rows in mine.values() for row in rows for path in brought(repository, row)}:
             (place / path).parent.mkdir(parents=True, exist_ok=True)
-            copy = shutil.copytree if (repository / path).is_dir() else shutil.copy
-            copy(repository / path, place / path)
+            if (repository / path).is_dir():  # where another entry may have put a file of it
+                shutil.copytree(repository / path, place / path, dirs_exist_ok=True)
+            else:
+                shutil.copy(repository / path, place / path)
         (place / ENTRIES).write_text(yaml.safe_dump(mine, sort_keys=False))
     start = out / "start"
     start.write_text(START.replace("@COMMITS@", " ".join(commits)).replace("@ENTRIES@", ENTRIES))

@@ -90,6 +90,7 @@ def load_config(
     chosen = preset or written.get("preset") or DEFAULT
     if not isinstance(chosen, str) or chosen not in PRESETS:
         raise ConfigError(unknown_name("preset", str(chosen), PRESETS))
+    _check_preset(chosen, written, file)
 
     given: dict[str, Any] = {"robot": robot and {"name": robot}, "world": world and {"name": world}}
     given |= {"engine": engine, "executor": executor, "seed": seed, "reward_source": reward_source}
@@ -116,6 +117,17 @@ def load_config(
     _check_speed(laid(written, last), values, origin)
     _check_source(values.get("reward_source", "model"), origin, oracle)
     return _whole(values, origin)
+
+
+def _check_preset(chosen: str, written: Mapping[str, Any], file: Path | None) -> None:
+    """Raise ConfigError for another preset than a file's that says all of its own, as the config.yaml of a run does:
+    the run would be called by the one preset and be the other."""
+    own = written.get("preset")
+    if isinstance(own, str) and own in PRESETS and own != chosen and laid(PRESETS[own], written) == written:
+        raise ConfigError(
+            f"--preset {chosen}: {file} says all that preset '{own}' does, as a run writes it, so little of '{chosen}' "
+            "would be left. Leave --preset out, or give a file that names only what is to be otherwise."
+        )
 
 
 def _check_speed(user: Mapping[str, Any], values: Mapping[str, Any], origin: Callable[[Location], str]) -> None:

@@ -139,6 +139,16 @@ def test_merging_leaves_both_sides_as_they_were():
     assert (base, over) == ({"a": {"b": 1}}, {"a": {"c": 2}})
 
 
+@pytest.mark.parametrize("preset", ["smoke", "quick", "paper"])
+def test_another_preset_beside_a_file_that_says_all_of_its_own_is_refused(tmp_path, preset):
+    config = fake_config(preset=preset)
+    file = write(tmp_path, dump_config(config))
+    assert fake_config(file=file) == fake_config(file=file, preset=preset) == config
+    other = next(name for name in ("quick", "smoke") if name != preset)
+    said = refusal(file=file, preset=other)
+    assert said.startswith(f"--preset {other}: {file} says all that preset '{preset}' does") and "Leave" in said
+
+
 def test_presets_are_not_changed_by_runs():
     before = repr(PRESETS)
     fake_config(overrides=["finetune.ppo.horizon=3", "world.dynamics.x=1"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,12 +79,13 @@ def distribution(run: RunData, objective: str) -> Figure | None:
     fraction = run.unit(objective) == wording.PERCENT
     drawing, axes = figure(2.6, 1, len(keys), sharey=True)
     rng = np.random.default_rng(0)
-    for panel, key in zip(axes[0], keys, strict=True):
-        groups = [np.asarray(speeds[key][role][quantity], dtype=float) for role in ("reference", "policy")]
+    every = [[np.asarray(speeds[key][role][quantity], dtype=float) for role in ("reference", "policy")] for key in keys]
+    exponent = 0 if fraction else _exponent([values - groups[0].mean() for groups in every for values in groups])
+    for panel, key, groups in zip(axes[0], keys, every, strict=True):
         centre = groups[0].mean()
         panel.axhline(1.0 if fraction else 0.0, color=SOFT, linewidth=0.9, zorder=1)
         for x, (values, color) in enumerate(zip(groups, (REFERENCE, ACCENT), strict=True)):
-            shown = values / centre if fraction else values - centre
+            shown = values / centre if fraction else (values - centre) / 10.0**exponent
             panel.scatter(x + rng.uniform(-0.2, 0.2, len(shown)), shown, s=7, color=color, alpha=0.45, linewidths=0)
             panel.plot([x - 0.3, x + 0.3], [shown.mean()] * 2, color=INK, linewidth=1.4)
         panel.set_xticks([0, 1], ["pretrained", "final"])
@@ -91,8 +93,17 @@ def distribution(run: RunData, objective: str) -> Figure | None:
         panel.grid(axis="x", visible=False)
         panel.set_title(run.task.at([key]).removeprefix(" at "))
     name = wording.label(quantity)
-    axes[0, 0].set_ylabel(f"{name} / pretrained mean" if fraction else f"{name} − pretrained mean")
+    unit = f", 1e{exponent}" if exponent else ""
+    axes[0, 0].set_ylabel(f"{name} / pretrained mean" if fraction else f"{name} − pretrained mean{unit}")
     return drawing
+
+
+def _exponent(values: list[np.ndarray]) -> int:
+    """Of the ten that an axis leaves to its label: 0 where its numbers are short without. matplotlib would write it
+    above the first of several panels, into its title."""
+    largest = max((float(np.abs(one).max()) for one in values if one.size), default=0.0)
+    exponent = math.floor(math.log10(largest)) if 0.0 < largest < math.inf else 0
+    return exponent if not -3 <= exponent <= 4 else 0
 
 
 def sweep(run: RunData, objective: str) -> Figure | None:

@@ -11,9 +11,10 @@ from hts.report.data import RunData
 
 FRONT_CAPTION = (
     "Left: every policy tried in reality, by what its gain over the pretrained policy (diamond) counts as; bars are 95 "
-    "% intervals, crosses fell. Dark: the front, beaten by no other in both at once; the line is the edge of what it "
-    "beats. Ringed: the final policy. Right: every candidate by its scores in simulation above those of the pretrained "
-    "policy; each iteration has measurement models of its own, so that its points compare among themselves."
+    "% intervals (a mean over several speeds has none), crosses fell. Dark: the front, beaten by no other in both at "
+    "once; the line is the edge of what it beats. Ringed: the final policy. Right: every candidate by its scores in "
+    "simulation above those of the pretrained policy; each iteration has measurement models of its own, so that its "
+    "points compare among themselves."
 )
 
 
@@ -27,6 +28,7 @@ def front_part(run: RunData) -> dict[str, Any] | None:
     return {
         "text": front_text(run, tested),
         "speeds": _speeds(run),
+        "measured": any(result.get("speeds") for result in run.final.values()),
         "figures": front_figures(run),
         "objectives": run.objectives,
         "rows": front_rows(run),
@@ -38,7 +40,9 @@ def front_text(run: RunData, tested: int) -> str:
     names = " and ".join(run.objectives)
     found = [entry for entry in run.front if entry["id"] != PRETRAINED]
     if not found:
-        none = f"None of the {tested} policies tried in reality gains in any of {names}"
+        fell = any(candidate.get("fell") for one in run.iterations for candidate in one.get("candidates") or ())
+        upright = " without falling" if fell else ""
+        none = f"None of the {tested} policies tried in reality gains in any of {names}{upright}"
         return f"{none}: the pretrained policy is the front."
     verb = "is" if len(found) == 1 else "are"
     text = (

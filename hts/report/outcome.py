@@ -59,7 +59,7 @@ def fates(rows: Sequence[Row], task: TaskWords = VELOCITY) -> str:
     rest = len(rows) - len(refused) - len(fell)
     parts = [f"{len(refused)} of {len(rows)} refused{_walked(refused, task)}"] if refused else []
     parts += [f"{len(fell)} fell"] if fell else []
-    parts += [f"{rest} measured no better"] if rest else []
+    parts += [f"{rest} measured no better{_together(rows)}"] if rest else []
     return ", ".join(parts)
 
 
@@ -154,8 +154,15 @@ def _no_final(rows: Sequence[Row], known: bool, task: TaskWords, why: str | None
     if known and not rows:
         why = why or "all fell or were stopped in simulation"
         return f"{text}no candidate was tested, since {why}; the pretrained policy stays the best."
-    text += "no candidate measured better than the pretrained policy, which stays the best."
+    together = _together(rows)
+    stays = f"{together}; the pretrained policy stays the best." if together else ", which stays the best."
+    text += f"no candidate measured better than the pretrained policy{stays}"
     return f"{text} {_capital(fates(rows, task))}." if rows else text
+
+
+def _together(rows: Sequence[Row]) -> str:
+    """Of several objectives one alone may well have gained."""
+    return " in all objectives together" if any(len(row.get("real") or ()) > 1 for row in rows) else ""
 
 
 def _walked(rows: Sequence[Row], task: TaskWords) -> str:

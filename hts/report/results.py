@@ -99,11 +99,8 @@ def headline(run: RunData, name: str, result: Json) -> str:
         )
         text = f"Against the pretrained policy, {policy} improves {name} by {spread}{run.task.everywhere}."
     else:
-        parts = [
-            (better, "better"),
-            (worse, "worse"),
-            ([k for k in speeds if k not in better + worse], "not clearly either"),
-        ]
+        neither = "not clearly either" if better or worse else "neither clearly better nor clearly worse"
+        parts = [(better, "better"), (worse, "worse"), ([k for k in speeds if k not in better + worse], neither)]
         found = ", ".join(f"{word}{run.task.at(keys)}" for keys, word in parts if keys)
         text = f"Against the pretrained policy, {policy} is, for {name}, {found}."
     for speed, why in refused.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -78,26 +79,30 @@ def fitting(result: Mapping[str, Any], title: str, console: Console, task: TaskW
 
     A heading may break between words, never inside one. One metric a table is as narrow as it gets.
     """
+
+    def made(title: str, metrics: Sequence[str], numbers: bool = False) -> Table:
+        """With headings in one line where there is room for that."""
+        table = _table(result, title, metrics, task, numbers)
+        return table if _fits(table, console) else _table(result, title, metrics, task, numbers, broken=True)
+
     metrics = _metrics(result)
-    whole = _table(result, title, metrics, task, numbers=True)
+    whole = made(title, metrics, numbers=True)
     if not metrics or _fits(whole, console):
         return [whole]
-    tables, waiting = [_table(result, title, [], task, numbers=True)], metrics
+    tables, waiting = [made(title, [], numbers=True)], metrics
     while waiting:
-        count = next(
-            (n for n in range(len(waiting), 1, -1) if _fits(_table(result, "", waiting[:n], task), console)), 1
-        )
-        tables.append(_table(result, "", waiting[:count], task))
+        count = next((n for n in range(len(waiting), 1, -1) if _fits(made("", waiting[:n]), console)), 1)
+        tables.append(made("", waiting[:count]))
         waiting = waiting[count:]
     return tables
 
 
 def _fits(table: Table, console: Console) -> bool:
-    """Whether every word and number of the table has its place."""
+    """Whether every line of the table has its place: rich would cut off what it makes narrower."""
     from rich.measure import Measurement
 
     wide = console.options.update(width=10_000)  # what it needs, not what there is
-    return Measurement.get(console, wide, table).minimum <= console.width
+    return Measurement.get(console, wide, table).maximum <= console.width
 
 
 def _metrics(result: Mapping[str, Any]) -> list[str]:
@@ -108,9 +113,15 @@ def _metrics(result: Mapping[str, Any]) -> list[str]:
 
 
 def _table(
-    result: Mapping[str, Any], title: str, metrics: Sequence[str], task: TaskWords, numbers: bool = False
+    result: Mapping[str, Any],
+    title: str,
+    metrics: Sequence[str],
+    task: TaskWords,
+    numbers: bool = False,
+    broken: bool = False,
 ) -> Table:
-    """One row a speed, or set-point. numbers: improvement, speed, falls and segments too."""
+    """One row a speed, or set-point. numbers: improvement, speed, falls and segments too; broken: headings of several
+    words are as narrow as their longest one."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -119,10 +130,12 @@ def _table(
     table.add_column(task.column, justify="right", no_wrap=True)
     for column in ("improvement", "95 % interval") if numbers else ():
         table.add_column(column, justify="right", no_wrap=True)
-    for name in metrics:
-        table.add_column(wording.label(name).lower(), justify="right")
-    for column in (task.achieved_column, "falls", "segments") if numbers else ():
-        table.add_column(column, justify="right")
+    for column in (
+        *(wording.label(name).lower() for name in metrics),
+        *((task.achieved_column, "falls", "segments") if numbers else ()),
+    ):
+        longest = max(map(len, column.split()), default=1)
+        table.add_column(textwrap.fill(column, longest) if broken else column, justify="right")
     for key in sorted(speeds, key=float):
         row = speeds[key]
         falls, found = row.get("falls"), row.get("metrics") or {}

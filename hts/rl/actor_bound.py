@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torchrl.modules import set_recurrent_mode
 
 from hts.rl.actor import PopulationActor
 from hts.rl.given import check_number
@@ -17,6 +18,7 @@ from hts.rl.loss_checks import check_actor, check_not_empty, read_by
 
 
 @torch.no_grad()
+@set_recurrent_mode(True)  # as TorchRL has it in a loss
 def project_actor_to_kl_bound(
     actor: TensorDictModuleBase,
     reference: TensorDictModuleBase,
@@ -29,8 +31,8 @@ def project_actor_to_kl_bound(
     Returns s.
 
     actor: one policy, as `KLConstrainedPPOLoss` takes it; reference: what it was, with the same parameters by name, as
-    the loss's `reference` is; tensordict: what both read, of any shape; a recurrent actor's are whole stretches, inside
-    `set_recurrent_mode(True)`; bound: c, nats. Where the KL is of one sampled action, the bound holds as closely as
+    the loss's `reference` is; tensordict: what both read, of any shape; a recurrent actor's are whole stretches,
+    [..., T]; bound: c, nats. Where the KL is of one sampled action, the bound holds as closely as
     that mean is known: give many states.
 
     Raises TypeError for a population (`project_to_kl_bound` takes it); ValueError, with the actor as it was given, for

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import nn
 from torch.distributions import Distribution
+from torchrl.modules import set_recurrent_mode
 from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
@@ -34,6 +34,7 @@ from hts.rl.loss_checks import (
 from hts.rl.multiplier import LagrangeMultiplier, as_bounds
 from hts.rl.rows import row_mean, row_standardised
 from hts.rl.surrogate import surrogate, value_error
+from hts.rl.told import tell
 
 FORGOTTEN = 1000  # losses before the first update of alpha; 10 passes over a batch in 64 parts are 640
 
@@ -262,9 +263,11 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         return TensorDict(losses, batch_size=self.multiplier.value.shape)
 
     @torch.no_grad()
+    @set_recurrent_mode(True)  # as TorchRL has it in `forward`
     def kl_to_reference(self, tensordict: TensorDictBase) -> torch.Tensor:
-        """Mean KL(pi || reference) over the states of a batch, with the parameters as they are; [] or [P], nats. Raises
-        ValueError for an empty batch, and one without its candidates in front."""
+        """Mean KL(pi || reference) over the states of a batch, with the parameters as they are; [] or [P], nats. Of a
+        recurrent actor over whole stretches, [..., T], as `forward` has it. Raises ValueError for an empty batch, and
+        one without its candidates in front."""
         batch = tensordict.copy()
         check_not_empty(batch.shape)
         if batch.ndim:  # else only what is computed of it says whose it is
@@ -292,21 +295,19 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
             return
         self._waiting -= 1
         if self._waiting == 0:
-            warnings.warn(
+            tell(
                 f"{FORGOTTEN} losses were computed and the multiplier was never updated: it stays what it is, and "
                 "nothing holds the policy to kl_bound. Call loss.update_multiplier(loss.kl_to_reference(data)) once a "
-                "batch, or make the loss with multiplier_rate=0 if that is meant.",
-                stacklevel=2,
+                "batch, or make the loss with multiplier_rate=0 if that is meant."
             )
 
     def _tell_frozen(self) -> None:
         """Warn, once, of an actor without gradients: the critic's would let every step pass."""
         if not self._told_frozen:
             self._told_frozen = True
-            warnings.warn(
+            tell(
                 "No parameter of actor_network asks for gradients, so the policy stays what it is while the critic "
-                "learns. Give the policy that is to be trained, not a frozen copy, or actor.requires_grad_().",
-                stacklevel=3,
+                "learns. Give the policy that is to be trained, not a frozen copy, or actor.requires_grad_()."
             )
 
     def _check_finite(self, batch: TensorDictBase, key: NestedKey) -> None:

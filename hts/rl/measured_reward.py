@@ -30,9 +30,10 @@ class MeasuredReward(OfItsSizes, Transform):
     refused in a batch, and in an env on a CPU: to ask at every step would wait for a GPU. The reward keeps its dtype.
 
     Either way the reward as it was goes into an entry of its own beside it, `before_key`: "reward_before_effort" of
-    reward_key "reward" and in_key "effort"; one number a step, without the last dimension that vectors have, so that
-    what gathers an env's vectors (`CatTensors`) leaves it out of what a policy sees. A batch, or a part or copy of one,
-    that has it and whose reward is another now, has got its measured reward already and is refused.
+    reward_key "reward" and in_key "effort", parts of nested keys joined by "__"; one number a step, without the last
+    dimension that vectors have, so that what gathers an env's vectors (`CatTensors`) leaves it out of what a policy
+    sees. A batch, or a part or copy of one, that has it and whose reward is another now, has got its measured reward
+    already and is refused.
 
     Raises ValueError for a weight or dt that cannot be, and for weights of candidates with a centring of another number
     of them, TypeError for what is no number.
@@ -161,4 +162,4 @@ def _numbers(reward: torch.Tensor, batch_dims: int) -> torch.Tensor:
 
 
 def _flat(key: NestedKey) -> str:
-    return key if isinstance(key, str) else "_".join(key)
+    return key if isinstance(key, str) else "__".join(key)  # ("a", "b") is not "a_b"

@@ -4,12 +4,12 @@ mean that is to stay below a number."""
 from __future__ import annotations
 
 import math
-import warnings
 from typing import Any
 
 import torch
 
 from hts.rl.given import OfItsSizes, as_numbers, check_number
+from hts.rl.told import tell
 
 LARGEST_EXCESS = 2.0  # of KL / c - 1 in one update: one bad batch must not spend the training on getting back
 FAR, LONG = 2.0, 50  # KL / c, updates: alpha has risen by rate * LONG at least, and it has not been enough
@@ -86,12 +86,11 @@ class LagrangeMultiplier(OfItsSizes):
         if not bool((self.beyond >= LONG).any()):
             return
         self._told = True
-        warnings.warn(
+        tell(
             f"The KL was above {FAR:g} times its bound in {LONG} updates of the multiplier one after the other: KL / c "
             f"is {(kl / self.bounds).tolist()}, alpha {self.value.tolist()}. Rewards may be so large that alpha, which "
             f"rises by {self.rate * LARGEST_EXCESS:g} an update at most, does not reach what they pay: make the loss "
-            "with normalize_advantage=True if it is not, or divide the rewards.",
-            stacklevel=4,
+            "with normalize_advantage=True if it is not, or divide the rewards."
         )
 
     @torch.no_grad()

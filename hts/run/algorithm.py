@@ -24,7 +24,7 @@ from hts.report import write_report
 from hts.report.outcome import nobody_chosen
 from hts.report.table import print_table
 from hts.report.task_words import TaskWords
-from hts.run.belonging import check_confirmed, check_fitted, check_iteration
+from hts.run.belonging import check_confirmed, check_final, check_fitted, check_iteration
 from hts.run.confirming import confirm, finalists
 from hts.run.finals import final
 from hts.run.gate import gate
@@ -131,6 +131,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
         job.stages.progress.skip(1)
     about = f"final head-to-head in world '{config.world.name}'"
     job.do("final", about, partial(final, job, finalists(job, best)))
+    check_final(job)
     return finish(job)
 
 

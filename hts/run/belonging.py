@@ -48,6 +48,7 @@ def check_iteration(job: Job, iteration: int) -> None:
         found = job.read(f"{folder}/nearer")
         closer = {row["id"]: str(row["policy_hash"]) for row in found["candidates"]}
         _check_has(nearer, closer, found["simulate"]["scores"])
+        _check_scores(job, nearer, closer, found["simulate"])
         _check(nearer, "it judged", found["simulate"]["scores"], closer, "its candidates")
         _check_gate(nearer, found["gate"], closer)
         known |= closer
@@ -57,6 +58,7 @@ def check_iteration(job: Job, iteration: int) -> None:
         tried = [name for name in found["results"] if nearer.exists() or not is_nearer(name)]  # else they come again
         _check(tested, "it tried", tried, known, "candidates of this iteration")
         _check_has(tested, [*found["elites"], *best], found["results"])
+        _check_results(job, tested, found["results"])
         _check(tested, "the best so far is", [found["best_so_far"]], _tested(job, iteration + 1), "one that was tried")
 
 
@@ -66,6 +68,15 @@ def check_confirmed(job: Job) -> None:
     named = [found["best"], *found["tried"], *found["results"], *found.get("next", ())]
     _check(_path(job, "confirm"), "it names", named, _tested(job, job.done_iterations), "policies that were tried")
     _check_has(_path(job, "confirm"), found["tried"], found["results"])
+    _check_results(job, _path(job, "confirm"), found["results"])
+
+
+def check_final(job: Job) -> None:
+    """Raise RunError for a final.json of a policy that no iteration tried, or that lacks an objective of the run."""
+    found, path = job.read("final"), _path(job, "final")
+    _check(path, "it is of", [found["policy"]], _tested(job, job.done_iterations), "a policy that was tried")
+    if found["objectives"]:  # else the policy to start from stays
+        _check_has(path, job.objectives, found["objectives"])
 
 
 def _check_judged(job: Job, folder: str, known: Collection[str], simulated: Mapping[str, Any]) -> None:
@@ -79,7 +90,25 @@ def _check_judged(job: Job, folder: str, known: Collection[str], simulated: Mapp
     for key in ("scores", "falls", "tracked"):
         _check_has(judged, known, simulated[key])
         _check(judged, f"its {key} are of", simulated[key], known, "the candidates of finetune.json")
+    _check_scores(job, judged, known, simulated)
     _check(judged, "its elites are", simulated["elites"], known, "candidates of finetune.json")
+
+
+def _check_scores(job: Job, path: Path, known: Iterable[str], simulated: Mapping[str, Any]) -> None:
+    """Of scores in parts, which runs of before have not: of every candidate, in every objective."""
+    scores = simulated.get("objective_scores")
+    if scores is not None:
+        _check_has(path, known, scores)
+        for name, row in scores.items():
+            _check_has(path, job.objectives, row, of=name)
+
+
+def _check_results(job: Job, path: Path, results: Mapping[str, Mapping[str, Any]]) -> None:
+    """Trials that were not refused: in every objective."""
+    for name, row in results.items():
+        for found in (row["real"], (row.get("tested") or {}).get("selection_score")):
+            if found is not None:
+                _check_has(path, job.objectives, found, of=name)
 
 
 def _check_gate(path: Path, gate: Mapping[str, Any], known: Mapping[str, str]) -> None:
@@ -105,11 +134,11 @@ def _check(path: Path, about: str, names: Iterable[str], known: Collection[str],
         raise damaged(path, f"{about} {strangers[0]}, expected {expected}: {listed}")
 
 
-def _check_has(path: Path, wanted: Iterable[str], found: Collection[str]) -> None:
-    """Raise RunError if one of the names is missing."""
+def _check_has(path: Path, wanted: Iterable[str], found: Collection[str], of: str = "") -> None:
+    """Raise RunError if one of the names is missing; of: the candidate whose they are."""
     missing = sorted(name for name in wanted if name not in found)
     if missing:
-        raise damaged(path, f"nothing about {', '.join(missing)}")
+        raise damaged(path, f"nothing about {', '.join(missing)}{of and f' of {of}'}")
 
 
 def _path(job: Job, stage: str) -> Path:

@@ -134,10 +134,16 @@ class Trial(Part):
     selection_score: dict[str, Number] = Field(description="by objective")
 
 
+class AtSpeed(Part):
+    """A head-to-head at one speed, or set-point."""
+
+    improvement: Number = Field(description="over the pretrained policy, the objective's unit")
+
+
 class Result(Part):
     """A trial."""
 
-    real: dict[str, dict[str, dict[str, Any]]] | None = Field(
+    real: dict[str, dict[str, AtSpeed]] | None = Field(
         description="objective -> speed -> improvement and metrics; null: refused"
     )
     refused: str | None = Field(description="why; null: it was not")
@@ -190,11 +196,18 @@ class GivenUp(Part):
     falls: int = Field(description="in all that it walked")
 
 
+class Compared(Part):
+    """What a final found of one objective."""
+
+    unit: str = Field(description="of its improvement")
+    speeds: dict[str, AtSpeed] = Field(description="those that were kept")
+
+
 class Final(Part):
     """final.json."""
 
     policy: str = Field(description="the result of the run")
-    objectives: dict[str, dict[str, Any]] = Field(description="what it saves; empty: the policy to start from stays")
+    objectives: dict[str, Compared] = Field(description="what it saves; empty: the policy to start from stays")
     recordings: list[str] = Field(description="ids in the run's store")
     samples: int = Field(description="of the robot, control steps")
     given_up: list[GivenUp] = Field(default_factory=list, description="finals before it")

@@ -119,6 +119,24 @@ def test_one_line_for_what_cannot_be_packed(tmp_path, repository, capsys, commit
     assert not out.exists()
 
 
+@pytest.mark.parametrize("order", [1, -1], ids=["file first", "folder first"])
+def test_a_file_of_a_folder_that_another_entry_names(tmp_path, repository, order):
+    commit = committed(repository, "older")
+    (repository / "methods.yaml").write_text("methods\n")
+    (repository / "drawn").mkdir()
+    for name in ("first", "second"):
+        (repository / "drawn" / f"{name}.json").write_text(name)
+    path = tmp_path / "several.yaml"
+    rows = [
+        {"methods": "a", "methods_file": "methods.yaml", "realities": named, "commit": commit}
+        for named in ("drawn/first.json", "drawn")
+    ]
+    path.write_text(yaml.safe_dump({"batch": rows[::order]}))
+    assert asked(repository, path, tmp_path / "carried") == 0
+    carried = tmp_path / "carried" / commit / "drawn"
+    assert {one.name: one.read_text() for one in carried.iterdir()} == {"first.json": "first", "second.json": "second"}
+
+
 def test_realities_that_are_asked_for_and_no_others(tmp_path):
     found = carry.chosen(batches(tmp_path, "a" * 40, "b" * 40), ["two-1"])
     assert found["batch"] == [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hts.report import front_figure
+from hts.report import figures, front_figure
 from hts.report.data import RunData
 from hts.report.front import front_part, front_rows, front_text
 
@@ -104,3 +104,33 @@ def test_the_figure_shows_each_policy_in_both_units_and_a_line_only_where_all_ob
     assert [(20.0, -1.0)] in drawn and [(10.0, 2.0)] in drawn and [(0.0, 0.0)] in drawn
     assert ([(10.0, 2.0), (20.0, -1.0)] in drawn) == (len(objectives) == 2)
     assert {text.get_text() for text in panel.texts} == {"00-00", "00-01", "pretrained"}
+
+
+@pytest.mark.parametrize("fell", [True, False])
+def test_a_gain_of_a_policy_that_fell_is_not_denied(tmp_path, fell):
+    run = run_of(tmp_path, {"pretrained": {"cost": 0.0, "level": 0.0}}, [{**A, "fell": fell}])
+    assert ("in any of cost and level without falling:" in front_text(run, 1)) == fell
+
+
+@pytest.mark.parametrize(
+    ("factor", "label"),
+    [
+        (1.0, "Energy − pretrained mean"),
+        (3e8, "Energy − pretrained mean, 1e8"),
+        (1e-6, "Energy − pretrained mean, 1e-6"),
+    ],
+)
+def test_seconds_of_a_quantity_of_any_size_have_short_numbers_at_their_axis(tmp_path, factor, label):
+    run = run_of(tmp_path, {"pretrained": {"cost": 0.0, "level": 0.0}}, [A])
+    seconds = {"reference": {"energy": [4 * factor, 6 * factor]}, "policy": {"energy": [5 * factor, 5 * factor]}}
+    run.segments["level"] = {"0.5": seconds, "0.8": seconds}
+    first = figures.distribution(run, "level").axes[0]
+    assert first.get_ylabel() == label
+    assert max(first.get_ylim()) < 10.0
+
+
+@pytest.mark.parametrize("speeds", [{}, {"0.8": {"improvement": 0.2}}])
+def test_a_front_without_a_final_promises_none_below(tmp_path, speeds):
+    run = run_of(tmp_path, {"00-00": {"cost": 0.2, "level": 1.0}}, [A], "00-00")
+    run.summary["final"]["objectives"] = {"cost": {"unit": "1", "speeds": speeds}} if speeds else {}
+    assert front_part(run)["measured"] == bool(speeds)

@@ -110,3 +110,10 @@ def test_the_terminal_says_it_in_place_of_a_table():
     console = Console(record=True, width=300, file=io.StringIO())
     print_table(run([refused(0.55)]), console)
     assert "every elite was refused" in console.export_text()
+
+
+def test_with_several_objectives_none_is_said_to_be_no_better_in_one_of_them():
+    both = {"elite": True, "real": {"level": {}, "cost": {}}, "fell": False}
+    (line,) = closing(run([both, FELL]))
+    assert "no candidate measured better than the pretrained policy in all objectives together; the pretrained" in line
+    assert line.endswith("1 fell, 1 measured no better in all objectives together.")

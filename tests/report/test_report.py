@@ -237,7 +237,7 @@ def test_an_interval_around_zero_is_not_called_an_improvement(tmp_path, words_on
 
     shown = text(changed(tmp_path, blur))
     assert "improves cost" not in shown
-    assert "not clearly either at 0.5 and 0.8 and 1.1 m/s" in shown
+    assert "is, for cost, neither clearly better nor clearly worse at 0.5 and 0.8 and 1.1 m/s." in shown
 
 
 def test_falls_are_told_in_the_first_sentence(tmp_path, words_only):

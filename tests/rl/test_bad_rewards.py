@@ -275,3 +275,13 @@ def test_a_reward_that_was_put_back_is_paid_anew():
     paid = measured(data)["next", "reward"]
     data["next", "reward"] = bare
     torch.testing.assert_close(measured(data)["next", "reward"], paid)
+
+
+def test_nested_entries_of_alike_names_are_paid_each():
+    _, data = collected()
+    ended = data["next"]
+    ended["a", "b"], ended["a_b"] = torch.full((2, 4, 1), 2.0), torch.full((2, 4, 1), 3.0)
+    for key in (("a", "b"), "a_b"):
+        MeasuredReward(1.0, 1.0, in_key=key, centring=RewardCentring(0.0))(data)
+    assert torch.equal(data["next", "reward"], torch.full((2, 4, 1), 6.0))
+    assert {"reward_before_a__b", "reward_before_a_b"} <= set(ended.keys())

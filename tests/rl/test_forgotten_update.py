@@ -9,7 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from hts.rl import KLConstrainedPPOLoss, Population, PopulationActor, PopulationCritic, Sizes
+from hts.rl import KLConstrainedPPOLoss, LagrangeMultiplier, Population, PopulationActor, PopulationCritic, Sizes
 from hts.rl import loss as home
 
 SIZES = Sizes(3, 3, 1, (4,))
@@ -75,3 +75,19 @@ def test_a_compiled_loss_is_compiled_once_and_gives_the_same(monkeypatch):
         assert torch.equal(compiled(data)["loss_objective"], expected)
         seen.append(len(graphs))
     assert seen[0] > 0 and set(seen) == {seen[0]}
+
+
+def test_warnings_have_the_line_of_whoever_called():
+    loss, data = made(kl_bound=0.1)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        for _ in range(4):
+            loss(data)
+        for _ in range(60):
+            loss.update_multiplier(torch.tensor([0.9, 0.9]))
+        multiplier = LagrangeMultiplier(0.1)
+        for _ in range(60):
+            multiplier.update(torch.tensor(0.9))
+        loss.actor_network.requires_grad_(False)
+        loss(data)
+    assert [one.filename for one in found] == [__file__] * 4

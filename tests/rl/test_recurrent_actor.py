@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from tensordict import TensorDict
 from tensordict.nn import ProbabilisticTensorDictModule, ProbabilisticTensorDictSequential, TensorDictModule
 from torch import nn
 from torchrl.modules import LSTMModule, NormalParamExtractor, TanhNormal, ValueOperator, set_recurrent_mode
 
-from hts.rl import KLConstrainedPPOLoss
+from hts.rl import KLConstrainedPPOLoss, project_actor_to_kl_bound
 
 KEYS = {
     "in_keys": ["observation", "hidden", "cell"],
@@ -53,3 +54,17 @@ def test_its_reference_remembers_and_is_gone_on_from():
         other = made(seed=1)
         other.load_state_dict(loss.state_dict())
         assert torch.equal(other.kl_to_reference(data), kl)
+
+
+def test_it_goes_along_the_stretches_outside_of_that_mode_too():
+    loss, data = made(seed=0), stretches()
+    with torch.no_grad():
+        for parameter in loss.actor_network.parameters():
+            parameter.add_(0.3)
+    with set_recurrent_mode(True):
+        kl = loss.kl_to_reference(data)
+    assert torch.equal(loss.kl_to_reference(data), kl)
+    bound = 0.5 * float(kl)
+    scale = project_actor_to_kl_bound(loss.actor_network, loss.reference, data, bound)
+    with set_recurrent_mode(True):
+        assert 0.0 < scale < 1.0 and float(loss.kl_to_reference(data)) == pytest.approx(bound, rel=0.01)

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from hts import api
 from hts.config_loading import load_config
-from hts.errors import ConfigError
+from hts.errors import ConfigError, RunError
 from hts.testing.packages import kit_installed, on_path, write_package
 
 PLUGIN = '''
@@ -220,6 +221,31 @@ def test_stopped_before_the_second_iteration_it_goes_on_from_the_same_front(run,
     api.resume(again)  # its report is there still, and drawing it shows nothing here
     whole, resumed = summary_of(run), summary_of(again)
     assert {**resumed, "wall_seconds": 0} == {**whole, "wall_seconds": 0}
+
+
+@pytest.mark.parametrize(
+    ("stage", "keys"),
+    [
+        ("iterations/01/test", ("results", "01-01", "real")),
+        ("iterations/01/test", ("results", "01-01", "tested", "selection_score")),
+        ("iterations/01/simulate", ("objective_scores", "01-01")),
+        ("iterations/01/fit", ()),
+        ("final", ("objectives",)),
+    ],
+)
+def test_a_stage_that_lacks_one_of_the_objectives_is_named(run, tmp_path, stage, keys):
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder)
+    (folder / "summary.json").unlink()
+    path = folder / f"{stage}.json"
+    found = part = json.loads(path.read_text())
+    for key in keys:
+        part = part[key]
+    del part["cheap"]
+    path.write_text(json.dumps(found))
+    with pytest.raises(RunError, match=rf"^{path}: damaged \(nothing about cheap") as caught:
+        api.resume(folder)
+    assert "Delete it and resume" in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_fall_in_reality_keeps_a_policy_off_the_front(two_objectives, run):
