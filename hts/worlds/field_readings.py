@@ -139,7 +139,7 @@ def _joints(names: Sequence[str]) -> Iterator[Reading]:
             if all(one == other for one, other in taken.items()):
                 continue
             joints = [at[taken[one[place]], *one[:place], *one[place + 1 :]] for one in words]
-            shown = ", ".join(f"what it calls {other} as {one}" for one, other in taken.items() if one != other)
+            shown = ", ".join(f"its {other} taken as {one}" for one, other in taken.items() if one != other)
             yield Reading(
                 {name: _columns(joints) for name in JOINT_CHANNELS},
                 f"{shown} in all channels of joints",

@@ -51,7 +51,7 @@ def test_a_walk_that_is_read_otherwise_is_refused_with_how_to_read_it(robot, pol
         "00.csv: computed again from the log, the joint targets of walk.onnx are off by 0.1"
     )
     assert (
-        "rad with what it calls FL as FR, what it calls FR as FL, what it calls RL as RR, what it calls RR as RL in "
+        "rad with its FL taken as FR, its FR taken as FL, its RL taken as RR, its RR taken as RL in "
         "all channels of joints. Expected less than 0.0"
     ) in str(told.value)
     assert "correct `joints`, `joint_order` or the columns in the mapping" in str(told.value)
@@ -91,8 +91,8 @@ def test_joints_are_exchanged_by_what_their_names_tell(robot, policy):
     two = recording.replace(joint_names=("left_hip", "right_hip", "left_knee", "right_knee"))
     shown = [one.words for one in readings(two) if "channels of joints" in one.words]
     assert shown == [
-        "what it calls right as left, what it calls left as right in all channels of joints",
-        "what it calls knee as hip, what it calls hip as knee in all channels of joints",
+        "its right taken as left, its left taken as right in all channels of joints",
+        "its knee taken as hip, its hip taken as knee in all channels of joints",
     ]
 
 
@@ -113,5 +113,5 @@ def test_a_visit_of_which_all_logs_have_their_legs_exchanged_is_refused(run, rob
         swap = {"FR_": "FL_", "FL_": "FR_", "RR_": "RL_", "RL_": "RR_"}
         names = ",".join(swap.get(column[:3], column[:3]) + column[3:] for column in header.split(","))
         (logs / f"{name}.csv").write_text("\n".join([names, *rows]) + "\n")
-    with pytest.raises(RecordingError, match=r"00\.csv: computed again .* what it calls FL as FR"):
+    with pytest.raises(RecordingError, match=r"00\.csv: computed again .* its FL taken as FR"):
         field(run).collect([policy, policy], asked)
