@@ -59,13 +59,13 @@ def velocity_notes(recording: Recording, robot: Robot, where: str, stated: Colle
     typical = float(np.median(np.hypot(*velocity.T)))
     if typical > most:
         raise _refusal(where, f"is {typical:.4g} m/s at the median, more than the {most:g} m/s of any such robot")
-    told = _told(recording)
+    told = told_commands(recording)
     if told is None:
         return {}
-    steady = _steady(told, recording.rate_hz)
+    steady = unchanged(told, recording.rate_hz) & (np.hypot(told[:, 0], told[:, 1]) >= TOLD)
     if steady.sum() < LEAST_SECONDS * recording.rate_hz:
         return {}
-    told, mean = told[steady, :2], _mean(velocity, round(recording.rate_hz))[steady]
+    told, mean = told[steady, :2], mean_over(velocity, round(recording.rate_hz))[steady]
     squares = float((told**2).sum())
     along = float((mean * told).sum()) / squares
     aside = float((mean[:, 1] * told[:, 0] - mean[:, 0] * told[:, 1]).sum()) / squares
@@ -102,7 +102,7 @@ def _direction(along: float, aside: float, size: float) -> str:
     )
 
 
-def _told(recording: Recording) -> np.ndarray | None:
+def told_commands(recording: Recording) -> np.ndarray | None:
     """Commanded vx, vy, m/s, and yaw rate, rad/s, (T, 3); None where nobody said what was commanded."""
     logged = recording.channels.get(COMMAND)
     if logged is not None and logged.values.shape[1:] == (3,):
@@ -113,17 +113,17 @@ def _told(recording: Recording) -> np.ndarray | None:
     return np.array([(command.vx, command.vy, command.yaw_rate) for command in commands])[command_at(recording)]
 
 
-def _steady(told: np.ndarray, rate_hz: float) -> np.ndarray:
-    """Samples (T,) bool at which TOLD was commanded and had been for SETTLE_SECONDS. told: (T, 3)."""
+def unchanged(told: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Samples (T,) bool at which the command had been the same for SETTLE_SECONDS. told: (T, 3), m/s, m/s, rad/s."""
     changes = np.flatnonzero((np.abs(np.diff(told, axis=0)) > CHANGED).any(axis=1)) + 1
     at = np.arange(len(told))
     last = np.concatenate([[0], changes])[np.searchsorted(changes, at, side="right")]
-    return (at - last >= SETTLE_SECONDS * rate_hz) & (np.hypot(told[:, 0], told[:, 1]) >= TOLD)
+    return np.asarray(at - last >= SETTLE_SECONDS * rate_hz)
 
 
-def _mean(values: np.ndarray, window: int) -> np.ndarray:
-    """Means (T, 2) over the `window` samples up to each."""
-    sums = np.concatenate([np.zeros((1, 2)), np.cumsum(values, axis=0)])
+def mean_over(values: np.ndarray, window: int) -> np.ndarray:
+    """Means (T, C) of values (T, C) over the `window` samples up to each."""
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     end = np.arange(1, len(values) + 1)
     start = np.maximum(end - max(window, 1), 0)
     return np.asarray((sums[end] - sums[start]) / (end - start)[:, None])

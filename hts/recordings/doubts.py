@@ -14,10 +14,12 @@ DOUBTS = (
     "joint_torque_takes_work",
     "base_velocity_scale",
     "repeated_while_moving",
+    "gravity_stands_still",
+    "foot_force_scale",
     "idle_differs",
 )
-"""Names of the notes of `torque_notes`, `work_notes`, `velocity_notes` and `repeated_notes`, and that of a world whose
-recordings are compared although they state idle levels that differ."""
+"""Names of the notes of `torque_notes`, `work_notes`, `velocity_notes`, `repeated_notes`, `still_notes` and
+`foot_notes`, and that of a world whose recordings are compared although they state idle levels that differ."""
 
 
 def remarks(recordings: Sequence[Recording]) -> list[str]:

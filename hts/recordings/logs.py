@@ -7,8 +7,8 @@
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
 the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle`,
-`check_read`, `check_upright`, `check_turning`, `check_targets`, `torque_notes`, `work_notes`, `velocity_notes` and
-`repeated_notes` for values.
+`check_read`, `check_upright`, `check_turning`, `check_told_turn`, `check_targets`, `torque_notes`, `work_notes`,
+`velocity_notes`, `foot_notes`, `still_notes` and `repeated_notes` for values.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
 from hts.errors import ConfigError, HtsError, RecordingError
+from hts.recordings.attitude import still_notes
 from hts.recordings.base_speed import velocity_notes
-from hts.recordings.checks import check
 from hts.recordings.commanded import until_the_end
 from hts.recordings.factors import common_factor, times_factors_of_joints
-from hts.recordings.gravity import GRAVITY, check_upright
+from hts.recordings.feet import foot_notes
+from hts.recordings.gravity import check_upright
 from hts.recordings.joining import joined
 from hts.recordings.joint_work import work_notes
+from hts.recordings.look_over import looked_over
 from hts.recordings.mapping import (
     SECONDS,
     ChannelMapping,
@@ -40,23 +42,22 @@ from hts.recordings.mapping import (
     check_held,
     check_joint_order,
     column_names,
-    follows_joints,
     parse_mapping,
     remedy,
 )
 from hts.recordings.motion import check_motion
 from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.pd_torque import torque_notes
-from hts.recordings.plausible import check_facts, check_idle, check_limits
+from hts.recordings.plausible import check_idle, check_limits
 from hts.recordings.recording import Recording, Series
 from hts.recordings.repeated import repeated_notes
 from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
-from hts.recordings.standard_units import in_standard_units
 from hts.recordings.stated_channels import check_channels
 from hts.recordings.stretches import Stretch, stretches
 from hts.recordings.table import ColumnName, Table, table_of
 from hts.recordings.targets import check_targets
+from hts.recordings.told_turn import check_told_turn
 from hts.recordings.turning import check_turning
 from hts.recordings.unread import check_read
 
@@ -69,9 +70,11 @@ __all__ = [
     "check_motion",
     "check_read",
     "check_targets",
+    "check_told_turn",
     "check_turning",
     "check_upright",
     "common_grid",
+    "foot_notes",
     "held",
     "recording_from_columns",
     "recording_from_tables",
@@ -80,6 +83,7 @@ __all__ = [
     "repeated_notes",
     "resampled",
     "samples_of",
+    "still_notes",
     "table_of",
     "torque_notes",
     "velocity_notes",
@@ -189,24 +193,8 @@ def _one(
     channels = {name: _series(one, log, robot, grid) for name, one in samples.items()}
     told = _notes(files, tables, samples, grid, log, dropped)
     recording = _recording(channels, grid, log, robot, {**told, **notes}, where)
-    check_facts(recording, robot, where)
-    per_joint = {name for name, one in log.channels.items() if follows_joints(name, one)}
-    stated = _stated_limits(channels, log)
-    check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
-    check(recording, where)
-    judged = recording.replace(channels=in_standard_units(channels, besides=recording.idle))
-    check_motion(judged.channels, robot.spec, log.rate_hz, where, stated)
-    levels = {name: level for name, level in recording.idle.items() if name not in stated}
-    check_idle(judged.channels, levels, where)
-    turned = GRAVITY in log.channels and common_factor(log.channels[GRAVITY]) < 0
-    check_upright(judged, where, stated, turned)
-    check_turning(judged.channels, log.rate_hz, where, stated)
-    check_targets(judged, robot.spec, where, stated)
     slow = {name: (1 / one.rate_hz, one.oldest) for name, one in samples.items() if one.oldest is not None}
-    check_read(judged.channels, log.rate_hz, list(recording.idle), where, slow, log.frozen_real_seconds)
-    doubts = torque_notes(judged, robot.spec, where, stated) | velocity_notes(recording, robot, where, stated)
-    doubts |= repeated_notes(judged.channels, log.rate_hz) | work_notes(judged, stated)
-    return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
+    return looked_over(recording, robot, log, where, slow)
 
 
 def _about_joints(
@@ -275,17 +263,6 @@ def _channel(name: str, one: ChannelMapping, components: int, robot: Robot) -> C
             f"Mapping: '{name}' has {components} columns, robot '{robot.spec.name}' gives it shape {own.shape}."
         )
     return own
-
-
-def _stated_limits(channels: Mapping[str, Series], log: LogMapping) -> dict[str, tuple[float, float]]:
-    """Limits that the mapping gives, in the unit of the channel."""
-    stated = {}
-    for name, one in log.channels.items():
-        if one.limits is not None:
-            scale, offset = units.conversion(one.unit, channels[name].channel.unit)
-            low, high = one.limits
-            stated[name] = (scale * low + offset, scale * high + offset)
-    return stated
 
 
 def _notes(

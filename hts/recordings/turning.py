@@ -1,4 +1,5 @@
-"""Whether `angular_velocity` is how the trunk turns: a gyroscope in deg/s, or counted the other way, shows no limit.
+"""Whether `angular_velocity` is how the trunk turns: a gyroscope in deg/s, counted the other way, or along other axes
+(`axes`), shows no limit.
 
 Gravity g is fixed in the world, so in the trunk's frame it turns against it: dg/dt = g x w. Its components along x and
 y are held against each other, both averaged over 0.1 s twice, since a derivative makes noise large. Which way g points
@@ -21,6 +22,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from hts.errors import RecordingError
+from hts.recordings.axes import other_axes
 from hts.recordings.gravity import GRAVITY
 from hts.recordings.motion import ALIKE, OTHER_UNIT, UNLIKE, correlations
 from hts.recordings.recording import Series
@@ -53,7 +55,7 @@ def check_turning(channels: Mapping[str, Series], rate_hz: float, where: str, st
         return
     if channels[TURNING].channel.unit != "rad/s" or len(channels[GRAVITY].values) < LEAST_SECONDS * rate_hz:
         return
-    gravity, velocity = (_averaged(channels[name].values, round(OVER_SECONDS * rate_hz)) for name in names)
+    gravity, velocity = (averaged(channels[name].values, round(OVER_SECONDS * rate_hz)) for name in names)
     seen, told = np.gradient(gravity, 1.0 / rate_hz, axis=0)[:, :2], np.cross(gravity, velocity)[:, :2]
     seen_size, told_size = seen.std(axis=0), told.std(axis=0)
     if seen_size.min() < TURNS or told_size.min() < TURNS / OTHER_UNIT:
@@ -73,7 +75,11 @@ def check_turning(channels: Mapping[str, Series], rate_hz: float, where: str, st
     elif np.abs(alike).min() > ALIKE and alike.min() < 0:
         hint = "of x and y one is counted the other way, so the two are along other axes: turn one of them in the log"
     else:
-        return
+        most = round(LATE_SECONDS * rate_hz)
+        other = other_axes(seen, gravity, velocity, rate_hz, lambda one, another: _late(one, another, most))
+        if other is None:
+            return
+        hint = other
     raise RecordingError(
         f"{where}: '{TURNING}' is not how '{GRAVITY}' turns in the trunk's frame (correlation {alike[0]:.2f} and "
         f"{alike[1]:.2f}): {hint}; if it is right, say so with `limits`."
@@ -96,7 +102,7 @@ def _fast(turning: np.ndarray) -> float:
     return float((squares[above].sum(axis=0) / squares.sum(axis=0)).max())
 
 
-def _averaged(values: np.ndarray, samples: int) -> np.ndarray:
+def averaged(values: np.ndarray, samples: int) -> np.ndarray:
     """Values (T, 3) averaged twice over so many samples, shorter by them."""
     window = np.ones(max(samples, 1)) / max(samples, 1)
     columns = [np.convolve(np.convolve(one, window, "valid"), window, "valid") for one in values.astype(np.float64).T]

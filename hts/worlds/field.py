@@ -44,6 +44,7 @@ from hts.worlds.field_logs import (
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
 from hts.worlds.field_once import check_once
 from hts.worlds.field_ran import check_whose
+from hts.worlds.field_readings import check_readings
 
 
 class FieldSettings(Config):
@@ -258,6 +259,7 @@ class FieldWorld(World):
         firsts = [files[order.name][0] for order in orders]
         check_once(self._folder, self._run_folder() / "data.zarr", bundle, firsts, recordings)
         if isinstance(self._robot, VelocityRobot):
+            check_readings(firsts, recordings, [order.policy for order in orders])
             check_whose(firsts, recordings, [order.policy for order in orders])
         if held:
             field_holding.check_one_command(recordings)

@@ -59,7 +59,7 @@ def _check_exchanged(
         off = {one: distance(policy, recording) for one, (_, policy) in known.items()}
         found = {one: value for one, value in off.items() if value is not None}
         mine, nearest = found.get(own, 0.0), min(found, key=lambda one: found[one], default=own)
-        if mine < LEAST or found[nearest] >= CLEARLY * mine or found[nearest] > AGREES * _moves(recording):
+        if mine < LEAST or found[nearest] >= CLEARLY * mine or found[nearest] > AGREES * moves(recording):
             continue
         raise RecordingError(
             f"{file}: its joint targets are those of {known[nearest][0]} (computed again from the log, off by "
@@ -88,13 +88,13 @@ def _check_stranger(
     theirs. Not asked: rows that explore, in which the robot fell or stands, and visits in which no log agrees."""
     rows: dict[int, _Row] = {}
     for number, (recording, path) in enumerate(zip(recordings, policies, strict=True)):
-        moves = _moves(recording) if "joint_target" in recording.channels else 0.0
-        if moves < MOVING or recording.fell or loaded[path].card.exploration_std:
+        size = moves(recording) if "joint_target" in recording.channels else 0.0
+        if size < MOVING or recording.fell or loaded[path].card.exploration_std:
             continue
         off = differences(loaded[path], recording, LATE)
         if off is not None:
             nearest = min(off, key=lambda one: float(np.median(one)))
-            rows[number] = _Row(float(np.median(nearest)), float(np.quantile(nearest, 0.25)), moves)
+            rows[number] = _Row(float(np.median(nearest)), float(np.quantile(nearest, 0.25)), size)
     agree = [row for row in rows.values() if row.half <= AGREES * row.moves]
     if not agree or len(agree) < len(rows) - len(agree):
         return
@@ -150,6 +150,6 @@ def differences(policy: DeployedPolicy, recording: Recording, late: range) -> li
     return found if all(np.isfinite(one).all() for one in found) else None
 
 
-def _moves(recording: Recording) -> float:
+def moves(recording: Recording) -> float:
     """How much the joint targets of a log move, rad, root mean square over joints."""
     return float(np.sqrt(np.mean(np.var(recording.channels["joint_target"].values, axis=0))))

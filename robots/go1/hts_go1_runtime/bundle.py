@@ -23,6 +23,7 @@ from hts_go1_runtime.trained import check_trained
 SCHEMA, VERSION = "hts deploy bundle", 1
 CHECKSUMS = "SHA256SUMS"
 TARGET = "default_pose + action_scale * action"
+ROBOT = "go1"
 LARGEST_FILE = 64 * 2**20  # bytes
 LONGEST_FROZEN = 600.0  # s
 FIRST_RUNS = {"speed_scale": (0.0, 1.0), "torque_scale": (0.1, 1.0), "seconds": (0.0, 600.0)}
@@ -63,6 +64,13 @@ class Bundle:
     def fastest(self) -> float | None:
         """m/s, the end of trimming, None where no speed is held."""
         return None if self.hold is None else self.hold.commands[1]
+
+    @property
+    def other_robot(self) -> str:
+        """Name of the robot that it was made for, "" where that is this one. One of these joints and limits may be a
+        Go1 with something more, so it is told and not refused."""
+        name = str(self.manifest["robot"].get("name", ROBOT))
+        return "" if name == ROBOT else name
 
     @property
     def logs(self) -> Path:
@@ -221,6 +229,14 @@ def _checked_card(policy: Policy) -> Mapping[str, Any]:
                 f"{policy.where}: its own card says {key} {str(card.get(key))[:60]}, the manifest "
                 f"{str(policy.entry[key])[:60]}. Make the bundle again."
             )
+    # Parts of one size in another order fit the graph: the gyroscope would be taken for gravity.
+    seen, said = ([(one["name"], one["size"]) for one in of["observation"]] for of in (card, policy.entry))
+    if seen != said or card.get("history", 1) != policy.entry["history"]:
+        raise RuntimeFault(
+            f"{policy.where}: its own card says that it observes {', '.join(name for name, _ in seen)} (history "
+            f"{card.get('history', 1)}), the manifest {', '.join(name for name, _ in said)} (history "
+            f"{policy.entry['history']}). Make the bundle again."
+        )
     if bool(policy.entry["exploration"]) != ("hts_exploration" in policy.metadata):
         raise RuntimeFault(
             f"{policy.where}: manifest and graph disagree about exploration noise. Make the bundle again."

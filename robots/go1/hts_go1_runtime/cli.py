@@ -137,6 +137,8 @@ def hurry(priority: int) -> str:
 def _described(bundle: Bundle) -> str:
     seconds = sum(row.seconds for row in bundle.rows)
     lines = [f"{bundle.folder}: whole. {len(bundle.rows)} rows, {seconds:.0f} s, {bundle.rate_hz:g} Hz."]
+    if bundle.other_robot:
+        lines.append(f"  made for the robot '{bundle.other_robot}', not for a Go1: go on only if it is one")
     for file, policy in bundle.policies.items():
         entry = policy.entry
         explores = "explores" if entry["exploration"] else "mean action"

@@ -30,6 +30,9 @@ def question(
 ) -> str:
     """The question; what needs a look is said to `events` too. vouched: files of policies that failed the gate;
     channels: what the link measures; first_run: each policy walks slowly and weakly, and nothing is recorded."""
+    other = [bundle.other_robot] if bundle.other_robot else []
+    if other:
+        events.say("made for another robot", robot=bundle.other_robot)
     new = [] if first_run else never_walked(bundle, rows)
     if new:
         events.say("no first run", policies=new)
@@ -43,6 +46,7 @@ def question(
     untried = [file for file, policy in bundle.policies.items() if policy.entry["gate"] is None]
     return (
         f"{len(rows)} rows, {sum(row.seconds for row in rows):.0f} s; the pack has {volts:.1f} V. "
+        + _said("Made for another robot, so go on only if this is one", other)
         + _said("Not tried over simulated machines", untried)
         + _said("Failed the gate, vouched for", vouched)
         + _said("Never walked from this bundle, nor slowly first (--first-run)", new)

@@ -63,6 +63,10 @@ MISTAKES = {
         lambda m: policy(m)["kp"].__setitem__(3, 31.0),
         "its own card says kp",
     ),
+    "an observation in another order": (
+        lambda m: policy(m)["observation"].insert(0, policy(m)["observation"].pop(1)),
+        "its own card says that it observes angular_velocity, projected_gravity, .* the manifest projected_gravity, an",
+    ),
     "actions that are clipped": (
         lambda m: m["control"].__setitem__("action_clip", 1.0),
         "action_clip 1.0; this runtime .* clips no action",
@@ -252,3 +256,11 @@ def test_the_manifest_says_what_the_policy_was_trained_with(bundle):
     assert second["exploration"]["sigma"] == [0.05] * 12
     assert (bundle / second["mean_file"]).is_file()
     assert manifest["robot"]["position_limit"][2] == [-2.818, -0.888]
+
+
+def test_a_bundle_for_a_robot_of_another_name_is_told_and_not_refused(bundle, change, capsys):
+    assert main(["check", str(bundle)]) == 0
+    assert "made for the robot" not in capsys.readouterr().out
+    change(lambda m: m["robot"].__setitem__("name", "go1_heavy"))
+    assert main(["check", str(bundle)]) == 0
+    assert "made for the robot 'go1_heavy', not for a Go1: go on only if it is one" in capsys.readouterr().out
