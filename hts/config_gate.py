@@ -50,6 +50,11 @@ class GateConfig(Config):
         description="with `strict`, where nobody of an iteration may be tried: shares of the way from anchor to "
         "candidate, between 0 and 1, at which each is judged and tried here once more",
     )
+    nearer_for: Literal["nobody", "first"] = Field(
+        "nobody",
+        description="when `nearer` is done. nobody: where nobody of an iteration may be tried; first: also where whom "
+        "the selector would name first may not, for those that are kept from the world",
+    )
     first_run: FirstRunConfig = Field(default_factory=FirstRunConfig, description="of a policy on a machine")
 
     @field_validator("nearer")

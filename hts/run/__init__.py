@@ -91,7 +91,8 @@ def simulates_yet(config: RunConfig, folder: Path) -> bool:
     if not (config.gate.enabled and config.gate.nearer) or (last / "nearer.json").exists():
         return False
     gate = read_stage(chosen)
-    return bool(gate["strict"]) and not gate["elites"]
+    barred = gate["kept_out"] or any(not row["passed"] for row in gate["policies"].values())
+    return bool(gate["strict"]) and (not gate["elites"] or (config.gate.nearer_for == "first" and bool(barred)))
 
 
 def refuse_oracle(config: RunConfig) -> None:

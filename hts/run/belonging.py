@@ -51,6 +51,8 @@ def check_iteration(job: Job, iteration: int) -> None:
         _check_scores(job, nearer, closer, found["simulate"])
         _check(nearer, "it judged", found["simulate"]["scores"], closer, "its candidates")
         _check_gate(nearer, found["gate"], closer)
+        passed = [*job.read(f"{folder}/gate")["elites"], *found["gate"]["elites"]]
+        _check(nearer, "it lets pass", found.get("elites", ()), passed, "those that passed a gate")
         known |= closer
     if tested.exists():
         found = job.read(f"{folder}/test")

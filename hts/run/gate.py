@@ -205,20 +205,23 @@ def _able(
         elif name in alike:
             kept_out[name] = "ended as the same policy as an earlier candidate"
         else:
-            scores = {key: number(value) for key, value in simulated["objective_scores"][name].items()}
-            able.append(
-                SimulatedCandidate(
-                    name,
-                    number(simulated["scores"][name]),
-                    falls,
-                    simulated["tracked"][name],
-                    scores,
-                    fine_tuning(row, simulated["task_rewards"]),
-                    mean_gain(simulated["predicted"].get(name, {})),
-                    speeds_predicted(simulated["predicted"].get(name, {})),
-                )
-            )
+            able.append(as_judged(row, simulated))
     return able, kept_out
+
+
+def as_judged(row: Mapping[str, Any], simulated: Mapping[str, Any]) -> SimulatedCandidate:
+    """A candidate as a selector sees it. row: its part of finetune.json; simulated: as simulate.json."""
+    name = row["id"]
+    return SimulatedCandidate(
+        name,
+        number(simulated["scores"][name]),
+        simulated["falls"][name],
+        simulated["tracked"][name],
+        {key: number(value) for key, value in simulated["objective_scores"][name].items()},
+        fine_tuning(row, simulated["task_rewards"]),
+        mean_gain(simulated["predicted"].get(name, {})),
+        speeds_predicted(simulated["predicted"].get(name, {})),
+    )
 
 
 def _closing(

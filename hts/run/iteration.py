@@ -1,6 +1,6 @@
 """What became of an iteration's candidates, from its stages' files.
 
-Behind those that were trained stand, where none of these might be tried, those closer to their anchors.
+Behind those that were trained stand, where these might not be tried, those closer to their anchors.
 """
 
 from __future__ import annotations
@@ -24,7 +24,17 @@ def tuned(job: Job, iteration: int) -> dict[str, Any]:
 def simulated(job: Job, iteration: int) -> dict[str, Any]:
     """simulate.json, with the candidates of nearer.json and the elites among them."""
     found, nearer = _stage(job, iteration, "simulate"), nearer_of(job, iteration)
-    return found if nearer is None else judged_after(found, nearer["simulate"])
+    if nearer is None:
+        return found
+    whole = judged_after(found, nearer["simulate"])
+    if not _stage(job, iteration, "gate")["elites"]:
+        return whole
+    left = [found.get("gave_up") or {}, nearer["simulate"]["gave_up"]]
+    gave_up = {
+        "elites": [name for one in left for name in one.get("elites") or ()],
+        "line": next((one["line"] for one in left if one.get("line")), None),
+    }
+    return {**whole, "elites": [*found["elites"], *whole["elites"]], "gave_up": gave_up}
 
 
 def judged_after(found: Mapping[str, Any], added: Mapping[str, Any]) -> dict[str, Any]:
@@ -35,14 +45,17 @@ def judged_after(found: Mapping[str, Any], added: Mapping[str, Any]) -> dict[str
 
 
 def gated(job: Job, iteration: int) -> dict[str, Any] | None:
-    """gate.json, with the candidates of nearer.json and those of them that passed; None of a run without a gate."""
+    """gate.json, with the candidates of nearer.json and who of all is tried; None of a run without a gate."""
     if not _is_done(job, iteration, "gate"):
         return None
     found, nearer = _stage(job, iteration, "gate"), nearer_of(job, iteration)
     if nearer is None:
         return found
     whole = tried_after(found, nearer["gate"])
-    return {**whole, "lines": [*found["lines"], nearer["line"], *nearer["gate"]["lines"]]}
+    if found["elites"]:  # else who was proposed first is of no more account
+        whole["proposed"] = [*found["proposed"], *whole["proposed"]]
+    lines = [*found["lines"], nearer["line"], *nearer["gate"]["lines"]]
+    return {**whole, "elites": nearer.get("elites", whole["elites"]), "lines": lines}
 
 
 def tried_after(found: Mapping[str, Any], added: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""The stage `nearer`: where nobody of an iteration may be tried, its candidates once more, closer to their anchors.
+"""The stage `nearer`: candidates of an iteration that may not be tried, once more, closer to their anchors.
+
+Where nobody may be tried; with `gate.nearer_for: first` also where the one may not whom the selector would name first.
 
 A training that went too far is not worth nothing: on the straight line of parameters back to the anchor, which may be
 tried, falls and end stops become rarer, and some of the gain is left. As in training, where a candidate that ended
@@ -8,18 +10,20 @@ beyond its KL bound is brought back along the same line (`hts.rl.kl_bound.projec
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 
+from hts.checked_selector import checked_selector
 from hts.config import RunConfig
 from hts.config_base import percent
+from hts.contracts import Selector
 from hts.policies.files import Policy, make_card
-from hts.run.gate import tried
+from hts.run.gate import as_judged, tried
 from hts.run.iteration import gated, judged_after, tried_after
 from hts.run.job import Job
-from hts.run.judging import judge
+from hts.run.judging import judge, same_policies
 from hts.training.sweep import is_nearer, nearer_id
 
 Report = Callable[[float], None]
@@ -31,8 +35,8 @@ def may_go_nearer(config: RunConfig) -> bool:
 
 
 def is_due(job: Job, iteration: int) -> bool:
-    """Whether an iteration has this stage and lacks its result: nobody may be tried, though somebody was trained to
-    the end. Of an iteration that was tested already: whether somebody of this stage was."""
+    """Whether an iteration has this stage and lacks its result: nobody may be tried, or not the first, though somebody
+    was trained to the end. Of an iteration that was tested already: whether somebody of this stage was."""
     folder = job.folder / f"iterations/{iteration:02d}"
     if (folder / "nearer.json").exists():
         return False
@@ -41,26 +45,52 @@ def is_due(job: Job, iteration: int) -> bool:
     found, rows = gated(job, iteration), _trained(job, iteration)
     if found is None or not found["strict"] or not rows:
         return False
-    barred = {*found["kept_out"], *(name for name, row in found["policies"].items() if not row["passed"])}
-    return all(row["id"] in barred for row in rows)
+    barred = barred_by(found)
+    if all(row["id"] in barred for row in rows):
+        return True
+    return job.config.gate.nearer_for == "first" and _first(job, iteration, rows) in barred
+
+
+def barred_by(gated: Mapping[str, Any]) -> set[str]:
+    """Who may not be tried: kept out before the gate, or refused by it. gated: as gate.json."""
+    return {*gated["kept_out"], *(name for name, row in gated["policies"].items() if not row["passed"])}
+
+
+def _first(job: Job, iteration: int, rows: Sequence[Mapping[str, Any]]) -> str | None:
+    """Whom the selector would name first of them if nobody had fallen; None if nobody. rows: of finetune.json."""
+    simulated, alike = job.read(f"iterations/{iteration:02d}/simulate"), same_policies(rows)
+    able = [dataclasses.replace(as_judged(row, simulated), falls=0) for row in rows if row["id"] not in alike]
+    return next(iter(_selector(job).elites(able, 1)), None)
+
+
+def _selector(job: Job) -> Selector:
+    return checked_selector(job.registry, job.config.selection.selector, job.config.max_real_samples is not None)
 
 
 def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     """Judge candidates at shares of the way from their anchors, the largest first, and try them at the gate, until
     somebody passes; policies beside the others.
 
-    The result holds them as finetune.json, simulate.json and gate.json do.
+    The result holds them as finetune.json, simulate.json and gate.json do, and who is tried: of those that pass here
+    and those that passed before whom the selector names.
     """
     shares = sorted(job.config.gate.nearer, reverse=True)
     told = ", then ".join(f"{percent(one)} %" for one in shares)
-    line = f"nobody of this iteration may be tried, so candidates are judged at {told} of the way from their anchors"
+    before = gated(job, iteration)
+    assert before is not None  # else it is not due
+    rest = [row for row in _trained(job, iteration) if row["id"] in barred_by(before)]
+    if before["elites"]:
+        line = f"{_listed(rest)} may not be tried, so {'it is' if len(rest) == 1 else 'they are'} judged"
+    else:
+        line = "nobody of this iteration may be tried, so candidates are judged"
+    line += f" at {told} of the way from their anchors"
     job.stages.progress.say(f"iteration {iteration:02d}: {line}")
     tuned = job.read(f"iterations/{iteration:02d}/finetune")
-    yardstick = job.read(f"iterations/{iteration:02d}/gate")["pretrained"]
+    yardstick = before["pretrained"]
     rows: list[dict[str, Any]] = []
     whole: dict[str, Any] = {}
     for number, share in enumerate(shares):  # one at a time: no more policies at once than the stage `simulate` had
-        looked = _looked(job, iteration, tuned, best, share)
+        looked = _looked(job, iteration, tuned, rest, best, share)
         rows += looked["candidates"]
         report((number + 0.5) / len(shares))
         found = tried(
@@ -69,7 +99,7 @@ def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any
             looked["candidates"],
             looked["simulate"],
             lambda part, number=number: report((number + 0.5 + part / 2) / len(shares)),  # type: ignore[misc]
-            again=number + 1 < len(shares),
+            again=bool(before["elites"]) or number + 1 < len(shares),
             yardstick=yardstick,
         )
         yardstick = yardstick or found["pretrained"]
@@ -82,7 +112,28 @@ def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any
             job.stages.progress.say(f"iteration {iteration:02d}: {passed}")
             whole["gate"]["lines"] = [*whole["gate"]["lines"], passed]
             break
-    return {"line": line, "candidates": rows, **whole}
+    elites = whole["gate"]["elites"]
+    if before["elites"]:
+        elites = _of_both(job, iteration, before["elites"], rows, whole)
+    return {"line": line, "candidates": rows, **whole, "elites": elites}
+
+
+def _listed(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Their ids: "02-00 and 02-00-75"."""
+    *most, last = [str(row["id"]) for row in rows]
+    return f"{', '.join(most)} and {last}" if most else last
+
+
+def _of_both(
+    job: Job, iteration: int, passed: Sequence[str], rows: Sequence[Mapping[str, Any]], whole: Mapping[str, Any]
+) -> list[str]:
+    """Whom the selector names of those that passed as they were trained and of those that pass closer to their anchors,
+    the latter in rows and whole, as `nearer` returns them. All were judged in the same worlds."""
+    folder = f"iterations/{iteration:02d}"
+    trained, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
+    able = [as_judged(row, simulated) for row in trained if row["id"] in passed]
+    able += [as_judged(row, whole["simulate"]) for row in rows if row["id"] in whole["gate"]["elites"]]
+    return _selector(job).elites(able, job.elites(iteration))
 
 
 def _trained(job: Job, iteration: int) -> list[dict[str, Any]]:
@@ -92,10 +143,18 @@ def _trained(job: Job, iteration: int) -> list[dict[str, Any]]:
     return [row for row in rows if row["stopped"] is None and row["id"] not in before]
 
 
-def _looked(job: Job, iteration: int, tuned: Mapping[str, Any], best: str, share: float) -> dict[str, Any]:
-    """The candidates of one share: their rows, and how they were judged."""
+def _looked(
+    job: Job,
+    iteration: int,
+    tuned: Mapping[str, Any],
+    trained: Sequence[Mapping[str, Any]],
+    best: str,
+    share: float,
+) -> dict[str, Any]:
+    """The candidates of one share: their rows, and how they were judged. tuned: finetune.json; trained: its rows of
+    those that are looked at once more."""
     rows, anchors = [], []
-    for row in _trained(job, iteration):
+    for row in trained:
         anchor = job.anchor(best if row["anchor"] == "best" else row["anchor"])
         rows.append(_saved(job, row, anchor, share))
         anchors.append(anchor)

@@ -125,6 +125,7 @@ class Nearer(Part):
     candidates: list[Tuned] = Field(description="those closer to their anchors")
     simulate: Simulate = Field(description="as simulate.json")
     gate: Gate = Field(description="as gate.json")
+    elites: list[str] = Field(default_factory=list, description="who is tried for real, of all that passed")
 
 
 class Trial(Part):

@@ -199,3 +199,99 @@ def test_nor_where_somebody_passes(tmp_path, monkeypatch):
 def test_shares_that_make_no_sense_are_refused(shares, said):
     with pytest.raises(ValueError, match=said):
         GateConfig(nearer=shares)
+
+
+def first_of(path, name):
+    """Whether that is the candidate whom the selector named first."""
+    return name == stage(path, "simulate")["elites"][0]
+
+
+FIRST = {"gate.nearer_for": "first", "selection.elites": 2}
+
+
+def test_where_the_first_may_not_be_tried_it_is_judged_nearer_beside_who_passed(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "run"
+    refused_if(monkeypatch, lambda name: first_of(path, name))
+    found = run(path, **FIRST)
+    first, other = stage(path, "simulate")["elites"]
+    added = stage(path, "nearer")
+    closer = nearer_id(first, 0.5)
+    assert [row["id"] for row in added["candidates"]] == [closer]  # of who passed nothing is looked at once more
+    assert stage(path, "gate")["elites"] == [other] and added["gate"]["elites"] == [closer]
+    assert set(added["elites"]) == {closer, other} == set(stage(path, "test")["elites"])
+    iteration = found.summary["iterations"][0]
+    assert {row["id"] for row in iteration["candidates"] if row["elite"]} == {closer, other}
+    assert set(iteration["gate"]["elites"]) == {closer, other} and iteration["gate"]["refused"] == [first]
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"{first} may not be tried, so it is judged at 50 %, then 25 % of the way from their anchors" in said
+    assert f"{closer} passed the gate, at 50 % of the way" in said
+
+    for name in ("final", "summary"):
+        (path / f"{name}.json").unlink()
+    with kit_installed():
+        resume_run(path)
+    assert json.loads((path / "summary.json").read_text())["iterations"][0]["candidates"] == iteration["candidates"]
+
+
+def test_the_selector_chooses_of_both_as_many_as_are_tried(tmp_path, monkeypatch):
+    path = tmp_path / "run"
+    refused_if(monkeypatch, lambda name: first_of(path, name))
+    asked = []
+
+    def last_named(self, candidates, count):
+        asked.append(([one.id for one in candidates], count))
+        return sorted((one.id for one in candidates), reverse=True)[:count]
+
+    monkeypatch.setattr(Hierarchical, "elites", last_named)
+    run(path, **{**FIRST, "selection.elites": 1})
+    first, other, closer = "00-01", "00-00", nearer_id("00-01", 0.5)
+    assert stage(path, "simulate")["elites"] == [first] and stage(path, "gate")["elites"] == [other]
+    assert asked[-1] == ([other, closer], 1)
+    assert stage(path, "nearer")["elites"] == [closer] == stage(path, "test")["elites"]
+
+
+def test_where_it_fails_nearer_as_well_those_that_passed_are_tried(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "run"
+    refused_if(monkeypatch, lambda name: first_of(path, name) or is_nearer(name))
+    found = run(path, **FIRST)
+    first, other = stage(path, "simulate")["elites"]
+    assert [row["id"] for row in stage(path, "nearer")["candidates"]] == [nearer_id(first, s) for s in (0.5, 0.25)]
+    assert stage(path, "nearer")["elites"] == [other] == stage(path, "test")["elites"]
+    gate_seen = found.summary["iterations"][0]["gate"]
+    assert gate_seen["proposed"][:2] == [first, other]
+    assert "so nobody is" not in capsys.readouterr().out and not any("so nobody" in one for one in gate_seen["lines"])
+
+
+def test_who_comes_behind_those_that_passed_is_not_asked_again(tmp_path, monkeypatch):
+    path = tmp_path / "run"
+    refused_if(monkeypatch, lambda name: not first_of(path, name))
+    run(path, **FIRST)
+    assert not (path / "iterations/00/nearer.json").exists()
+    assert stage(path, "test")["elites"] == stage(path, "simulate")["elites"][:1]
+
+
+def test_who_fell_while_being_judged_may_be_the_first(tmp_path, monkeypatch):
+    judge, path = judging._judge, tmp_path / "run"
+
+    def ends_fall(row, *rest):
+        return dataclasses.replace(judge(row, *rest), falls=int(row["id"] == "00-01"))
+
+    monkeypatch.setattr(judging, "_judge", ends_fall)
+    monkeypatch.setattr(
+        Hierarchical, "elites", lambda self, candidates, count: [c.id for c in candidates][::-1][:count]
+    )
+    refused_if(monkeypatch, lambda name: False)
+    run(path, **FIRST)
+    assert stage(path, "gate")["kept_out"].keys() == {"00-01"} and stage(path, "gate")["elites"] == ["00-00"]
+    assert stage(path, "nearer")["elites"] == [nearer_id("00-01", 0.5), "00-00"]
+
+
+def test_a_result_that_lets_a_stranger_pass_is_told(tmp_path, monkeypatch):
+    path = tmp_path / "run"
+    refused_if(monkeypatch, lambda name: first_of(path, name))
+    run(path, **FIRST)
+    damaged = stage(path, "nearer")
+    (path / "iterations/00/nearer.json").write_text(json.dumps({**damaged, "elites": [damaged["elites"][0], "00-07"]}))
+    (path / "summary.json").unlink()
+    with kit_installed(), pytest.raises(HtsError, match=r"nearer\.json: .*lets pass 00-07"):
+        resume_run(path)
