@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+import numpy as np
+
 from hts.recordings.gravity import GRAVITY, LEAST_SECONDS
 from hts.recordings.recording import Recording
 from hts.recordings.repeated import moving
@@ -13,6 +15,8 @@ from hts.recordings.turning import OVER_SECONDS, TURNING, averaged
 SAME, ROCKS = 1e-3, 0.05
 """Standard deviation, of all its components, below which it stands still, and of the angular velocity about x and y,
 rad/s, averaged over 0.1 s twice, from which on a trunk rocks: walks have 0.05 to 0.3."""
+MORE = 1.5
+"""Times what would be left of its deviation if all of that were noise from sample to sample."""
 
 
 def still_notes(recording: Recording, stated: Collection[str] = ()) -> dict[str, str]:
@@ -32,8 +36,11 @@ def still_notes(recording: Recording, stated: Collection[str] = ()) -> dict[str,
         return {}
     if channels[TURNING].channel.unit != "rad/s" or not channels[GRAVITY].values[walks].std(axis=0).max() < SAME:
         return {}
-    rocks = averaged(channels[TURNING].values[walks], round(OVER_SECONDS * recording.rate_hz))[:, :2].std(axis=0)
-    if not rocks.max() > ROCKS:
+    about, samples = channels[TURNING].values[walks].astype(np.float64), max(1, round(OVER_SECONDS * recording.rate_hz))
+    rocks = _beside_z(averaged(about, samples)).std(axis=0)
+    window = np.ones(samples) / samples
+    noise = float(np.linalg.norm(np.convolve(window, window))) * about[:, :2].std(axis=0)  # if it were nothing else
+    if not (rocks > np.maximum(ROCKS, MORE * noise)).any():
         return {}
     return {
         "gravity_stands_still": (
@@ -43,3 +50,10 @@ def still_notes(recording: Recording, stated: Collection[str] = ()) -> dict[str,
             "read?"
         )
     }
+
+
+def _beside_z(velocity: np.ndarray) -> np.ndarray:
+    """Components x and y (T, 2) of a velocity (T, 3) without what goes with z, as of a sensor that is mounted askew."""
+    x_y, z = velocity[:, :2] - velocity[:, :2].mean(axis=0), velocity[:, 2] - velocity[:, 2].mean()
+    size = float(z @ z)
+    return x_y - np.outer(z, z @ x_y / size) if size > 0 else x_y

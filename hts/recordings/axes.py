@@ -11,12 +11,14 @@ attitude is too noisy, or the robot stands.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from itertools import permutations, product
 
 import numpy as np
 
 from hts.recordings.motion import ALIKE
+from hts.recordings.recording import Series
+from hts.recordings.turning import at_best, turn_of
 
 CLEARLY = 0.3
 """By so much the component that fits worse must fit better than it does as it is, at the best delay of both."""
@@ -27,30 +29,38 @@ TURNED = np.radians(np.arange(45.0, 316.0, 22.5))
 TURNS_AWAY = 1.0
 """rad by which the heading must change, or the world's axes are the trunk's."""
 
-Late = Callable[[np.ndarray, np.ndarray], float]
 
+def axes_notes(channels: Mapping[str, Series], rate_hz: float, stated: Collection[str] = ()) -> dict[str, str]:
+    """A note where a gyroscope explains how gravity turns only if it is read along other axes. It is no more than that:
+    roll and pitch of a gait have one rhythm, and an attitude that takes accelerations for gravity can look so too.
 
-def other_axes(seen: np.ndarray, gravity: np.ndarray, velocity: np.ndarray, rate_hz: float, late: Late) -> str | None:
-    """What the axes of an angular velocity look like, and what to do; None where they may be the trunk's, or where
-    none explains it.
-
-    seen: how gravity turns along x and y, 1/s, (T, 2); gravity, velocity: unit and rad/s, (T, 3), averaged likewise;
-    late: correlation of two of (T, 2) at the best delay, of the component that fits worse.
+    rate_hz: of the samples; stated: names of channels whose limits a mapping states, which is a person's word for them.
     """
+    found = turn_of(channels, rate_hz, stated)
+    if found is None:
+        return {}
 
     def fits(read: np.ndarray) -> float:
-        told = np.cross(gravity, read)[:, :2]
-        return late(seen, told) if told.std(axis=0).min() > 0 else -1.0
+        told = np.cross(found.gravity, read)[:, :2]
+        return at_best(found.seen, told, rate_hz) if told.std(axis=0).min() > 0 else -1.0
 
-    own = fits(velocity)
+    own = fits(found.velocity)
     if not own + CLEARLY <= 1.0:
-        return None
+        return {}
     best, told = own + CLEARLY, None
-    for read, words in _readings(velocity, rate_hz):
-        found = fits(read)
-        if found > max(best, ALIKE) and (told is None or found > best + AS_GOOD):
-            best, told = found, words
-    return None if told is None else f"{told} (correlation {best:.2f} then)"
+    for read, words in _readings(found.velocity, rate_hz):
+        like = fits(read)
+        if like > max(best, ALIKE) and (told is None or like > best + AS_GOOD):
+            best, told = like, words
+    if told is None:
+        return {}
+    return {
+        "angular_velocity_axes": (
+            f"angular_velocity is not how projected_gravity turns in the trunk's frame (correlation "
+            f"{found.alike[0]:.2f} and {found.alike[1]:.2f}), and {told} (correlation {best:.2f} then). If it is "
+            "right, the attitude is not: accelerations of a gait may have been taken for gravity"
+        )
+    }
 
 
 def _readings(velocity: np.ndarray, rate_hz: float) -> Iterator[tuple[np.ndarray, str]]:

@@ -11,9 +11,11 @@ is refused.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from hts.contracts import Robot
 from hts.contracts.speeds import fastest
@@ -27,7 +29,7 @@ TOLD = 0.3
 SETTLE_SECONDS, LEAST_SECONDS = 2.0, 3.0
 """After a command changed, and of what is left, s."""
 CHANGED = 0.02
-"""m/s or rad/s by which commands of two samples differ."""
+"""m/s or rad/s within which a command is the same."""
 OTHER_UNIT = 10.0
 """Size from which on it is another unit: cm/s are 100 times, mm/s 1000 times as many."""
 ELSEWHERE = 0.3
@@ -114,11 +116,14 @@ def told_commands(recording: Recording) -> np.ndarray | None:
 
 
 def unchanged(told: np.ndarray, rate_hz: float) -> np.ndarray:
-    """Samples (T,) bool at which the command had been the same for SETTLE_SECONDS. told: (T, 3), m/s, m/s, rad/s."""
-    changes = np.flatnonzero((np.abs(np.diff(told, axis=0)) > CHANGED).any(axis=1)) + 1
-    at = np.arange(len(told))
-    last = np.concatenate([[0], changes])[np.searchsorted(changes, at, side="right")]
-    return np.asarray(at - last >= SETTLE_SECONDS * rate_hz)
+    """Samples (T,) bool at which the command had been the same for SETTLE_SECONDS: all of it within CHANGED, so that
+    one that changes by little from sample to sample is not. told: (T, 3), m/s, m/s, rad/s."""
+    before = math.ceil(SETTLE_SECONDS * rate_hz)
+    if len(told) <= before:
+        return np.zeros(len(told), dtype=np.bool_)
+    over = {"size": before + 1, "axis": 0, "origin": before - (before + 1) // 2}  # that sample, and those before it
+    spread = maximum_filter1d(told, **over) - minimum_filter1d(told, **over)
+    return np.asarray((spread <= CHANGED).all(axis=1) & (np.arange(len(told)) >= before))
 
 
 def mean_over(values: np.ndarray, window: int) -> np.ndarray:

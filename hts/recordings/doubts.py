@@ -15,11 +15,13 @@ DOUBTS = (
     "base_velocity_scale",
     "repeated_while_moving",
     "gravity_stands_still",
+    "angular_velocity_axes",
     "foot_force_scale",
+    "foot_force_legs",
     "idle_differs",
 )
-"""Names of the notes of `torque_notes`, `work_notes`, `velocity_notes`, `repeated_notes`, `still_notes` and
-`foot_notes`, and that of a world whose recordings are compared although they state idle levels that differ."""
+"""Names of the notes of `torque_notes`, `work_notes`, `velocity_notes`, `repeated_notes`, `still_notes`, `axes_notes`
+and `foot_notes`, and that of a world whose recordings are compared although they state idle levels that differ."""
 
 
 def remarks(recordings: Sequence[Recording]) -> list[str]:

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.contracts import Robot
-from hts.errors import RecordingError
 from hts.recordings.recording import Recording
 from hts.recordings.repeated import moving
 
@@ -42,12 +41,11 @@ LEGS = range(3, 5)
 """Robots with two feet may stand with straight knees, which takes hardly any torque."""
 
 
-def foot_notes(recording: Recording, robot: Robot, where: str, stated: Collection[str] = ()) -> dict[str, str]:
-    """A note where `foot_force` is far from carrying the robot. where: begins messages; stated: names of channels whose
-    limits a mapping states, which is a person's word for them.
+def foot_notes(recording: Recording, robot: Robot, stated: Collection[str] = ()) -> dict[str, str]:
+    """Notes where `foot_force` is far from carrying the robot, or goes with the torques of other legs.
 
-    Raises RecordingError where the forces go with the torques of other legs. Nothing is said of a log without forces
-    in N, of a fall, of a robot that hardly moves, or without a model.
+    stated: names of channels whose limits a mapping states, which is a person's word for them. Nothing is said of a log
+    without forces in N, of a fall, of a robot that hardly moves, or without a model.
     """
     series = recording.channels.get(FORCE)
     if series is None or FORCE in stated or recording.fell or series.channel.unit != "N" or series.values.ndim != 2:
@@ -57,35 +55,38 @@ def foot_notes(recording: Recording, robot: Robot, where: str, stated: Collectio
         return {}
     from hts.sim.models import compile_model
 
-    model = compile_model(robot)
-    force = series.values.astype(np.float64)
-    _check_legs(recording, robot, model, force, walks, where)
+    model, force = compile_model(robot), series.values.astype(np.float64)
+    return _scale_notes(recording, model, force, walks) | _leg_notes(recording, robot, model, force, walks)
+
+
+def _scale_notes(recording: Recording, model: mujoco.MjModel, force: np.ndarray, walks: np.ndarray) -> dict[str, str]:
     mass = recording.mass_kg or float(model.body_mass[model.body_weldid != 0].sum())  # of what can move
     weight = 9.81 * mass
     share = float(force[walks].sum(axis=1).mean()) / weight
     swings = float(force[walks].std(axis=0).sum()) / weight
     if not (share > MUCH or (share < LITTLE and swings < SWINGS * share)):
         return {}
+    other = "has the zero of the sensors moved" if share > MUCH else "was the robot carried"
     return {
         "foot_force_scale": (
             f"the feet carry {share * weight:.3g} N in the mean of {walks.sum() / recording.rate_hz:.3g} s of moving, "
             f"{share:.2g} times the robot's weight ({weight:.3g} N). Expected about as much: is it in another unit "
-            "(raw counts of a sensor are no N; correct unit or scale), or was the robot carried?"
+            f"(raw counts of a sensor are no N; correct unit or scale), or {other}?"
         )
     }
 
 
-def _check_legs(
-    recording: Recording, robot: Robot, model: mujoco.MjModel, force: np.ndarray, walks: np.ndarray, where: str
-) -> None:
+def _leg_notes(
+    recording: Recording, robot: Robot, model: mujoco.MjModel, force: np.ndarray, walks: np.ndarray
+) -> dict[str, str]:
     legs, torque = _legs(robot, model), recording.channels.get(TORQUE)
     if torque is None or len(legs) not in LEGS or len(legs) != force.shape[1]:
-        return
+        return {}
     effort = np.stack([np.sqrt((torque.values[:, leg].astype(np.float64) ** 2).sum(axis=1)) for leg in legs], axis=1)
     second, late = round(OVER_SECONDS * recording.rate_hz), round(LATE_SECONDS * recording.rate_hz)
     alike = alike_at_best(quick(force, second), quick(effort, second), walks, late)
     if alike is None:
-        return
+        return {}
     own = float(np.diag(alike).mean())
     orders = {
         order: float(np.mean([alike[foot, leg] for foot, leg in enumerate(order)]))
@@ -93,16 +94,17 @@ def _check_legs(
     }
     best = max(orders, key=lambda order: orders[order])
     if not (own < UNLIKE and orders[best] > LIKE):
-        return
+        return {}
     feet = robot.spec.foot_sites
     shown = ", ".join(f"{feet[foot]} with the leg of {feet[leg]}" for foot, leg in enumerate(best) if foot != leg)
-    raise RecordingError(
-        f"{where}: '{FORCE}' falls where '{TORQUE}' of the same leg rises (correlation {own:.2f} in the mean of "
-        f"{len(legs)} legs), and goes with other legs: {shown} ({orders[best]:.2f}). Expected is that a leg which "
-        f"stands has more of both: legs are probably exchanged, in '{FORCE}' or in all channels of joints, so correct "
-        "the order of the columns there; or one of the two is late by half a stride; if it is right, say so with "
-        "`limits`."
-    )
+    return {
+        "foot_force_legs": (
+            f"{FORCE} falls where {TORQUE} of the same leg rises (correlation {own:.2f} in the mean of {len(legs)} "
+            f"legs), and goes with other legs: {shown} ({orders[best]:.2f}). Expected is that a leg which stands has "
+            f"more of both: are legs exchanged, in {FORCE} or in all channels of joints, or is one of the two late by "
+            "0.1 s and more? A steady gait does not tell which"
+        )
+    }
 
 
 def _legs(robot: Robot, model: mujoco.MjModel) -> list[list[int]]:

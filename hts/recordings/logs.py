@@ -26,6 +26,7 @@ from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
 from hts.errors import ConfigError, HtsError, RecordingError
 from hts.recordings.attitude import still_notes
+from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
 from hts.recordings.commanded import until_the_end
 from hts.recordings.factors import common_factor, times_factors_of_joints
@@ -65,6 +66,7 @@ __all__ = [
     "LogMapping",
     "Samples",
     "Table",
+    "axes_notes",
     "check_idle",
     "check_limits",
     "check_motion",

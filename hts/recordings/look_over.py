@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from hts import units
 from hts.contracts import Robot
 from hts.recordings.attitude import still_notes
+from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
 from hts.recordings.checks import check
 from hts.recordings.factors import common_factor
@@ -52,7 +53,7 @@ def looked_over(
     check_read(judged.channels, rate_hz, list(recording.idle), where, slow, log.frozen_real_seconds)
     doubts = torque_notes(judged, robot.spec, where, stated) | velocity_notes(judged, robot, where, stated)
     doubts |= repeated_notes(judged.channels, rate_hz) | work_notes(judged, stated) | still_notes(judged, stated)
-    doubts |= foot_notes(judged, robot, where, stated)
+    doubts |= foot_notes(judged, robot, stated) | axes_notes(judged.channels, rate_hz, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 

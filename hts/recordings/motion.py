@@ -24,6 +24,8 @@ walking quadruped (tests/recordings/test_real_logs.py) that of the other side fi
 most."""
 OTHER_UNIT = 5.0
 """Ratio of velocity to slope, either way; degrees are 57, turns a minute 9.5."""
+MOST_FAST = 0.5
+"""Share of squares above a quarter of the rate from which on the samples do not tell how fast something changes."""
 
 
 def check_motion(
@@ -49,13 +51,15 @@ def check_motion(
     own, ratio = np.median(np.diag(alike)), float(np.median(speed_spread / slope_spread))
     names_of_moving = [spec.joint_names[joint] for joint in moving]
     hint = _another_order(alike, names_of_moving, own)
-    turned = [name for name, fits in zip(names_of_moving, np.diag(alike), strict=True) if fits < -SURE]
+    each = np.diag(alike)
+    against = each < -SURE
     if hint:  # first: in a trot a leg moves against the one on the other side, as if it were counted the other way
         pass
-    elif 0 < len(turned) < len(moving) and (np.abs(np.diag(alike)) > ALIKE).all():
+    elif against.any() and not against.all() and (each[~against] > ALIKE).all():
+        turned = [names_of_moving[joint] for joint in np.flatnonzero(against)]
         said = ", ".join(f"{name}: -1" for name in turned)
         hint = f"of {', '.join(turned)} alone one of them is counted the other way: say sign: {{{said}}}"
-        hint += _or_another_order(alike, np.flatnonzero(np.diag(alike) < -SURE))
+        hint += _or_another_order(alike, np.flatnonzero(against))
     elif own < -SURE:
         hint = "one of them is counted the other way: say sign: -1" + _or_another_order(alike)
     elif own < -ALIKE:
@@ -78,6 +82,8 @@ def check_motion(
 def _check_unit(slope: np.ndarray, velocity: np.ndarray, where: str) -> None:
     """Raise RecordingError where no joint moves by both, but by one of them, and the two go together as if one were in
     another unit: of a slow arm, turns a minute that are taken for rad/s are below MOVING. (T, J) each, rad/s."""
+    if max(share_of_fast(slope), share_of_fast(velocity)) > MOST_FAST:  # slopes of samples are too small then
+        return
     one_moves = np.maximum(slope.std(0), velocity.std(0)) > MOVING
     joints = np.flatnonzero(one_moves & (np.minimum(slope.std(0), velocity.std(0)) > 0))
     if not len(joints):
@@ -90,6 +96,14 @@ def _check_unit(slope: np.ndarray, velocity: np.ndarray, where: str) -> None:
             "the positions, so one of them is in another unit. Correct the mapping; if both are right, say so with "
             "`limits`."
         )
+
+
+def share_of_fast(values: np.ndarray) -> float:
+    """Share of the squares above a quarter of the rate, of the column of (T, C) where it is largest; 0 of none that
+    changes. What is faster than half of the rate is folded to there."""
+    squares = np.abs(np.fft.rfft(values - values.mean(axis=0), axis=0)) ** 2
+    above, whole = np.fft.rfftfreq(len(values)) > 1 / 4, squares.sum(axis=0)  # periods a sample
+    return float(np.divide(squares[above].sum(axis=0), whole, out=np.zeros_like(whole), where=whole > 0).max())
 
 
 def standardized(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -24,6 +24,8 @@ OTHER_UNIT = 10.0
 """From which on the gyroscope is in another unit; deg/s are 57 times rad/s."""
 NOBODY = 3.0
 """rad/s, half a turn a second. Told that much, robots either turn fast or were told in deg/s."""
+TURNED = 0.15
+"""rad/s: with less the trunk may not turn at all, and a gyroscope be biased."""
 IN_DEGREES = (0.5 * np.pi / 180, 2 * np.pi / 180)
 """Times as fast as it was told, of a command in deg/s: robots follow it to within a factor of two."""
 
@@ -55,7 +57,7 @@ def check_told_turn(recording: Recording, where: str, stated: Collection[str] = 
             f"one of the two is counted the other way. Expected is to the left positive, seen from above: correct the "
             f"yaw rate of '{COMMAND}' or of the schedule, or z of '{TURNING}'"
         )
-    elif size > NOBODY and IN_DEGREES[0] < share < IN_DEGREES[1]:
+    elif size > NOBODY and IN_DEGREES[0] < share < IN_DEGREES[1] and float(np.sqrt((turned**2).mean())) > TURNED:
         hint = (
             f"the commanded yaw rate is probably in deg/s. Expected rad/s, {size * np.pi / 180:.2g} of them: convert "
             f"it in the log, or in the schedule (the third number of '{COMMAND}' has no unit of its own)"

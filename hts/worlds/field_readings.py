@@ -83,7 +83,7 @@ def check_readings(files: Sequence[Path], recordings: Sequence[Recording], polic
             raise RecordingError(
                 f"{file}: computed again from the log, the joint targets of {path.name} are off by "
                 f"{float(np.median(own)):.2g} rad as it is read, but by {off:.2g} rad with {reading.words}. Expected "
-                f"less than {OFF * size:.2g} rad: {reading.remedy}. If the log is right as it is read, leave "
+                f"less than {AGREES * size:.2g} rad: {reading.remedy}. If the log is right as it is read, leave "
                 "joint_target out of the mapping, and nothing is computed again."
             )
 

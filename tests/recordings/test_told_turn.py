@@ -44,7 +44,7 @@ def test_a_yaw_rate_in_degrees_is_refused_with_what_to_do():
         "in the log, or in the schedule (the third number of 'command' has no unit of its own); if it is right, say so "
         "with `limits`."
     )
-    slow = 0.1 * np.sign(TOLD)
+    slow = 0.2 * np.sign(TOLD)
     with pytest.raises(RecordingError, match="in deg/s"):
         check_told_turn(turning(asked=np.degrees(slow), turned=slow), "01.csv")
 
@@ -74,3 +74,24 @@ def test_nothing_is_said_of_a_fall_of_what_a_person_vouches_for_nor_of_a_heading
     check_told_turn(wrong, "01.csv", stated={"command"})
     kept = 0.5 * np.sin(np.arange(SAMPLES) / 10)
     check_told_turn(turning(asked=kept, turned=-kept), "01.csv")
+
+
+@pytest.mark.parametrize("rate_hz", [50, 200])
+def test_a_slalom_is_not_taken_for_one_command_however_fast_the_log_is(rate_hz):
+    """The trunk comes a quarter of a period behind, so its mean over a second goes against what is told by then."""
+    when = np.arange(20 * rate_hz) / rate_hz
+    asked, still = 0.6 * np.sin(np.pi * when), np.zeros(len(when))
+    turned = -0.6 * np.cos(np.pi * when)
+    channels = {
+        "command": Series(
+            Channel("command", "1", (3,), may_be_constant=True), np.stack([still + 0.5, still, asked], axis=1)
+        ),
+        "angular_velocity": Series(
+            Channel("angular_velocity", "rad/s", (3,)), np.stack([still, still, turned], axis=1)
+        ),
+    }
+    check_told_turn(a_recording(len(when)).replace(channels=channels, rate_hz=float(rate_hz)), "01.csv")
+
+
+def test_a_fast_turn_that_nobody_followed_is_no_command_in_degrees():
+    check_told_turn(turning(asked=np.full(SAMPLES, 3.5), turned=np.full(SAMPLES, 0.05)), "01.csv")
