@@ -43,7 +43,8 @@ LEAST_HZ = 20.0
 class Turn:
     """How a trunk turned by its gravity and by its gyroscope.
 
-    gravity, velocity: unit and rad/s, (T, 3), averaged alike; seen, told: how gravity turns along x and y by either, 1/s, (T, 2); alike: their correlation, (2,).
+    gravity, velocity: unit and rad/s, (T, 3), averaged alike; seen, told: how gravity turns along x and y by either,
+    1/s, (T, 2); alike: their correlation, (2,).
     """
 
     gravity: np.ndarray
