@@ -69,7 +69,7 @@ def import_log(monkeypatch, tmp_path):
 
     def command(notes, **recorded):
         mapping.write_text(yaml.safe_dump(a_mapping(recording=recorded)))
-        monkeypatch.setattr("hts.recordings.logs.repeated_notes", lambda channels, rate_hz: notes)
+        monkeypatch.setattr("hts.recordings.look_over.repeated_notes", lambda channels, rate_hz: notes)
         import_.command([log], "logger", mapping, tmp_path / "data.zarr")
 
     return command
