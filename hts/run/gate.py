@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from hts.checked_selector import checked_selector
 from hts.contracts import SimulatedCandidate
 from hts.evaluation.simulation import test_config
 from hts.policy_ids import PRETRAINED
@@ -17,7 +16,7 @@ from hts.rl.population import Population
 from hts.run.gate_checks import Worst, limits, sentence, told_by, untold_by
 from hts.run.gate_trials import LostPackets, channels_of, commands_of, dynamics, rollout, varied
 from hts.run.job import Job
-from hts.run.judging import fine_tuning, mean_gain, same_policies, speeds_predicted
+from hts.run.judging import fine_tuning, mean_gain, same_policies, selector_of_elites, speeds_predicted
 from hts.run.stages import number
 
 Report = Callable[[float], None]
@@ -98,7 +97,7 @@ def _passing(
     """Who is tried for real, and the row of each that the gate looked at. Where the gate is strict and refuses one, the
     selector chooses anew among those that are left, until all whom it chooses have passed; else those that were
     proposed go, whatever is seen."""
-    selector = checked_selector(job.registry, job.config.selection.selector, job.config.max_real_samples is not None)
+    selector = selector_of_elites(job)
     strict, chosen, rows = job.gate_is_strict, list(proposed), dict[str, dict[str, Any]]()
     while waiting := [name for name in chosen if name not in rows]:
         rows |= trials.of(waiting)

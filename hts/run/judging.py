@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from hts.checked_selector import checked_selector
-from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, SimulatedCandidate, Task
+from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, Selector, SimulatedCandidate, Task
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds
@@ -85,7 +85,7 @@ def judge(
         )
         for row in rows
     ]
-    selector = checked_selector(job.registry, config.selection.selector, config.max_real_samples is not None)
+    selector = selector_of_elites(job)
     lenient, alike = is_lenient(job), same_policies(rows)
     able = [
         one
@@ -114,6 +114,11 @@ def judge(
     if line is not None:
         job.stages.progress.say(f"iteration {iteration:02d}: {line}")
     return {**found, "gave_up": {"elites": gave_up(elites, found), "line": line}}
+
+
+def selector_of_elites(job: Job) -> Selector:
+    """Who names those of an iteration that are tried for real."""
+    return checked_selector(job.registry, job.config.selection.selector, job.config.max_real_samples is not None)
 
 
 class Distance:

@@ -15,15 +15,13 @@ from typing import Any
 
 import torch
 
-from hts.checked_selector import checked_selector
 from hts.config import RunConfig
 from hts.config_base import percent
-from hts.contracts import Selector
 from hts.policies.files import Policy, make_card
 from hts.run.gate import as_judged, tried
 from hts.run.iteration import gated, judged_after, tried_after
 from hts.run.job import Job
-from hts.run.judging import judge, same_policies
+from hts.run.judging import judge, same_policies, selector_of_elites
 from hts.training.sweep import is_nearer, nearer_id
 
 Report = Callable[[float], None]
@@ -60,11 +58,7 @@ def _first(job: Job, iteration: int, rows: Sequence[Mapping[str, Any]]) -> str |
     """Whom the selector would name first of them if nobody had fallen; None if nobody. rows: of finetune.json."""
     simulated, alike = job.read(f"iterations/{iteration:02d}/simulate"), same_policies(rows)
     able = [dataclasses.replace(as_judged(row, simulated), falls=0) for row in rows if row["id"] not in alike]
-    return next(iter(_selector(job).elites(able, 1)), None)
-
-
-def _selector(job: Job) -> Selector:
-    return checked_selector(job.registry, job.config.selection.selector, job.config.max_real_samples is not None)
+    return next(iter(selector_of_elites(job).elites(able, 1)), None)
 
 
 def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
@@ -80,7 +74,8 @@ def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any
     assert before is not None  # else it is not due
     rest = [row for row in _trained(job, iteration) if row["id"] in barred_by(before)]
     if before["elites"]:
-        line = f"{_listed(rest)} may not be tried, so {'it is' if len(rest) == 1 else 'they are'} judged"
+        names = " and ".join(row["id"] for row in rest)
+        line = f"{names} may not be tried, so {'it is' if len(rest) == 1 else 'they are'} judged"
     else:
         line = "nobody of this iteration may be tried, so candidates are judged"
     line += f" at {told} of the way from their anchors"
@@ -118,12 +113,6 @@ def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any
     return {"line": line, "candidates": rows, **whole, "elites": elites}
 
 
-def _listed(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Their ids: "02-00 and 02-00-75"."""
-    *most, last = [str(row["id"]) for row in rows]
-    return f"{', '.join(most)} and {last}" if most else last
-
-
 def _of_both(
     job: Job, iteration: int, passed: Sequence[str], rows: Sequence[Mapping[str, Any]], whole: Mapping[str, Any]
 ) -> list[str]:
@@ -133,7 +122,7 @@ def _of_both(
     trained, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
     able = [as_judged(row, simulated) for row in trained if row["id"] in passed]
     able += [as_judged(row, whole["simulate"]) for row in rows if row["id"] in whole["gate"]["elites"]]
-    return _selector(job).elites(able, job.elites(iteration))
+    return selector_of_elites(job).elites(able, job.elites(iteration))
 
 
 def _trained(job: Job, iteration: int) -> list[dict[str, Any]]:

@@ -230,12 +230,13 @@ def _checked_card(policy: Policy) -> Mapping[str, Any]:
                 f"{str(policy.entry[key])[:60]}. Make the bundle again."
             )
     # Parts of one size in another order fit the graph: the gyroscope would be taken for gravity.
-    seen, said = ([(one["name"], one["size"]) for one in of["observation"]] for of in (card, policy.entry))
+    both = (card.get("observation") or (), policy.entry["observation"])
+    seen, said = ([(one["name"], one["size"]) for one in parts] for parts in both)
     if seen != said or card.get("history", 1) != policy.entry["history"]:
         raise RuntimeFault(
-            f"{policy.where}: its own card says that it observes {', '.join(name for name, _ in seen)} (history "
-            f"{card.get('history', 1)}), the manifest {', '.join(name for name, _ in said)} (history "
-            f"{policy.entry['history']}). Make the bundle again."
+            f"{policy.where}: its own card says that it observes {', '.join(name for name, _ in seen) or 'nothing'} "
+            f"(history {card.get('history', 1)}), the manifest {', '.join(name for name, _ in said)} "
+            f"(history {policy.entry['history']}). Make the bundle again."
         )
     if bool(policy.entry["exploration"]) != ("hts_exploration" in policy.metadata):
         raise RuntimeFault(
