@@ -285,16 +285,19 @@ def test_several_objectives_choose_the_selector_made_for_them(preset):
 
 def test_several_objectives_keep_the_shorter_iterations_of_paper_and_what_its_baseline_had():
     one, several = config("calm", preset="paper"), config("calm", "cheap", preset="paper")
-    assert (one.iterations, one.finetune.steps) == (3, 30_000_000)
+    assert (one.iterations, one.finetune.steps) == (4, 30_000_000)
     assert (several.iterations, several.finetune.steps) == (5, 10_000_000)
     baselines = config("calm", preset="paper", baseline=True), config("calm", "cheap", preset="paper", baseline=True)
-    assert [(one.finetune.steps, one.selection.elites) for one in baselines] == [(5_625_000, 9), (3_125_000, 15)]
+    assert [(one.finetune.steps, one.selection.elites) for one in baselines] == [(7_500_000, 12), (3_125_000, 15)]
     assert (one.finetune.renew_noise, one.sweep.kl_bounds, one.sweep.trust_region.most) == (True, (40.0,), 100.0)
     assert several.sweep.kl_bounds == (16.0,)
+    assert (one.gate.nearer_for, one.gate.nearer) == ("first", (0.75, 0.5, 0.25))
     for kept in (several, *baselines):
         assert not kept.finetune.renew_noise and kept.sweep.trust_region.most == 40.0
         assert (kept.gate.nearer, kept.finetune.env.randomisation.models) == ((0.5, 0.25), 32)
-    assert not config("calm", preset="paper", oracle=True).finetune.renew_noise
+        assert kept.gate.nearer_for == "nobody"
+    seeing = config("calm", preset="paper", oracle=True)
+    assert not seeing.finetune.renew_noise and seeing.gate.nearer_for == "nobody"
     exact = config("calm", "cheap", preset="paper-exact")
     assert (exact.iterations, exact.finetune.steps) == (4, 4_000_000)
 
