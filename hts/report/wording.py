@@ -16,7 +16,7 @@ def quantity(value: Number, unit: str) -> str:
     """18.2 % for 0.182 of unit "1"; 3.21 dB for 3.21 of "dB"; a dash for nothing."""
     if value is None:
         return "–"
-    text = f"{100 * value:.1f} %" if unit == PERCENT else f"{value:.2f} {unit}"
+    text = f"{100 * value:z.1f} %" if unit == PERCENT else f"{value:z.2f} {unit}"
     return text.replace("-", "−")
 
 
@@ -29,7 +29,7 @@ def interval(bounds: Any, unit: str) -> str:
 
 
 def number(value: Number, digits: int = 2) -> str:
-    return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")
+    return "–" if value is None else f"{value:z.{digits}f}".replace("-", "−")
 
 
 def metric(name: str, value: Number) -> str:

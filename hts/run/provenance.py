@@ -66,6 +66,9 @@ TO_EVALUATE = (
 )
 """What to do, for an evaluation."""
 
+TO_REPORT = "The page shows these settings beside results of those; put the file back as the run wrote it."
+"""What it means, for a report."""
+
 
 def check_config(folder: Path, config: RunConfig, registry: Registry, advice: str | None = None) -> None:
     """Raise RunError if config.yaml says other settings than the run was begun with: half of its stages would be

@@ -372,7 +372,13 @@ def test_the_terminal_table_says_when_there_is_nothing():
 
 @pytest.mark.parametrize(
     ("value", "unit", "shown"),
-    [(0.182, "1", "18.2 %"), (-0.02, "1", "−2.0 %"), (3.214, "dB", "3.21 dB"), (None, "1", "–")],
+    [
+        (0.182, "1", "18.2 %"),
+        (-0.02, "1", "−2.0 %"),
+        (-0.001, "dB", "0.00 dB"),
+        (3.214, "dB", "3.21 dB"),
+        (None, "1", "–"),
+    ],
 )
 def test_quantities_are_written_in_their_unit(value, unit, shown):
     assert wording.quantity(value, unit) == shown

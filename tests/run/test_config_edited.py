@@ -118,3 +118,15 @@ def test_nor_is_an_edited_one_evaluated_and_the_line_says_how_it_is_meant(tmp_pa
     assert main(["evaluate", str(tmp_path)]) == 2
     assert "--set world.KEY=VALUE" in capsys.readouterr().err
     assert not (tmp_path / "evaluation").exists()
+
+
+def test_a_report_of_an_edited_one_is_made_and_says_so(tmp_path, capsys):
+    with kit_installed():
+        tiny_run(tmp_path / "run")
+        capsys.readouterr()
+        assert main(["report", str(tmp_path / "run")]) == 0
+        assert "warning" not in capsys.readouterr().err
+        edit(tmp_path / "run", "seed: 0", "seed: 5")
+        assert main(["report", str(tmp_path / "run")]) == 0
+    said = capsys.readouterr().err
+    assert "warning: " in said and "The page shows these settings beside results of those" in said
