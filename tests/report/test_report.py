@@ -16,7 +16,7 @@ from rich.console import Console
 
 from hts.contracts import Comparison
 from hts.errors import RunError
-from hts.report import figures, wording, write_report
+from hts.report import figures, write_report
 from hts.report.data import read_run
 from hts.report.table import print_evaluation, print_table
 from hts.testing.made_up_recordings import CostObjective
@@ -368,26 +368,6 @@ def test_the_terminal_table_says_when_there_is_nothing():
     print_table({"final": None}, console)
     print_evaluation({"policy": "best", "world": "twin", "objectives": {}}, console)
     assert console.export_text().count("nothing was compared") == 2
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "shown"),
-    [
-        (0.182, "1", "18.2 %"),
-        (-0.02, "1", "−2.0 %"),
-        (-0.001, "dB", "0.00 dB"),
-        (3.214, "dB", "3.21 dB"),
-        (None, "1", "–"),
-    ],
-)
-def test_quantities_are_written_in_their_unit(value, unit, shown):
-    assert wording.quantity(value, unit) == shown
-
-
-def test_durations_and_names_read_as_words():
-    assert [wording.duration(s) for s in (12, 554.2, 7380)] == ["12 s", "9 min 14 s", "2 h 3 min"]
-    assert wording.label("cost_of_transport_reduction") == "Cost of transport reduction"
-    assert wording.weights({"a": 0.5}) == "0.5" and wording.weights({"a": 0.5, "b": 1.0}) == "0.5 a + 1 b"
 
 
 def test_a_policy_stands_on_the_front_where_it_counts_with_the_interval_of_what_counts():
