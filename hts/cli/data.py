@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hts.cli import options
 from hts.cli.printable import printable
 
 if TYPE_CHECKING:
@@ -161,20 +162,29 @@ def validate(store: StorePath, as_json: AsJson = False) -> None:
 @app.command()
 def lag(
     store: StorePath,
-    objective: Annotated[str, typer.Option(help="Whose gauge and inputs. `hts plugins` lists them.")],
+    objective: Annotated[
+        str | None, typer.Option(help="Whose gauge and inputs. `hts plugins` lists them. Or --target and --input.")
+    ] = None,
+    target: options.Target = None,
+    input_: options.Inputs = None,
     as_json: AsJson = False,
 ) -> None:
-    """How late the gauge of an objective shows what the joints do."""
+    """How late a gauge shows what the joints do."""
     from hts.cli.data_use import show_lag
+    from hts.measurement.wanted import Wanted
 
-    for line in show_lag(store, objective, as_json):
+    for line in show_lag(store, objective, Wanted(target, tuple(input_ or ())), as_json):
         _say(line)
 
 
 @app.command()
 def enough(
     store: StorePath,
-    objective: Annotated[str, typer.Option(help="Whose model. `hts plugins` lists them.")],
+    objective: Annotated[
+        str | None, typer.Option(help="Whose model. `hts plugins` lists them. Or --target and --input.")
+    ] = None,
+    target: options.Target = None,
+    input_: options.Inputs = None,
     speed: Annotated[
         list[float] | None, typer.Option(help="At which policies are to be judged, m/s. May be repeated.")
     ] = None,
@@ -185,8 +195,9 @@ def enough(
     Exit code 1 where something is missing.
     """
     from hts.cli.data_use import show_enough
+    from hts.measurement.wanted import Wanted
 
-    lines, complete = show_enough(store, objective, speed or (), as_json)
+    lines, complete = show_enough(store, objective, Wanted(target, tuple(input_ or ())), speed or (), as_json)
     for line in lines:
         _say(line)
     if not complete:

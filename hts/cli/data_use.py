@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hts.contracts import Objective
+    from hts.measurement.wanted import Wanted
     from hts.recordings.recording import Recording
 
 
-def show_lag(store: Path, objective: str, as_json: bool) -> list[str]:
-    """How late the objective's gauge is."""
+def show_lag(store: Path, objective: str | None, wanted: Wanted, as_json: bool) -> list[str]:
+    """How late the gauge is: the objective's, or what is wanted."""
     from hts.recordings.lag import gauge_lag
 
-    made, recordings = _usable(store, objective)
+    made, recordings = _usable(store, objective, wanted)
     found = gauge_lag(recordings, made.target.name, made.inputs)
     if as_json:
         return [json.dumps(None if found is None else asdict(found), indent=2)]
@@ -30,13 +31,15 @@ def show_lag(store: Path, objective: str, as_json: bool) -> list[str]:
     return [f"'{made.target.name}' is late by {found}; {len(recordings)} recordings"]
 
 
-def show_enough(store: Path, objective: str, speeds: Sequence[float], as_json: bool) -> tuple[list[str], bool]:
+def show_enough(
+    store: Path, objective: str | None, wanted: Wanted, speeds: Sequence[float], as_json: bool
+) -> tuple[list[str], bool]:
     """The verdict, and whether nothing is missing."""
     from hts.errors import RecordingError
     from hts.measurement.enough import enough
     from hts.recordings.lag import gauge_lag
 
-    made, recordings = _usable(store, objective)
+    made, recordings = _usable(store, objective, wanted)
     found = enough(made, recordings, speeds)
     try:
         late = gauge_lag(recordings, made.target.name, made.inputs)
@@ -63,20 +66,21 @@ def show_enough(store: Path, objective: str, speeds: Sequence[float], as_json: b
     return lines, not found.missing
 
 
-def _usable(store: Path, objective: str) -> tuple[Objective, list[Recording]]:
-    """The objective, and the recordings that have its inputs and target."""
+def _usable(store: Path, objective: str | None, asked: Wanted) -> tuple[Objective, list[Recording]]:
+    """What is predicted, and the recordings that have its inputs and target."""
     from hts.errors import RecordingError
+    from hts.measurement.wanted import what_is_predicted
     from hts.plugins import load
     from hts.recordings.store import RecordingStore
 
-    made = load().make_objective(objective)
+    asked.name(objective)  # before a store is looked for
     opened = RecordingStore(store)
+    made = what_is_predicted(objective, opened, asked, load())
     wanted = (*made.inputs, made.target.name)
     usable = [one for one in opened.ids() if all(name in opened.attributes(one)["arrays"] for name in wanted)]
     if not usable:
         raise RecordingError(
             f"{store}: none of its {len(opened.ids())} recordings has all of {', '.join(wanted)}. `hts data show` "
-            "lists "
-            "their channels; import logs that hold these."
+            "lists their channels; import logs that hold these."
         )
     return made, [opened.read(one, wanted) for one in usable]

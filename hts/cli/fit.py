@@ -16,12 +16,8 @@ def command(
     objective: Annotated[
         str | None, typer.Option(help="Whose measurement model. `hts plugins` lists them. Or --target and --input.")
     ] = None,
-    target: Annotated[
-        str | None, typer.Option(metavar="CHANNEL", help="What to predict, where no objective is named.")
-    ] = None,
-    input_: Annotated[
-        list[str] | None, typer.Option("--input", metavar="CHANNEL", help="What to predict it from. May be repeated.")
-    ] = None,
+    target: options.Target = None,
+    input_: options.Inputs = None,
     test: Annotated[
         Path | None, typer.Option(metavar="STORE", help="Held out: another store. Nothing of DATA is then held out.")
     ] = None,
@@ -54,9 +50,10 @@ def command(
 
     from hts.cli.fit_progress import FitProgress
     from hts.cli.printable import printable
-    from hts.measurement.fit_command import FitChecks, Wanted, fit_store
+    from hts.measurement.fit_command import FitChecks, fit_store
     from hts.measurement.fit_report import cautions, doubts, session_note, summary_line, table
     from hts.measurement.splits import SplitRule
+    from hts.measurement.wanted import Wanted
 
     checks = FitChecks(
         test=test,

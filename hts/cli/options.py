@@ -39,6 +39,10 @@ Reward = Annotated[
 Out = Annotated[Path | None, typer.Option(help="Run folder; default runs/OBJECTIVE-ROBOT-PRESET-SEED.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the run will cost, and stop.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Target = Annotated[str | None, typer.Option(metavar="CHANNEL", help="What to predict, where no objective is named.")]
+Inputs = Annotated[
+    list[str] | None, typer.Option("--input", metavar="CHANNEL", help="What to predict it from. May be repeated.")
+]
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="A run folder.")]
 RunFolderOrNone = Annotated[
     Path | None, typer.Argument(metavar="DIR", help="A run folder; none for a policy file that belongs to no run.")

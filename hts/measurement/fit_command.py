@@ -30,11 +30,11 @@ from hts.measurement.fit_settings import FitSettings
 from hts.measurement.fitting import called, fit_model
 from hts.measurement.outliers import masked_split
 from hts.measurement.physics_steps import NEEDED
-from hts.measurement.plain import Plain
 from hts.measurement.proxy import proxy_along
 from hts.measurement.shared import Shared, shared_samples, without_shared
 from hts.measurement.split import of_fitted_sessions, split
 from hts.measurement.splits import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
+from hts.measurement.wanted import Wanted, what_is_predicted
 from hts.overrides import Override, nested, parsed
 from hts.places import check_place
 
@@ -168,15 +168,6 @@ class FitChecks:
     keep_shared: bool = False
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What is fitted, where no objective is named: predict `target` from `inputs`. robot: only its recordings."""
-
-    target: str | None = None
-    inputs: tuple[str, ...] = ()
-    robot: str | None = None
-
-
 def fit_store(
     objective_name: str | None,
     store_path: Path,
@@ -200,15 +191,12 @@ def fit_store(
     from hts.recordings.store import RecordingStore
 
     checks, wanted = checks or FitChecks(), wanted or Wanted()
-    name = _name(objective_name, wanted)
+    name = wanted.name(objective_name)
     settings, registry = _settings(overrides, name), plugins.load()
     config = _measurement_config(settings["measurement"])
     _refuse_existing(Path(out))
     store = RecordingStore(store_path)
-    if objective_name is None:
-        objective: Objective = _plain(store, wanted)
-    else:
-        objective = registry.make_objective(objective_name, settings["objectives"])
+    objective = what_is_predicted(objective_name, store, wanted, registry, settings["objectives"])
     recordings, left_out = _usable(store, objective, wanted.robot)
     recorded_signals(objective, recordings[0])  # what is wrong with these two is told before anything is fitted
     proxy_along(objective, recordings[0])
@@ -266,28 +254,6 @@ def _written(model: MeasurementModel, report: Mapping[str, Any], out: Path, note
 
 
 # ------------------------------------------------------------------------------------------------- what is read
-
-
-def _name(objective_name: str | None, wanted: Wanted) -> str:
-    if objective_name is None and wanted.target is None:
-        raise ConfigError("Say what to predict: --objective NAME, or --target CHANNEL with --input CHANNEL.")
-    if objective_name is not None and (wanted.target is not None or wanted.inputs):
-        raise ConfigError("--target and --input are for a fit without an objective: leave them out, or --objective.")
-    if objective_name is None and not wanted.inputs:
-        raise ConfigError(f"--target {wanted.target}: say what to predict it from, --input CHANNEL for each channel.")
-    return objective_name if objective_name is not None else str(wanted.target)
-
-
-def _plain(store: RecordingStore, wanted: Wanted) -> Plain:
-    """The target as the first recording that has it holds it. Raises RecordingError for a channel that none has."""
-    known: set[str] = set()
-    target = str(wanted.target)
-    for recording_id in store.ids():
-        arrays = set(store.attributes(recording_id)["arrays"]) - {"time"}
-        known |= arrays
-        if target in arrays:
-            return Plain(store.read(recording_id, [target]).channels[target].channel, wanted.inputs)
-    raise RecordingError(f"{store.path}: " + unknown_name("channel", target, known))
 
 
 def _usable(store: RecordingStore, objective: Objective, robot: str | None) -> tuple[list[Recording], dict[str, str]]:

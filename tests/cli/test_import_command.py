@@ -70,6 +70,7 @@ def lab(tmp_path, monkeypatch, capsys):
 
 IMPORT = ["import", "log.csv", "--robot", "hinge"]
 STORE = [*IMPORT, "--mapping", "m.yaml", "--to", "s.zarr"]
+CHANNELS = ["--target", "heat", "--input", "effort", "--input", "rate"]
 
 
 def test_a_suggestion_is_printed_and_stores_nothing(lab, tmp_path):
@@ -154,6 +155,22 @@ def test_a_lag_is_shown(lab):
     assert code == 0 and out[0].startswith("'heat' is late by 0 s (0 to 0 s fit as well), R² 1.00")
     found = json.loads("\n".join(lab("data", "lag", "s.zarr", "--objective", "cool", "--json")[1]))
     assert found["seconds"] == 0.0 and found["r2"] > 0.99
+
+
+def test_lag_and_verdict_need_no_objective(lab):
+    assert lab(*STORE)[0] == 0
+    told = [lab("data", "lag", "s.zarr", *which)[1] for which in (("--objective", "cool"), CHANNELS)]
+    assert told[0] == told[1]
+    code, out, _ = lab("data", "enough", "s.zarr", *CHANNELS)
+    assert code == 1 and "missing: record 108 s more: there are 12 s, expected 120" in out
+    for which, expected in (
+        ((), "Say what to predict: --objective NAME, or --target CHANNEL with --input CHANNEL."),
+        (("--objective", "cool", *CHANNELS), "--target and --input go without an objective"),
+        (("--target", "heat"), "--target heat: say what to predict it from"),
+        (("--target", "heet", "--input", "effort"), "No channel named 'heet'. Did you mean 'heat'?"),
+    ):
+        code, _, err = lab("data", "lag", "s.zarr", *which)
+        assert code == 2 and len(err) == 1 and expected in err[0], err
 
 
 def test_a_verdict_says_what_is_missing_and_exits_with_1(lab):

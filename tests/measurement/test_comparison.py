@@ -12,10 +12,11 @@ from hts.cli.fit_progress import FitProgress
 from hts.errors import ConfigError, RecordingError
 from hts.measurement import comparison, fit_command
 from hts.measurement.baseline import WINDOWS_SECONDS, fit_best, stand_ins
-from hts.measurement.fit_command import FitChecks, Wanted
+from hts.measurement.fit_command import FitChecks
 from hts.measurement.fit_report import cautions, doubts, table
 from hts.measurement.split import named_part
 from hts.measurement.splits import SplitRule
+from hts.measurement.wanted import Wanted
 from hts.recordings.recording import Series
 from hts.recordings.store import RecordingStore
 from hts.testing.known_signals import HEAT, SIGNALS, KnownHeat, known_heat
