@@ -8,7 +8,7 @@ import numpy as np
 
 from hts.errors import ConfigError, RecordingError
 from hts.recordings.clocks import ClockOffset, clock_offset
-from hts.recordings.factors import common_factor, has_factors_of_joints
+from hts.recordings.factors import common_factor, common_offset, names_joints
 from hts.recordings.mapping import LogMapping
 from hts.recordings.sources import Source, Tables, source_of
 from hts.recordings.table import ColumnName
@@ -33,9 +33,11 @@ def joined(
         one = log.channels[name]
         source = source_of(one)
         values = np.stack([tables[source].columns[column] for column in columns[name]], axis=1)
-        if has_factors_of_joints(one):
-            raise ConfigError(f"Mapping: join: '{name}' has a sign or scale of single joints. Name another channel.")
-        values = common_factor(one) * values + one.offset
+        if names_joints(one):
+            raise ConfigError(
+                f"Mapping: join: '{name}' has a sign, scale or offset of single joints. Name another channel."
+            )
+        values = common_factor(one) * values + common_offset(one)
         there = np.isfinite(values).all(axis=1)
         if there.sum() < 8:
             raise RecordingError(f"{tables[source].path}: '{name}' holds too few numbers to join two clocks by.")

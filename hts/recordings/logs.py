@@ -29,7 +29,7 @@ from hts.recordings.attitude import still_notes
 from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
 from hts.recordings.commanded import until_the_end
-from hts.recordings.factors import common_factor, times_factors_of_joints
+from hts.recordings.factors import common_factor, common_offset, of_joints
 from hts.recordings.feet import foot_notes
 from hts.recordings.gravity import check_upright
 from hts.recordings.joining import joined
@@ -180,7 +180,7 @@ def _one(
         source = source_of(one)
         table, when = tables[source], times[source]
         values = np.stack([table.columns[column] for column in columns[name]], axis=1)
-        values = times_factors_of_joints(values, one, robot.spec.joint_names)
+        values = of_joints(values, one, robot.spec.joint_names)
         if one.sum:
             values = values.sum(axis=1, keepdims=True)
         kept = _within(when, log, table)
@@ -240,7 +240,7 @@ def _series(samples: Samples, log: LogMapping, robot: Robot, grid: np.ndarray) -
     one = log.channels[samples.name]
     values = resampled(samples, grid, log.rate_hz, one.resample)
     channel = _channel(samples.name, one, samples.values.shape[1], robot)
-    values = common_factor(one) * values + one.offset
+    values = common_factor(one) * values + common_offset(one)
     scale, offset = units.conversion(one.unit, channel.unit)
     if (scale, offset) != (1.0, 0.0):
         values = scale * values + offset

@@ -57,7 +57,7 @@ class ChannelMapping(Config):
         1, description="-1 where the log counts the other way; {joint: -1} of some joints, by the robot's names"
     )
     scale: float | dict[str, float] = Field(1.0, description="factor to the unit above; {joint: factor} likewise")
-    offset: float = Field(0.0, description="added after the factor, in the unit above")
+    offset: float | dict[str, float] = Field(0.0, description="added after the factor, in the unit above; likewise")
     resample: Literal["interpolate", "mean", "hold"] = Field(
         "interpolate",
         description="value at each sample's instant; mean over one sample period around it; or, of what only the "

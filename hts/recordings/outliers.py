@@ -9,7 +9,7 @@ import numpy as np
 from hts import units
 from hts.contracts import Robot
 from hts.errors import ConfigError, RecordingError
-from hts.recordings.factors import common_factor
+from hts.recordings.factors import common_factor, common_offset
 from hts.recordings.mapping import ChannelMapping, follows_joints
 from hts.recordings.plausible import ABSURD_FACTOR
 
@@ -49,7 +49,7 @@ def without_outliers(
     if limits is None:
         return values, 0
     low, high = limits
-    given = common_factor(one) * values + one.offset
+    given = common_factor(one) * values + common_offset(one)
     outside: np.ndarray = (given < low) | (given > high)
     wrong: np.ndarray = np.any(outside, axis=1)
     if wrong.mean() > MOST_DROPPED:

@@ -11,7 +11,7 @@ from hts.recordings.mapping import ChannelMapping, LogMapping, follows_joints
 
 def check_channels(log: LogMapping, robot: Robot) -> None:
     """Raise ConfigError for a channel that only the real robot measures and whose idle level is not given, and for a
-    sign or a scale of a joint that the robot has not."""
+    sign, a scale or an offset of a joint that the robot has not."""
     own = robot.channels()
     for name, channel in log.channels.items():
         if name not in own and channel.real and channel.idle is None:
@@ -25,7 +25,7 @@ def check_channels(log: LogMapping, robot: Robot) -> None:
 
 def _check_factors(name: str, one: ChannelMapping, joints: Sequence[str] | None) -> None:
     """joints: of the robot; None where the channel has no number for each."""
-    for key, said in (("sign", one.sign), ("scale", one.scale)):
+    for key, said in (("sign", one.sign), ("scale", one.scale), ("offset", one.offset)):
         if not isinstance(said, dict):
             continue
         if joints is None:

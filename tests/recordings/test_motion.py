@@ -120,20 +120,23 @@ def test_a_single_joint_that_is_counted_the_other_way_is_told_with_the_line_to_w
         check_motion(moving(**{which: lambda v: v[which] * [1, -1]}), two_joints.spec, 50.0, "log")
 
 
-def of_single_joints(robot, tmp_path, mapping, **changes):
-    """A log whose knee counts its speed the other way and on the motor's side of a gear of 9."""
+def of_single_joints(robot, tmp_path, mapping, position=None, turns=lambda angles: angles, **changes):
+    """A log whose knee counts its speed the other way and on the motor's side of a gear of 9. turns: what its encoder
+    makes of the knee's angles, rad; position: what the mapping says of it."""
     values = {name: one.values for name, one in moving().items()}
     columns = {"t": 1000 * TIMES, "H_tau": np.sin(TIMES), "K_tau": np.cos(TIMES)}
     for at, (joint, factor) in enumerate((("H", 1), ("K", -9))):
-        columns |= {f"{joint}_q": values["joint_position"][:, at]}
+        angles = values["joint_position"][:, at]
+        columns |= {f"{joint}_q": turns(angles) if joint == "K" else angles}
         columns |= {f"{joint}_dq": factor * values["joint_velocity"][:, at]}
     mapping["channels"] = {
         "joint_torque": {"columns": "{joint}_tau", "unit": "N*m"},
-        "joint_position": {"columns": "{joint}_q", "unit": "rad"},
+        "joint_position": {"columns": "{joint}_q", "unit": "rad", **(position or {})},
         "joint_velocity": {"columns": "{joint}_dq", "unit": "rad/s", **changes},
     }
     recording = recording_from_columns([tmp_path / "log"], mapping, robot, lambda path: columns)
-    return recording.channels["joint_velocity"].values, values["joint_velocity"]
+    asked = "joint_velocity" if position is None else "joint_position"
+    return recording.channels[asked].values, values[asked]
 
 
 def test_sign_and_scale_may_be_those_of_single_joints(tmp_path, two_joints, mapping):
@@ -143,9 +146,26 @@ def test_sign_and_scale_may_be_those_of_single_joints(tmp_path, two_joints, mapp
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
+def test_so_may_an_offset_which_comes_after_all_factors(tmp_path, two_joints, mapping):
+    """An encoder in half radians, of the other sign, whose zero is 0.12 rad off."""
+    said = {"scale": 0.5, "sign": {"knee": -1}, "offset": {"knee": 0.12}}
+    found, expected = of_single_joints(
+        two_joints,
+        tmp_path,
+        mapping,
+        said,
+        lambda angles: -2 * (angles - 0.12),
+        sign={"knee": -1},
+        scale={"knee": 1 / 9},
+    )
+    np.testing.assert_allclose(found[:, 1], expected[:, 1], atol=1e-5)
+    np.testing.assert_allclose(found[:, 0], expected[:, 0] / 2, atol=1e-5)  # no offset, and the common factor
+
+
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
+        ({"offset": {"nee": 1.0}}, r"channels\.joint_velocity\.offset: No joint of the robot named 'nee'"),
         (
             {"sign": {"nee": -1}},
             r"channels\.joint_velocity\.sign: No joint of the robot named 'nee'. Did you mean 'knee'",
@@ -154,7 +174,7 @@ def test_sign_and_scale_may_be_those_of_single_joints(tmp_path, two_joints, mapp
         ({"sign": {"knee": -1}, "per_joint": False}, r"'joint_velocity' has no column for each joint\. Say one number"),
     ],
 )
-def test_a_sign_of_a_joint_that_is_none_is_refused(tmp_path, two_joints, mapping, changes, expected):
+def test_a_sign_or_an_offset_of_a_joint_that_is_none_is_refused(tmp_path, two_joints, mapping, changes, expected):
     if changes.get("per_joint") is False:
         changes = {**changes, "columns": ["H_dq", "K_dq"]}
     with pytest.raises(ConfigError, match=expected):
