@@ -33,8 +33,10 @@ def test_a_smoke_run_costs_what_its_configuration_says():
     assert cost["tested on the robot"] == 2
     # 3 recordings of 12 s, then 2 tests and one final head-to-head of 1 s + 4 x 6 s each
     assert cost["robot_minutes"] == pytest.approx((3 * 12 + 3 * 25) / 60)
-    # 6 candidates of 400 steps; 6 candidates and the pretrained policy in 4 worlds for 4 s at 50 Hz
-    assert cost["simulation_steps"] == 6 * 400 + 7 * 4 * 200
+    # 6 candidates of 400 steps; 6 candidates and the pretrained policy in 4 worlds for 4 s at 50 Hz; at the gate the
+    # two that are tested, for 3 s
+    assert cost["simulation_steps"] == 6 * 400 + 7 * 4 * 200 + 2 * 4 * 150
+    assert cost_of("smoke", "gate.enabled=false")["simulation_steps"] == 6 * 400 + 7 * 4 * 200
     # 6 candidates x 8 worlds x 24 steps in a batch
     assert cost["memory_gb"] == pytest.approx(BASE_MEMORY_GB + 6 * 8 * 24 * BYTES_PER_SAMPLE / 1e9)
     assert cost["wall_minutes"] >= cost["simulation_steps"] / STEPS_PER_SECOND["mujoco"] / 60
