@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,6 +13,7 @@ from hts.config import ScheduleConfig
 from hts.config_loading import load_config
 from hts.errors import ConfigError
 from hts.plugins import load
+from hts.run.algorithm import cap_reached
 from hts.run.budget import Budget, shortened, spread
 from hts.run.cost import estimate
 from hts.schedules import Command
@@ -121,6 +124,27 @@ CAPPED = {
 def capped(tmp_path_factory):
     with kit_installed():
         yield tiny_run(tmp_path_factory.mktemp("capped") / "run", settings=CAPPED)
+
+
+class FewOfAJob:
+    """What `cap_reached` asks of a job."""
+
+    config = SimpleNamespace(iterations=3, max_real_samples=2000)
+    budget = Budget(SCHEDULE, (1, 1), first=1000, each=400, most=2000)
+
+    def __init__(self, spent: int) -> None:
+        self.spent = lambda iteration: spent
+
+
+@pytest.mark.parametrize(
+    ("spent", "said"),
+    [
+        (1601, "1,601 of at most 2,000 real samples are spent, and the test of another elite takes about 400."),
+        (1600, "1,600 of at most 2,000 .* less than was planned for 2 tests of elites, and the plan has no more"),
+    ],
+)
+def test_the_line_at_the_end_of_the_iterations_says_why(spent, said):
+    assert re.search(said, cap_reached(FewOfAJob(spent), 2))
 
 
 def test_a_run_ends_its_iterations_where_the_next_would_pass_the_cap(capped):
