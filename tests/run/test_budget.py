@@ -12,6 +12,7 @@ from hts.cli.main import main
 from hts.config import ScheduleConfig
 from hts.config_loading import load_config
 from hts.errors import ConfigError
+from hts.evaluation.held import hold_of
 from hts.plugins import load
 from hts.run.algorithm import cap_reached
 from hts.run.budget import Budget, shortened, spread
@@ -83,6 +84,17 @@ def test_the_cap_of_paper_is_the_methods_alone():
 def test_a_cap_holds_by_estimate_and_is_used(preset, most):
     found = planned(preset, f"max_real_samples={most}")
     assert 0.8 * most < found["real_samples"] <= most
+
+
+@pytest.mark.parametrize("trim", [8, 12, 60])
+def test_a_test_is_counted_with_standing_up_however_short_it_is(trim):
+    from hts.worlds.twin.programme import STANDING_SECONDS, session_seconds
+
+    held = ("evaluation.hold_speed=true", f"evaluation.trim_seconds={trim}", "selection.elites=1", "gate.enabled=false")
+    config = load_config(preset="smoke", objectives=["power"], robot="go1", overrides=held)
+    walked = 50 * (session_seconds(1, 1, 1, 6, hold_of(config)) + STANDING_SECONDS)
+    first = 50 * 3 * 12
+    assert walked <= estimate(config, load())["real_samples"] - first <= 1.02 * walked
 
 
 def test_a_cap_that_is_not_reached_changes_nothing():
