@@ -137,10 +137,14 @@ def algorithm_1(job: Job) -> dict[str, Any]:
 
 def cap_reached(job: Job, iteration: int) -> str:
     """Why the iterations end here, in one line."""
+    spent, most = job.spent(iteration), job.config.max_real_samples
+    assert most is not None  # else they end with the last one
+    why = f"and the test of another elite takes about {job.budget.each:,}"
+    if spent + job.budget.each <= most:
+        why = f"less than was planned for {sum(job.budget.elites)} tests of elites, and the plan has no more of them"
     return (
-        f"{iteration} of {job.config.iterations} iterations: {job.spent(iteration):,} of at most "
-        f"{job.config.max_real_samples:,} real samples are spent, and the test of another elite takes about "
-        f"{job.budget.each:,}. What follows is the final head-to-head, which is not counted."
+        f"{iteration} of {job.config.iterations} iterations: {spent:,} of at most {most:,} real samples are spent, "
+        f"{why}. What follows is the final head-to-head, which is not counted."
     )
 
 

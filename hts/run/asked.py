@@ -60,11 +60,11 @@ def asked_of(config: RunConfig, registry: Registry, world: World, budget: Budget
         more[f"for the rounds of selector '{config.selection.selector.name}'"] = sum(
             (rounds.most - 1) for racing in budget.elites if racing > 1
         )
-        trials = sum(_round(config, world, racing, rounds) for racing in budget.elites)
+        trials = sum(_round(config, world, racing, rounds, hold) for racing in budget.elites)
     least += trials + planned * trial(hold)
     most += trials + confirmed * trial(hold)
     if rounds is not None:
-        most += (rounds.most - 1) * sum(_round(config, world, one, rounds) for one in budget.elites if one > 1)
+        most += (rounds.most - 1) * sum(_round(config, world, one, rounds, hold) for one in budget.elites if one > 1)
     if confirmed and not planned:
         more["for second trials, if the cap leaves room for them (selection.confirm)"] = 1
     if hold is not None:
@@ -125,12 +125,17 @@ def _rounds(config: RunConfig, registry: Registry, world: World) -> Rounds | Non
     return checked_selector(registry, config.selection.selector).rounds()
 
 
-def _round(config: RunConfig, world: World, racing: int, rounds: Rounds) -> float:
-    """Robot time of a round of so many, s, who share the reference's blocks; a little more than that where the speed is
-    held, since a world does not say how long it trims the reference alone."""
+def _round(config: RunConfig, world: World, racing: int, rounds: Rounds, hold: HoldSpeed | None) -> float:
+    """Robot time of a round of so many, s, who share its warming up and the reference's blocks; a little more than that
+    where the speed is held, since a world does not say how long it trims the reference alone."""
     speeds = len(config.selection.tested_speeds)
-    alone = world.head_to_head_session_seconds(speeds, rounds.block_seconds)
-    return racing * alone - (racing - 1) * 2 * speeds * rounds.block_seconds
+
+    def alone(hold: HoldSpeed | None) -> float:
+        ask_to_hold(world, hold)
+        return world.head_to_head_session_seconds(speeds, rounds.block_seconds)
+
+    shared = alone(None) - 2 * speeds * rounds.block_seconds
+    return racing * alone(hold) - (racing - 1) * shared
 
 
 def _sessions(config: RunConfig, world: World) -> int:

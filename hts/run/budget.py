@@ -23,8 +23,9 @@ LEAST_SHARE = 0.5
 """Of the first data that are configured: with fewer there is nothing to trust in what a model promises."""
 LEAST_SECONDS = 4.0
 """Of a command in a shortened schedule, s: two to settle, and as many to learn from."""
-ALLOWANCE = 1.01
-"""On what a world says a test takes: it does not count standing up, for instance."""
+ALLOWANCE, LEAST_ALLOWANCE = 1.01, 1.0
+"""On what a world says a test takes, a share and at least so many seconds: it does not count standing up, for
+instance."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,8 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     selector that tests in rounds, whose time nobody knows before."""
     robot = registry.make_robot(config.robot.name, config.robot.settings)
     rate, most, schedule = robot.spec.control_rate_hz, config.max_real_samples, config.collection.schedule
-    each = math.ceil(ALLOWANCE * rate * seconds_per_elite(config, world))
+    seconds = seconds_per_elite(config, world)
+    each = math.ceil(rate * max(ALLOWANCE * seconds, seconds + LEAST_ALLOWANCE))
     moments = 1 + len(config.finetune.also_at)  # of a training that can be tried
     wanted = [min(config.selection.elites, moments * count) for count in candidate_counts(config, registry)]
     recordings = config.collection.repeats + config.collection.exploring if config.records_first else 0

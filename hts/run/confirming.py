@@ -25,7 +25,7 @@ def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
     `max_real_samples` leaves; nobody's where there are not two. The result's `best` goes to the final.
     """
     selector, before = selector_of(job), tested_so_far(job)
-    names = [one.id for one in ranked(selector, before, job.confirmations(job.done_iterations))]
+    names = contenders(selector, before, best, job.confirmations(job.done_iterations))
     if len(names) < 2:
         left = [one for one in order(selector, before) if one != best]
         return {"tried": [], "results": {}, "recordings": [], "samples": 0, "best": best, "next": left}
@@ -78,6 +78,14 @@ def tested_so_far(job: Job) -> list[TestedCandidate]:
     """All that reality measured in some iteration and did not refuse; whether they fell is for the selector."""
     rows = [job.read(f"iterations/{index:02d}/test")["results"] for index in range(job.done_iterations)]
     return [tested_before(job, name) for row in rows for name, found in row.items() if found.get("tested")]
+
+
+def contenders(selector: Selector, tested: Sequence[TestedCandidate], best: str, count: int) -> list[str]:
+    """Ids of who is tried twice, `count` at most: the best so far, then the selector's best of the others; nobody where
+    nobody improved. The best of a race need not have the highest score: who left it earlier was not in all rounds."""
+    first = [one for one in tested if one.id == best]
+    others = [one for one in tested if one.id != best]
+    return [one.id for one in (*first, *ranked(selector, others, count - 1))][: max(0, count)] if first else []
 
 
 def ranked(selector: Selector, tested: Sequence[TestedCandidate], count: int) -> list[TestedCandidate]:

@@ -67,6 +67,9 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     # Every candidate, as it is and as it was on the way, and the pretrained policy beside them.
     judged = sum(counts) * (1 + len(config.finetune.also_at))
     steps += round((judged + len(counts)) * test_steps)
+    if config.gate.enabled:  # of the elites, of whom nobody is refused
+        gate_steps = round(config.gate.seconds * robot.spec.control_rate_hz) * config.gate.num_envs * len(test.speeds)
+        steps += sum(budget.elites) * gate_steps
     together = min(max(counts), config.finetune.max_candidates)
     samples = together * config.finetune.num_envs * config.finetune.ppo.horizon
     walls = [dict(world.cost(seconds)).get("wall_seconds", seconds) for seconds in (least, most)]

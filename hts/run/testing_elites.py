@@ -134,7 +134,9 @@ def check_reference(tests: Tests, world: World, say: Callable[[str], None]) -> N
 
 
 def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> list[list[Recording]]:
-    """Of each elite, its recordings and its reference's."""
+    """Of each elite, its recordings and its reference's; a world is not asked to walk nobody."""
+    if not elites:
+        return []
     selection = job.config.selection
     policies, reference = [job.exported(elite) for elite in elites], job.exported(PRETRAINED)
     if len(selection.tested_speeds) > 1 or selection.block_seconds is not None:

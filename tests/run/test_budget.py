@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from types import SimpleNamespace
 
 import pytest
 
@@ -10,7 +12,9 @@ from hts.cli.main import main
 from hts.config import ScheduleConfig
 from hts.config_loading import load_config
 from hts.errors import ConfigError
+from hts.evaluation.held import hold_of
 from hts.plugins import load
+from hts.run.algorithm import cap_reached
 from hts.run.budget import Budget, shortened, spread
 from hts.run.cost import estimate
 from hts.schedules import Command
@@ -82,6 +86,17 @@ def test_a_cap_holds_by_estimate_and_is_used(preset, most):
     assert 0.8 * most < found["real_samples"] <= most
 
 
+@pytest.mark.parametrize("trim", [8, 12, 60])
+def test_a_test_is_counted_with_standing_up_however_short_it_is(trim):
+    from hts.worlds.twin.programme import STANDING_SECONDS, session_seconds
+
+    held = ("evaluation.hold_speed=true", f"evaluation.trim_seconds={trim}", "selection.elites=1", "gate.enabled=false")
+    config = load_config(preset="smoke", objectives=["power"], robot="go1", overrides=held)
+    walked = 50 * (session_seconds(1, 1, 1, 6, hold_of(config)) + STANDING_SECONDS)
+    first = 50 * 3 * 12
+    assert walked <= estimate(config, load())["real_samples"] - first <= 1.02 * walked
+
+
 def test_a_cap_that_is_not_reached_changes_nothing():
     """But for what is walked again, which has to fit, too."""
     capped, free = planned("paper"), planned("paper", "max_real_samples=null")
@@ -121,6 +136,27 @@ CAPPED = {
 def capped(tmp_path_factory):
     with kit_installed():
         yield tiny_run(tmp_path_factory.mktemp("capped") / "run", settings=CAPPED)
+
+
+class FewOfAJob:
+    """What `cap_reached` asks of a job."""
+
+    config = SimpleNamespace(iterations=3, max_real_samples=2000)
+    budget = Budget(SCHEDULE, (1, 1), first=1000, each=400, most=2000)
+
+    def __init__(self, spent: int) -> None:
+        self.spent = lambda iteration: spent
+
+
+@pytest.mark.parametrize(
+    ("spent", "said"),
+    [
+        (1601, "1,601 of at most 2,000 real samples are spent, and the test of another elite takes about 400."),
+        (1600, "1,600 of at most 2,000 .* less than was planned for 2 tests of elites, and the plan has no more"),
+    ],
+)
+def test_the_line_at_the_end_of_the_iterations_says_why(spent, said):
+    assert re.search(said, cap_reached(FewOfAJob(spent), 2))
 
 
 def test_a_run_ends_its_iterations_where_the_next_would_pass_the_cap(capped):

@@ -9,7 +9,7 @@ import pytest
 from hts.contracts import Comparison, TestedCandidate
 from hts.errors import ConfigError
 from hts.report.outcome import closing, second_trial
-from hts.run.confirming import over_both, ranked, winner
+from hts.run.confirming import contenders, over_both, ranked, winner
 from hts.run.judging import same_policies
 from hts.selection.hierarchical import Hierarchical, HierarchicalSettings
 from hts.testing.known_world import KnownWorld
@@ -39,6 +39,14 @@ def test_contenders_come_best_first_and_only_those_that_improved():
     before = [once("00-00", 0.1), once("00-01", 0.3), once("01-00", -0.1), once("01-01", 0.2)]
     assert [one.id for one in ranked(SELECTOR, before, 2)] == ["00-01", "01-01"]
     assert [one.id for one in ranked(SELECTOR, before, 9)] == ["00-01", "01-01", "00-00"]
+
+
+def test_the_best_so_far_is_tried_twice_whatever_those_scored_that_left_a_race_before_it():
+    before = [once("00-00", 0.1), once("00-01", 0.3), once("01-00", 0.2)]  # 00-01 left after a flattering round
+    assert contenders(SELECTOR, before, "00-00", 2) == ["00-00", "00-01"]
+    assert contenders(SELECTOR, before, "00-01", 9) == ["00-01", "01-00", "00-00"]
+    assert contenders(SELECTOR, before, "00-00", 0) == contenders(SELECTOR, before, "00-00", -3) == []
+    assert contenders(SELECTOR, [once("00-00", -0.1)], "pretrained", 2) == []
 
 
 def test_the_mean_of_both_trials_counts_and_who_was_refused_is_out():

@@ -6,6 +6,7 @@ import pytest
 
 from hts.config_loading import load_config
 from hts.errors import ConfigError
+from hts.evaluation.held import hold_of
 from hts.plugins import load
 from hts.run.cost import (
     BASE_MEMORY_GB,
@@ -33,8 +34,10 @@ def test_a_smoke_run_costs_what_its_configuration_says():
     assert cost["tested on the robot"] == 2
     # 3 recordings of 12 s, then 2 tests and one final head-to-head of 1 s + 4 x 6 s each
     assert cost["robot_minutes"] == pytest.approx((3 * 12 + 3 * 25) / 60)
-    # 6 candidates of 400 steps; 6 candidates and the pretrained policy in 4 worlds for 4 s at 50 Hz
-    assert cost["simulation_steps"] == 6 * 400 + 7 * 4 * 200
+    # 6 candidates of 400 steps; 6 candidates and the pretrained policy in 4 worlds for 4 s at 50 Hz; at the gate the
+    # two that are tested, for 3 s
+    assert cost["simulation_steps"] == 6 * 400 + 7 * 4 * 200 + 2 * 4 * 150
+    assert cost_of("smoke", "gate.enabled=false")["simulation_steps"] == 6 * 400 + 7 * 4 * 200
     # 6 candidates x 8 worlds x 24 steps in a batch
     assert cost["memory_gb"] == pytest.approx(BASE_MEMORY_GB + 6 * 8 * 24 * BYTES_PER_SAMPLE / 1e9)
     assert cost["wall_minutes"] >= cost["simulation_steps"] / STEPS_PER_SECOND["mujoco"] / 60
@@ -107,6 +110,21 @@ def test_a_cap_holds_for_what_is_walked_again_too():
     cost = cost_of("quick", "max_real_samples=96000", world="field")
     assert cost["real_samples"] <= cost["real_samples_most"] == 96_000
     assert "up to 1 for second trials, if the cap leaves room for them (selection.confirm)" in cost["beside"]
+
+
+@pytest.mark.parametrize("hold", [False, True], ids=["not held", "held"])
+def test_a_round_is_warmed_up_for_once_whoever_walks_in_it(hold):
+    from hts.worlds.twin.programme import session_seconds
+
+    held = f"evaluation.hold_speed={str(hold).lower()}"
+    race = ("selection.selector.name=racing", "world.warmup_seconds=20", held)
+    config = load_config(preset="smoke", objectives=["power"], robot="go1", overrides=[WEIGHTS, *race])
+    trimmed = hold_of(config)
+    final = sum(session_seconds(1, 1, 20, 6, one) for one in ({None, trimmed} if hold else {None}))
+    cost = estimate(config, load())
+    longest = 3 if hold else 0  # s: the reference's trimming that the warm-up is too short for, at most
+    walked = 60 * cost["robot_minutes"] - 3 * 12 - final
+    assert 0 <= walked - session_seconds(2, 1, 20, 15, trimmed) <= longest + 1e-6
 
 
 def test_a_race_is_a_visit_a_round():

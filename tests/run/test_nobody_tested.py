@@ -36,9 +36,12 @@ def test_a_run_on_a_machine_whose_candidates_all_fell_tests_nobody_and_says_so(t
         return dataclasses.replace(judge(*given), falls=1)
 
     monkeypatch.setattr(judging, "_judge", all_fall)
+    asked = []
     monkeypatch.setattr(KnownWorld, "simulated", False)
+    monkeypatch.setattr(KnownWorld, "head_to_heads", lambda self, policies, *rest: asked.append(policies) or [])
     with kit_installed():
         run = tiny_run(tmp_path / "run", selector=selector)
+    assert asked == []  # a world need not know how to walk nobody
     assert run.summary is not None
     (iteration,) = run.summary["iterations"]
     assert not any(row["elite"] for row in iteration["candidates"]) and iteration["best"] is None
