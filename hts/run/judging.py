@@ -75,7 +75,7 @@ def judge(
     env.close()
     promised = _promised(job, iteration, results)
     task_rewards = {name: sum(t.task_reward for t in row) / len(row) for name, row in results.items()}
-    share = needed(test.min_valid, rows, results)
+    share = needed(test.min_valid, rows, {name: least_valid(walked) for name, walked in results.items()})
     judged = [
         replace(
             _judge(row, results[row["id"]], test.speed_tolerance, task, share),
@@ -245,15 +245,15 @@ def fine_tuning(row: Mapping[str, Any], task_rewards: Mapping[str, float | None]
     )
 
 
-def needed(share: float, rows: Sequence[Mapping[str, Any]], results: Mapping[str, Sequence[SimulatedTrial]]) -> float:
+def needed(share: float, rows: Sequence[Mapping[str, Any]], reached: Mapping[str, float]) -> float:
     """Share of its seconds that a candidate must do its task at its worst set-point: `share`, or what the steadiest
     candidate reaches, so that somebody does. Who was stopped stands at its anchor, is nobody to try, and sets no
-    measure. rows: of the candidates; results: trials of each."""
-    reached = [_least_valid(results[row["id"]]) for row in rows if row["stopped"] is None]
-    return min(share, max(reached, default=0.0))
+    measure. rows: of the candidates; reached: by each, as `least_valid` says."""
+    return min(share, max((reached[row["id"]] for row in rows if row["stopped"] is None), default=0.0))
 
 
-def _least_valid(results: Sequence[SimulatedTrial]) -> float:
+def least_valid(results: Sequence[SimulatedTrial]) -> float:
+    """Share of its seconds in which the task was done, at the worst set-point."""
     return min(trial.valid for trial in results)
 
 
@@ -267,7 +267,7 @@ def _judge(
     """Score = unweighted mean r_real over speeds, summed over objectives (each in its own standard deviations).
     share: of its seconds at each set-point that must be good, beside what the task itself asks for."""
     falls = sum(trial.falls for trial in results)
-    tracked = does_it(task, results, tolerance) and _least_valid(results) >= share
+    tracked = does_it(task, results, tolerance) and least_valid(results) >= share
     scores = _scores(results)
     if row["stopped"] is not None:
         scores, tracked = dict.fromkeys(scores, float("-inf")), False

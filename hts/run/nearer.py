@@ -17,11 +17,12 @@ import torch
 
 from hts.config import RunConfig
 from hts.config_base import percent
+from hts.contracts import SimulatedCandidate
 from hts.policies.files import Policy, make_card
 from hts.run.gate import as_judged, tried
 from hts.run.iteration import gated, judged_after, tried_after
 from hts.run.job import Job
-from hts.run.judging import judge, same_policies, selector_of_elites
+from hts.run.judging import judge, needed, same_policies, selector_of_elites
 from hts.training.sweep import is_nearer, nearer_id
 
 Report = Callable[[float], None]
@@ -122,7 +123,23 @@ def _of_both(
     trained, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
     able = [as_judged(row, simulated) for row in trained if row["id"] in passed]
     able += [as_judged(row, whole["simulate"]) for row in rows if row["id"] in whole["gate"]["elites"]]
+    trials = {**simulated["trials"], **whole["simulate"]["trials"]}
+    able = by_one_measure(able, job.config.simulation_test.min_valid, [*trained, *rows], trials)
     return selector_of_elites(job).elites(able, job.elites(iteration))
+
+
+def by_one_measure(
+    able: Sequence[SimulatedCandidate],
+    least: float,
+    rows: Sequence[Mapping[str, Any]],
+    trials: Mapping[str, Sequence[Mapping[str, Any]]],
+) -> list[SimulatedCandidate]:
+    """Who was judged in two parts, each by the steadiest of its own where nobody in it did the task in enough of its
+    seconds, held to one share: that of all. least: `simulation_test.min_valid`; rows: of all that were judged; trials:
+    theirs, as simulate.json has them."""
+    reached = {row["id"]: min(trial["valid"] for trial in trials[row["id"]]) for row in rows}
+    share = needed(least, rows, reached)
+    return [dataclasses.replace(one, tracked=one.tracked and reached[one.id] >= share) for one in able]
 
 
 def _trained(job: Job, iteration: int) -> list[dict[str, Any]]:

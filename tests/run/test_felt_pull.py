@@ -13,7 +13,7 @@ from hts.evaluation.simulation import SimulatedTrial
 from hts.evaluation.wandering import Wandered
 from hts.run import felt_pull as module
 from hts.run.felt_pull import MOST, PROBE, felt_pull, pull_line, pulled
-from hts.run.judging import _judge, needed
+from hts.run.judging import _judge, least_valid, needed
 from hts.run.learning import _trained_in
 from hts.testing.packages import kit_installed
 from hts.testing.tiny_run import tiny_run
@@ -121,10 +121,11 @@ def test_who_holds_its_speed_in_too_few_seconds_comes_after_those_that_do():
 def test_where_nobody_does_the_steadiest_is_enough():
     walks = {"a": trials(0.9, 0.55), "b": trials(0.6, 0.65), "c": trials(0.9, 0.75)}
     rows = [{"id": name, "stopped": None} for name in walks]
-    assert needed(0.7, rows[:2], walks) == 0.6
-    assert needed(0.7, rows[2:], walks) == 0.7 and needed(0.7, [], walks) == 0.0
+    reached = {name: least_valid(walked) for name, walked in walks.items()}
+    assert needed(0.7, rows[:2], reached) == 0.6
+    assert needed(0.7, rows[2:], reached) == 0.7 and needed(0.7, [], reached) == 0.0
     stopped = {"id": "c", "stopped": "it was stopped"}
-    assert needed(0.7, [*rows[:2], stopped], walks) == 0.6, "who stands at its anchor is steady, and nobody to try"
+    assert needed(0.7, [*rows[:2], stopped], reached) == 0.6, "who stands at its anchor is steady, and nobody to try"
 
 
 def test_a_run_whose_env_knows_no_pulls_goes_on_without_one(tmp_path):

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from hts.config import GateConfig
+from hts.contracts import SimulatedCandidate
 from hts.errors import HtsError
 from hts.policies.files import load_policy
 from hts.run import gate, judging, nearer, resume_run
@@ -295,3 +296,15 @@ def test_a_result_that_lets_a_stranger_pass_is_told(tmp_path, monkeypatch):
     (path / "summary.json").unlink()
     with kit_installed(), pytest.raises(HtsError, match=r"nearer\.json: .*lets pass 00-07"):
         resume_run(path)
+
+
+def test_who_comes_back_is_held_to_the_steadiness_of_those_beside_whom_it_is_put():
+    """Alone, the one that comes back is the steadiest of its own; where others do their task in enough, it does not."""
+    rows = [{"id": name, "stopped": None} for name in ("00-00", "00-00-50", "00-00-w50")]
+    trials = {"00-00": [{"valid": 0.95}], "00-00-50": [{"valid": 0.9}], "00-00-w50": [{"valid": 0.95}, {"valid": 0.6}]}
+    able = [SimulatedCandidate(name, 1.0, 0, True, {"calm": 1.0}) for name in ("00-00-50", "00-00-w50")]
+    assert [one.tracked for one in nearer.by_one_measure(able, 0.7, rows, trials)] == [True, False]
+    assert [one.tracked for one in nearer.by_one_measure(able[1:], 0.7, rows[2:], trials)] == [True]
+    assert not nearer.by_one_measure([dataclasses.replace(able[0], tracked=False)], 0.7, rows, trials)[
+        0
+    ].tracked  # what was not, is not
