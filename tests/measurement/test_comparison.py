@@ -186,6 +186,12 @@ def test_a_formula_that_fits_with_a_negative_scale_is_told_with_its_likely_cause
     assert sum("negative scale" in line for line in [*doubts(own), *cautions(own)]) == 1  # not said twice
 
 
+@pytest.mark.parametrize("r2", [0.05, -0.3, None])
+def test_the_sign_of_a_stand_in_that_explains_nothing_is_chance(r2):
+    line = {"scale": -0.5, "r2": r2}
+    assert doubts({"objective": "cool", "target": "heat", "held_out": {"r2": 0.9, "proxy": {"smoothed": line}}}) == []
+
+
 @pytest.mark.parametrize(
     ("name", "wanted", "said"),
     [
