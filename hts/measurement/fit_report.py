@@ -68,6 +68,15 @@ def session_note(report: Mapping[str, Any]) -> str:
     )
 
 
+def clock_note(report: Mapping[str, Any]) -> str:
+    """What makes held-out R² that of the time since recordings began, likewise; "" where nothing does."""
+    found = report.get("drift")
+    slow = drift_note(report["target"], Drift(**found)) if found else ""
+    if not slow:
+        return ""
+    return f"{slow}: held-out R² {_number(report['held_out_r2'])} tells mostly whether recordings began as warm"
+
+
 def doubts(report: Mapping[str, Any]) -> list[str]:
     """What a person should know before a model is trusted, one line each; empty where nothing is wrong.
 
@@ -77,7 +86,7 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
     model = report.get("model") or {}
     found, linear = held["r2"], (held.get("linear") or {}).get("r2")
     linear = None if model.get("name") == "linear" else linear  # whoever chose it is not told to choose it
-    slow = drift_note(target, Drift(**drifts) if (drifts := report.get("drift")) else None)
+    slow = clock_note(report)
     lines = []
     explains = linear is not None and linear >= WORSE_THAN_LINEAR  # else there is nothing in it to choose
     if found is not None and linear is not None and explains and linear - found >= WORSE_THAN_LINEAR:
@@ -92,10 +101,7 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
             "the loss that heats instead, or record more."
         )
     if slow:
-        lines.append(
-            f"{target}: {slow}: held-out R² {_number(found)} tells mostly whether recordings began as warm, not what a "
-            f"policy costs; {REMEDY}."
-        )
+        lines.append(f"{target}: {slow}; {REMEDY}.")
     line = (held.get("proxy") or {}).get("smoothed") or {}
     if _falls(line):
         lines.append(_falling(target, f"{line['scale']:.3g}"))

@@ -55,7 +55,7 @@ def test_too_short_stretches_and_constants_tell_no_drift(seconds):
 def a_report(r2: float | None, slow: bool = True):
     held = {"r2": r2, "linear": {"r2": r2}}
     found = {"within": 0.97, "of_all": 0.2} if slow else None
-    return {"objective": "warm", "target": "heat", "held_out": held, "drift": found}
+    return {"objective": "warm", "target": "heat", "held_out_r2": r2, "held_out": held, "drift": found}
 
 
 @pytest.mark.parametrize("r2", [0.998, -0.5, None])
