@@ -48,8 +48,8 @@ class PredictedSegments:
             raise EvaluationError(
                 "Its score reads what nothing predicts. "
                 + unknown_name("channel", channel, self.channels)
-                + " Let predicted_channels() of the objective say how it follows from the target; until then elites are "
-                "chosen by mean reward."
+                + " Let predicted_channels() of the objective say how it follows from the target; until then elites "
+                "are chosen by mean reward."
             )
         return self.channels[channel]
 
