@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hts import plugins
+from hts.channels import Channel
 from hts.cli import fit as fit_cli
 from hts.cli.fit_progress import FitProgress
 from hts.errors import ConfigError, RecordingError
@@ -208,6 +209,15 @@ def test_what_cannot_be_fitted_is_one_line(tmp_path, run, name, wanted, said):
     with pytest.raises((ConfigError, RecordingError), match=said) as caught:
         fit_command.fit_store(name, run, tmp_path / "out", wanted=wanted)
     assert "\n" not in str(caught.value)
+
+
+def test_a_target_that_was_recorded_motor_by_motor_is_one_line(tmp_path, run):
+    r = known_heat(1)
+    both = Series(Channel("heat", "W", (2,)), np.stack([r.values("heat")] * 2, 1))
+    store = store_of(tmp_path / "motors.zarr", r.replace(channels={**r.channels, "heat": both}))
+    with pytest.raises(RecordingError, match=r"'heat' has shape \(2,\), 2 numbers.*objective 'cool' predicts one"):
+        fit_command.fit_store("cool", store, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_wrong_model_or_two_ways_to_split_are_told_before_anything_is_fitted(tmp_path, run):
