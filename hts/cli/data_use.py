@@ -16,19 +16,22 @@ if TYPE_CHECKING:
 
 def show_lag(store: Path, objective: str | None, wanted: Wanted, as_json: bool) -> list[str]:
     """How late the gauge is: the objective's, or what is wanted."""
+    from hts.measurement.drift import drift, drift_note
     from hts.recordings.lag import gauge_lag
 
     made, recordings = _usable(store, objective, wanted)
     found = gauge_lag(recordings, made.target.name, made.inputs)
     if as_json:
         return [json.dumps(None if found is None else asdict(found), indent=2)]
+    slow = drift_note(made.target.name, drift(recordings, made.target.name))
+    lines = [f"'{made.target.name}': {slow}; that is no sensor's lag."] if slow else []
     if found is None:
         why = (
             f"'{made.target.name}': no lag can be told, {', '.join(made.inputs)} explain too little of it. Record "
             "motion that changes."
         )
-        return [why]
-    return [f"'{made.target.name}' is late by {found}; {len(recordings)} recordings"]
+        return lines or [why]
+    return [f"'{made.target.name}' is late by {found}; {len(recordings)} recordings", *lines]
 
 
 def show_enough(

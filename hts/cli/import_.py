@@ -62,7 +62,7 @@ def command(
     from hts.recordings.commanded import excess, shortfall
     from hts.recordings.drawing import check_picture, draw
     from hts.recordings.mapping import assumed_order, load_mapping
-    from hts.recordings.needs import check_mapping, check_measured, in_units_of
+    from hts.recordings.needs import as_declared, check_mapping, check_measured, in_units_of
 
     registry = load()
     machine = registry.make_robot(robot)
@@ -86,6 +86,7 @@ def command(
     for one in objectives:
         check_mapping(one, given, mapping)
         check_measured(one, given, machine.channels(), mapping)
+    given = as_declared(objectives, given)
     groups = [files] if given.get("files") else [[file] for file in files]
     own = machine.channels()
     read = [

@@ -35,8 +35,9 @@ class Objective(ABC):
     """A real channel to improve.
 
     name: as registered; unit: of the improvement ("1" for a fraction); inputs: sim channels the model reads;
-    target: the real channel that the model predicts; also_measured: further real channels that `score` reads, such as
-    a voltage beside a current: no model predicts them, but every log and recording must have them; weights: default
+    target: the real channel that the model predicts, one number a sample; also_measured: further real channels that
+    `score` reads, of any shape, such as a voltage beside a current: no model predicts them, but every log and recording
+    must have them, and `predicted_channels` says what they would be beside a predicted target; weights: default
     sweep over λ; baseline_weights: the same for the analytic proxy, of `hts baseline`; proxy_weights: of a run that the
     proxy pays (`hts run --reward proxy`): as many as `weights`, so that it trains as much as one that the model pays;
     none: baseline_weights.

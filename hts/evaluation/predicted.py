@@ -46,7 +46,10 @@ class PredictedSegments:
         """The channel in each piece, (S, n). Raises EvaluationError for one that nobody predicts."""
         if channel not in self.channels:
             raise EvaluationError(
-                "Its score reads what nothing predicts. " + unknown_name("channel", channel, self.channels)
+                "Its score reads what nothing predicts. "
+                + unknown_name("channel", channel, self.channels)
+                + " Let predicted_channels() of the objective say how it follows from the target; until then elites "
+                "are chosen by mean reward."
             )
         return self.channels[channel]
 

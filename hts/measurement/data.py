@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -38,8 +39,16 @@ def recorded_signals(objective: Objective, recording: Recording) -> Signals:
     Raises RecordingError."""
     for name in (*objective.inputs, objective.target.name):
         recording.values(name)  # says which channel is missing, and which are there
+    target = objective.target
+    shape = recording.channels[target.name].channel.shape
+    if math.prod(target.shape) == 1 != math.prod(shape):
+        raise RecordingError(
+            f"Recording {recording.id or '(not stored)'}: '{target.name}' has shape {shape}, {math.prod(shape)} "
+            f"numbers a sample; objective '{objective.name}' predicts one. Import the log again with one number as "
+            f"'{target.name}', such as the sum of its columns (`sum: true`)."
+        )
     inputs = tuple(recording.channels[name].channel for name in objective.inputs)
-    return Signals(inputs, objective.target, float(recording.rate_hz))
+    return Signals(inputs, target, float(recording.rate_hz))
 
 
 def training_data(signals: Signals, recordings: Sequence[Recording]) -> list[Piece]:

@@ -20,6 +20,7 @@ from hts.contracts import Signals
 from hts.guarded import guarded
 from hts.measurement.checks import traces_of
 from hts.measurement.data import check_units, recorded_signals
+from hts.measurement.drift import REMEDY, drift, drift_note
 from hts.measurement.linear import Linear, LinearSettings
 from hts.measurement.scoring import Trace, commanded_speed, r2
 from hts.measurement.split import named_part
@@ -96,6 +97,8 @@ def enough(objective: Objective, recordings: Sequence[Recording], speeds: Sequen
         *_too_little(seconds, policies, at, speeds, directions, inputs),
         *_too_wrong(held_out, found, by_policy, objective.target.unit),
     ]
+    if slow := drift_note(objective.target.name, drift(recordings, objective.target.name)):
+        missing.append(f"{slow}, and more recordings do not help: {REMEDY}")
     return Enough(
         target=objective.target.name,
         unit=objective.target.unit,

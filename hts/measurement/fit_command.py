@@ -26,6 +26,7 @@ from hts.measurement.alike import check_alike
 from hts.measurement.candidates import Candidates, compared, context_of, table_rows
 from hts.measurement.checks import check
 from hts.measurement.data import recorded_signals
+from hts.measurement.drift import drift
 from hts.measurement.fit_settings import FitSettings
 from hts.measurement.fitting import called, fit_model
 from hts.measurement.outliers import masked_split
@@ -93,7 +94,8 @@ def fit_and_check(
     held_out_r2, rank_correlation: the two numbers of `summary.json` (None where they mean nothing, such as the first
     with one recording); split: how it was split; same_session: how many of those held out
     are of sessions that were fitted to, too; masked: samples left out as no machine makes them, see `outliers`, the
-    same ones in both fits, since a range is that of all these recordings together;
+    same ones in both fits, since a range is that of all these recordings together; drift: see `drift.Drift`, None where
+    none can be seen;
     refit: the same as fit, of the model that is returned, which has seen what was held out too (None where
     `config.refit` says no).
     settings, registry, physics_steps: see `new_model`; keep: hashes of policies never held out whole.
@@ -134,6 +136,7 @@ def fit_split(
     channels = (*objective.inputs, objective.target.name)
     training, held_out, masked = masked_split(parts.training, parts.held_out, channels, spec)
     fitted = fit_model(model, training, how, registry)
+    slow = drift([*training, *held_out], objective.target.name)
     checked = guarded(f"{called(model, registry)}: its check", partial(check, objective, model, held_out, training))
     report = {
         "objective": objective.name,
@@ -147,6 +150,7 @@ def fit_split(
         "split": parts.how,
         "same_session": {"held_out": of_fitted_sessions(parts.training, parts.held_out), "of": len(parts.held_out)},
         "masked": asdict(masked),
+        "drift": None if slow is None else asdict(slow),
         "fit": fitted,
     }
     return FitResult(model, report)

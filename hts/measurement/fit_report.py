@@ -8,12 +8,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from hts.measurement.comparison import SMOOTHED
+from hts.measurement.drift import REMEDY, Drift, drift_note
 from hts.measurement.outliers import Masked, told
 
 WORSE_THAN_LINEAR = 0.1
 """By so much less variance explained a model is not worth its training."""
 POOR_SPREAD = 2.0
 """Errors that are more than so many times as large as a model says are worth a line."""
+EXPLAINS = 0.1
+"""Below so much variance explained on held-out recordings the sign of a fitted scale is chance."""
 COUNTS = ("samples", "short")
 """Of what was left out."""
 SHORT_SECONDS = 30.0
@@ -65,6 +68,15 @@ def session_note(report: Mapping[str, Any]) -> str:
     )
 
 
+def clock_note(report: Mapping[str, Any]) -> str:
+    """What makes held-out R² that of the time since recordings began, likewise; "" where nothing does."""
+    found = report.get("drift")
+    slow = drift_note(report["target"], Drift(**found)) if found else ""
+    if not slow:
+        return ""
+    return f"{slow}: held-out R² {_number(report['held_out_r2'])} tells mostly whether recordings began as warm"
+
+
 def doubts(report: Mapping[str, Any]) -> list[str]:
     """What a person should know before a model is trusted, one line each; empty where nothing is wrong.
 
@@ -74,6 +86,7 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
     model = report.get("model") or {}
     found, linear = held["r2"], (held.get("linear") or {}).get("r2")
     linear = None if model.get("name") == "linear" else linear  # whoever chose it is not told to choose it
+    slow = clock_note(report)
     lines = []
     explains = linear is not None and linear >= WORSE_THAN_LINEAR  # else there is nothing in it to choose
     if found is not None and linear is not None and explains and linear - found >= WORSE_THAN_LINEAR:
@@ -81,15 +94,17 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
             f"{target}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
             f"{_number(linear)}. {_instead(model, report.get('fit') or {}, report['objective'])}, or record more."
         )
-    elif found is not None and found < 0:
+    elif found is not None and found < 0 and not slow:
         lines.append(
             f"{target}: held-out R² {_number(found)} is below 0: the mean of the data predicts better. Either the "
             "inputs do not explain it, or it remembers more than about a second (a temperature does): make a target of "
             "the loss that heats instead, or record more."
         )
-    scale = ((held.get("proxy") or {}).get("smoothed") or {}).get("scale")
-    if scale is not None and scale < 0:
-        lines.append(_falling(target, f"{scale:.3g}"))
+    if slow:
+        lines.append(f"{target}: {slow}; {REMEDY}.")
+    line = (held.get("proxy") or {}).get("smoothed") or {}
+    if _falls(line):
+        lines.append(_falling(target, f"{line['scale']:.3g}"))
     spread = held.get("spread") or {}
     times = spread.get("error_over_spread")
     if times is not None and times > POOR_SPREAD:
@@ -98,6 +113,11 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
             f"standard deviations (of a Gaussian 0.68), and they are {times:.1f} times as large as it says."
         )
     return lines
+
+
+def _falls(line: Mapping[str, Any]) -> bool:
+    """Whether a stand-in's scale is negative and that means something: of one that explains nothing it is chance."""
+    return (line.get("scale") or 0.0) < 0 and (line.get("r2") or 0.0) >= EXPLAINS
 
 
 def _falling(target: str, found: str) -> str:
@@ -167,7 +187,7 @@ def cautions(report: Mapping[str, Any]) -> list[str]:
             "another stretch may give quite another R². Record more to hold out."
         )
     formula: Mapping[str, Any] = next((row for row in report["compared"] if row["name"] == SMOOTHED), {})
-    if not held.get("proxy") and (formula.get("scale") or 0.0) < 0:  # of the objective's own `doubts` tells
+    if not held.get("proxy") and _falls(formula):  # of the objective's own `doubts` tells
         lines.append(_falling(target, formula["detail"]))
     kept = next(row for row in report["compared"] if row["kind"] == "kept")
     if kept["r2"] is not None:

@@ -45,6 +45,19 @@ def check_measured(objective: Objective, mapping: Mapping[str, Any], own: Mappin
         )
 
 
+def as_declared(objectives: Iterable[Objective], mapping: Mapping[str, Any]) -> dict[str, Any]:
+    """The mapping, in which a channel that an objective says may be constant may be so, unless the mapping says no."""
+    channels = mapping.get("channels")
+    if not isinstance(channels, Mapping):
+        return dict(mapping)
+    may = {channel.name for one in objectives for channel in one.real_channels if channel.may_be_constant}
+    found = {
+        name: {"may_be_constant": True, **one} if name in may and isinstance(one, Mapping) else one
+        for name, one in channels.items()
+    }
+    return {**mapping, "channels": found}
+
+
 def in_units_of(
     objectives: Sequence[Objective], recording: Recording, own: Mapping[str, Channel], where: object
 ) -> Recording:

@@ -55,9 +55,10 @@ def check_read(
         for first, last in runs_of(np.asarray(same)):
             moved = float(walks[first + 1 : last + 1].sum()) / rate_hz
             if moved > longest:
-                number = f"{values[first, 0]:g}" if values.shape[1] == 1 else "the same in all components"
+                number = f"{values[first, 0]:g} {series.channel.unit}"
+                stays = f"is {number}" if values.shape[1] == 1 else "keeps the numbers of all its components"
                 raise RecordingError(
-                    f"{where}: '{name}' is {number} {series.channel.unit} from {first / rate_hz:.2f} to "
+                    f"{where}: '{name}' {stays} from {first / rate_hz:.2f} to "
                     f"{last / rate_hz:.2f} s while the joints move for {moved:.1f} s of that. Expected another number "
                     f"after at most {longest:g} s: the sensor was probably not being read. Record again, or cut the "
                     f"log there; if '{name}' may honestly stand still for so long, say may_be_constant: true of it in "

@@ -12,7 +12,7 @@ import yaml
 import hts
 from hts.atomic import atomic_write
 from hts.errors import RunError
-from hts.measurement.fit_report import session_note
+from hts.measurement.fit_report import clock_note, session_note
 from hts.report import wording
 from hts.report.data import Json, RunData, read_run
 from hts.report.front import front_part
@@ -143,7 +143,7 @@ def _objective(run: RunData, name: str) -> dict[str, Any]:
         **shown,
         "headline": headline(run, name, result),
         "figures": _figures(run, name),
-        "sessions": _session_lines(run, name),
+        "cautions": _model_lines(run, name),
         "models": [
             {
                 "index": iteration["index"],
@@ -158,10 +158,17 @@ def _objective(run: RunData, name: str) -> dict[str, Any]:
     }
 
 
-def _session_lines(run: RunData, name: str) -> list[str]:
-    """Beside held-out R²: in which iterations sessions were on both sides, one line each."""
-    notes = {int(one["index"]): session_note(run.fit(int(one["index"]), name)) for one in run.iterations}
-    return [f"Iteration {index}: {note}." for index, note in notes.items() if note]
+def _model_lines(run: RunData, name: str) -> list[str]:
+    """Beside held-out R²: what makes it say less than it seems to, a line for each reason and iteration."""
+    lines = []
+    for one in run.iterations:
+        index, model = int(one["index"]), (one.get("measurement_models") or {}).get(name) or {}
+        fit, tried = run.fit(index, name), model.get("elites_r2")
+        notes = [session_note(fit), clock_note(fit)]
+        if tried is not None and tried < 0:
+            notes.append(f"the policies that were tried are predicted worse than by their mean (R² {tried:.3g})")
+        lines += [f"Iteration {index}: {note}." for note in notes if note]
+    return lines
 
 
 def _later(run: RunData) -> dict[str, Any] | None:

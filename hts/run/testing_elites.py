@@ -28,6 +28,7 @@ from hts.evaluation.halves import Half, halves
 from hts.evaluation.held import ask_to_hold
 from hts.evaluation.walked_again import walked_again
 from hts.measurement.checks import check
+from hts.measurement.drift import REMEDY, drift, drift_note
 from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import ends_the_run
@@ -80,6 +81,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     else:
         check_reference(tests, job.world, job.stages.progress.say)
     ids = job.keep(tests.recorded, iteration + 1)
+    _tell_drifts(job, tests.recorded)
     tested = tests.for_best(selector)
     incumbent = [] if best == job.first else [tested_before(job, best)]  # nobody before the first success
     races = {"rounds": tests.races} if tests.races else {}
@@ -318,6 +320,17 @@ def _trust(job: Job, iteration: int, results: Mapping[str, Mapping[str, Any]]) -
         bound_scale(job, iteration), list(job.objectives), rows, results, config, job.config.sweep.kl_bounds
     )
     return {"trust_region": {"scale": scale, "why": why, **found.entry()}}
+
+
+def _tell_drifts(job: Job, recordings: Sequence[Recording]) -> None:
+    """Where a target drifts within the blocks, a policy's block still shows the one before: said once a run."""
+    for name, objective in job.objectives.items():
+        if note := drift_note(objective.target.name, drift(recordings, objective.target.name)):
+            job.say_once(
+                f"{name}: blocks drift",
+                f"head-to-heads: {note}. A block then shows what the policy before it did, and savings come "
+                f"out too small however narrow their intervals; {REMEDY}.",
+            )
 
 
 def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.plugins import load
 from hts.recordings.commanded import ends_early
-from hts.recordings.needs import check_mapping, in_units_of, levels_in_units_of
+from hts.recordings.needs import as_declared, check_mapping, in_units_of, levels_in_units_of
 from hts.recordings.recording import Recording
 from hts.worlds import field_holding, field_levels
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
@@ -290,8 +290,9 @@ class FieldWorld(World):
             check_row(where, load_mapping(where).get("recording") or {}, asked)  # the run's own says no row
         facts |= {"world": self.name, "policy_hash": card.policy_hash, **asked}
         frozen = self.settings.model_dump(include={"frozen_real_seconds"}, exclude_defaults=True)
+        declared = as_declared(self._objectives, mapping)
         try:
-            recording = read_log(registry, files, {**frozen, **mapping, "recording": facts}, self._robot)
+            recording = read_log(registry, files, {**frozen, **declared, "recording": facts}, self._robot)
         except ConfigError as error:
             raise ConfigError(f"Row {order.name}: {where}: {error}") from error
         recording = in_units_of(self._objectives, recording, self._robot.channels(), f"Row {order.name}: {where}")

@@ -139,7 +139,7 @@ class OfNoughts(Effort):
     ("objective", "said"),
     [
         (OfBlocks(), "Its score reads `recordings` of segments, which is not predicted."),
-        (OfAnother(), "Its score reads what nothing predicts. No channel named 'other'."),
+        (OfAnother(), "Its score reads what nothing predicts. No channel named 'other'. Known: effort. Let predicted_"),
         (OfNoughts(), "Its score of predicted seconds fails, ZeroDivisionError: "),
     ],
 )

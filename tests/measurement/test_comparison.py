@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hts import plugins
+from hts.channels import Channel
 from hts.cli import fit as fit_cli
 from hts.cli.fit_progress import FitProgress
 from hts.errors import ConfigError, RecordingError
@@ -187,6 +188,12 @@ def test_a_formula_that_fits_with_a_negative_scale_is_told_with_its_likely_cause
     assert sum("negative scale" in line for line in [*doubts(own), *cautions(own)]) == 1  # not said twice
 
 
+@pytest.mark.parametrize("r2", [0.05, -0.3, None])
+def test_the_sign_of_a_stand_in_that_explains_nothing_is_chance(r2):
+    line = {"scale": -0.5, "r2": r2}
+    assert doubts({"objective": "cool", "target": "heat", "held_out": {"r2": 0.9, "proxy": {"smoothed": line}}}) == []
+
+
 @pytest.mark.parametrize(
     ("name", "wanted", "said"),
     [
@@ -203,6 +210,15 @@ def test_what_cannot_be_fitted_is_one_line(tmp_path, run, name, wanted, said):
     with pytest.raises((ConfigError, RecordingError), match=said) as caught:
         fit_command.fit_store(name, run, tmp_path / "out", wanted=wanted)
     assert "\n" not in str(caught.value)
+
+
+def test_a_target_that_was_recorded_motor_by_motor_is_one_line(tmp_path, run):
+    r = known_heat(1)
+    both = Series(Channel("heat", "W", (2,)), np.stack([r.values("heat")] * 2, 1))
+    store = store_of(tmp_path / "motors.zarr", r.replace(channels={**r.channels, "heat": both}))
+    with pytest.raises(RecordingError, match=r"'heat' has shape \(2,\), 2 numbers.*objective 'cool' predicts one"):
+        fit_command.fit_store("cool", store, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_wrong_model_or_two_ways_to_split_are_told_before_anything_is_fitted(tmp_path, run):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from two_joint_log import TWO_JOINTS
 
+from hts.channels import Channel
 from hts.errors import RecordingError
 from hts.recordings.logs import recording_from_columns
+from hts.recordings.needs import as_declared
 
 RATE, SECONDS = 50, 20
 TIMES = np.arange(RATE * SECONDS) / RATE
@@ -28,7 +31,8 @@ def imported(
     mapping; settings: of the channel."""
     rates = 2 * np.pi * np.array([2.0, 2.6])
     velocity = np.asarray(moving).reshape(-1, 1) * 0.3 * rates * np.cos(TIMES[:, None] * rates)
-    columns = {"t": 1000 * TIMES, "amps": gauge, "H": velocity[:, 0], "K": velocity[:, 1]}
+    amps = gauge.reshape(len(TIMES), -1)
+    columns = {"t": 1000 * TIMES, "amps": amps[:, 0], "amps2": amps[:, -1], "H": velocity[:, 0], "K": velocity[:, 1]}
     mapping = {
         "time": {"column": "t", "unit": "ms"},
         "rate_hz": RATE,
@@ -51,6 +55,30 @@ def test_a_gauge_that_keeps_one_number_for_more_than_3_s_of_a_walk_is_refused_wi
         "if 'draw' may honestly stand still for so long, say may_be_constant: true of it in the mapping, or for how "
         "long there: frozen_real_seconds."
     )
+
+
+@pytest.mark.parametrize(
+    ("own", "may", "found"),
+    [
+        ({}, True, {"may_be_constant": True}),
+        ({"may_be_constant": False}, True, {"may_be_constant": False}),
+        ({}, False, {}),
+    ],
+)
+def test_what_an_objective_says_of_its_channel_is_said_in_the_mapping(own, may, found):
+    drawn = Channel("draw", "A", may_be_constant=may)
+    mapping = {"rate_hz": 50, "channels": {"draw": {"unit": "A", **own}, "speed": {"unit": "m/s"}}}
+    declared = as_declared([SimpleNamespace(real_channels=(drawn,))], mapping)
+    assert declared["channels"] == {"draw": {"unit": "A", **found}, "speed": {"unit": "m/s"}}
+    assert "may_be_constant" not in mapping["channels"]["speed"] and as_declared([], {"rate_hz": 50}) == {"rate_hz": 50}
+
+
+def test_a_channel_of_several_numbers_is_told_likewise():
+    gauge = np.repeat(repeating(2.0, 20.0)[:, None], 2, axis=1)
+    with pytest.raises(
+        RecordingError, match="'draw' keeps the numbers of all its components from 2.00 to 19.98 s while"
+    ):
+        imported(gauge, columns=["amps", "amps2"])
 
 
 def test_one_number_for_3_s_is_taken_and_so_is_more_where_the_mapping_says_that_it_may_be():

@@ -185,20 +185,6 @@ def test_another_world_is_called_what_it_says_it_is(tmp_path, words_only, simula
     assert ("Simulated reality" in shown) == (simulated is True)
 
 
-def test_a_session_on_both_sides_is_said_below_held_out_r2(tmp_path, words_only):
-    write_example_run(tmp_path, **SMALL)
-    place = tmp_path / "iterations" / "01" / "fit.json"
-    fit = json.loads(place.read_text())
-    write_report(tmp_path)
-    assert "fitted to as well" not in text(tmp_path)
-    for one in fit.values():
-        one["same_session"] = {"held_out": 2, "of": 5}
-    place.write_text(json.dumps(fit))
-    write_report(tmp_path)
-    said = "Iteration 1: 2 of 5 held-out recordings are of a session that was fitted to as well"
-    assert said in text(tmp_path)
-
-
 def test_the_report_says_on_which_reality(tmp_path, words_only):
     write_example_run(tmp_path, world="twin", **SMALL)
     summary = json.loads((tmp_path / "summary.json").read_text())

@@ -153,6 +153,12 @@ def method(signature: str, *lines: str) -> str:
             ),
             "idle() gives 0 for 'warmth_reading', with motors off and nothing moving it reads ",
         ),
+        (
+            "\n        from hts.channels import Channel"
+            "\n        channels = (Channel(CHANNEL.name, 'K', (2,)),)\n"
+            + method("read(self)", "return {CHANNEL.name: np.stack([2 + self.kelvin, 3 + self.kelvin], -1)}"),
+            "idle() gives 0 for 'warmth_reading', with motors off and nothing moving it reads 2.5",
+        ),
         (method("step(self, sample)", "pass"), "reads of 60 s of motion what it reads of robots at rest"),
         (method("settle(self)", "self.kelvin = self.kelvin * np.nan"), "after settle() 'warmth_reading' is not finite"),
         (

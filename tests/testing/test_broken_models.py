@@ -75,6 +75,20 @@ def test_a_network_that_adds_nan_where_an_input_is_infinite_passes(install):
     assert faults(install, body=SATURATED + refuses) == []
 
 
+SETTLES = """
+        settles = True
+
+        def settled(self, inputs):
+            return {settled}
+"""
+MINUTE = "return Model(Settings(**{'seconds': (60.0,)} | settings), signals)"
+
+
+def test_what_a_model_of_a_minute_settles_at_is_waited_for(install):
+    body = SETTLES.format(settled="self._read(self.scaled_features(inputs))")
+    assert faults(install, body=body, made=MINUTE) == []
+
+
 def test_a_slow_machine_finds_the_same_fault(install, monkeypatch):
     """Whatever the clock says, here half an hour from one look at it to the next."""
     hours = itertools.count(0.0, 1800.0)
@@ -278,6 +292,8 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
             sequence(before="state = None"),
             "sequence in two parts, the second from the state after the first, is off from one whole sequence by up to",
         ),
+        ({"body": SETTLES.format(settled="self._read(0 * self.scaled_features(inputs))")}, "s of the same inputs"),
+        ({"body": SETTLES.format(settled="inputs.sum(-1)")}, "settled gives a Tensor, expected hts.contracts"),
         (
             step(before="state = state.mean(0).expand_as(state)"),
             "the prediction of world 0 depends on the worlds beside it",

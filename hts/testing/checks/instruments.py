@@ -67,7 +67,7 @@ def idles_at_its_level(entry: Entry, registry: Registry) -> None:
             name: level
             for name, level in levels.items()
             # What the ground's force changes is no matter of motion: the robot's weight is not known here.
-            if np.isfinite(shown[name]).all() and same(shown[name], loaded[name]) and _is_off(shown[name], level)
+            if np.isfinite(shown[name]).all() and same(shown[name], loaded[name]) and _all_off(shown[name], level)
         }
         if not off:
             return
@@ -84,8 +84,7 @@ def idles_at_its_level(entry: Entry, registry: Registry) -> None:
 def _at_rest(
     instrument: Instrument, looks: int, newtons: float
 ) -> tuple[Mapping[str, float], Mapping[str, np.ndarray]]:
-    """Idle levels, and what it reads at each of so many looks (looks, robots), of its channels of one number;
-    newtons: on each foot."""
+    """Idle levels, and what it reads at each of so many looks, (looks, robots, *shape); newtons: on each foot."""
     instrument.reset(AT_REST, np.random.default_rng(7))
     sample, rows = rest(AT_REST), list[Readings]()
     sample.foot_force = np.full_like(sample.foot_force, newtons)
@@ -93,8 +92,14 @@ def _at_rest(
         for _ in range(AT_ONCE):
             instrument.step(sample)
         rows.append(_read(instrument))
-    levels = {name: float(level) for name, level in instrument.idle().items() if rows[0][name].ndim == 1}
+    levels = {name: float(level) for name, level in instrument.idle().items()}
     return levels, {name: np.stack([row[name] for row in rows]) for name in levels}
+
+
+def _all_off(shown: np.ndarray, level: float) -> bool:
+    """Whether the readings at rest (looks, robots, *shape) of each component are off: the level is one for all."""
+    parts = np.moveaxis(shown.reshape(*shown.shape[:2], -1), -1, 0)
+    return all(_is_off(part, level) for part in parts)
 
 
 def _is_off(shown: np.ndarray, level: float) -> bool:

@@ -6,6 +6,8 @@ are than the air, on average over the joints, with torque τ N·m,
     C dT/dt = loss τ² − T / R        T: K        then noise
 
 An objective gets it by `instrument = "warmth"` in its class; a twin also carries it where its settings name it.
+What remembers minutes, as this temperature does, stands beside a target (`also_measured`) and is none: no model of the
+last second can tell it, and the policy before has a share in it. The target is then what heats, in W, now.
 """
 
 from __future__ import annotations
