@@ -70,6 +70,8 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     if config.gate.enabled:  # of the elites, of whom nobody is refused
         gate_steps = round(config.gate.seconds * robot.spec.control_rate_hz) * config.gate.num_envs * len(test.speeds)
         steps += sum(budget.elites) * gate_steps
+    if hold is not None and test.hold_speed and (test.measured_pull or config.finetune.measured_pull):
+        steps += round((len(counts) - 1) * test_steps)  # of the pretrained policy, once there are trials
     together = min(max(counts), config.finetune.max_candidates)
     samples = together * config.finetune.num_envs * config.finetune.ppo.horizon
     walls = [dict(world.cost(seconds)).get("wall_seconds", seconds) for seconds in (least, most)]

@@ -41,7 +41,8 @@ def pulled(config: EnvConfig, pull: tuple[float, ...]) -> EnvConfig:
 
 def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
     """What the trials before an iteration say: {"pull": m/s² at each of `simulation_test.speeds`, "measured",
-    "simulated": W at each speed where both are known, "sessions": how many walked at it}.
+    "simulated": W at each speed where both are known, "sessions": how many walked at it, "steps": control steps that
+    were simulated for it}.
 
     None where nothing asks for it, before the first trials, where no speed was held (in simulation or in them), or in
     an env without pulls. A speed that was not tried gets what all others say together.
@@ -66,6 +67,7 @@ def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
         "measured": {f"{speed:g}": measured[speed].size for speed in known},
         "simulated": {f"{speed:g}": simulated[speed] for speed in known},
         "sessions": {f"{speed:g}": measured[speed].sessions for speed in known},
+        "steps": round(trial_seconds(test) * job.robot.spec.control_rate_hz) * test.num_envs * len(test.speeds),
     }
 
 

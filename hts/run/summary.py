@@ -29,6 +29,7 @@ def summarise(job: Job) -> dict[str, Any]:
         tuned, simulated = iteration.tuned(job, index), iteration.simulated(job, index)
         tested, gated = job.read(f"{name}/test"), iteration.gated(job, index)
         steps += tuned["steps"] + simulated["steps"] + (gated["steps"] if gated else 0)
+        steps += (tuned.get("pull") or {}).get("steps", 0)  # not in runs from before it was written
         iterations.append(
             {
                 "index": index,

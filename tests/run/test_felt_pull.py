@@ -9,7 +9,7 @@ import pytest
 
 from hts.config import EnvConfig, FinetuneConfig, RandomisationConfig, SimulationTestConfig
 from hts.contracts import VELOCITY, SimulatedCandidate
-from hts.evaluation.simulation import SimulatedTrial
+from hts.evaluation.simulation import SimulatedTrial, trial_seconds
 from hts.evaluation.wandering import Wandered
 from hts.run import felt_pull as module
 from hts.run.felt_pull import MOST, PROBE, felt_pull, pull_line, pulled
@@ -28,7 +28,7 @@ def job(test=TEST, trained=False):
         config=config,
         read=lambda name: {"recordings": [name]},
         recordings=lambda ids: walked if ids else [],
-        robot=SimpleNamespace(task=lambda: VELOCITY),
+        robot=SimpleNamespace(task=lambda: VELOCITY, spec=SimpleNamespace(control_rate_hz=50.0)),
     )
 
 
@@ -73,6 +73,7 @@ def test_speeds_that_were_not_tried_or_not_walked_in_simulation_get_what_the_oth
     wandered({0.5: 1e-4, 1.3: 9.0}, {0.5: 1e-4, 0.8: 1e-4})
     found = felt_pull(job(), 1)
     assert found.pop("pull") == pytest.approx([PROBE, PROBE])
+    assert found.pop("steps") == round(50 * trial_seconds(TEST)) * TEST.num_envs * 2
     assert found == {"measured": {"0.5": 1e-4}, "simulated": {"0.5": 1e-4}, "sessions": {"0.5": 2}}
     wandered({0.5: 1e-4, 0.8: 5.0}, {0.5: 1e-4, 0.8: float("nan")})
     assert felt_pull(job(), 1)["pull"] == pytest.approx([PROBE, PROBE])
