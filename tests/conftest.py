@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from hts.report import style
 from hts.testing.packages import write_package
 
 # The same examples everywhere: what a search finds is for the one who searches, not for whoever runs the tests next.
@@ -44,6 +45,17 @@ def install(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monkey
     for name in set(sys.modules) - before:
         if getattr(sys.modules[name], "__file__", None) and str(folder) in str(sys.modules[name].__file__):
             del sys.modules[name]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _fonts_that_are_quick_to_embed(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Reports that a test draws in its own process get Type 3 fonts in their PDFs: cutting TrueType ones down to the
+    letters in use is more than half of the work of a report, which is a third of a small run. Tests of reports, and the
+    command line in a process of its own, embed what users get."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name != "report":
+            patch.setitem(style.RC, "pdf.fonttype", 3)
+        yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -17,11 +17,14 @@ RUN = ["--objective", "power", "--robot", "go1", "--preset", "smoke"]
 
 @pytest.fixture
 def places(tmp_path: Path) -> Path:
-    """A folder with a plain file `afile`, a link to nothing `gone` and a folder `there`, and nothing else."""
-    (tmp_path / "afile").write_text("precious")
-    (tmp_path / "gone").symlink_to(tmp_path / "nowhere")
-    (tmp_path / "there").mkdir()
-    return tmp_path
+    """A folder with a plain file `afile`, a link to nothing `gone` and a folder `there`, and nothing else; alone in the
+    one around it, where a test looks too."""
+    places = tmp_path / "places"
+    places.mkdir()
+    (places / "afile").write_text("precious")
+    (places / "gone").symlink_to(places / "nowhere")
+    (places / "there").mkdir()
+    return places
 
 
 def left(folder: Path) -> list[str]:

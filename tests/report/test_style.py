@@ -35,6 +35,16 @@ def characters(stream):
         yield from (int(code, 16) for code in re.findall(rb"[0-9a-fA-F]{4}", b" ".join(line)))
 
 
+def test_a_pdf_has_truetype_fonts(tmp_path):
+    """Type 3 fonts are refused by publishers."""
+    with matplotlib.rc_context(style.RC):
+        drawing, axes = style.figure(2.0)
+        axes[0, 0].set_title(WORDS)
+        style.save(drawing, tmp_path, "words")
+    written = (tmp_path / "words.pdf").read_bytes()
+    assert b"/FontFile2" in written and b"/Type3" not in written
+
+
 def test_the_layout_that_was_found_for_the_svg_is_the_pdfs(tmp_path):
     with matplotlib.rc_context(style.RC):
         drawing, axes = style.figure(2.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -26,6 +27,13 @@ NAMES = {
     "selector": "steady",
     "reader": "diary",
 }
+
+PAGES = Path(__file__).parents[2] / "docs" / "authors"
+CHECK = "$ hts check hts-heat\n...\nhts-heat: … checks, 0 failed\n"
+TESTS = "$ python -m pytest -q hts-heat\n...\n3 passed…"
+THERMAL = "$ hts check --quiet hts-thermal\nhts-thermal: … checks, 0 failed\n"
+SHOWN = {"objective": ("tutorial", CHECK, TESTS), "measurement-model": ("measurement-model", THERMAL)}
+"""Kind -> a page, and what it shows of what `hts new` wrote: tests/house/test_docs_examples.py types it."""
 
 
 def python(
@@ -66,7 +74,15 @@ def test_pip_installs_everything_that_is_needed(site):
     ]
 
 
-@pytest.mark.parametrize("kind", NAMES)
+@pytest.mark.parametrize("kind", SHOWN)
+def test_the_page_of_those_that_are_tried_there_types_it(kind):
+    page, *shown = SHOWN[kind]
+    text = (PAGES / f"{page}.md").read_text(encoding="utf-8")
+    assert f"$ hts new {kind} {NAMES[kind]}\n" in text
+    assert all(lines in text for lines in shown)
+
+
+@pytest.mark.parametrize("kind", sorted(NAMES.keys() - SHOWN.keys()))
 def test_it_passes_the_check(kind, site, hts):
     done = hts("check", f"hts-{NAMES[kind]}", path=[site])
     assert done.returncode == 0, done.stdout + done.stderr
@@ -74,11 +90,15 @@ def test_it_passes_the_check(kind, site, hts):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", NAMES)
-def test_its_own_tests_are_green(kind, site):
-    folder = next(site.parent.glob(f"empty*/hts-{NAMES[kind]}"))
-    done = python("-m", "pytest", "-q", "-p", "no:cacheprovider", folder, path=[site], cwd=folder)
+def test_their_own_tests_are_green(site):
+    """In one process, which loads torch and the like once for all. Those of the objective run alone, on its page."""
+    empty = next(site.parent.glob("empty*")).resolve()  # one of them is a link to the other
+    names = [name for kind, name in NAMES.items() if kind != "objective"]
+    options = ("-q", "-rA", "-p", "no:cacheprovider", "--rootdir", empty)
+    done = python("-m", "pytest", *options, *(empty / f"hts-{name}" for name in names), path=[site], cwd=empty)
     assert done.returncode == 0, done.stdout + done.stderr
+    passed = set(re.findall(r"^PASSED hts-([a-z]+)/tests/", done.stdout, re.MULTILINE))
+    assert passed == set(names), done.stdout
 
 
 def test_the_tests_of_a_robot_without_a_policy_skip_what_needs_one(tmp_path):
@@ -98,7 +118,8 @@ def test_the_tests_of_a_robot_without_a_policy_skip_what_needs_one(tmp_path):
 def test_all_of_them_run_smoke_together(site, hts, tmp_path):
     command = ["run", "--objective", "heat", "--robot", "hopper", "--preset", "smoke", "--out", tmp_path / "run"]
     chosen = ("--set", "selection.selector.name=steady", "--set", "objectives.heat.model=thermal")
-    done = hts(*command, *chosen, path=[site], timeout=280)
+    carried = ("--set", "world.instruments.thermometer.noise=0.1")  # beside the objective's own
+    done = hts(*command, *chosen, *carried, path=[site], timeout=280)
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["objectives"], summary["robot"], summary["world"]) == (["heat"], "hopper", "twin")
@@ -107,11 +128,13 @@ def test_all_of_them_run_smoke_together(site, hts, tmp_path):
     assert (tmp_path / "run" / "report.html").is_file()
     card = json.loads((tmp_path / "run" / "iterations" / "00" / "models" / "heat.json").read_text())
     assert (card["model"], card["version"]) == ("thermal", 2)
+    store = RecordingStore(tmp_path / "run" / "data.zarr")
+    assert all("thermometer_reading" in store.attributes(name)["idle"] for name in store.ids())
 
 
 @pytest.mark.slow
-def test_a_world_and_an_instrument_as_written_run_smoke(site, hts, tmp_path):
-    """The world carries the objective's instrument, the twin also the one that its settings name."""
+def test_a_world_as_written_runs_smoke(site, hts, tmp_path):
+    """The world carries the objective's instrument."""
     command = ["run", "--objective", "heat", "--robot", "hopper", "--preset", "smoke"]
     done = hts(*command, "--world", "cellar", "--out", tmp_path / "cellar", path=[site], timeout=280)
     assert done.returncode == 0, done.stderr
@@ -119,11 +142,6 @@ def test_a_world_and_an_instrument_as_written_run_smoke(site, hts, tmp_path):
     assert summary["world"] == "cellar"
     tested = [candidate["real"] for candidate in summary["iterations"][0]["candidates"] if candidate["elite"]]
     assert tested and all(real is not None and real["heat"]["0.8"]["segments"] > 0 for real in tested)
-    chosen = ("--set", "world.instruments.thermometer.noise=0.1", "--out", tmp_path / "twin")
-    done = hts(*command, *chosen, path=[site], timeout=280)
-    assert done.returncode == 0, done.stderr
-    store = RecordingStore(tmp_path / "twin" / "data.zarr")
-    assert all("thermometer_reading" in store.attributes(name)["idle"] for name in store.ids())
 
 
 @pytest.mark.parametrize(
@@ -151,6 +169,7 @@ def test_a_measurement_model_as_written_runs_smoke_with_our_own_objective_and_ro
     command = ["run", "--objective", "power", "--set", "objectives.power.model=thermal", "--robot", "go1"]
     done = hts(*command, "--preset", "smoke", "--out", tmp_path / "run", path=[site], timeout=290)
     assert done.returncode == 0, done.stderr
+    assert "report: " in (done.stdout + done.stderr).splitlines()[-1]  # as docs/authors/measurement-model.md shows it
     report = json.loads((tmp_path / "run" / "iterations" / "00" / "fit.json").read_text())["power"]
     assert report["model"]["name"] == "thermal"
     assert report["held_out"]["linear"]["r2"] is not None and report["held_out"]["spread"] is not None

@@ -250,7 +250,7 @@ def test_draws_of_twins_are_the_same_from_one_process_and_two(tmp_path, paramete
         figure(name, value, share=0.6, speed=speed).model_copy(update={"idle": idle})
         for name, speed, value, idle in known
     )
-    asked = Asked(2, "s", "go1", "like", str(policy), Likeness(figures=figures, schedule=None), size=4, steps=1)
+    asked = Asked(2, "s", "go1", "like", str(policy), Likeness(figures=figures, schedule=None), size=3, steps=1)
     files = [draw_like(asked, tmp_path / str(number), within=1.0, processes=number) for number in (1, 2)]
     assert files[0] and [path.read_text() for path in files[0]] == [path.read_text() for path in files[1]]
     found = read(str(files[0][0]))

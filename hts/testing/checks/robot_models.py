@@ -55,8 +55,8 @@ def comparable_model(robot: Robot) -> mujoco.MjModel | None:
     if fault_of_spec(robot.spec) not in ("", fault_of_height(robot.spec)):
         raise NotTried("its spec is no spec of its joints")  # said by `spec_is_consistent` or `times_fit`
     try:
-        lacking, root = lacks_its_model(robot), robot.mjcf()
-        model = None if lacking or root is None else compile_model(robot)
+        none = robot.mjcf() is None
+        lacking, model = none and lacks_its_model(robot), None if none else compile_model(robot)
     except Exception as error:  # whatever a stranger's model does has been said by `model_matches`
         raise NotTried("its model cannot be made") from error
     if lacking:
