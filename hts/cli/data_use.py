@@ -72,13 +72,14 @@ def show_enough(
 def _usable(store: Path, objective: str | None, asked: Wanted) -> tuple[Objective, list[Recording]]:
     """What is predicted, and the recordings that have its inputs and target."""
     from hts.errors import RecordingError
-    from hts.measurement.wanted import what_is_predicted
+    from hts.measurement.wanted import without_objective
     from hts.plugins import load
     from hts.recordings.store import RecordingStore
 
-    asked.name(objective)  # before a store is looked for
+    asked.name(objective)  # what is wrong with the question comes before what is wrong with the store
+    named = None if objective is None else load().make_objective(objective)
     opened = RecordingStore(store)
-    made = what_is_predicted(objective, opened, asked, load())
+    made = without_objective(opened, asked) if named is None else named
     wanted = (*made.inputs, made.target.name)
     usable = [one for one in opened.ids() if all(name in opened.attributes(one)["arrays"] for name in wanted)]
     if not usable:

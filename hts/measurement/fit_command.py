@@ -35,7 +35,7 @@ from hts.measurement.proxy import proxy_along
 from hts.measurement.shared import Shared, shared_samples, without_shared
 from hts.measurement.split import of_fitted_sessions, split
 from hts.measurement.splits import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
-from hts.measurement.wanted import Wanted, what_is_predicted
+from hts.measurement.wanted import Wanted, without_objective
 from hts.overrides import Override, nested, parsed
 from hts.places import check_place
 
@@ -200,7 +200,11 @@ def fit_store(
     config = _measurement_config(settings["measurement"])
     _refuse_existing(Path(out))
     store = RecordingStore(store_path)
-    objective = what_is_predicted(objective_name, store, wanted, registry, settings["objectives"])
+    objective: Objective = (
+        without_objective(store, wanted)
+        if objective_name is None
+        else registry.make_objective(objective_name, settings["objectives"])
+    )
     recordings, left_out = _usable(store, objective, wanted.robot)
     recorded_signals(objective, recordings[0])  # what is wrong with these two is told before anything is fitted
     proxy_along(objective, recordings[0])

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hts.errors import ConfigError, RecordingError, unknown_name
 from hts.measurement.plain import Plain
 
 if TYPE_CHECKING:
-    from hts.contracts import Objective
-    from hts.plugins import Registry
     from hts.recordings.store import RecordingStore
 
 
@@ -34,23 +31,9 @@ class Wanted:
         return objective if objective is not None else str(self.target)
 
 
-def what_is_predicted(
-    objective: str | None,
-    store: RecordingStore,
-    wanted: Wanted,
-    registry: Registry,
-    settings: Mapping[str, Any] | None = None,
-) -> Objective:
-    """The objective of that name with its settings; without one what predicts the wanted channel.
-
-    Raises ConfigError, PluginError, and RecordingError for a channel that no recording has.
-    """
-    wanted.name(objective)
-    return _plain(store, wanted) if objective is None else registry.make_objective(objective, settings)
-
-
-def _plain(store: RecordingStore, wanted: Wanted) -> Plain:
-    """The target as the first recording that has it holds it."""
+def without_objective(store: RecordingStore, wanted: Wanted) -> Plain:
+    """What predicts the wanted channel, as the first recording that has it holds it. Raises RecordingError for a
+    channel that none has."""
     known: set[str] = set()
     target = str(wanted.target)
     for recording_id in store.ids():

@@ -69,6 +69,7 @@ def test_a_fit_says_it_of_its_own_recordings(tmp_path, monkeypatch, capsys):
     from hts import plugins
     from hts.cli import data_use
     from hts.cli.main import main
+    from hts.measurement.wanted import Wanted
     from hts.recordings.store import RecordingStore
 
     known = replace(plugins.load(), objectives={"cool": plugins.Entry("cool", lambda settings: KnownHeat(), "test")})
@@ -80,6 +81,6 @@ def test_a_fit_says_it_of_its_own_recordings(tmp_path, monkeypatch, capsys):
     assert main([*fit, "--set", "objectives.cool.model=linear"]) == 0
     assert json.loads((tmp_path / "fit" / "fit.json").read_text())["drift"]["within"] > 0.99
     assert "is a steady drift" in capsys.readouterr().out
-    lines, is_enough = data_use.show_enough(store.path, "cool", (), as_json=False)
+    lines, is_enough = data_use.show_enough(store.path, "cool", Wanted(), (), as_json=False)
     assert not is_enough and any("is a steady drift" in line and "do not help" in line for line in lines)
-    assert "no sensor's lag" in data_use.show_lag(store.path, "cool", as_json=False)[-1]
+    assert "no sensor's lag" in data_use.show_lag(store.path, "cool", Wanted(), as_json=False)[-1]
