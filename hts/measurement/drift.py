@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.measurement.scoring import varies
-from hts.recordings.on_schedule import command_at
+from hts.recordings.on_schedule import NOT_STATED, command_at
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -23,6 +23,8 @@ UNSTEADY_SECONDS = 2.0
 """After each change of the command: the walk itself is then changing."""
 LEAST_SECONDS = 3.0
 """Of the rest of a stretch, that a drift is seen in."""
+LEAST_SAMPLES = 8
+"""Of it, where a log is slow: both halves have a line."""
 MOSTLY = 0.5
 """Share of a stretch's changes from which on they are a drift."""
 NOTICED = 0.001
@@ -31,8 +33,9 @@ NOTICED = 0.001
 
 @dataclass(frozen=True)
 class Drift:
-    """within: share of the target's variance inside stretches of one command that straight lines in time explain;
-    of_all: the same as a share of its variance over all recordings."""
+    """within: share of the target's variance inside stretches of one command that straight lines in time explain, where
+    it drifts: in both halves the same way, and so that a line explains most of each, as a step, a stop and a level that
+    wanders do not; of_all: the same as a share of its variance over all recordings."""
 
     within: float
     of_all: float
@@ -44,14 +47,17 @@ class Drift:
 
 
 def drift(recordings: Sequence[Recording], target: str) -> Drift | None:
-    """Of a channel of one number in these recordings; None where no stretch is long enough, or nothing varies."""
+    """Of a channel of one number in these recordings; None where no stretch is long enough, or nothing varies. Samples
+    that are no number are left out, and recordings whose commands nobody stated."""
     lines, changes = 0.0, 0.0
-    for time, values in _stretches(recordings, target):
-        values = values - values.mean()
-        slope = float(time @ values) / float(time @ time)
-        lines += slope**2 * float(time @ time)
-        changes += float(values @ values)
+    for values in _stretches(recordings, target):
+        (whole, all_of_it), middle = _line(values), len(values) // 2
+        halves = [_line(values[:middle]), _line(values[middle:])]
+        steady = all(line * whole > 0 and line**2 > MOSTLY * change for line, change in halves)
+        lines += whole**2 if steady else 0.0
+        changes += all_of_it
     everything = np.concatenate([_values(one, target) for one in recordings]) if recordings else np.empty(0)
+    everything = everything[np.isfinite(everything)]
     total = float(((everything - everything.mean()) ** 2).sum()) if len(everything) else 0.0
     square = float((everything**2).sum())
     return Drift(lines / changes, lines / total) if varies(changes, square) and varies(total, square) else None
@@ -75,12 +81,23 @@ def _values(recording: Recording, target: str) -> np.ndarray:
     return recording.values(target).reshape(-1).astype(np.float64)
 
 
-def _stretches(recordings: Sequence[Recording], target: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Time about its mean, in samples, and target of each steady stretch of one command."""
+def _line(values: np.ndarray) -> tuple[float, float]:
+    """Slope of the straight line through samples that follow each other, in units whose square is what it explains of
+    the sum of squares about their mean, which is the other number."""
+    time = np.arange(len(values)) - (len(values) - 1) / 2
+    values = values - values.mean()
+    return float(time @ values) / float(np.sqrt(time @ time)), float(values @ values)
+
+
+def _stretches(recordings: Sequence[Recording], target: str) -> Iterator[np.ndarray]:
+    """The target in each steady stretch of one command."""
     for one in recordings:
+        if one.notes.get("schedule") == NOT_STATED:
+            continue
         at, values = command_at(one), _values(one, target)
         skip = round(UNSTEADY_SECONDS * one.rate_hz)
         for command in np.unique(at):
             part = values[at == command][skip:]
-            if len(part) >= LEAST_SECONDS * one.rate_hz:
-                yield np.arange(len(part)) - (len(part) - 1) / 2, part
+            part = part[np.isfinite(part)]
+            if len(part) >= max(LEAST_SAMPLES, LEAST_SECONDS * one.rate_hz):
+                yield part

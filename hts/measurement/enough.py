@@ -24,6 +24,7 @@ from hts.measurement.drift import REMEDY, drift, drift_note
 from hts.measurement.linear import Linear, LinearSettings
 from hts.measurement.scoring import Trace, commanded_speed, r2
 from hts.measurement.split import named_part
+from hts.recordings.on_schedule import NOT_STATED
 
 if TYPE_CHECKING:
     from hts.contracts import Objective
@@ -117,7 +118,7 @@ def enough(objective: Objective, recordings: Sequence[Recording], speeds: Sequen
 def _speeds(recordings: Sequence[Recording]) -> dict[float, float]:
     at: dict[float, float] = defaultdict(float)
     for one in recordings:
-        if one.notes.get("schedule") == "not stated in the mapping":
+        if one.notes.get("schedule") == NOT_STATED:
             continue
         for speed, count in zip(*np.unique(commanded_speed(one), return_counts=True), strict=True):
             at[float(speed)] += float(count) / one.rate_hz

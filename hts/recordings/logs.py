@@ -47,6 +47,7 @@ from hts.recordings.mapping import (
     remedy,
 )
 from hts.recordings.motion import check_motion
+from hts.recordings.on_schedule import NOT_STATED
 from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.pd_torque import torque_notes
 from hts.recordings.plausible import check_idle, check_limits
@@ -318,7 +319,7 @@ def _recording(
     notes = {**facts.notes, **notes}
     if facts.schedule is None:
         schedule = ScheduleConfig(commands=(Command(seconds=seconds, vx=0.0),))
-        notes["schedule"] = "not stated in the mapping"
+        notes["schedule"] = NOT_STATED
     else:
         schedule = until_the_end(facts.schedule, seconds, where)
     idle = {}

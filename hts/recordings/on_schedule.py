@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
 
+NOT_STATED = "not stated in the mapping"
+"""Note `schedule` of a recording whose log came without its commands: one of standing is made up for it."""
+
+
 def samples_at(recording: Recording, moments: Sequence[float] | np.ndarray) -> np.ndarray:
     """Index of the first sample at or after each moment, (M,); T, the number of samples, where there is none.
 

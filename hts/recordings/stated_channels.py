@@ -29,9 +29,10 @@ def _check_factors(name: str, one: ChannelMapping, joints: Sequence[str] | None)
         if not isinstance(said, dict):
             continue
         if joints is None:
+            follow = "" if one.sum else ", or per_joint: true if its columns follow the joints"
             raise ConfigError(
                 f"Mapping: channels.{name}.{key}: joints are named there, but '{name}' has no column for each joint. "
-                "Say one number, or per_joint: true if its columns follow the joints."
+                f"Say one number{follow}."
             )
         for joint in said:
             if joint not in joints:

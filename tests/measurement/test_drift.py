@@ -11,6 +11,7 @@ import pytest
 from hts.config import Command, ScheduleConfig
 from hts.measurement import fit_report
 from hts.measurement.drift import drift
+from hts.recordings.on_schedule import NOT_STATED
 from hts.recordings.recording import Series
 from hts.testing.known_signals import HEAT, KnownHeat, known_heat
 
@@ -42,6 +43,36 @@ def test_a_slight_drift_of_what_speeds_decide_is_not_worth_a_line():
     steps = np.where(r.time - r.time[0] < 10.0, 5.0, 9.0) + 0.01 * (r.time - r.time[0])
     found = drift([r.replace(channels={**r.channels, "heat": Series(HEAT, steps)})], "heat")
     assert found.within > 0.99 and not found.remembers
+
+
+@pytest.mark.parametrize("at", [0.35, 0.5, 0.65])
+def test_a_step_within_a_command_is_no_drift(at):
+    """A robot that stands for a while before it walks, or a gauge that shows one step."""
+    r = known_heat(1).replace(schedule=ScheduleConfig(commands=(Command(seconds=20.0, vx=0.5),)))
+    steps = np.where(np.arange(r.num_samples) < at * r.num_samples, 2.0, 5.0)
+    steps = steps + np.random.default_rng(0).normal(0, 0.2, r.num_samples)
+    assert not drift([r.replace(channels={**r.channels, "heat": Series(HEAT, steps)})], "heat").remembers
+
+
+def test_where_commands_are_not_stated_nothing_is_told():
+    """A log that walks faster and faster has one made-up command."""
+    assert drift([rising(1).replace(notes={"schedule": NOT_STATED})], "heat") is None
+
+
+@pytest.mark.parametrize("rate", [0.3, 1.0, 50.0])
+def test_a_slow_log_tells_it_or_nothing(rate):
+    r = rising(1)
+    keep = slice(None, None, round(50 / rate))
+    channels = {name: replace(one, values=one.values[keep]) for name, one in r.channels.items()}
+    found = drift([r.replace(channels=channels, time=r.time[keep], rate_hz=rate)], "heat")
+    assert found is None if rate < 1.0 else found.remembers
+
+
+def test_what_is_no_number_is_left_out():
+    r = rising(1)
+    values = r.values("heat").copy()
+    values[[50, 300]] = np.nan, np.inf
+    assert drift([r.replace(channels={**r.channels, "heat": Series(HEAT, values)})], "heat").within > 0.99
 
 
 @pytest.mark.parametrize("seconds", [4.0, 8.0])
