@@ -55,8 +55,9 @@ def comparable_model(robot: Robot) -> mujoco.MjModel | None:
     if fault_of_spec(robot.spec) not in ("", fault_of_height(robot.spec)):
         raise NotTried("its spec is no spec of its joints")  # said by `spec_is_consistent` or `times_fit`
     try:
-        none = robot.mjcf() is None
-        lacking, model = none and lacks_its_model(robot), None if none else compile_model(robot)
+        root = robot.mjcf()
+        lacking = root is None and lacks_its_model(robot)
+        model = None if root is None else compile_model(robot)
     except Exception as error:  # whatever a stranger's model does has been said by `model_matches`
         raise NotTried("its model cannot be made") from error
     if lacking:
