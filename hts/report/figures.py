@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,14 +29,8 @@ def improvement(run: RunData, objective: str) -> Figure | None:
     panel = axes[0, 0]
     zero_line(panel)
     keys = sorted(speeds, key=float)
-    names = list(dict.fromkeys(name for key in keys for name in speeds[key].get("metrics") or {}))
+    names, _ = wording.metric_names(speeds)
     names = [name for name in names if name.endswith(wording.FRACTION_ENDINGS)] if unit == "%" else []
-    # A metric that is the improvement itself would only be drawn twice.
-    names = [
-        name
-        for name in names
-        if any(speeds[key].get("metrics", {}).get(name) != speeds[key]["improvement"] for key in keys)
-    ]
     step = 0.11
     for position, key in enumerate(keys):
         result = speeds[key]
@@ -199,19 +195,45 @@ def iterations(run: RunData, objective: str) -> Figure | None:
     return drawing
 
 
-def _styles(rows: list[Json], objective: str) -> dict[str, dict[str, str]]:
-    """Colour per λ of this objective and marker per anchor, over all iterations."""
-    candidates = [candidate for iteration in rows for candidate in iteration["candidates"]]
-    weights = sorted({candidate["weights"][objective] for candidate in candidates})
-    labels = [f"{weight:g}" for weight in weights]
-    anchors = sorted({str(candidate["anchor"]) for candidate in candidates}, key=lambda a: (a != PRETRAINED, a))
-    return {
-        "color": {label: ramp(position, len(labels)) for position, label in enumerate(labels)},
-        "marker": {anchor: MARKERS[position % len(MARKERS)] for position, anchor in enumerate(anchors)},
-    }
+@dataclass(frozen=True)
+class _Styles:
+    """How candidates are drawn: a colour for λ of this objective, a marker for the anchor."""
+
+    colors: dict[float, str]
+    markers: dict[str, str]
+    legend: dict[str, str]
+    """λ, in words -> colour."""
+
+    def marker(self, candidate: Json) -> str:
+        return self.markers[str(candidate["anchor"])]
+
+    def color(self, candidate: Json, objective: str) -> str:
+        return self.colors[candidate["weights"][objective]]
 
 
-def _simulated(panel: Axes, iteration: Json, objective: str, styles: dict[str, dict[str, str]]) -> None:
+def _styles(rows: list[Json], objective: str) -> _Styles:
+    """Over all iterations. λ that follow each iteration's model (`Objective.weights_for`) are nearly the same in all of
+    them, so where all have as many, the smallest of each have one colour, and so on."""
+    found = [sorted({one["weights"][objective] for one in row["candidates"]}) for row in rows]
+    groups = [sorted(set(alike)) for alike in zip(*found, strict=False)]
+    if len({len(row) for row in found}) > 1 or any(low[-1] >= high[0] for low, high in pairwise(groups)):
+        groups = [[weight] for weight in sorted({weight for row in found for weight in row})]
+    ramped = [ramp(position, len(groups)) for position in range(len(groups))]
+    anchors = {str(one["anchor"]) for row in rows for one in row["candidates"]}
+    ordered = sorted(anchors, key=lambda anchor: (anchor != PRETRAINED, anchor))
+    return _Styles(
+        colors={weight: color for color, group in zip(ramped, groups, strict=True) for weight in group},
+        markers={anchor: MARKERS[position % len(MARKERS)] for position, anchor in enumerate(ordered)},
+        legend={_span(group): color for color, group in zip(ramped, groups, strict=True)},
+    )
+
+
+def _span(group: list[float]) -> str:
+    """0.5, or 3.15 to 3.2."""
+    return " to ".join(dict.fromkeys(f"{weight:g}" for weight in (group[0], group[-1])))
+
+
+def _simulated(panel: Axes, iteration: Json, objective: str, styles: _Styles) -> None:
     for bound in sorted({c["kl_bound"] for c in iteration["candidates"] if c["kl_bound"] is not None}):
         panel.axvline(bound, color=SOFT, linewidth=0.8, linestyle=(0, (3, 3)), zorder=1)
         panel.annotate(
@@ -228,8 +250,7 @@ def _simulated(panel: Axes, iteration: Json, objective: str, styles: dict[str, d
         if candidate.get("kl") is None or score is None:
             continue
         place = ([candidate["kl"]], [score])
-        marker = styles["marker"][str(candidate["anchor"])]
-        color = styles["color"][f"{candidate['weights'][objective]:g}"]
+        marker, color = styles.marker(candidate), styles.color(candidate, objective)
         if candidate.get("elite"):
             panel.plot(*place, marker=marker, markersize=10.5, markerfacecolor="none", color=INK, markeredgewidth=0.9)
         panel.plot(*place, marker=marker, markersize=6, color=color, linestyle="none")
@@ -242,9 +263,7 @@ def _simulated(panel: Axes, iteration: Json, objective: str, styles: dict[str, d
     panel.margins(x=0.1, y=0.15)
 
 
-def _measured(
-    panel: Axes, run: RunData, iteration: Json, objective: str, factor: float, styles: dict[str, dict[str, str]]
-) -> None:
+def _measured(panel: Axes, run: RunData, iteration: Json, objective: str, factor: float, styles: _Styles) -> None:
     tested = [
         (candidate, speed, result)
         for candidate, speed, result in run.tested(iteration, objective)
@@ -262,8 +281,8 @@ def _measured(
             [value],
             [row],
             xerr=error,
-            fmt=styles["marker"][str(candidate["anchor"])],
-            color=styles["color"][f"{candidate['weights'][objective]:g}"],
+            fmt=styles.marker(candidate),
+            color=styles.color(candidate, objective),
             capsize=2.5,
             markersize=5.5,
             linewidth=1.2,
@@ -295,16 +314,16 @@ def _legend_beside(panel: Axes, first: str) -> None:
     panel.legend([handles[i] for i in order], [labels[i] for i in order], loc="center left", bbox_to_anchor=(1.01, 0.5))
 
 
-def _legend(styles: dict[str, dict[str, str]], objective: str) -> list:
+def _legend(styles: _Styles, objective: str) -> list:
     from matplotlib.lines import Line2D
 
     colors = [
         Line2D([], [], marker="o", linestyle="none", color=color, label=f"λ {name} {objective}".rstrip())
-        for name, color in styles["color"].items()
+        for name, color in styles.legend.items()
     ]
     anchors = [
         Line2D([], [], marker=marker, linestyle="none", color=SOFT, label=f"from {anchor}")
-        for anchor, marker in styles["marker"].items()
+        for anchor, marker in styles.markers.items()
     ]
     ring = Line2D([], [], marker="o", markersize=9, linestyle="none", markerfacecolor="none", color=INK, label="elite")
     return [*colors, *anchors, ring]

@@ -31,7 +31,7 @@ def result_rows(name: str, result: Json, task: TaskWords) -> dict[str, Any]:
 
 def _result_table(unit: str, speeds: Json, task: TaskWords) -> dict[str, Any]:
     """Columns and rows of one table."""
-    metrics = list(dict.fromkeys(metric for speed in speeds.values() for metric in speed.get("metrics") or {}))
+    metrics, same = wording.metric_names(speeds)
     rows = []
     for key in sorted(speeds, key=float):
         speed = speeds[key]
@@ -57,6 +57,7 @@ def _result_table(unit: str, speeds: Json, task: TaskWords) -> dict[str, Any]:
         )
     return {
         "metrics": [wording.label(metric) for metric in metrics],
+        "improvement": "improvement" + "".join(f" ({wording.label(metric).lower()})" for metric in same),
         "rows": rows,
         "every_second": any(_left_out(speed) for speed in speeds.values()),
     }

@@ -85,7 +85,7 @@ def fitting(result: Mapping[str, Any], title: str, console: Console, task: TaskW
         table = _table(result, title, metrics, task, numbers)
         return table if _fits(table, console) else _table(result, title, metrics, task, numbers, broken=True)
 
-    metrics = _metrics(result)
+    metrics, _ = wording.metric_names(result["speeds"])
     whole = made(title, metrics, numbers=True)
     if not metrics or _fits(whole, console):
         return [whole]
@@ -103,13 +103,6 @@ def _fits(table: Table, console: Console) -> bool:
 
     wide = console.options.update(width=10_000)  # what it needs, not what there is
     return Measurement.get(console, wide, table).maximum <= console.width
-
-
-def _metrics(result: Mapping[str, Any]) -> list[str]:
-    """Names of the metrics; one that is the improvement itself is left out."""
-    rows = [(row, row.get("metrics") or {}) for row in result["speeds"].values()]
-    names = dict.fromkeys(name for _, metrics in rows for name in metrics)
-    return [name for name in names if any(metrics.get(name) != row["improvement"] for row, metrics in rows)]
 
 
 def _table(

@@ -43,6 +43,15 @@ def label(name: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def metric_names(speeds: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[str]]:
+    """Names of the metrics of an objective's result by speed: those that say more than the improvement, and those that
+    are the improvement itself, which would only be shown twice."""
+    rows = [(row["improvement"], row.get("metrics") or {}) for row in speeds.values()]
+    names = dict.fromkeys(name for _, metrics in rows for name in metrics)
+    same = [name for name in names if all(metrics.get(name) == improvement for improvement, metrics in rows)]
+    return [name for name in names if name not in same], same
+
+
 def scale(unit: str) -> tuple[float, str]:
     """(factor, axis unit) for plotting values of this unit."""
     return (100.0, "%") if unit == PERCENT else (1.0, unit)

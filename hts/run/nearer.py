@@ -76,10 +76,12 @@ def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any
     rest = [row for row in _trained(job, iteration) if row["id"] in barred_by(before)]
     if before["elites"]:
         names = " and ".join(row["id"] for row in rest)
-        line = f"{names} may not be tried, so {'it is' if len(rest) == 1 else 'they are'} judged"
+        whom, whose = ("it is", "its anchor") if len(rest) == 1 else ("they are", "their anchors")
+        line = f"{names} may not be tried, so {whom} judged at {told} of the way from {whose}"
     else:
-        line = "nobody of this iteration may be tried, so candidates are judged"
-    line += f" at {told} of the way from their anchors"
+        line = (
+            f"nobody of this iteration may be tried, so candidates are judged at {told} of the way from their anchors"
+        )
     job.stages.progress.say(f"iteration {iteration:02d}: {line}")
     tuned = job.read(f"iterations/{iteration:02d}/finetune")
     yardstick = before["pretrained"]

@@ -149,6 +149,26 @@ def test_elites_of_the_same_settings_are_told_apart_by_their_ids(tmp_path):
     assert names() == {"1-00", "1-01"}
 
 
+@pytest.mark.parametrize(
+    ("weights", "named"),
+    [
+        ([[3.19], [3.15]], ["λ 3.15 to 3.19"]),  # each follows its iteration's model
+        ([[1.0, 5.0], [1.1, 5.2]], ["λ 1 to 1.1", "λ 5 to 5.2"]),
+        ([[1.0, 5.0], [1.0, 5.0]], ["λ 1", "λ 5"]),
+        ([[1.0], [0.5, 5.0]], ["λ 0.5", "λ 1", "λ 5"]),
+        ([[1.0, 5.0], [5.0, 9.0]], ["λ 1", "λ 5", "λ 9"]),
+    ],
+)
+def test_weights_that_follow_the_models_have_one_colour(tmp_path, weights, named):
+    summary = write_example_run(tmp_path, **SMALL | {"iterations": 2})
+    for row, iteration in zip(weights, summary["iterations"], strict=True):
+        for number, candidate in enumerate(iteration["candidates"]):
+            candidate["weights"]["cost"] = row[number % len(row)]
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    (legend,) = figures.sweep(read_run(tmp_path), "cost").legends
+    assert [words for label in legend.get_texts() if "λ" in (words := label.get_text())] == named
+
+
 def test_the_same_run_gives_the_same_files(run):
     before = {path.name: path.read_bytes() for path in (run / "figures").iterdir()} | {"page": page(run).encode()}
     write_report(run)

@@ -224,7 +224,7 @@ def test_where_the_first_may_not_be_tried_it_is_judged_nearer_beside_who_passed(
     assert {row["id"] for row in iteration["candidates"] if row["elite"]} == {closer, other}
     assert set(iteration["gate"]["elites"]) == {closer, other} and iteration["gate"]["refused"] == [first]
     said = " ".join(capsys.readouterr().out.split())
-    assert f"{first} may not be tried, so it is judged at 50 %, then 25 % of the way from their anchors" in said
+    assert f"{first} may not be tried, so it is judged at 50 %, then 25 % of the way from its anchor" in said
     assert f"{closer} passed the gate, at 50 % of the way" in said
 
     for name in ("final", "summary"):
