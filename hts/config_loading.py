@@ -8,6 +8,7 @@ than to follow a velocity (`hts.task_settings`) < --config FILE < --objective, -
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -276,9 +277,16 @@ def make_model(registry: Registry, objective: Objective, settings: Mapping[str, 
 def _objectives(
     chosen: Sequence[str], written: Mapping[str, Any], last: Mapping[str, Any], sets: Sequence[Override]
 ) -> list[str]:
-    """Names of the run's objectives, in order. Raises ConfigError if --set has settings for another one."""
+    """Names of the run's objectives, in order. Raises ConfigError if one is chosen twice, or if --set has settings for
+    another one."""
+    name, count = next(iter(Counter(chosen).most_common(1)), ("", 0))
+    if count > 1:
+        raise ConfigError(
+            f"Objective '{name}' is named {count} times, expected each once: a run weighs objectives by λ "
+            f"(sweep.weights.{name}), not by how often they are named. Name it once."
+        )
     whole = any(override.path == ("objectives",) for override in sets)
-    names = list(dict.fromkeys(chosen)) or list(written.get("objectives") or {})
+    names = list(chosen) or list(written.get("objectives") or {})
     if whole and not chosen:
         names = list(dict.fromkeys([*names, *last["objectives"]]))
     for name in last.get("objectives") or {}:

@@ -327,6 +327,11 @@ def test_values_of_another_kind_end_in_one_line(tmp_path, text):
     assert refusal(file=write(tmp_path, text + "\n"), objectives=[])
 
 
+def test_an_objective_that_is_chosen_twice_is_refused():
+    found = refusal(objectives=["other", "fake", "fake"])
+    assert found.startswith("Objective 'fake' is named 2 times") and found.endswith("Name it once.")
+
+
 def test_the_letter_of_the_paper_holds_for_what_an_objective_says_itself():
     pytest.importorskip("hts_power", reason="the objective of this test is not installed")
     exact = load_config(preset="paper-exact", objectives=["power"], robot="go1")

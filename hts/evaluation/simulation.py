@@ -67,6 +67,11 @@ def trial_seconds(test: SimulationTestConfig) -> float:
     return test.seconds + (SECONDS if test.hold_speed else 0.0)
 
 
+def trial_steps(test: SimulationTestConfig, rate_hz: float) -> int:
+    """Control steps of each env instance in `simulate`, at so many a second."""
+    return round(trial_seconds(test) * rate_hz)
+
+
 test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 

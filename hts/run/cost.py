@@ -14,7 +14,7 @@ from hts.config import RunConfig
 from hts.contracts import WorldContext
 from hts.errors import ConfigError
 from hts.evaluation.held import ask_to_hold, hold_of
-from hts.evaluation.simulation import trial_seconds
+from hts.evaluation.simulation import trial_steps
 from hts.guarded import guarded
 from hts.plugins import Registry
 from hts.run.asked import asked_of
@@ -63,7 +63,7 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     walked, walked_most = (math.ceil(seconds * robot.spec.control_rate_hz) for seconds in asked.before)
     steps = sum(counts) * config.finetune.steps
     test = config.simulation_test
-    test_steps = test.num_envs * len(test.speeds) * trial_seconds(test) * robot.spec.control_rate_hz
+    test_steps = test.num_envs * len(test.speeds) * trial_steps(test, robot.spec.control_rate_hz)
     # Every candidate, as it is and as it was on the way, and the pretrained policy beside them.
     judged = sum(counts) * (1 + len(config.finetune.also_at))
     steps += round((judged + len(counts)) * test_steps)

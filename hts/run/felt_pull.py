@@ -21,7 +21,7 @@ from hts.config import EnvConfig
 from hts.contracts import HoldSpeed
 from hts.evaluation import wandering
 from hts.evaluation.simulation import simulate as trials
-from hts.evaluation.simulation import test_config, trial_seconds
+from hts.evaluation.simulation import test_config, trial_seconds, trial_steps
 from hts.policy_ids import PRETRAINED
 from hts.rl.population import Population
 from hts.run.job import Job
@@ -67,7 +67,7 @@ def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
         "measured": {f"{speed:g}": measured[speed].size for speed in known},
         "simulated": {f"{speed:g}": simulated[speed] for speed in known},
         "sessions": {f"{speed:g}": measured[speed].sessions for speed in known},
-        "steps": round(trial_seconds(test) * job.robot.spec.control_rate_hz) * test.num_envs * len(test.speeds),
+        "steps": trial_steps(test, job.robot.spec.control_rate_hz) * test.num_envs * len(test.speeds),
     }
 
 

@@ -14,7 +14,7 @@ from hts.checked_selector import checked_selector
 from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, Selector, SimulatedCandidate, Task
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
-from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds
+from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds, trial_steps
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement.baseline import fit_proxy
 from hts.measurement.proxy import proxy_along
@@ -107,7 +107,7 @@ def judge(
         "elites": elites,
         "trials": details,
         "predicted": promised,
-        "steps": round(trial_seconds(test) * job.robot.spec.control_rate_hz) * worlds * len(names),
+        "steps": trial_steps(test, job.robot.spec.control_rate_hz) * worlds * len(names),
         **({} if distance is None else {"kl": dict(zip(names[1:], distance.means()[1:], strict=True))}),
     }
     line = gave_up_line(elites, found, tuned.get("reward_scale") or {}, task.quantity, task.unit)

@@ -7,7 +7,7 @@ import pytest
 from hts.config_loading import load_config
 from hts.errors import ConfigError
 from hts.evaluation.held import hold_of
-from hts.evaluation.simulation import trial_seconds
+from hts.evaluation.simulation import trial_steps
 from hts.plugins import load
 from hts.run.cost import (
     BASE_MEMORY_GB,
@@ -48,7 +48,7 @@ def test_what_pulls_at_the_machine_is_looked_at_in_simulation_before_each_later_
     alone = cost_of("quick", "simulation_test.measured_pull=false", "finetune.measured_pull=false")
     more = cost_of("quick")["simulation_steps"] - alone["simulation_steps"]
     test = load_config(objectives=["power"], robot="go1", preset="quick").simulation_test
-    assert more == 2 * test.num_envs * 3 * trial_seconds(test) * 50
+    assert more == 2 * test.num_envs * 3 * trial_steps(test, 50.0)
 
 
 def test_a_run_beside_a_robot_says_how_many_visits_it_asks_for(capsys):
