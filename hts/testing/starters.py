@@ -68,6 +68,8 @@ STARTERS = {
 }
 KINDS = tuple(kind for kind in STARTERS if kind != LOG_ONLY)
 """As they are typed; a log-only robot is a robot with an option."""
+LONGEST = 50
+"""Characters of a name, which is typed, and stands in paths and in the lines of the package."""
 
 
 def write_starter(kind: str, name: str, parent: Path, log_only: bool = False) -> Path:
@@ -82,6 +84,11 @@ def write_starter(kind: str, name: str, parent: Path, log_only: bool = False) ->
         raise ConfigError(
             f"'{name}' cannot name {article} {_word(kind)}: lower-case letters, digits and single - or _ between "
             "them, a letter first, no Python keyword."
+        )
+    if len(name) > LONGEST:
+        raise ConfigError(
+            f"'{name[:LONGEST]}…' has {len(name)} characters, expected {LONGEST} at most: it is typed on the command "
+            "line, and files and folders are named after it. Choose a shorter one."
         )
     module = f"hts_{_field(name)}"
     _refuse_taken(kind, name, module)

@@ -270,6 +270,12 @@ def test_a_name_that_python_cannot_import_is_refused(name, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_name_that_is_too_long_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="has 51 characters, expected 50 at most"):
+        write_starter("robot", "r" * 51, tmp_path)
+    assert write_starter("robot", "r" * 50, tmp_path).is_dir()
+
+
 @pytest.mark.parametrize(("kind", "name"), [("robot", "tiny"), ("objective", "fake"), ("selector", "hierarchical")])
 def test_a_name_that_is_taken_is_refused(kind, name, tmp_path):
     with pytest.raises(ConfigError, match=f"'{name}' is taken"):
