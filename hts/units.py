@@ -161,6 +161,18 @@ def same_unit(first: str, second: str) -> bool:
     return one_quantity(first, second) and conversion(first, second) == (1.0, 0.0)
 
 
+def is_temperature(unit: str) -> bool:
+    """Whether it is of a temperature that counts from an arbitrary zero, degC or degF: the ratio of two of those says
+    nothing, their difference does. False for K, which may be a rise, and for units that nobody knows."""
+    if unit in UNITS:
+        return unit == "degC"
+    try:
+        parsed = _parsed(unit)
+    except RecordingError:
+        return False
+    return bool(parsed.dimensionality == {"[temperature]": 1}) and _is_temperature(parsed)
+
+
 def _is_temperature(unit: Any) -> bool:
     """Whether it counts from a zero of its own, as degC does: a temperature, where K may be a rise of one, too."""
     return bool(_registry().Quantity(0.0, unit).to_root_units().magnitude != 0.0)

@@ -148,6 +148,11 @@ def test_usual_channels_need_no_pint():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_temperatures_count_from_an_arbitrary_zero_and_rises_do_not():
+    assert all(units.is_temperature(unit) for unit in ("degC", "degF"))
+    assert not any(units.is_temperature(unit) for unit in ("K", "delta_degC", "K/s", "A", "mA", "dB(A)", "dB", "none"))
+
+
 def test_a_plugins_unit_is_there_once_it_is_loaded(tmp_path):
     source = "from hts import units\nHTS_API = {version}\nunits.define('sone = [loudness]')\n"
     from hts.hookspecs import API_VERSION

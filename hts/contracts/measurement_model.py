@@ -62,7 +62,8 @@ class Signals:
             raise ConfigError(
                 f"Target '{target.name}' has shape {tuple(target.shape)}, {math.prod(target.shape)} numbers a sample; "
                 "a model predicts one. Let the log or the instrument give one, such as the sum over the motors (`sum: "
-                "true` of a mapping) or the largest; all of them may stand beside it in the objective's also_measured."
+                "true` of a mapping) or the largest (`max: true`); all of them may stand beside it in the objective's "
+                "also_measured."
             )
         if target.name in self.names:
             raise ConfigError(

@@ -45,7 +45,7 @@ def recorded_signals(objective: Objective, recording: Recording) -> Signals:
         raise RecordingError(
             f"Recording {recording.id or '(not stored)'}: '{target.name}' has shape {shape}, {math.prod(shape)} "
             f"numbers a sample; objective '{objective.name}' predicts one. Import the log again with one number as "
-            f"'{target.name}', such as the sum of its columns (`sum: true`)."
+            f"'{target.name}', the sum of its columns (`sum: true`) or the largest (`max: true`)."
         )
     inputs = tuple(recording.channels[name].channel for name in objective.inputs)
     return Signals(inputs, target, float(recording.rate_hz))

@@ -39,5 +39,15 @@ def of_joints(values: np.ndarray, one: ChannelMapping, joints: Sequence[str]) ->
     return values
 
 
+def as_one(values: np.ndarray, one: ChannelMapping) -> np.ndarray:
+    """Columns (rows, J) as one, (rows, 1), where the mapping asks for their sum or the largest of them; NaN where one
+    of them is. The largest is that of the values: with a factor below 0 it is the smallest of the columns."""
+    if one.sum:
+        return values.sum(axis=1, keepdims=True)
+    if one.max:
+        return (values.min if common_factor(one) < 0 else values.max)(axis=1, keepdims=True)
+    return values
+
+
 def _common(one: ChannelMapping) -> float:
     return (1 if isinstance(one.sign, dict) else one.sign) * (1.0 if isinstance(one.scale, dict) else one.scale)

@@ -29,7 +29,7 @@ from hts.recordings.attitude import still_notes
 from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
 from hts.recordings.commanded import until_the_end
-from hts.recordings.factors import common_factor, common_offset, of_joints
+from hts.recordings.factors import as_one, common_factor, common_offset, of_joints
 from hts.recordings.feet import foot_notes
 from hts.recordings.gravity import check_upright
 from hts.recordings.joining import joined
@@ -182,8 +182,7 @@ def _one(
         table, when = tables[source], times[source]
         values = np.stack([table.columns[column] for column in columns[name]], axis=1)
         values = of_joints(values, one, robot.spec.joint_names)
-        if one.sum:
-            values = values.sum(axis=1, keepdims=True)
+        values = as_one(values, one)
         kept = _within(when, log, table)
         limits = outlier_limits(name, one, robot)
         values, dropped[name] = without_outliers(name, values[kept], one, limits, table.path)

@@ -53,6 +53,7 @@ class ChannelMapping(Config):
     file: str | None = Field(None, description="which of `files` the columns are in")
     topic: str | None = Field(None, description="of a file of messages: the topic, where it is not the mapping's own")
     sum: bool = Field(False, description="the channel is the sum of the columns, empty where one of them is")
+    max: bool = Field(False, description="the channel is the largest of the columns, after sign and scale; likewise")
     sign: Literal[1, -1] | dict[str, Literal[1, -1]] = Field(
         1, description="-1 where the log counts the other way; {joint: -1} of some joints, by the robot's names"
     )
@@ -197,8 +198,9 @@ class LogMapping(Config):
         for name, channel in self.channels.items():
             if channel.columns == ():
                 raise ValueError(f"channel '{name}': columns are none; name one at least")
-            if channel.sum and follows_joints(name, channel):
-                raise ValueError(f"channel '{name}' follows the joints, so it is no `sum`; say per_joint: false")
+            if (channel.sum or channel.max) and follows_joints(name, channel):
+                what = "sum" if channel.sum else "max"
+                raise ValueError(f"channel '{name}' follows the joints, so it is no `{what}`; say per_joint: false")
             if channel.limits is not None and not channel.limits[0] < channel.limits[1]:
                 raise ValueError(f"channel '{name}': limits are {list(channel.limits)}; the lower one comes first")
         return self
@@ -292,7 +294,7 @@ def column_names(
         listed = _range(name, columns)
     else:
         listed = columns if isinstance(columns, tuple) else (columns,)
-        if per_joint or channel.sum or len(set(listed)) == 1:  # one of zeros may fill up a command
+        if per_joint or channel.sum or channel.max or len(set(listed)) == 1:  # one of zeros may fill up a command
             _once(f"columns of '{name}'", listed, "component")
     if per_joint and len(listed) != len(joint_names):
         raise ConfigError(

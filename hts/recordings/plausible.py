@@ -26,6 +26,8 @@ POSITION_MARGIN = 0.35
 ABSURD_FACTOR = 20.0
 # A robot at work takes several times what it takes idle. A thousandfold is another unit.
 IDLE_FACTOR = 100.0
+# The zero of degC is arbitrary, so no factor says anything. Motors warm by some tens of degC; K are 273 off.
+IDLE_APART = 200.0
 # While joints move (rad/s, the fastest of them) in half of a log or more, a machine draws more than idle: not less in
 # this share of those samples, and at their median not by a tenth. Standing, or between two days, levels may lie closer.
 MOVING_SPEED, MOVING_SHARE = 1.0, 0.5
@@ -72,18 +74,22 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
 
     idle: name -> level with electronics on and motors idle, in the channel's unit; 0 says nothing. where: begins the
     message. The median is compared: of the other sign it was counted the other way, a hundred times larger or smaller
-    it is in another unit. Amperes of which both are negative were counted the other way too: a machine that idles draws
+    it is in another unit. Of a temperature, in degC, the difference says it, and nothing says a sign.
+    Amperes of which both are negative were counted the other way too: a machine that idles draws
     some, and gives none back. What is drawn, in A or W, may not lie below its idle level nearly always while the joints
     move, as `joint_velocity` in `channels` shows; a voltage may.
     """
     for name, level in idle.items():
         series = channels[name]
-        if level == 0 or series.channel.may_be_constant:
-            continue
         unit, median = series.channel.unit, float(np.median(series.values))
-        ratio = median / level
+        by_ratio = not units.is_temperature(unit)
+        if series.channel.may_be_constant or (level == 0 and by_ratio):
+            continue
+        ratio = median / level if by_ratio else 1.0
         hint = ""
-        if unit == "A" and level < 0 and median < 0:
+        if not by_ratio and abs(median - level) > IDLE_APART:
+            hint = "One of them is probably in another unit (K are no degC): correct unit or offset, or the idle level"
+        elif unit == "A" and level < 0 and median < 0:
             hint = f"Both probably count the other way: say sign: -1 and idle: {-level:g}"
         elif ratio < -1 / IDLE_FACTOR:
             hint = "The log probably counts the other way: say sign: -1"

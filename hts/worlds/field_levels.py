@@ -2,6 +2,9 @@
 
 A row's idle level is taken off that row alone, and its mass divides that row alone. So where policy and reference state
 different ones, the difference counts as a saving, or as a loss, however they walked.
+
+Levels are compared by their ratio. That of temperatures says nothing, since the zero of degC is arbitrary: of these the
+difference is held against what walking adds to the level.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hts import units
 from hts.errors import RecordingError
 from hts.recordings.recording import Recording
 
@@ -71,22 +75,24 @@ def _idle_levels(
         walking = float(np.mean([_added(recordings[row], channel) for row in levels]))
         if difference <= IDLE_UNSEEN * walking:
             continue
-        apart = _apart(levels[low], levels[high])
         unit = recordings[low].channels[channel].channel.unit
+        by_ratio, share = not units.is_temperature(unit), difference / walking if walking > 0 else float("inf")
+        apart = _apart(levels[low], levels[high]) if by_ratio else share
         if apart > IDLE_REFUSED:
             odd, other = _odd_first(levels, low, high)
             raise RecordingError(
                 f"{mappings[odd]}: channels.{channel}.idle is {levels[odd]:.4g} {unit} in row {names[odd]}, but "
                 f"{levels[other]:.4g} {unit} in row {names[other]}, with which it is compared; expected at most "
-                f"{IDLE_REFUSED:.0%} apart, since the difference goes straight into net savings. Measure it once more "
-                f"and walk all rows of session {recordings[odd].session} anew, or, if one of the two was misread, "
-                f"state the level of all rows in {own}."
+                f"{IDLE_REFUSED:.0%}{'' if by_ratio else ' of what walking adds to it'} apart, since the difference "
+                f"goes straight into net savings. Measure it once more and walk all rows of session "
+                f"{recordings[odd].session} anew, or, if one of the two was misread, state the level of all rows in "
+                f"{own}."
             )
         if apart > IDLE_NOTED:
             said.append(
                 f"session {recordings[low].session}: the idle level of '{channel}' is {levels[low]:.4g} {unit} in row "
-                f"{names[low]} and {levels[high]:.4g} {unit} in row {names[high]} ({apart:.1%} apart, "
-                f"{difference / walking if walking > 0 else 1.0:.1%} of what walking adds to it)"
+                f"{names[low]} and {levels[high]:.4g} {unit} in row {names[high]} ("
+                f"{f'{apart:.1%} apart, ' if by_ratio else ''}{min(share, 1.0):.1%} of what walking adds to it)"
             )
     return said
 

@@ -198,6 +198,26 @@ def test_a_machine_that_gives_current_back_while_it_idles_is_counted_the_other_w
     check_idle(warm, {"warmth": -1.9}, "log")
 
 
+def warmth(median: float, unit: str = "degC") -> dict[str, Series]:
+    return {"warmth": Series(Channel("warmth", unit), np.array([median - 1, median, median + 1]))}
+
+
+@pytest.mark.parametrize(
+    ("median", "level", "unit"),
+    [(-6, 1.9, "degC"), (25, 0.1, "degC"), (0.01, 20, "degC"), (85, 0, "degC"), (-20, 10, "degF")],
+)
+def test_the_ratio_of_two_temperatures_says_nothing(median, level, unit):
+    check_idle(warmth(median, unit), {"warmth": level}, "log")
+
+
+@pytest.mark.parametrize(("median", "level"), [(313, 22), (313, 0), (40, 295)])
+def test_a_temperature_far_from_its_idle_level_is_in_another_unit(median, level):
+    with pytest.raises(
+        RecordingError, match=f"'warmth' is {median} degC at the median, its idle level {level} degC.*K"
+    ):
+        check_idle(warmth(median), {"warmth": level}, "log")
+
+
 def walking(level: float, unit: str = "A", speed: float = 5.0, swing: float = 1.0) -> dict[str, Series]:
     """What is drawn, about `level`, while the fastest joint reaches `speed`, rad/s."""
     steps = np.arange(400)

@@ -151,6 +151,38 @@ def test_a_channel_may_be_the_sum_of_columns(tmp_path, amps, two_joints):
         make({}).read([log], amps, two_joints)
 
 
+def test_a_channel_may_be_the_largest_of_columns(tmp_path, amps, two_joints):
+    log = csv(tmp_path / "a.csv", "t,left,right", 20 * STEPS, 1 + STEPS / 10, np.where(STEPS == 7, "", "2.5"))
+    amps["channels"]["draw"] |= {"columns": ["left", "right"], "max": True, "scale": 2, "offset": 1}
+    recording = make({}).read([log], amps, two_joints)
+    np.testing.assert_allclose(recording.values("draw"), 1 + 2 * np.maximum(1 + STEPS / 10, 2.5), rtol=1e-6)
+    assert recording.notes["incomplete_rows_filled"] == "draw 1"
+
+
+def test_the_largest_of_columns_that_count_the_other_way_is_that_of_the_values(tmp_path, amps, two_joints):
+    log = csv(tmp_path / "a.csv", "t,left,right", 20 * STEPS, -1 - STEPS / 10, np.full(len(STEPS), -2.5))
+    amps["channels"]["draw"] |= {"columns": ["left", "right"], "max": True, "sign": -1}
+    recording = make({}).read([log], amps, two_joints)
+    np.testing.assert_allclose(recording.values("draw"), np.maximum(1 + STEPS / 10, 2.5), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        ({"per_joint": True}, "follows the joints, so it is no `max`; say per_joint: false"),
+        ({"sum": True}, "channels.draw: it is said to be the `sum` of its columns and the `max`"),
+        ({"columns": ["left", "left"]}, "columns of 'draw': 'left' is named 2 times"),
+        ({"sign": {"hip": -1}}, "no column for each joint. Say one number.$"),
+    ],
+)
+def test_a_largest_that_cannot_be_is_refused_in_one_line(tmp_path, amps, two_joints, said, expected):
+    log = csv(tmp_path / "a.csv", "t,left,right", 20 * STEPS, 1 + STEPS / 10, 2 + STEPS / 10)
+    amps["channels"]["draw"] |= {"columns": ["left", "right"], "max": True} | said
+    with pytest.raises(ConfigError, match=expected) as refused:
+        make({}).read([log], amps, two_joints)
+    assert "\n" not in str(refused.value)
+
+
 def test_each_channel_may_have_a_file_of_its_own(tmp_path, mapping, two_joints):
     """One file a channel, all with a column `value`, at rates of their own."""
     fast = np.arange(0, 800, 5)

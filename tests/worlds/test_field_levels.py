@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 import yaml
 from field_folder import bundle, field, fill_in, write_log
 
+from hts.channels import Channel
+from hts.config import Command, ScheduleConfig
 from hts.errors import RecordingError, WaitingForRobot
 from hts.recordings.doubts import remarks
-from hts.worlds.field_levels import NOTE
+from hts.recordings.recording import Recording, Series
+from hts.worlds.field_levels import NOTE, with_one_level
 
 
 def walked(run, policy, robot, changed, **said):
@@ -69,6 +75,47 @@ def test_small_differences_are_not_told(run, policy, robot):
 def test_any_channel_is_compared(run, policy, robot):
     text = refused(run, policy, robot, {3: {"battery_voltage": 27.5}}, battery_voltage=23.0)
     assert "mappings/03.yaml: channels.battery_voltage.idle is 27.5 V in row 03, but 23 V" in text
+
+
+def warm_rows(*levels, shown):
+    """One session of rows with an idle level each, degC, and what all of them show at work."""
+    channel = Channel("warmth", "degC", may_be_constant=True)
+    schedule = ScheduleConfig(commands=(Command(seconds=0.2, vx=0.5),))
+    joints = {"joint_names": ("hip",), "kp": (20.0,), "kd": (0.5,)}
+    series, time = {"warmth": Series(channel, np.full(10, shown))}, np.arange(10) / 50
+    return [
+        Recording(
+            "dog",
+            "field",
+            "abc",
+            0,
+            **joints,
+            rate_hz=50.0,
+            schedule=schedule,
+            idle={"warmth": level},
+            clock="log",
+            time=time,
+            channels=series,
+            session="day",
+            block=block,
+        )
+        for block, level in enumerate(levels)
+    ]
+
+
+def compared(recordings):
+    names = [f"{number:02d}" for number in range(len(recordings))]
+    return with_one_level(recordings, names, [Path(f"{name}.yaml") for name in names], Path("own.yaml"))
+
+
+def test_idle_temperatures_are_held_against_what_walking_adds():
+    assert all(NOTE not in one.notes for one in compared(warm_rows(1.0, 1.5, 1.5, 1.0, shown=41.0)))
+    noted = compared(warm_rows(20.0, 22.0, 22.0, 20.0, shown=61.0))[0].notes[NOTE]
+    assert "20 degC in row 00 and 22 degC in row 01 (5.0% of what walking adds to it)" in noted
+    with pytest.raises(
+        RecordingError, match="38 degC in row 00.*expected at most 15% of what walking adds to it apart"
+    ):
+        compared(warm_rows(38.0, 40.0, 40.0, 40.0, shown=45.0))
 
 
 def test_a_level_that_is_small_beside_walking_may_differ(run, policy, robot):

@@ -23,6 +23,8 @@ LOOKS = (150, 3_000)  # readings at rest, 3 s and a minute: a slow sensor gets l
 AT_REST = 8  # robots, each with a zero error of its own
 FAR_OFF = 10.0  # standard deviations of the readings at rest, over robots and time, that an idle level may be off
 SHARE_OFF = 0.05  # of the level, likewise
+MEMORY = 500  # readings, 10 s: so long it moves, and then rests, before it is asked what it remembers
+SEEN = 10.0  # standard deviations of its readings that motion must have changed, to say anything of its memory
 NEARER = 0.98  # of its distance from the idle level: a reading that comes so much nearer may still be on its way
 
 Readings = Mapping[str, np.ndarray]
@@ -94,6 +96,26 @@ def _at_rest(
         rows.append(_read(instrument))
     levels = {name: float(level) for name, level in instrument.idle().items()}
     return levels, {name: np.stack([row[name] for row in rows]) for name in levels}
+
+
+def remembered(instrument: Instrument, name: str) -> float:
+    """Which share of what ten seconds of motion changed in a channel is left after ten seconds of rest; 0 where motion
+    changed too little to say."""
+    instrument.reset(AT_REST, np.random.default_rng(7))
+    made_up, block, shown = np.random.default_rng(1), None, list[np.ndarray]()
+    for strength in (0.0, 3.0, 0.0):
+        rows = []
+        for _ in range(MEMORY):
+            steps = (
+                _weaker(physics(made_up, AT_REST), strength) if strength else rest(AT_REST) for _ in range(AT_ONCE)
+            )
+            block = _stacked(list(steps), block)
+            instrument.advance(block)
+            rows.append(_read(instrument)[name])
+        shown.append(np.stack(rows[-MEMORY // 10 :]))
+    before, moving, after_it = (float(one.mean()) for one in shown)
+    change, scatter = moving - before, max(float(shown[0].std()), float(shown[2].std()))
+    return (after_it - before) / change if abs(change) > SEEN * scatter else 0.0
 
 
 def _all_off(shown: np.ndarray, level: float) -> bool:

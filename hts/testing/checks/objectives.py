@@ -17,8 +17,13 @@ from hts.evaluation.scoring import plain
 from hts.evaluation.segments import Segments
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import ensure, listed, same
+from hts.testing.checks.instruments import remembered
 from hts.testing.checks.made_up import segments, sim_channels, walk
+from hts.testing.checks.model_fits import after
 from hts.testing.examples.robot.robot import Tiny
+
+MOST_REMEMBERED = 0.25
+"""Share that may be left of a target's change after ten seconds of rest: that of a time constant of seven seconds."""
 
 
 def has_its_parts(entry: Entry, registry: Registry) -> None:
@@ -86,6 +91,24 @@ def instrument_measures_the_target(entry: Entry, registry: Registry) -> None:
             f"'{wanted.name}' is {wanted.unit} {wanted.shape} here and {found.unit} {found.shape} in "
             f"'{objective.instrument}'",
         )
+
+
+@after(instrument_measures_the_target)
+def target_forgets(entry: Entry, registry: Registry) -> None:
+    """What its instrument shows of the target forgets motion within seconds: trials last seconds, and policies take
+    turns on one machine."""
+    objective = entry.factory({})
+    if objective.instrument is None or math.prod(objective.target.shape) != 1:
+        return
+    name = objective.target.name
+    left = remembered(registry.make_instrument(objective.instrument, {}, Tiny()), name)
+    ensure(
+        abs(left) < MOST_REMEMBERED,
+        f"its target '{name}' remembers: {left:.0%} of what 10 s of motion changed in instrument "
+        f"'{objective.instrument}' is left after 10 s of rest, so a trial of seconds cannot measure it. Make what it "
+        "follows the target (what a motor loses now, W, in the place of how warm it is), and keep this one in "
+        "also_measured",
+    )
 
 
 def model_is_registered(entry: Entry, registry: Registry) -> None:
@@ -219,6 +242,7 @@ CHECKS = (
     has_its_parts,
     channels_are_known,
     instrument_measures_the_target,
+    target_forgets,
     own_weights_fit_any_sensor,
     wrong_weights_are_told,
     model_is_registered,
