@@ -38,7 +38,7 @@ from hts.run.progress import Progress
 from hts.run.provenance import check_config
 from hts.run.reality import best_so_far, collect
 from hts.run.stage_files import has_gate, read_stage
-from hts.run.stages import ENDED_EARLY, Stages, read_json, write_json
+from hts.run.stages import ENDED_EARLY, Stages, write_json
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
 
@@ -88,11 +88,8 @@ def algorithm_1(job: Job) -> dict[str, Any]:
     best = job.first
     for i in range(config.iterations):
         name = f"iterations/{i:02d}"
-        if not job.elites(i):
+        if not goes_on(job, i):
             job.stages.progress.say(cap_reached(job, i))
-            ended = {"done": i, "of": config.iterations}
-            if not (job.folder / ENDED_EARLY).exists() or read_json(job.folder / ENDED_EARLY) != ended:
-                write_json(job.folder / ENDED_EARLY, ended)  # else nothing is to be written, as on a read-only medium
             job.stages.progress.skip(stages_per_iteration(config) * (config.iterations - i))
             break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder
@@ -133,6 +130,22 @@ def algorithm_1(job: Job) -> dict[str, Any]:
     job.do("final", about, partial(final, job, finalists(job, best)))
     check_final(job)
     return finish(job)
+
+
+def goes_on(job: Job, iteration: int) -> bool:
+    """Whether real samples are left for an iteration; keeps ENDED_EARLY as it is to be.
+
+    Where a run went on to its final from here already it stays ended: earlier versions planned no test again.
+    """
+    path, ended = job.folder / ENDED_EARLY, {"done": iteration, "of": job.config.iterations}
+    here = path.exists() and read_stage(path) == ended
+    final = any((job.folder / f"{stage}.json").exists() for stage in ("confirm", "final"))
+    on = not (here and final) and job.elites(iteration) > 0
+    if not on and not here:  # else nothing is to be written, as on a read-only medium
+        write_json(path, ended)
+    if on and here:
+        path.unlink()
+    return on
 
 
 def cap_reached(job: Job, iteration: int) -> str:

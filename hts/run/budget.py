@@ -4,12 +4,14 @@ Robot time goes into first data and into tests of elites. Where the configuratio
 data may shrink to half (LEAST_SHARE), recorded by the same schedule in shorter stretches. So many elites are tested as
 then fit, spread over as many iterations as there are tests for, the earlier ones first, since every later fit learns
 from them; first data get what is left. What a stage took in truth counts: before each iteration the plan is cut to what
-is left, and where that is not one test, the iterations end. The final is measured apart and not counted.
+is left, tests that the iterations before did not use (the gate may let nobody pass) are spread over those that are left
+likewise, and where there is not one test, the iterations end. The final is measured apart and not counted.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hts.checked_selector import checked_selector
@@ -32,7 +34,7 @@ instance."""
 class Budget:
     """schedule: of each first recording; elites: tested in each iteration, which are as many as this is long;
     first, each: samples of all first data and of one elite; most: the cap, None without one; confirm: tried again in
-    the end, of which a cap leaves as many as then fit."""
+    the end, of which a cap leaves as many as then fit; wanted: elites of every iteration, if there were no cap."""
 
     schedule: ScheduleConfig
     elites: tuple[int, ...]
@@ -40,15 +42,18 @@ class Budget:
     each: int
     most: int | None
     confirm: int = 0
+    wanted: tuple[int, ...] = ()
 
     @property
     def samples(self) -> int:
         """Of the robot before the final, by estimate."""
         return self.first + self.each * (sum(self.elites) + self.confirm)
 
-    def affordable(self, iteration: int, spent: int) -> int:
-        """Elites that an iteration may test when so many samples are spent."""
-        planned = self.elites[iteration]
+    def affordable(self, tried: Sequence[int], spent: int) -> int:
+        """Elites that the next iteration may test when so many samples are spent. tried: by each one before it; what
+        they left of the plan is planned again."""
+        left = spread(sum(self.elites) - sum(tried), (self.wanted or self.elites)[len(tried) :])
+        planned = left[0] if left else 0
         return planned if self.most is None else max(0, min(planned, (self.most - spent) // self.each))
 
 
@@ -88,7 +93,7 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     recordings = config.collection.repeats + config.collection.exploring if config.records_first else 0
     first = math.ceil(schedule.seconds * rate) * recordings
     again = second_trials(config) if sum(wanted) > 1 else 0
-    whole = Budget(schedule, tuple(wanted), first, each, most, min(again, sum(wanted)))
+    whole = Budget(schedule, tuple(wanted), first, each, most, min(again, sum(wanted)), tuple(wanted))
     if most is None:
         return whole
     selector = checked_selector(registry, config.selection.selector)
@@ -110,14 +115,14 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     if first > most - tests * each:
         schedule = shortened(schedule, (most - tests * each) / recordings / rate, rate)
         first = math.ceil(schedule.seconds * rate) * recordings
-    return Budget(schedule, tuple(spread(tests, wanted)), first, each, most)
+    return Budget(schedule, tuple(spread(tests, wanted)), first, each, most, wanted=tuple(wanted))
 
 
-def spread(tests: int, wanted: list[int]) -> list[int]:
+def spread(tests: int, wanted: Sequence[int]) -> list[int]:
     """So many tests over iterations: one for each as long as they last, then a second one from the first on, and so
     forth, never more than an iteration wants. Iterations without a test are left out."""
     found = [0] * len(wanted)
-    while tests > 0 and found != wanted:
+    while tests > 0 and found != list(wanted):
         for index, most in enumerate(wanted):
             if tests > 0 and found[index] < most:
                 found[index] += 1

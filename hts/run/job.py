@@ -234,8 +234,8 @@ class Job:
         """How many elites an iteration may test: as the plan says, within what is left of the real samples."""
         if self.config.max_real_samples is None:
             return self.config.selection.elites
-        planned = iteration < len(self.budget.elites)
-        return self.budget.affordable(iteration, self.spent(iteration)) if planned else 0
+        tried = [len(self.read(f"iterations/{earlier:02d}/test")["elites"]) for earlier in range(iteration)]
+        return self.budget.affordable(tried, self.spent(iteration))
 
     def confirmations(self, iterations: int) -> int:
         """How many of the best may be tried again after so many iterations, within what is left of the real samples."""

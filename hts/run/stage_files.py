@@ -172,6 +172,13 @@ class Test(Part):
     trust_region: Region | None = Field(None, description="where the bounds move")
 
 
+class Ended(Part):
+    """iterations.json."""
+
+    done: int = Field(description="iterations before the real samples ended them")
+    of: int = Field(description="that were to be")
+
+
 class Best(Part):
     """best.json."""
 
@@ -258,6 +265,7 @@ FILES: dict[str, Any] = {
     "gate": Gate,
     "nearer": Nearer,
     "test": Test,
+    "iterations": Ended,
     "best": Best,
     "confirm": Confirm,
     "final": Final,

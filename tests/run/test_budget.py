@@ -11,10 +11,10 @@ import pytest
 from hts.cli.main import main
 from hts.config import ScheduleConfig
 from hts.config_loading import load_config
-from hts.errors import ConfigError
+from hts.errors import ConfigError, RunError
 from hts.evaluation.held import hold_of
 from hts.plugins import load
-from hts.run.algorithm import cap_reached
+from hts.run.algorithm import cap_reached, goes_on
 from hts.run.budget import Budget, shortened, spread
 from hts.run.cost import estimate
 from hts.schedules import Command
@@ -50,10 +50,37 @@ def test_a_schedule_is_shortened_by_one_share_in_whole_control_steps():
 def test_what_was_really_spent_counts_and_not_what_was_planned():
     budget = Budget(SCHEDULE, (2, 2), first=1000, each=400, most=2600)
     assert budget.samples == 2600
-    assert budget.affordable(1, spent=1800) == 2
-    assert budget.affordable(1, spent=1801) == 1  # a sample too many before
-    assert budget.affordable(1, spent=2300) == 0
-    assert Budget(SCHEDULE, (2, 2), 1000, 400, None).affordable(1, spent=10**9) == 2
+    assert budget.affordable([2], spent=1800) == 2
+    assert budget.affordable([2], spent=1801) == 1  # a sample too many before
+    assert budget.affordable([2], spent=2300) == 0
+    assert Budget(SCHEDULE, (2, 2), 1000, 400, None).affordable([2], spent=10**9) == 2
+
+
+@pytest.mark.parametrize(
+    ("wanted", "tried", "may"),
+    [
+        ((2, 2, 2), [], 2),
+        ((2, 2, 2), [2], 1),  # as planned
+        ((2, 2, 2), [2, 1, 1], 0),  # no more of them
+        ((2, 2, 2), [1], 2),  # three tests over two iterations, the earlier one first
+        ((2, 2, 2), [0, 0], 2),  # never more than an iteration wants
+        ((9, 9, 9, 9, 9), [0], 1),  # four over four
+        ((9, 9, 9, 9, 9), [1, 0, 1, 0], 2),
+        ((9, 9, 9, 9, 9), [1, 1, 1, 1], 0),
+    ],
+)
+def test_tests_that_were_not_used_are_planned_again_for_the_iterations_that_are_left(wanted, tried, may):
+    plan = Budget(SCHEDULE, tuple(spread(4, wanted)), first=1000, each=400, most=2600, wanted=wanted)
+    assert plan.affordable(tried, spent=1000 + 400 * sum(tried)) == may
+
+
+def test_where_every_test_is_used_the_plan_stays():
+    for wanted in ([2, 2], [6, 6, 6, 6], [1, 6, 3], [3, 1, 1, 2]):
+        for tests in range(1, sum(wanted) + 1):
+            plan = tuple(spread(tests, wanted))
+            budget = Budget(SCHEDULE, plan, first=0, each=1, most=tests, wanted=tuple(wanted))
+            found = [budget.affordable(plan[:done], sum(plan[:done])) for done in range(len(wanted))]
+            assert found == [*plan, *[0] * (len(wanted) - len(plan))]
 
 
 # ------------------------------------------------------------------------------------------ presets, by estimate
@@ -157,6 +184,20 @@ class FewOfAJob:
 )
 def test_the_line_at_the_end_of_the_iterations_says_why(spent, said):
     assert re.search(said, cap_reached(FewOfAJob(spent), 2))
+
+
+def test_what_an_earlier_version_ended_is_not_begun_again(tmp_path):
+    """It planned no test again, so that there may be some left."""
+    path, config = tmp_path / "iterations.json", SimpleNamespace(iterations=3)
+    job = SimpleNamespace(folder=tmp_path, config=config, elites=lambda iteration: 1)
+    path.write_text('{"done": 1, "of": 3}')
+    (tmp_path / "final.json").write_text("{}")
+    assert goes_on(job, 0) and not goes_on(job, 1)
+    (tmp_path / "final.json").unlink()  # stopped before it went on to the final: so it has another iteration
+    assert goes_on(job, 1) and not path.exists()
+    path.write_text('{"done": "1"}')
+    with pytest.raises(RunError, match=r"iterations.json: damaged \(done: expected a whole number"):
+        goes_on(job, 1)
 
 
 def test_a_run_ends_its_iterations_where_the_next_would_pass_the_cap(capped):
