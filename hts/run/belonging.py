@@ -60,7 +60,7 @@ def check_iteration(job: Job, iteration: int) -> None:
         tried = [name for name in found["results"] if nearer.exists() or not is_nearer(name)]  # else they come again
         _check(tested, "it tried", tried, known, "candidates of this iteration")
         _check_has(tested, [*found["elites"], *best], found["results"])
-        _check_results(job, tested, found["results"])
+        check_results(tested, found["results"], job.objectives)
         _check(tested, "the best so far is", [found["best_so_far"]], _tested(job, iteration + 1), "one that was tried")
 
 
@@ -70,7 +70,7 @@ def check_confirmed(job: Job) -> None:
     named = [found["best"], *found["tried"], *found["results"], *found.get("next", ())]
     _check(_path(job, "confirm"), "it names", named, _tested(job, job.done_iterations), "policies that were tried")
     _check_has(_path(job, "confirm"), found["tried"], found["results"])
-    _check_results(job, _path(job, "confirm"), found["results"])
+    check_results(_path(job, "confirm"), found["results"], job.objectives)
 
 
 def check_final(job: Job) -> None:
@@ -105,12 +105,14 @@ def _check_scores(job: Job, path: Path, known: Iterable[str], simulated: Mapping
             _check_has(path, job.objectives, row, of=name)
 
 
-def _check_results(job: Job, path: Path, results: Mapping[str, Mapping[str, Any]]) -> None:
-    """Trials that were not refused: in every objective."""
+def check_results(path: Path, results: Mapping[str, Mapping[str, Any]], objectives: Collection[str]) -> None:
+    """Raise RunError for a trial that was not refused and yet says nothing of what it measured, in every objective."""
     for name, row in results.items():
+        if row.get("tested") is not None and row["real"] is None:
+            raise damaged(path, f"nothing about what was measured of {name}")
         for found in (row["real"], (row.get("tested") or {}).get("selection_score")):
             if found is not None:
-                _check_has(path, job.objectives, found, of=name)
+                _check_has(path, objectives, found, of=name)
 
 
 def _check_gate(path: Path, gate: Mapping[str, Any], known: Mapping[str, str]) -> None:

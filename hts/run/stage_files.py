@@ -8,7 +8,7 @@ ones go on. Everything that no stage reads passes as it is.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -37,13 +37,33 @@ class Collect(Part):
     falls: int | None = Field(None, description="none: of before they were counted")
 
 
+Facts = dict[str, Any] | None
+"""What is looked into where it is there; a run of an earlier version may lack it."""
+
+
+class HeldOut(Part):
+    """A check on recordings that were kept from the fit."""
+
+    recordings: list[str] = Field(description="their ids")
+    r2: Number = Field(None, description="1")
+    linear: Facts = Field(None, description="the same of a linear model")
+    proxy: dict[str, Facts] | None = Field(None, description="the same of the analytic stand-ins")
+    spread: Facts = Field(None, description="whether its doubt is as large as its errors")
+
+
 class Fitted(Part):
     """How one objective's model was fitted and checked."""
 
     dataset: str = Field(description="SHA-256 of what it was fitted to")
     held_out_r2: Number = Field(description="on recordings kept from the fit, 1")
     rank_correlation: Number = Field(description="of predicted and measured cost over policies, 1")
-    held_out: dict[str, Any] = Field(description="all of that check")
+    held_out: HeldOut = Field(description="all of that check")
+    training: list[Any] = Field(default_factory=list, description="what it was fitted to")
+    model: Facts = Field(None, description="its name and settings")
+    same_session: Facts = Field(None, description="how many of these are of a session that was fitted to")
+    masked: Facts = Field(None, description="samples that were left out")
+    drift: Facts = Field(None, description="of the target within recordings")
+    weights: list[float] | None = Field(None, description="λ that the objective asks for behind this model")
 
 
 Fit = dict[str, Fitted]
@@ -66,11 +86,34 @@ class Tuned(Part):
     policy_hash: str = Field(description="of the exported policy")
 
 
+class Pull(Part):
+    """How strongly the world pulls, as far as its trials say."""
+
+    pull: list[float] = Field(description="at each speed of `simulation_test.speeds`, m/s²")
+    steps: int = Field(0, description="control steps that were simulated for it")
+
+
 class Finetune(Part):
     """finetune.json."""
 
     candidates: list[Tuned] = Field(description="all that were trained")
     steps: int = Field(description="control steps of all of them")
+    reward_scale: dict[str, dict[str, Any]] | None = Field(None, description="objective -> how large its reward is")
+    pull: Pull | None = Field(None, description="where it was measured")
+
+
+class Promise(Part):
+    """What is promised of a candidate at one speed, or set-point."""
+
+    improvement: float = Field(description="over the pretrained policy, the objective's unit")
+    selection_score: float = Field(description="what selection goes by")
+
+
+class GaveUp(Part):
+    """Who earns less of the task than it is to."""
+
+    elites: list[str] = Field(description="who of those that are tried")
+    line: str | None = Field(description="what was said; null: nothing")
 
 
 class Simulate(Part):
@@ -85,10 +128,11 @@ class Simulate(Part):
         None, description="candidate -> objective -> score, 1/s"
     )
     task_rewards: dict[str, Number] | None = Field(None, description="the task's own reward, 1/s")
-    predicted: dict[str, dict[str, dict[str, Any]]] | None = Field(
+    predicted: dict[str, dict[str, dict[str, Promise]]] | None = Field(
         None, description="candidate -> objective -> speed -> what is promised"
     )
     trials: dict[str, list[dict[str, Any]]] | None = Field(None, description="candidate -> its trials")
+    gave_up: GaveUp | None = Field(None, description="of the task")
 
 
 class Gated(Part):
@@ -132,19 +176,27 @@ class Trial(Part):
     """What a trial measured of a candidate that was not refused."""
 
     fell: bool = Field(description="in the world")
-    selection_score: dict[str, Number] = Field(description="by objective")
+    selection_score: dict[str, float] = Field(description="by objective; a number that is none never left its stage")
 
 
 class AtSpeed(Part):
-    """A head-to-head at one speed, or set-point."""
+    """A final at one speed, or set-point."""
 
     improvement: Number = Field(description="over the pretrained policy, the objective's unit")
+    falls: int = Field(description="how often it fell")
+
+
+class Tried(Part):
+    """A trial at one speed, or set-point."""
+
+    improvement: float = Field(description="over the pretrained policy, the objective's unit")
+    metrics: dict[str, float] = Field(default_factory=dict, description="what else the objective says of it")
 
 
 class Result(Part):
     """A trial."""
 
-    real: dict[str, dict[str, AtSpeed]] | None = Field(
+    real: dict[str, Annotated[dict[str, Tried], Field(min_length=1)]] | None = Field(
         description="objective -> speed -> improvement and metrics; null: refused"
     )
     refused: str | None = Field(description="why; null: it was not")
@@ -154,7 +206,27 @@ class Result(Part):
 class Region(Part):
     """How the KL bounds moved."""
 
-    scale: float = Field(description="factor on the finite bounds from now on, 1")
+    scale: float = Field(gt=0, description="factor on the finite bounds from now on, 1")
+
+
+class PolicyLevel(Part):
+    """What a model made of one policy at one speed, or set-point, in its target's unit."""
+
+    speed: Number = Field(description="commanded")
+    measured: float = Field(description="mean of the target")
+    predicted: float = Field(description="the same by the model")
+
+
+class Ranked(Part):
+    """What ranks are made of over all iterations."""
+
+    policies: list[PolicyLevel] = Field(description="all that walked")
+
+
+class ModelCheck(Ranked):
+    """How well a model predicted the policies that were made with it."""
+
+    proxy: dict[str, Ranked] | None = Field(None, description="the same of the analytic stand-ins")
 
 
 class Test(Part):
@@ -168,7 +240,7 @@ class Test(Part):
     best: str | None = Field(description="the best of them; null: nobody was better")
     best_so_far: str = Field(description="of all iterations until now")
     samples: int = Field(description="of the robot, control steps")
-    model_checks: dict[str, dict[str, Any]] = Field(description="objective -> how well its model predicted them")
+    model_checks: dict[str, ModelCheck] = Field(description="objective -> how well its model predicted them")
     trust_region: Region | None = Field(None, description="where the bounds move")
 
 
@@ -204,11 +276,18 @@ class GivenUp(Part):
     falls: int = Field(description="in all that it walked")
 
 
+class OpenLoop(Part):
+    """What a final found at equal commands."""
+
+    speeds: dict[str, AtSpeed] = Field(default_factory=dict, description="those that were kept")
+
+
 class Compared(Part):
     """What a final found of one objective."""
 
     unit: str = Field(description="of its improvement")
     speeds: dict[str, AtSpeed] = Field(description="those that were kept")
+    open_loop: OpenLoop | None = Field(None, description="the same at equal commands, where speeds were held")
 
 
 class Final(Part):

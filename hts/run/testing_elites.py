@@ -36,6 +36,8 @@ from hts.run.iteration import elites_of, simulated, tuned
 from hts.run.job import Job
 from hts.run.judging import fine_tuning
 from hts.run.learning import bound_scale
+from hts.run.stage_files import Result
+from hts.run.stages import damaged
 from hts.run.trust_region import by_all
 
 Report = Callable[[float], None]
@@ -295,12 +297,15 @@ def iteration_of(name: str) -> int:
 
 def tested_before(job: Job, name: str) -> TestedCandidate:
     """A candidate as it was measured in its own iteration, where nothing refused it."""
-    row: Mapping[str, Any] = job.read(f"iterations/{iteration_of(name):02d}/test")["results"][name]
+    stage = f"iterations/{iteration_of(name):02d}/test"
+    row = Result.model_validate(job.read(stage)["results"][name])
+    if row.real is None or row.tested is None:
+        raise damaged(job.folder / f"{stage}.json", f"nothing about what was measured of {name}")
     comparisons = {}
-    for key, score in row["tested"]["selection_score"].items():
-        speeds = [Comparison(one["improvement"], score, one["metrics"]) for one in row["real"][key].values()]
+    for key, score in row.tested.selection_score.items():
+        speeds = [Comparison(one.improvement, score, one.metrics) for one in row.real[key].values()]
         comparisons[key] = mean_comparison(speeds)  # `score` is the mean over them already
-    return TestedCandidate(name, comparisons, row["tested"]["fell"], _made(job, name))
+    return TestedCandidate(name, comparisons, row.tested.fell, _made(job, name))
 
 
 def _evaluation(job: Job) -> EvaluationConfig:

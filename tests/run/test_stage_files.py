@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -13,7 +14,8 @@ from hts.cli.main import main
 from hts.config_loading import read_config
 from hts.errors import RunError
 from hts.report.data import read_run, without_segments
-from hts.run import simulates_yet
+from hts.run import simulates_yet, testing_elites
+from hts.run.belonging import check_results
 from hts.run.stage_files import FILES, Collect, Test, read_stage
 
 FIRST = "iterations/00"
@@ -183,6 +185,112 @@ def test_a_report_without_segments_says_so(broken_run, capsys):
     said = capsys.readouterr().err
     assert said.startswith(f"{broken_run}/segments.json: is missing, so the report lacks the figure")
     assert "Delete final.json, summary.json and report.html, and `hts resume" in said
+
+
+AT = {"improvement": 0.2, "metrics": {"gross": 0.1}}
+TRIED = {
+    "elites": ["00-00"],
+    "results": {
+        "00-00": {
+            "real": {"fake": {"0.8": AT}},
+            "refused": None,
+            "tested": {"fell": False, "selection_score": {"fake": 0.2}},
+        }
+    },
+    "recordings": [],
+    "best": "00-00",
+    "best_so_far": "00-00",
+    "samples": 1,
+    "model_checks": {"fake": {"policies": [{"speed": 0.8, "measured": 1.0, "predicted": 2.0}]}},
+    "trust_region": {"scale": 1.0},
+}
+JUDGED = {
+    "scores": {},
+    "falls": {},
+    "tracked": {},
+    "elites": [],
+    "steps": 1,
+    "predicted": {"00-00": {"fake": {"0.8": {"improvement": 0.1, "selection_score": 0.1}}}},
+    "gave_up": {"elites": [], "line": None},
+}
+ENDED = {
+    "policy": "00-00",
+    "objectives": {"fake": {"unit": "1", "speeds": {"0.8": {"improvement": 0.2, "falls": 0}}, "open_loop": {}}},
+    "recordings": [],
+    "samples": 1,
+}
+FITTED = {
+    "fake": {
+        "dataset": "0",
+        "held_out_r2": 0.5,
+        "rank_correlation": None,
+        "held_out": {"recordings": [], "spread": None, "proxy": {"smoothed": {"r2": 0.1}}},
+        "weights": [0.1],
+    }
+}
+TUNED = {"candidates": [], "steps": 1, "reward_scale": {}, "pull": {"pull": [0.1], "steps": 1}}
+
+
+@pytest.mark.parametrize(
+    ("stage", "whole", "key", "value"),
+    [
+        ("test", TRIED, "results.00-00.real.fake", {}),
+        ("test", TRIED, "results.00-00.real.fake.0|8.improvement", None),
+        ("test", TRIED, "results.00-00.real.fake.0|8.metrics", "odd"),
+        ("test", TRIED, "results.00-00.real.fake.0|8.metrics.gross", None),
+        ("test", TRIED, "results.00-00.tested.selection_score.fake", None),
+        ("test", TRIED, "model_checks.fake", {}),
+        ("test", TRIED, "model_checks.fake.policies", [{"measured": 1.0, "predicted": 2.0}]),
+        ("test", TRIED, "model_checks.fake.policies", [{"speed": 0.8, "measured": 1.0, "predicted": None}]),
+        ("test", TRIED, "model_checks.fake.proxy", {"smoothed": {}}),
+        ("test", TRIED, "trust_region.scale", -3.0),
+        ("simulate", JUDGED, "predicted.00-00.fake.0|8", {}),
+        ("simulate", JUDGED, "predicted.00-00.fake.0|8.selection_score", "odd"),
+        ("simulate", JUDGED, "gave_up", 3),
+        ("fit", FITTED, "fake.held_out", {}),
+        ("fit", FITTED, "fake.held_out.spread", 3),
+        ("fit", FITTED, "fake.held_out.proxy.smoothed", 3),
+        ("fit", FITTED, "fake.same_session", 3),
+        ("fit", FITTED, "fake.weights", "odd"),
+        ("finetune", TUNED, "pull", {"pull": "odd"}),
+        ("finetune", TUNED, "reward_scale", 3),
+        ("final", ENDED, "objectives.fake.speeds.0|8", {"improvement": 0.2}),
+        ("final", ENDED, "objectives.fake.open_loop", 3),
+    ],
+)
+def test_all_that_a_later_stage_reads_is_looked_at(tmp_path, stage, whole, key, value):
+    path = tmp_path / f"{stage}.json"
+    path.write_text(json.dumps(whole))
+    assert read_stage(path) == whole
+    odd = json.loads(path.read_text())
+    *above, last = (part.replace("|", ".") for part in key.split("."))
+    inside = odd
+    for part in above:
+        inside = inside[part]
+    inside[last] = value
+    path.write_text(json.dumps(odd))
+    with pytest.raises(
+        RunError, match=rf"^{path}: damaged \({key.replace('|', '.')}.*Delete it and resume: "
+    ) as caught:
+        read_stage(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("missing", ["real", "tested"])
+def test_a_best_policy_that_was_not_measured_is_named(tmp_path, missing):
+    row = {**TRIED["results"]["00-00"], missing: None}
+    path = tmp_path / "iterations/00/test.json"
+    found = {**TRIED, "results": {"00-00": row}}
+    job = SimpleNamespace(folder=tmp_path, read=lambda stage: found, objectives={"fake": None})
+    with pytest.raises(RunError, match=rf"^{path}: damaged \(nothing about what was measured of 00-00\)"):
+        testing_elites.tested_before(job, "00-00")
+
+
+def test_a_trial_that_counts_and_measured_nothing_is_named(tmp_path):
+    path = tmp_path / "test.json"
+    rows = {"00-00": {**TRIED["results"]["00-00"], "real": None}}
+    with pytest.raises(RunError, match=rf"^{path}: damaged \(nothing about what was measured of 00-00\)"):
+        check_results(path, rows, ["fake"])
 
 
 def test_every_file_of_a_finished_run_passes(small_run):
