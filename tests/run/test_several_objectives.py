@@ -280,7 +280,6 @@ def config(*objectives: str, **given):
 def test_several_objectives_choose_the_selector_made_for_them(preset):
     assert config("calm", "cheap", preset=preset).selection.selector.name == "pareto"
     assert config("calm", preset=preset).selection.selector.name == "hierarchical"
-    assert config("calm", "calm", preset=preset).selection.selector.name == "hierarchical"
 
 
 def test_several_objectives_keep_the_shorter_iterations_of_paper_and_what_its_baseline_had():
