@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,38 +34,48 @@ def lacks_its_model(robot: Robot) -> bool:
     return isinstance(robot, VelocityRobot) and not own_env and robot.mjcf() is None
 
 
-def usable_model(robot: Robot) -> mujoco.MjModel | None:
+def usable_model(entry: Entry) -> mujoco.MjModel | None:
     """The model of a robot that follows velocities in our env; None for any other, such as one with an env of its own.
     Raises NotTried for a model that this env refuses, which `model_matches` or `model_is_in_order` says."""
     from hts.sim.conventions import out_of_order
 
-    model = comparable_model(robot)
+    robot, model = comparable_model(entry)
     if model is not None and out_of_order(model, robot.spec):
         raise NotTried("its model is in another order than its spec")
     return model
 
 
-def comparable_model(robot: Robot) -> mujoco.MjModel | None:
-    """The same, in whatever order. Raises NotTried where there is none although its env needs it, it cannot be made, or
-    something is missing, which `model_matches` says."""
+def comparable_model(entry: Entry) -> tuple[Robot, mujoco.MjModel | None]:
+    """The robot, and the same model in whatever order; only to be read, since all checks get this one. Raises NotTried
+    where its env needs one and there is none, it cannot be made, or something is missing, as `model_matches` says."""
+    robot, model, lacking = _compiled(entry)
+    if lacking:
+        raise NotTried(lacking)
+    return robot, model
+
+
+@lru_cache(maxsize=1)
+def _compiled(entry: Entry) -> tuple[Robot, mujoco.MjModel | None, str]:
+    """Robot, model and why none can be compared, made once for all checks of one robot: MJCF takes its time."""
     from hts.sim.conventions import missing
     from hts.sim.models import compile_model
 
+    robot = entry.factory({})
     if not isinstance(robot, VelocityRobot):
-        return None
+        return robot, None, ""
     if fault_of_spec(robot.spec) not in ("", fault_of_height(robot.spec)):
-        raise NotTried("its spec is no spec of its joints")  # said by `spec_is_consistent` or `times_fit`
+        return robot, None, "its spec is no spec of its joints"  # said by `spec_is_consistent` or `times_fit`
     try:
         root = robot.mjcf()
         lacking = root is None and lacks_its_model(robot)
         model = None if root is None else compile_model(robot)
-    except Exception as error:  # whatever a stranger's model does has been said by `model_matches`
-        raise NotTried("its model cannot be made") from error
+    except Exception:  # noqa: BLE001 - whatever a stranger's model does has been said by `model_matches`
+        return robot, None, "its model cannot be made"
     if lacking:
-        raise NotTried("it has no model")
+        return robot, None, "it has no model"
     if model is not None and missing(model, robot.spec):
-        raise NotTried("its model lacks something")
-    return model
+        return robot, None, "its model lacks something"
+    return robot, model, ""
 
 
 def model_is_in_order(entry: Entry, registry: Registry) -> None:
@@ -72,8 +83,7 @@ def model_is_in_order(entry: Entry, registry: Registry) -> None:
     sensors measure what they are named for."""
     from hts.sim.conventions import out_of_order
 
-    robot = entry.factory({})
-    model = comparable_model(robot)
+    robot, model = comparable_model(entry)
     if model is not None:
         fault = out_of_order(model, robot.spec)
         ensure(not fault, fault)
@@ -81,8 +91,7 @@ def model_is_in_order(entry: Entry, registry: Registry) -> None:
 
 def actuators_are_servos(entry: Entry, registry: Registry) -> None:
     """In a model for the velocity task every actuator is a position servo without gear: its input is a joint target."""
-    robot = entry.factory({})
-    model = comparable_model(robot)
+    robot, model = comparable_model(entry)
     if model is None:
         return
     actuators = _actuators(model, robot)
@@ -95,8 +104,7 @@ def actuators_are_servos(entry: Entry, registry: Registry) -> None:
 def gains_match(entry: Entry, registry: Registry) -> None:
     """In a model for the velocity task the actuators have kp and kd of the spec: the simulation takes them from the
     model, everything else from the spec."""
-    robot = entry.factory({})
-    model = comparable_model(robot)
+    robot, model = comparable_model(entry)
     if model is None:
         return
     spec, rows, others = robot.spec, list[Row](), list[str]()
@@ -115,8 +123,7 @@ def gains_match(entry: Entry, registry: Registry) -> None:
 
 def torque_limits_match(entry: Entry, registry: Registry) -> None:
     """In a model for the velocity task each actuator has the spec's torque_limit, both ways, as its forcerange."""
-    robot = entry.factory({})
-    model = comparable_model(robot)
+    robot, model = comparable_model(entry)
     if model is None:
         return
     rows = []
@@ -133,8 +140,7 @@ def targets_are_not_clipped(entry: Entry, registry: Registry) -> None:
     position_limit by torque_limit / kp, so far that the torque is at its limit anyway."""
     import mujoco
 
-    robot = entry.factory({})
-    model = comparable_model(robot)
+    robot, model = comparable_model(entry)
     if model is None or model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL):
         return
     spec, rows = robot.spec, []
@@ -153,8 +159,7 @@ def targets_are_not_clipped(entry: Entry, registry: Registry) -> None:
 
 def position_limits_match(entry: Entry, registry: Registry) -> None:
     """In a model for the velocity task each joint's range is the spec's position_limit; wheels may have none."""
-    robot = entry.factory({})
-    model = comparable_model(robot)
+    robot, model = comparable_model(entry)
     if model is None:
         return
     rows = []
@@ -174,8 +179,7 @@ def floor_decides_the_grip(entry: Entry, registry: Registry) -> None:
     the one that is varied."""
     from hts.sim.conventions import FLOOR
 
-    robot = entry.factory({})
-    model = comparable_model(robot)
+    _, model = comparable_model(entry)
     if model is None:
         return
     own = int(model.geom(FLOOR).priority[0])
@@ -194,8 +198,7 @@ def floor_decides_the_grip(entry: Entry, registry: Registry) -> None:
 def feet_are_felt(entry: Entry, registry: Registry) -> None:
     """In a model for the velocity task the site of each foot holds the points at which its body touches the floor in
     the default pose: a touch sensor sees no others."""
-    robot = entry.factory({})
-    model = _placeable(robot)
+    robot, model = _placeable(entry)
     if model is None:
         return
     rows = []
@@ -215,8 +218,7 @@ def height_matches(entry: Entry, registry: Registry) -> None:
     lowest part of the robot touches the floor: episodes begin there, and a share of it is a fall."""
     import mujoco
 
-    robot = entry.factory({})
-    model = _placeable(robot)
+    robot, model = _placeable(entry)
     if model is None:
         return
     height, points = _standing(model, mujoco.MjData(model), robot, range(1, model.nbody))
@@ -228,19 +230,19 @@ def height_matches(entry: Entry, registry: Registry) -> None:
     )
 
 
-def _placeable(robot: Robot) -> mujoco.MjModel | None:
-    """A model that can be put down on a plane; None where there is nothing to compare. Raises NotTried without a free
-    joint of its trunk."""
+def _placeable(entry: Entry) -> tuple[Robot, mujoco.MjModel | None]:
+    """The robot, and its model if that can be put down on a plane; None where there is nothing to compare. Raises
+    NotTried without a free joint of its trunk."""
     import mujoco
 
     from hts.sim.conventions import FLOOR, FREE
 
-    model = comparable_model(robot)
+    robot, model = comparable_model(entry)
     if model is None or model.geom(FLOOR).type[0] != int(mujoco.mjtGeom.mjGEOM_PLANE):
-        return None
+        return robot, None
     if model.njnt == 0 or model.jnt_type[0] != FREE:
         raise NotTried("its trunk cannot be put anywhere")  # said by `model_is_in_order`
-    return model
+    return robot, model
 
 
 def _on_the_floor(model: mujoco.MjModel, robot: Robot, foot: str) -> list[float]:

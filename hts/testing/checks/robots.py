@@ -132,7 +132,7 @@ def policy_fits(entry: Entry, registry: Registry) -> None:
 def env_gives_what_was_asked(entry: Entry, registry: Registry) -> None:
     """Its env has batch size [P, N], finite rewards [P, N, 1], the channels asked for, and leaves its config alone."""
     robot = entry.factory({})
-    if not _has_env(robot):
+    if not _has_env(entry, robot):
         return
     config, asked = _config(), tuple(sorted(robot.channels()))[:3]
     before = config.model_dump()
@@ -158,7 +158,7 @@ def env_keeps_the_physics_steps_it_promises(entry: Entry, registry: Registry) ->
     """If it says `keeps_physics_steps`, its env writes torque and speed of each physics step where they are asked for:
     [P, N, substeps, J], finite, and not one sample over and over."""
     robot = entry.factory({})
-    if not robot.keeps_physics_steps or not _has_env(robot):
+    if not robot.keeps_physics_steps or not _has_env(entry, robot):
         return
     asked = tuple(IN_STEPS.values())
     env = _env(robot, 3, _config(), asked)
@@ -183,7 +183,7 @@ def env_keeps_the_physics_steps_it_promises(entry: Entry, registry: Registry) ->
 def env_does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
     """A candidate's walk is the same alone, in a crowd, and again: its random numbers come from its own seed."""
     robot = entry.factory({})
-    if not _has_env(robot):
+    if not _has_env(entry, robot):
         return
     asked = tuple(sorted(robot.channels()))
     env = _env(robot, 3, _config(), asked)
@@ -197,11 +197,11 @@ def env_does_not_depend_on_neighbours(entry: Entry, registry: Registry) -> None:
             ensure(same(values, alone[name], 1e-4), f"a candidate's '{name}' {what}")
 
 
-def _has_env(robot: Robot) -> bool:
+def _has_env(entry: Entry, robot: Robot) -> bool:
     """Whether there is an env to try. Raises NotTried for one whose model the velocity task refuses, in one line, by
     then, or misses."""
     if isinstance(robot, VelocityRobot):
-        return usable_model(robot) is not None or type(robot).make_env is not VelocityRobot.make_env
+        return usable_model(entry) is not None or type(robot).make_env is not VelocityRobot.make_env
     return robot.mjcf() is not None or type(robot).make_env is not Robot.make_env
 
 
