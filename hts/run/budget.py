@@ -33,16 +33,16 @@ instance."""
 @dataclass(frozen=True)
 class Budget:
     """schedule: of each first recording; elites: tested in each iteration, which are as many as this is long;
-    first, each: samples of all first data and of one elite; most: the cap, None without one; confirm: tried again in
-    the end, of which a cap leaves as many as then fit; wanted: elites of every iteration, if there were no cap."""
+    first, each: samples of all first data and of one elite; most: the cap, None without one; wanted: elites of every
+    iteration, if there were no cap; confirm: tried again in the end, of which a cap leaves as many as then fit."""
 
     schedule: ScheduleConfig
     elites: tuple[int, ...]
     first: int
     each: int
     most: int | None
+    wanted: tuple[int, ...]
     confirm: int = 0
-    wanted: tuple[int, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -52,7 +52,7 @@ class Budget:
     def affordable(self, tried: Sequence[int], spent: int) -> int:
         """Elites that the next iteration may test when so many samples are spent. tried: by each one before it; what
         they left of the plan is planned again."""
-        left = spread(sum(self.elites) - sum(tried), (self.wanted or self.elites)[len(tried) :])
+        left = spread(sum(self.elites) - sum(tried), self.wanted[len(tried) :])
         planned = left[0] if left else 0
         return planned if self.most is None else max(0, min(planned, (self.most - spent) // self.each))
 
@@ -93,7 +93,7 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     recordings = config.collection.repeats + config.collection.exploring if config.records_first else 0
     first = math.ceil(schedule.seconds * rate) * recordings
     again = second_trials(config) if sum(wanted) > 1 else 0
-    whole = Budget(schedule, tuple(wanted), first, each, most, min(again, sum(wanted)), tuple(wanted))
+    whole = Budget(schedule, tuple(wanted), first, each, most, tuple(wanted), min(again, sum(wanted)))
     if most is None:
         return whole
     selector = checked_selector(registry, config.selection.selector)
@@ -115,7 +115,7 @@ def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     if first > most - tests * each:
         schedule = shortened(schedule, (most - tests * each) / recordings / rate, rate)
         first = math.ceil(schedule.seconds * rate) * recordings
-    return Budget(schedule, tuple(spread(tests, wanted)), first, each, most, wanted=tuple(wanted))
+    return Budget(schedule, tuple(spread(tests, wanted)), first, each, most, tuple(wanted))
 
 
 def spread(tests: int, wanted: Sequence[int]) -> list[int]:

@@ -48,12 +48,12 @@ def test_a_schedule_is_shortened_by_one_share_in_whole_control_steps():
 
 
 def test_what_was_really_spent_counts_and_not_what_was_planned():
-    budget = Budget(SCHEDULE, (2, 2), first=1000, each=400, most=2600)
+    budget = Budget(SCHEDULE, (2, 2), first=1000, each=400, most=2600, wanted=(2, 2))
     assert budget.samples == 2600
     assert budget.affordable([2], spent=1800) == 2
     assert budget.affordable([2], spent=1801) == 1  # a sample too many before
     assert budget.affordable([2], spent=2300) == 0
-    assert Budget(SCHEDULE, (2, 2), 1000, 400, None).affordable([2], spent=10**9) == 2
+    assert Budget(SCHEDULE, (2, 2), 1000, 400, None, (2, 2)).affordable([2], spent=10**9) == 2
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ class FewOfAJob:
     """What `cap_reached` asks of a job."""
 
     config = SimpleNamespace(iterations=3, max_real_samples=2000)
-    budget = Budget(SCHEDULE, (1, 1), first=1000, each=400, most=2000)
+    budget = Budget(SCHEDULE, (1, 1), first=1000, each=400, most=2000, wanted=(1, 1))
 
     def __init__(self, spent: int) -> None:
         self.spent = lambda iteration: spent

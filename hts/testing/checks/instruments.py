@@ -24,6 +24,7 @@ AT_REST = 8  # robots, each with a zero error of its own
 FAR_OFF = 10.0  # standard deviations of the readings at rest, over robots and time, that an idle level may be off
 SHARE_OFF = 0.05  # of the level, likewise
 MEMORY = 500  # readings, 10 s: so long it moves, and then rests, before it is asked what it remembers
+VIVID = 3.0  # times what made-up motion does, so that it shows behind a sensor's noise
 SEEN = 10.0  # standard deviations of its readings that motion must have changed, to say anything of its memory
 NEARER = 0.98  # of its distance from the idle level: a reading that comes so much nearer may still be on its way
 
@@ -99,11 +100,11 @@ def _at_rest(
 
 
 def remembered(instrument: Instrument, name: str) -> float:
-    """Which share of what ten seconds of motion changed in a channel is left after ten seconds of rest; 0 where motion
-    changed too little to say."""
+    """Which share of what ten seconds of motion changed in a channel, one number a reading, is left after ten seconds
+    of rest, means over their last seconds; 0 where motion changed too little to say."""
     instrument.reset(AT_REST, np.random.default_rng(7))
     made_up, block, shown = np.random.default_rng(1), None, list[np.ndarray]()
-    for strength in (0.0, 3.0, 0.0):
+    for strength in (0.0, VIVID, 0.0):
         rows = []
         for _ in range(MEMORY):
             steps = (
