@@ -83,7 +83,8 @@ def train(env, actor, critic, loss, batches: int) -> float:
     """PPO as it stands in TorchRL's tutorial. Returns the mean KL to the reference over the last batch, nats."""
     advantage = GAE(gamma=0.99, lmbda=0.95, value_network=critic, average_gae=True)
     optimiser = torch.optim.Adam(loss.parameters(), lr=3e-4)
-    collector = Collector(env, actor, frames_per_batch=FRAMES, total_frames=batches * FRAMES)
+    frames = {"frames_per_batch": FRAMES, "total_frames": batches * FRAMES}
+    collector = Collector(env, actor, **frames, auto_register_policy_transforms=False)  # nothing is recurrent here
     kl = torch.tensor(float("nan"))
     for data in collector:
         for _ in range(EPOCHS):

@@ -122,8 +122,8 @@ def warning_beside(policy: Path) -> str:
     if note is None or note["passed"] is True:
         return ""
     return (
-        f"{policy.name}: no gate before a machine is known to have tried this policy ({note['untried']}). "
-        f"{place(policy).name} says so too; what such a gate looks at: docs/safety.md."
+        f"{policy.name}: as far as is known, this policy has not been through the gate ({note['untried']}). "
+        f"{place(policy).name} says so too. What the gate checks in simulation: docs/safety.md."
     )
 
 

@@ -146,7 +146,10 @@ def held_commands_of(folder: Path, policy: str) -> HeldCommands:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise PolicyError(f"{path}: not what a run writes ({type(error).__name__}: {error}).") from error
     if not objectives:
-        raise PolicyError(f"{folder}: nobody kept a speed in a final, so no commands are known. Export without them.")
+        raise PolicyError(
+            f"{folder}: no policy of this run kept a speed in a final, so no commands are known. "
+            "Export without --held-speed."
+        )
     own = policy in ("best", tried)
     if not own and policy != PRETRAINED:
         raise PolicyError(

@@ -94,10 +94,10 @@ def instructions(
     asked = ("speed" if hold else "commanded speed") if walks else "set-point"
     session = (
         "Logs of one session are recorded on one robot, one after the other, without a pause: swap the policy "
-        f"while it {'walks' if walks else 'moves'}, or as fast as you can. Warm the robot up first, by "
-        f"{'walking' if walks else 'letting it do its task'} for ten minutes; the "
-        f"first {UNSTEADY_SECONDS:g} s after a swap are left out later. "
-        + ("Keep the heading by hand. If it falls, stand it up and go on." if walks else "If it fails, begin it again.")
+        f"while it {'walks' if walks else 'moves'}, or as fast as you can; the first {UNSTEADY_SECONDS:g} s after a "
+        "swap are left out later. "
+        + (_warm_up(walks) if any(order.role != "collection" for order in orders) else "")
+        + (_BY_HAND if walks else "If it fails, begin it again.")
     )
     policies = (
         "Each policy is an ONNX file: input `observation`, output `action`"
@@ -140,9 +140,17 @@ _BEFORE = f"""\
 Everything for one visit to the robot is in this folder: the policies, `manifest.json` (what a robot's computer must
 know of them), `plan.json`, this page. `sha256sum -c {CHECKSUMS}` in this folder says whether it arrived whole."""
 
+_BY_HAND = "Keep the heading by hand. If it falls, look it over, stand it up and go on."
+
 _EXPLORING = """\
 A policy that explores has its noise inside its graph: run it as any other, add none. Each exploring row has a graph of
 its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`."""
+
+
+def _warm_up(walks: bool) -> str:
+    """What is done before policies are compared, as the manifest's `warmup_seconds` says; first data need none."""
+    doing = "walking" if walks else "letting it do its task"
+    return f"Warm the robot up first, by {doing} for {WARMUP_SECONDS / 60:g} minutes. "
 
 
 def _gates(entries: Sequence[Mapping[str, Any]]) -> str:

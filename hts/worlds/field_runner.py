@@ -24,7 +24,8 @@ def who_does_the_rows(robot: str, commands: Sequence[str]) -> str:
     typed = "\n".join(f"    {command}" for command in commands)
     return (
         f"A runtime that comes with the package of the robot '{robot}' does the rows by itself, writes `logs/` and "
-        "what describes them; steps 2 and\n3 below are then done. On the robot's computer, in this folder:\n\n"
+        "what describes them; then step 3\nbelow is done, and of step 2 at most the weight is left (`mass_kg`), which "
+        "the runtime may take too. On the\nrobot's computer, in this folder:\n\n"
         f"{typed}"
     )
 

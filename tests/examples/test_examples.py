@@ -29,6 +29,7 @@ def test_algorithm_1_saves_on_the_toy_robot_what_its_simulation_does_not_know(ca
     assert "iteration 1: fit R²" in printed and f"best: {saving:.1%} less" in printed
 
 
+@pytest.mark.filterwarnings("error:The env passed to Collector")  # who runs it should see the result alone
 @pytest.mark.filterwarnings("ignore")  # TorchRL's and dm_control's own
 def test_a_stock_script_pushes_less_and_still_balances(capsys):
     found = example("torchrl_ppo").main(pretraining=15, finetuning=12)

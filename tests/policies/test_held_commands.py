@@ -223,8 +223,8 @@ def test_what_was_not_found_is_not_made_up(tmp_path, policy, change, words):
 @pytest.mark.parametrize(
     ("summary", "words"),
     [(None, "has no summary.json yet"), ("{", "not what a run writes"), ("[]", "not what a run writes"),
-     ('{"final": null}', "nobody kept a speed in a final"),
-     ('{"final": {"policy": "pretrained", "objectives": {}}}', "nobody kept a speed in a final")],
+     ('{"final": null}', "no policy of this run kept a speed in a final"),
+     ('{"final": {"policy": "pretrained", "objectives": {}}}', "Export without --held-speed")],
     ids=["none yet", "torn", "something else", "no final", "the pretrained policy stayed"],
 )  # fmt: skip
 def test_a_run_without_a_final_says_so_in_one_line(tmp_path, summary, words):

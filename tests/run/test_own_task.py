@@ -300,7 +300,7 @@ def test_a_bundle_of_a_robot_without_a_runtime_says_what_its_runner_has_to_do(tm
     (bundle,) = (path for path in (tmp_path / "field").iterdir() if path.is_dir())
     text, spec = (bundle / "README.md").read_text(), crane.Crane.spec
     assert "The package of the robot 'crane' brings no runtime" in text
-    assert "does the rows by itself" not in text and "steps 2 and" not in text  # which would be true of another robot
+    assert "does the rows by itself" not in text and "then step 3" not in text  # which would be true of another robot
     assert f"**Loop.** {spec.control_rate_hz:g} times a second, each 50 ms" in text
     assert "`observation`, float32 (1, 2), and gives `action`, float32 (1, 1)." in text
     assert (

@@ -65,7 +65,7 @@ def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, p
     assert manifest["policies"][0]["gate"] == found
     assert manifest["policies"][0]["trained"]["source"] == "card of the policy"  # what it says of itself comes first
     assert manifest["hold"] == {"commands": [0.4, 1.2], "seconds": 12.0, "tolerance": 0.01}
-    assert manifest["warmup_seconds"] == 600.0
+    assert manifest["warmup_seconds"] == 600.0 and "for 10 minutes" in (bundle(run) / "README.md").read_text()
     assert manifest["channels"]["battery_current"] == {"unit": "A", "size": 0, "real": True}
     text = (bundle(run) / "README.md").read_text()
     assert "## When to stop" in text
@@ -73,10 +73,18 @@ def test_a_bundle_knows_what_its_run_trained_with_and_what_the_gate_found(run, p
     assert manifest["first_runs"] == {"speed_scale": 0.4, "torque_scale": 0.7, "seconds": 20.0}
 
 
+def test_a_bundle_of_first_data_asks_for_no_warm_up(run, policy):
+    with pytest.raises(WaitingForRobot):
+        field(run).collect([policy], walking(0.5, SECONDS))
+    assert json.loads((bundle(run) / "manifest.json").read_text())["warmup_seconds"] == 0.0
+    assert "Warm the robot up" not in (bundle(run) / "README.md").read_text()
+
+
 def test_a_bundle_names_the_runtime_that_the_robots_package_brings(run, policy, robot):
     with pytest.raises(WaitingForRobot):
         field(run).collect([policy], walking(0.5, SECONDS))
     text = (bundle(run) / "README.md").read_text()
+    assert "of step 2 at most the weight is left (`mass_kg`)" in text  # `hts resume` asks for it
     assert robot.bundle_commands  # and each is there to be typed
     assert all(f"    {command}\n" in text for command in robot.bundle_commands)
     assert "What your runner has to do" not in text

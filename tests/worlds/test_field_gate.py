@@ -184,7 +184,7 @@ def test_an_export_of_a_policy_that_no_gate_tried_says_so(run, robot, tuned, tmp
     given = ["--policy", str(tmp_path / name)] if is_file else [str(run), "--policy", name]
     assert main(["export", *given, "--to", str(target)]) == 0
     said = " ".join(capsys.readouterr().err.split())
-    assert f"x.onnx: no gate before a machine is known to have tried this policy ({why}" in said
+    assert f"x.onnx: as far as is known, this policy has not been through the gate ({why}" in said
     note = json.loads(target.with_suffix(".gate.json").read_text())
     assert note["passed"] is None
     assert note["untried"].startswith(why)
