@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +73,7 @@ def suggested_mapping(path: Path, robot: Robot, objectives: Sequence[Objective] 
     scalars = {*gauges, *called}
     named = _as_asked(gauges, [channel for channel in asked if channel not in called.values()])
     lines += ["channels:", *channels, *_called_lines(called, columns, robot, seen)]
-    lines += _gauge_lines(gauges, named, columns, seen)
+    lines += _gauge_lines(gauges, named, {channel.name for channel in asked}, columns, seen)
     lines += _missing(objectives, {line.split(":")[0].strip() for line in lines}, robot)
     if not channels:
         lines.append(f"  # {CHECK}: no joint channel was recognised. joint_torque: {{columns: ..., unit: N*m}}")
@@ -288,9 +288,13 @@ def _called_lines(
 
 
 def _gauge_lines(
-    gauges: Mapping[str, str], named: Mapping[str, str], columns: Mapping[str, np.ndarray], seen: Glance
+    gauges: Mapping[str, str],
+    named: Mapping[str, str],
+    asked: Collection[str],
+    columns: Mapping[str, np.ndarray],
+    seen: Glance,
 ) -> list[str]:
-    """named: column -> its channel, where an objective tells."""
+    """named: column -> its channel, where an objective tells; asked: names of channels that one asks for."""
     lines: list[str] = []
     for number, (name, unit) in enumerate(gauges.items()):
         values = columns[name]
@@ -300,10 +304,12 @@ def _gauge_lines(
         why = "sign: its values are negative; " if sign else ""
         slow = ", resample: hold" if np.isfinite(values).mean() < SELDOM else ""
         what = f"{_text(name, seen)}, unit: {unit}{sign}{slow}, idle: {CHECK}"
-        rest = "the channel's name, which an objective asks for"
-        if name in named:
-            rest = f"whether it is {named[name]}, by its unit alone"
-        lines.append(f"  {named.get(name, channel)}: {{columns: {what}}}  # {CHECK}: {why}idle level, unit, and {rest}")
+        about = "idle level, unit, and the channel's name, which an objective asks for"
+        if channel in asked and named.get(name, channel) == channel:
+            about = "idle level and unit"
+        elif name in named:
+            about = f"idle level, unit, and whether it is {named[name]}, by its unit alone"
+        lines.append(f"  {named.get(name, channel)}: {{columns: {what}}}  # {CHECK}: {why}{about}")
     return lines
 
 

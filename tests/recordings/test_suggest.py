@@ -229,6 +229,16 @@ def test_what_an_objective_measures_gets_its_name_and_what_it_lacks_is_listed(tm
     assert set(yaml.safe_load(text)["channels"]) == {"joint_torque", "joint_velocity", "supply_a_mean", "motor_amps"}
 
 
+def test_a_gauge_of_the_very_name_that_is_asked_for_is_not_doubted(tmp_path, two_joints):
+    content = csv_of({**COLUMNS, "Battery Current": STEPS, "motor_amps": STEPS, "U_pack_mV": 24_000 + STEPS})
+    (tmp_path / "log.csv").write_text(content)
+    text = suggested_mapping(tmp_path / "log.csv", two_joints, [load().make_objective("power")])
+    doubts = {line.split(":")[0].strip(): line.split("# CHECK: ")[1] for line in text.splitlines() if "idle:" in line}
+    assert doubts["battery_current"] == "idle level and unit"
+    assert doubts["motor_amps"] == "idle level, unit, and the channel's name, which an objective asks for"
+    assert doubts["battery_voltage"].endswith("whether it is battery_voltage, by its unit alone")
+
+
 class Warmth(CostObjective):
     """Measures what no unit in a column's name tells."""
 
