@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import CompositeDistribution, TensorDictModuleBase, TensorDictSequential
 from tensordict.utils import NestedKey
 from torch.distributions import Distribution
+from torchrl.modules import MaskedOneHotCategorical, OneHotCategorical
 
 from hts.rl.actor import PopulationActor
 from hts.rl.given import check_number
@@ -88,12 +89,20 @@ def check_not_empty(shape: torch.Size) -> None:
 def check_action(action: torch.Tensor, policy: Distribution, key: NestedKey) -> None:
     """Raise ValueError for actions of another shape than the policy's, which torch would broadcast, or speak of
     dimensions."""
-    states = action.shape[: action.ndim - len(policy.event_shape)]
-    if action.shape != states + policy.event_shape or not expands(policy.batch_shape, states):
+    own = _action_shape(policy)
+    states = action.shape[: action.ndim - len(own)]
+    if action.shape != states + own or not expands(policy.batch_shape, states):
         raise ValueError(
-            f"{key!r} has the shape {tuple(action.shape)}, expected {tuple(policy.batch_shape + policy.event_shape)}: "
-            f"in states {tuple(policy.batch_shape)} the policy has actions {tuple(policy.event_shape)}."
+            f"{key!r} has the shape {tuple(action.shape)}, expected {tuple(policy.batch_shape + own)}: "
+            f"in states {tuple(policy.batch_shape)} the policy has actions {tuple(own)}."
         )
+
+
+def _action_shape(policy: Distribution) -> torch.Size:
+    """Shape of an action. TorchRL's one-hot distributions are Categoricals, and say of themselves what those do: ()."""
+    if isinstance(policy, OneHotCategorical | MaskedOneHotCategorical):
+        return torch.Size((policy.num_samples,))
+    return policy.event_shape
 
 
 def read_by(name: str, module: TensorDictModuleBase, batch: TensorDictBase, ask: Callable[[Any], Read]) -> Read:
