@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictModuleBase, TensorDictParams
 from tensordict.utils import NestedKey
 from torch import nn
 from torch.distributions import Distribution
@@ -42,7 +42,12 @@ FORGOTTEN = 1000  # losses before the first update of alpha; 10 passes over a ba
 def frozen(module: nn.Module) -> nn.Module:
     """A copy whose parameters are buffers: it is saved and moved with its owner, and no optimiser ever sees it."""
     copied = copy.deepcopy(module).eval()
-    for part in copied.modules():
+    for part in list(copied.modules()):
+        if isinstance(part, TensorDictParams):
+            continue  # holds no parameter of its own: its owner has got another
+        for name, child in part.named_children():
+            if isinstance(child, TensorDictParams):  # as `MultiAgentMLP` has them, by nested names
+                setattr(part, name, TensorDictParams(child.data.clone(), no_convert=True))
         for name, parameter in list(part.named_parameters(recurse=False)):
             delattr(part, name)
             part.register_buffer(name, parameter.detach().clone())

@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import CompositeDistribution, TensorDictModuleBase, TensorDictSequential
 from tensordict.utils import NestedKey
 from torch.distributions import Distribution
+from torch.nn.parameter import is_lazy
 from torchrl.modules import MaskedOneHotCategorical, OneHotCategorical
 
 from hts.rl.actor import PopulationActor
@@ -22,7 +23,8 @@ Read = TypeVar("Read")
 
 
 def check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> None:
-    """Raise TypeError for an actor, or reference, whose distribution of one action nobody can ask for."""
+    """Raise TypeError for an actor, or reference, whose distribution of one action nobody can ask for, ValueError for
+    one that has no parameters yet."""
     try:
         actor.get_dist  # noqa: B018 -- of TorchRL's actors, and of whatever else gives distributions
     except AttributeError as error:
@@ -34,6 +36,11 @@ def check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> Non
     with suppress(AttributeError):  # only modules with a distribution have it
         if last.distribution_class is CompositeDistribution:
             raise TypeError(f"{name} has several actions (CompositeDistribution); expected one distribution.")
+    if any(map(is_lazy, actor.parameters())):
+        raise ValueError(
+            f"{name} has parameters without a shape yet (a lazy layer), of which no reference can be kept. Show it one "
+            "batch, or the env's fake_tensordict(), before the loss is made."
+        )
 
 
 def check_critic(critic: TensorDictModuleBase) -> None:
