@@ -18,6 +18,7 @@ from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
 
 from hts.rl.actor import PopulationActor
+from hts.rl.counted import counted
 from hts.rl.given import OfItsSizes
 from hts.rl.kl import distribution_kl
 from hts.rl.loss_checks import (
@@ -103,6 +104,9 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     first dimension is P candidates, outputs are [P], nothing is reduced over candidates, and c = inf switches single
     ones off. Sum the losses before `backward`: candidates share no parameter. Where the actor is a `PopulationActor` of
     several candidates, or holds one, a float is the bound of each: it stands for [P] times itself.
+
+    Steps that TorchRL's masks leave out count in nothing, as in its own losses (`loss_mask_key`): what
+    `split_trajectories` or a `SliceSampler` has filled stretches up with, and what `GAE(shifted=True)` marks.
 
     multiplier_rate: eta of `LagrangeMultiplier`; clip_epsilon: eps; critic_coeff: v; entropy_coeff: h; clip_value: None
     for no clipping of the value, True for eps; normalize_advantage: to mean 0 and deviation 1, of each candidate;
@@ -237,13 +241,14 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         self._check_finite(batch, keys.action)
         log_prob = policy.log_prob(batch[keys.action])
         self._check_candidates(log_prob.shape)
+        steps = counted(batch, log_prob.shape, self._loss_mask_keys())
         if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
             self._tell_frozen()
         log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
         self._check_finite(batch, keys.sample_log_prob)
         advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
-            advantage = self._standardised(advantage)
+            advantage = self._standardised(advantage, steps)
         kl = distribution_kl(policy, self._reference_in(batch))
         valued = read_by("critic_network", self.critic_network, batch.exclude(keys.value), self.critic_network)
         value = _as(log_prob, valued[keys.value], keys.value)
@@ -253,17 +258,18 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         old_value = value.detach() if old_value is None else _as(log_prob, old_value, keys.value)
         if self.clip_value is not None:
             self._check_finite(batch, keys.value)
-        mean_kl = self._mean(kl)
-        objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon)) + self.multiplier(mean_kl)
+        mean_kl = self._mean(kl, steps)
+        objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon), steps) + self.multiplier(mean_kl)
         with torch.no_grad():
             clipped = ((log_ratio.exp() - 1.0).abs() > self.clip_epsilon).to(log_ratio.dtype)
         losses = {
             "loss_objective": objective,
-            "loss_critic": self.critic_coeff * self._mean(value_error(value, target, old_value, self.clip_value)),
-            "loss_entropy": self._entropy_loss(policy, log_ratio),
+            "loss_critic": self.critic_coeff
+            * self._mean(value_error(value, target, old_value, self.clip_value), steps),
+            "loss_entropy": self._entropy_loss(policy, log_ratio, steps),
             "kl": mean_kl.detach(),
-            "kl_approx": self._mean(-log_ratio.detach()),
-            "clip_fraction": self._mean(clipped),
+            "kl_approx": self._mean(-log_ratio.detach(), steps),
+            "clip_fraction": self._mean(clipped, steps),
         }
         return TensorDict(losses, batch_size=self.multiplier.value.shape)
 
@@ -279,7 +285,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
             self._check_candidates(batch.shape)
         kl = distribution_kl(self._policy_in(batch), self._reference_in(batch))
         self._check_candidates(kl.shape)
-        return self._mean(kl)
+        return self._mean(kl, counted(batch, kl.shape, self._loss_mask_keys()), least=0)
 
     def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
         """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch; see `LagrangeMultiplier`. Returns the new
@@ -319,7 +325,8 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         keys = self.tensor_keys
         made = {keys.action: "policy", keys.sample_log_prob: "policy", keys.value: "critic"}
         gives = None if key not in made else f"The {made[key]} that acted gave it, or what it saw is not finite"
-        check_finite(batch, key, reward=keys.reward, candidates=self.kl_bound.ndim > 0, gives=gives)
+        several, masks = self.kl_bound.ndim > 0, self._loss_mask_keys()
+        check_finite(batch, key, reward=keys.reward, candidates=several, gives=gives, masks=masks)
 
     def _check_candidates(self, shape: torch.Size) -> None:
         """Raise ValueError unless a batch of this shape begins with as many candidates as there are bounds."""
@@ -331,17 +338,22 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
                 "kl_bound where there is one policy."
             )
 
-    def _entropy_loss(self, policy: Distribution, log_ratio: torch.Tensor) -> torch.Tensor:
+    def _entropy_loss(self, policy: Distribution, log_ratio: torch.Tensor, steps: torch.Tensor | None) -> torch.Tensor:
         """-h E[H(pi)]; nothing is computed, or sampled, where h is 0."""
         entropy = _entropy(policy, log_ratio) if self.entropy_coeff else torch.zeros_like(log_ratio)
-        return -self.entropy_coeff * self._mean(entropy)
+        return -self.entropy_coeff * self._mean(entropy, steps)
 
-    def _mean(self, x: torch.Tensor) -> torch.Tensor:
-        return row_mean(x) if self.multiplier.value.ndim else x.mean()
+    def _mean(self, x: torch.Tensor, steps: torch.Tensor | None, least: int = 1) -> torch.Tensor:
+        """[] or [P]; steps: which of x count. least: a candidate with fewer has that many, of 0 each; 0: it has NaN."""
+        mean = row_mean if self.multiplier.value.ndim else torch.mean
+        if steps is None:
+            return mean(x)
+        share = mean(steps.to(x.dtype))
+        return mean(torch.where(steps, x, 0.0)) / share.clamp(min=least * share.numel() / x.numel())
 
-    def _standardised(self, x: torch.Tensor) -> torch.Tensor:
-        rows = x.reshape(len(x) if self.multiplier.value.ndim else 1, -1)
-        return row_standardised(rows).view(x.shape)
+    def _standardised(self, x: torch.Tensor, steps: torch.Tensor | None) -> torch.Tensor:
+        count = len(x) if self.multiplier.value.ndim else 1
+        return row_standardised(x.reshape(count, -1), None if steps is None else steps.reshape(count, -1)).view(x.shape)
 
 
 def _as(log_prob: torch.Tensor, value: torch.Tensor, key: NestedKey) -> torch.Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ from torch.nn.parameter import is_lazy
 from torchrl.modules import MaskedOneHotCategorical, OneHotCategorical
 
 from hts.rl.actor import PopulationActor
+from hts.rl.counted import counted
 from hts.rl.given import check_number
 from hts.rl.kl import expands
 
@@ -142,18 +143,27 @@ def first_bad(value: torch.Tensor, bad: torch.Tensor) -> str:
 
 
 def check_finite(
-    batch: TensorDictBase, key: NestedKey, *, reward: NestedKey, candidates: bool, gives: str | None
+    batch: TensorDictBase,
+    key: NestedKey,
+    *,
+    reward: NestedKey,
+    candidates: bool,
+    gives: str | None,
+    masks: Iterable[NestedKey],
 ) -> None:
     """Raise ValueError where what a batch has under key is not finite; of candidates only where nobody's is, for
     they do not see each other, and one that is bad shows in its own loss. On a CPU alone: asking waits for a GPU, in
     every gradient step; there the update of the multiplier tells.
 
-    gives: where it comes from, in words; None: GAE has made it of the rewards, whose key under "next" reward is.
+    gives: where it comes from, in words; None: GAE has made it of the rewards, whose key under "next" reward is; masks:
+    the keys of which steps count.
     """
     value = batch[key]
     if value.device.type != "cpu" or torch.compiler.is_compiling():
         return
-    bad = ~value.isfinite()
+    bad, steps = ~value.isfinite(), counted(batch, value.shape, masks)
+    if steps is not None:
+        bad &= steps
     rows = bad.reshape(len(bad), -1).any(1) if candidates else bad.any()
     if not bool(rows.all()):
         return
