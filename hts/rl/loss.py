@@ -25,11 +25,15 @@ from hts.rl.loss_checks import (
     check_action,
     check_actor,
     check_critic,
+    check_detached,
     check_finite,
     check_not_empty,
+    check_possible,
     check_reference,
     check_settings,
+    lacks,
     lacks_old_value,
+    lacks_value,
     read_by,
 )
 from hts.rl.multiplier import LagrangeMultiplier, as_bounds
@@ -211,34 +215,29 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         """tensordict [...], or [P, ...]: see `in_keys`. Returns `out_keys`, each [] or [P]: three losses, and without
         gradients kl, kl_approx (an estimate of that to the policy that acted), nats, and clip_fraction.
 
-        Raises KeyError naming what the batch lacks, ValueError where its log-probabilities carry gradients: against
-        themselves nothing would be learned; for shapes that do not fit each other, actions of another shape than the
-        actor's, an empty batch, and, on a CPU, actions, log-probabilities, advantages, targets or old values that are
-        not finite, of several candidates where nobody's are."""
+        Raises KeyError naming what the batch lacks, ValueError where its actions or their log-probabilities carry
+        gradients: against themselves nothing would be learned; for shapes that do not fit each other, actions of
+        another shape than the actor's, an empty batch, and, on a CPU, actions that the actor never gives, and actions,
+        log-probabilities, advantages, targets or old values that are not finite, of several candidates where nobody's
+        are."""
         if torch.is_grad_enabled() and not torch.compiler.is_compiling():  # a number that changes is compiled anew
             self._count()
         keys, batch = self.tensor_keys, tensordict.copy()
+        gives = {keys.action: "A collector", keys.sample_log_prob: "An actor with return_log_prob=True"}
         for key in (keys.action, keys.sample_log_prob, keys.advantage, keys.value_target):
             if batch.get(key, None) is None:
-                gives = {keys.action: "A collector", keys.sample_log_prob: "An actor with return_log_prob=True"}
-                raise KeyError(
-                    f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. "
-                    f"{gives.get(key, 'GAE')} gives it."
-                )
+                raise lacks(batch, key, gives.get(key, "GAE"))
         check_not_empty(batch.shape)
         if batch.ndim:  # else only what is computed of it says whose it is
             self._check_candidates(batch.shape)
         for key in (keys.advantage, keys.value_target):
             self._check_finite(batch, key)
         old_value = batch.get(keys.value, None)
-        if batch[keys.sample_log_prob].requires_grad:
-            raise ValueError(
-                f"The batch's {keys.sample_log_prob!r} carries gradients, so nothing would be learned from it. Collect "
-                "under torch.no_grad(), as collectors do, or detach it."
-            )
+        check_detached(batch, keys.action, keys.sample_log_prob)
         policy = self._policy_in(batch)
         check_action(batch[keys.action], policy, keys.action)
         self._check_finite(batch, keys.action)
+        check_possible(batch, keys.action, policy, self._loss_mask_keys())
         log_prob = policy.log_prob(batch[keys.action])
         self._check_candidates(log_prob.shape)
         steps = counted(batch, log_prob.shape, self._loss_mask_keys())
@@ -251,6 +250,8 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
             advantage = self._standardised(advantage, steps)
         kl = distribution_kl(policy, self._reference_in(batch))
         valued = read_by("critic_network", self.critic_network, batch.exclude(keys.value), self.critic_network)
+        if valued.get(keys.value, None) is None:
+            raise lacks_value(self.critic_network.out_keys, keys.value)
         value = _as(log_prob, valued[keys.value], keys.value)
         target = _as(log_prob, batch[keys.value_target], keys.value_target)
         if self.clip_value is not None and old_value is None:
