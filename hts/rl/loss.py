@@ -35,6 +35,7 @@ from hts.rl.loss_checks import (
     lacks_old_value,
     lacks_value,
     read_by,
+    written_keys,
 )
 from hts.rl.multiplier import LagrangeMultiplier, as_bounds
 from hts.rl.rows import row_mean, row_standardised
@@ -119,7 +120,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
 
     @dataclass
     class _AcceptedKeys:
-        """What `set_keys` takes, and where things are otherwise.
+        """What `set_keys` takes, and where things are otherwise; action and sample_log_prob: where the actor says.
 
         advantage, value_target: of GAE; value: the critic's, also that of the old critic in the batch; sample_log_prob:
         ln pi_old(a); action; reward, done, terminated: for the value estimator.
@@ -160,6 +161,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
             check_reference(reference, actor_network)
         check_settings(critic_coeff, entropy_coeff, clip_epsilon, clip_value)
         self.actor_network, self.critic_network = actor_network, critic_network
+        self.set_keys(**written_keys(actor_network))
         self.reference = frozen(actor_network if reference is None else reference)
         self.multiplier = LagrangeMultiplier(_bound_of_each(kl_bound, actor_network, self.reference), multiplier_rate)
         self.clip_epsilon, self.critic_coeff, self.entropy_coeff = clip_epsilon, critic_coeff, entropy_coeff
@@ -198,10 +200,10 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         if self._value_estimator is not None:
             self._value_estimator.set_keys(**{name: getattr(self.tensor_keys, name) for name in ESTIMATED})
 
-    def make_value_estimator(self, value_type: ValueEstimators | None = None, **hyperparams: Any) -> LossModule:
+    def make_value_estimator(self, value_type: ValueEstimators | str | None = None, **hyperparams: Any) -> LossModule:
         """GAE on this loss's critic and keys, as `loss.value_estimator`; hyperparams: gamma, lmbda, ... Raises
         NotImplementedError for any other estimator: give its advantage and value_target in the batch instead."""
-        if value_type not in (None, ValueEstimators.GAE):
+        if value_type not in (None, ValueEstimators.GAE, "gae"):
             raise NotImplementedError(
                 f"{value_type} is not supported, GAE is. Put advantage and value_target into the batch."
             )

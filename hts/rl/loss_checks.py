@@ -45,6 +45,16 @@ def check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> Non
         )
 
 
+def written_keys(actor: TensorDictModuleBase) -> dict[str, NestedKey]:
+    """Where an actor writes its action and its log-probability, as `set_keys` of a loss takes them; nothing of one that
+    does not say."""
+    found: dict[str, NestedKey] = {}
+    with suppress(AttributeError):
+        for name, keys in (("action", actor.dist_sample_keys), ("sample_log_prob", actor.log_prob_keys)):
+            found |= {name: keys[0]} if len(keys) == 1 else {}
+    return found
+
+
 def several_actions(name: str) -> TypeError:
     return TypeError(f"{name} has several actions (CompositeDistribution); expected one distribution.")
 
