@@ -57,7 +57,8 @@ class RewardCentring(OfItsSizes):
             share = mean_of(counted.to(reward.dtype))
             mean = torch.where(share > 0, mean_of(torch.where(counted, reward, 0.0)) / share, self.mean)
         self.trace = self.trace + self.rate * (1.0 - self.trace)
-        self.mean = self.mean + self.rate / self.trace * (mean - self.mean)
+        mean = self.mean + self.rate / self.trace * (mean - self.mean)
+        self.mean = mean.to(self.mean.dtype)  # of rewards in another precision too: a saved state is what goes on
 
     def forward(self, reward: torch.Tensor) -> torch.Tensor:
         """reward - mean, of the same shape. Changes nothing."""

@@ -97,7 +97,8 @@ class LagrangeMultiplier(OfItsSizes):
     def step(self, kl: torch.Tensor) -> torch.Tensor:
         """`update` without its questions, which wait for a GPU."""
         excess = torch.where(torch.isinf(self.bounds), 0.0, kl / self.bounds - 1.0).clamp(max=LARGEST_EXCESS)
-        self.value = (self.value + self.rate * excess).clamp(min=0.0)
+        value = (self.value + self.rate * excess).clamp(min=0.0)
+        self.value = value.to(self.value.dtype)  # of a KL in another precision too: a saved state is what goes on
         self.updated = True
         return self.value
 
@@ -159,7 +160,7 @@ class EqualityMultiplier(OfItsSizes):
             raise ValueError(
                 f"mean has the shape {tuple(mean.shape)}, expected {tuple(self.value.shape)}: one for each multiplier."
             )
-        self.smoothed = self.smoothed + self.smoothing * (mean - self.smoothed)
+        self.smoothed = self.smoothed + self.smoothing * (mean.to(self.smoothed.dtype) - self.smoothed)
         excess = (self.smoothed / self.scale).clamp(-LARGEST_ERROR, LARGEST_ERROR) * strength
         self.integral = self.integral - self.rate * excess
         self.value = self.integral - self.gain * excess
