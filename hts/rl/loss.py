@@ -13,6 +13,7 @@ from tensordict.utils import NestedKey
 from torch import nn
 from torch.distributions import Distribution
 from torchrl.modules import set_recurrent_mode
+from torchrl.modules.distributions.utils import sample_and_log_prob
 from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
@@ -376,9 +377,10 @@ ESTIMATED = ("advantage", "value_target", "value", "reward", "done", "terminated
 
 
 def _entropy(policy: torch.distributions.Distribution, like: torch.Tensor) -> torch.Tensor:
-    """Entropy in each state, of the shape of like; by one sample where there is no closed form."""
+    """Entropy in each state, of the shape of like; by one sample where there is no closed form, of which TorchRL knows
+    the density where a tanh has rounded it to its limit, too: from the action alone it would be any number there."""
     try:
         entropy = policy.entropy()
     except NotImplementedError:
-        entropy = -policy.log_prob(policy.rsample())
+        entropy = -sample_and_log_prob(policy, reparameterize=True)[1]
     return entropy.expand(like.shape)
