@@ -51,12 +51,23 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
     for a reference of actions within limits (a squashed one) of a policy whose actions have none: that KL is infinite.
     Of two that both have limits, which may lie on a GPU, the limits are not compared.
     """
+    return kl_of(policy, reference, squashed_alike(policy, reference))
+
+
+def squashed_alike(policy: Distribution, reference: Distribution) -> bool:
+    """Whether both are squashed by the same bijection. Looks at limits, which waits for a GPU."""
+    squashed, other = _squashed(policy), _squashed(reference)
+    return squashed is not None and other is not None and squashed.transforms == other.transforms
+
+
+def kl_of(policy: Distribution, reference: Distribution, alike: bool) -> torch.Tensor:
+    """`distribution_kl`; alike: what `squashed_alike` said of the two."""
     _check_alike(policy, reference)
     if not torch.compiler.is_compiling():  # which cannot look at what a distribution may do
         _check_reach(policy, reference)
     first, second = policy, reference
     squashed, other = _squashed(policy), _squashed(reference)
-    if squashed is not None and other is not None and squashed.transforms == other.transforms:
+    if alike and squashed is not None and other is not None:
         first, second = squashed.base_dist, other.base_dist
     choice, other_choice = _categorical(first), _categorical(second)
     try:

@@ -21,7 +21,7 @@ from torchrl.objectives.value import GAE
 from hts.rl.actor import PopulationActor
 from hts.rl.counted import counted
 from hts.rl.given import OfItsSizes
-from hts.rl.kl import distribution_kl
+from hts.rl.kl import kl_of, squashed_alike
 from hts.rl.loss_checks import (
     check_action,
     check_actor,
@@ -169,6 +169,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         self.clip_value = clip_epsilon if clip_value is True else (clip_value or None)
         self.normalize_advantage = normalize_advantage
         self._told_frozen = False
+        self._alike: bool | None = None
         self._waiting = FORGOTTEN if multiplier_rate > 0.0 and bool(self.kl_bound.isfinite().any()) else 0
         parameter = next(actor_network.parameters(), None)
         if parameter is not None:
@@ -251,7 +252,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
             advantage = self._standardised(advantage, steps)
-        kl = distribution_kl(policy, self._reference_in(batch))
+        kl = self._kl(policy, batch)
         valued = read_by("critic_network", self.critic_network, batch.exclude(keys.value), self.critic_network)
         if valued.get(keys.value, None) is None:
             raise lacks_value(self.critic_network.out_keys, keys.value)
@@ -287,7 +288,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         check_not_empty(batch.shape)
         if batch.ndim:  # else only what is computed of it says whose it is
             self._check_candidates(batch.shape)
-        kl = distribution_kl(self._policy_in(batch), self._reference_in(batch))
+        kl = self._kl(self._policy_in(batch), batch)
         self._check_candidates(kl.shape)
         return self._mean(kl, counted(batch, kl.shape, self._loss_mask_keys()), least=0)
 
@@ -303,6 +304,12 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     @torch.no_grad()
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
         return read_by("reference", self.reference, batch.copy(), self.reference.get_dist)
+
+    def _kl(self, policy: Distribution, batch: TensorDictBase) -> torch.Tensor:
+        reference = self._reference_in(batch)
+        if self._alike is None or not torch.compiler.is_compiling():  # which cannot compare limits, and takes them to
+            self._alike = squashed_alike(policy, reference)  # be what they were
+        return kl_of(policy, reference, self._alike)
 
     def _count(self) -> None:
         """Warn, once, where alpha has not been updated for so long that it may have been forgotten."""
