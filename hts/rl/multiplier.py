@@ -4,6 +4,7 @@ mean that is to stay below a number."""
 from __future__ import annotations
 
 import math
+from numbers import Real
 from typing import Any
 
 import torch
@@ -64,8 +65,15 @@ class LagrangeMultiplier(OfItsSizes):
     @torch.no_grad()
     def update(self, kl: torch.Tensor) -> torch.Tensor:
         """kl, of the shape of bounds: mean KL over the batch's states with the parameters after its gradient steps.
-        Returns the new value. Raises ValueError for another shape, or a NaN, which alpha would keep for good."""
-        kl = torch.as_tensor(kl)
+        Returns the new value. Raises ValueError for another shape, or a NaN, which alpha would keep for good, TypeError
+        for what is no number, such as all that the loss returned."""
+        if not isinstance(kl, torch.Tensor):
+            if not isinstance(kl, Real | list | tuple):
+                raise TypeError(
+                    f"kl is a {type(kl).__name__}; expected a tensor {tuple(self.bounds.shape)}, as kl_bound is, "
+                    "such as loss.kl_to_reference(data)."
+                )
+            kl = as_numbers("kl", kl, "a number, or [P] for P candidates", self.bounds.device)
         if kl.shape != self.bounds.shape:
             raise ValueError(
                 f"kl has the shape {tuple(kl.shape)}, kl_bound {tuple(self.bounds.shape)}; expected the same."
