@@ -12,6 +12,11 @@ from torchrl.objectives.common import AUTO_LOSS_MASK_KEYS
 from hts.rl.kl import expands
 
 
+def marks_in(batch: TensorDictBase, keys: Iterable[NestedKey] = AUTO_LOSS_MASK_KEYS) -> list[NestedKey]:
+    """Those of the keys that the batch has a mask under; to look once for what is asked several times."""
+    return [key for key in keys if batch.get(key, None) is not None]
+
+
 def counted(
     batch: TensorDictBase, shape: torch.Size, keys: Iterable[NestedKey] = AUTO_LOSS_MASK_KEYS
 ) -> torch.Tensor | None:
@@ -20,12 +25,12 @@ def counted(
     keys: of the masks, bool, of the batch's shape with or without a dimension of one behind it; those that the batch
     has hold together. Raises ValueError for one of another shape, and, on a CPU, where no step counts.
     """
-    found = [_expanded(key, batch[key], shape) for key in keys if batch.get(key, None) is not None]
-    if not found:
+    marks = marks_in(batch, keys)
+    if not marks:
         return None
-    mask = torch.stack(found).all(0)
+    mask = torch.stack([_expanded(key, batch[key], shape) for key in marks]).all(0)
     if mask.device.type == "cpu" and not torch.compiler.is_compiling() and not bool(mask.any()):
-        names = " and ".join(repr(key) for key in keys if batch.get(key, None) is not None)
+        names = " and ".join(map(repr, marks))
         raise ValueError(
             f"{names} leave no step of the batch {tuple(batch.shape)} over; expected one at least. Leave it out."
         )

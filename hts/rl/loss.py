@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +20,7 @@ from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
 
 from hts.rl.actor import PopulationActor
-from hts.rl.counted import counted
+from hts.rl.counted import counted, marks_in
 from hts.rl.given import OfItsSizes
 from hts.rl.kl import kl_of, squashed_alike
 from hts.rl.loss_checks import (
@@ -234,21 +235,22 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         check_not_empty(batch.shape)
         if batch.ndim:  # else only what is computed of it says whose it is
             self._check_candidates(batch.shape)
+        marks = marks_in(batch, self._loss_mask_keys())
         for key in (keys.advantage, keys.value_target):
-            self._check_finite(batch, key)
+            self._check_finite(batch, key, marks)
         old_value = batch.get(keys.value, None)
         check_detached(batch, keys.action, keys.sample_log_prob)
         policy = self._policy_in(batch)
         check_action(batch[keys.action], policy, keys.action)
-        self._check_finite(batch, keys.action)
-        check_possible(batch, keys.action, policy, self._loss_mask_keys())
+        self._check_finite(batch, keys.action, marks)
+        check_possible(batch, keys.action, policy, marks)
         log_prob = policy.log_prob(batch[keys.action])
         self._check_candidates(log_prob.shape)
-        steps = counted(batch, log_prob.shape, self._loss_mask_keys())
+        steps = counted(batch, log_prob.shape, marks)
         if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
             self._tell_frozen()
         log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
-        self._check_finite(batch, keys.sample_log_prob)
+        self._check_finite(batch, keys.sample_log_prob, marks)
         advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
             advantage = self._standardised(advantage, steps)
@@ -262,7 +264,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
             raise lacks_old_value(batch, keys.value, self.critic_network.in_keys)
         old_value = value.detach() if old_value is None else _as(log_prob, old_value, keys.value)
         if self.clip_value is not None:
-            self._check_finite(batch, keys.value)
+            self._check_finite(batch, keys.value, marks)
         mean_kl = self._mean(kl, steps)
         objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon), steps) + self.multiplier(mean_kl)
         with torch.no_grad():
@@ -332,12 +334,12 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
                 "learns. Give the policy that is to be trained, not a frozen copy, or actor.requires_grad_()."
             )
 
-    def _check_finite(self, batch: TensorDictBase, key: NestedKey) -> None:
+    def _check_finite(self, batch: TensorDictBase, key: NestedKey, marks: Sequence[NestedKey]) -> None:
         keys = self.tensor_keys
         made = {keys.action: "policy", keys.sample_log_prob: "policy", keys.value: "critic"}
         gives = None if key not in made else f"The {made[key]} that acted gave it, or what it saw is not finite"
-        several, masks = self.kl_bound.ndim > 0, self._loss_mask_keys()
-        check_finite(batch, key, reward=keys.reward, candidates=several, gives=gives, masks=masks)
+        several = self.kl_bound.ndim > 0
+        check_finite(batch, key, reward=keys.reward, candidates=several, gives=gives, masks=marks)
 
     def _check_candidates(self, shape: torch.Size) -> None:
         """Raise ValueError unless a batch of this shape begins with as many candidates as there are bounds."""
