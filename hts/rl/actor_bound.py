@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.modules import set_recurrent_mode
 
 from hts.rl.actor import PopulationActor
+from hts.rl.counted import counted
 from hts.rl.given import check_number
 from hts.rl.kl import distribution_kl
 from hts.rl.loss_checks import check_actor, check_not_empty, read_by
@@ -32,8 +33,8 @@ def project_actor_to_kl_bound(
 
     actor: one policy, as `KLConstrainedPPOLoss` takes it; reference: what it was, with the same parameters by name, as
     the loss's `reference` is; tensordict: what both read, of any shape; a recurrent actor's are whole stretches,
-    [..., T]; bound: c, nats. Where the KL is of one sampled action, the bound holds as closely as
-    that mean is known: give many states.
+    [..., T]; steps that TorchRL's masks leave out do not count; bound: c, nats. Where the KL is of one sampled action,
+    the bound holds as closely as that mean is known: give many states.
 
     Raises TypeError for a population (`project_to_kl_bound` takes it); ValueError, with the actor as it was given, for
     a bound that is not above 0, an empty batch, a reference with other parameters, a KL that is NaN, and one that is
@@ -60,9 +61,9 @@ def project_actor_to_kl_bound(
             start, end = starts[name], ends[name]
             parameter.copy_(end if scale == 1.0 else start + scale * (end - start))
         policy = read_by("actor", actor, tensordict.copy(), actor.get_dist)
-        return float(
-            distribution_kl(policy, read_by("reference", reference, tensordict.copy(), reference.get_dist)).mean()
-        )
+        kl = distribution_kl(policy, read_by("reference", reference, tensordict.copy(), reference.get_dist))
+        steps = counted(tensordict, kl.shape)
+        return float(kl.mean() if steps is None else kl[steps].mean())
 
     with _evaluating(actor, reference):
         kl, low, high = place(1.0), 0.0, 1.0

@@ -35,9 +35,9 @@ class RewardCentring(OfItsSizes):
         self.register_buffer("trace", torch.zeros((), device=device))
 
     @torch.no_grad()
-    def update(self, reward: torch.Tensor) -> None:
-        """Fold in a reward [P, ...] (any shape without `count`). Raises ValueError for another P, and for no
-        reward at all, whose mean is NaN for good."""
+    def update(self, reward: torch.Tensor, counted: torch.Tensor | None = None) -> None:
+        """Fold in a reward [P, ...] (any shape without `count`); counted, of its shape: only where True. Raises
+        ValueError for another P, and for no reward at all, whose mean is NaN for good."""
         if self.mean.ndim and reward.shape[:1] != self.mean.shape:
             raise ValueError(
                 f"The reward has the shape {tuple(reward.shape)}, expected one that begins with the candidates, "
@@ -50,9 +50,15 @@ class RewardCentring(OfItsSizes):
             )
         if self.rate == 0.0:
             return
-        mean = row_mean(reward) if self.mean.ndim else reward.mean()
+        mean_of = row_mean if self.mean.ndim else torch.mean
+        if counted is None:
+            mean = mean_of(reward)
+        else:
+            share = mean_of(counted.to(reward.dtype))
+            mean = torch.where(share > 0, mean_of(torch.where(counted, reward, 0.0)) / share, self.mean)
         self.trace = self.trace + self.rate * (1.0 - self.trace)
-        self.mean = self.mean + self.rate / self.trace * (mean - self.mean)
+        mean = self.mean + self.rate / self.trace * (mean - self.mean)
+        self.mean = mean.to(self.mean.dtype)  # of rewards in another precision too: a saved state is what goes on
 
     def forward(self, reward: torch.Tensor) -> torch.Tensor:
         """reward - mean, of the same shape. Changes nothing."""

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
+from torch import nn
 
 from hts.rl.actor import PopulationActor
 from hts.rl.task_env import SplitStepEnv
@@ -40,6 +43,36 @@ class Said:
                 "hold wrong ones: what end_step() gives must be new tensors (.clone() of a state that is changed in "
                 "place), and rewards() the same for any number of steps."
             )
+
+
+def check_frames(frames_per_batch: int, total_frames: int, per_step: int) -> None:
+    """Raises TypeError for numbers of frames that are none, ValueError for a batch that is not whole steps."""
+    for name, given in (("frames_per_batch", frames_per_batch), ("total_frames", total_frames)):
+        if not isinstance(given, Integral):
+            raise TypeError(f"{name} is {given!r}, a {type(given).__name__}; expected a whole number of frames.")
+    if frames_per_batch <= 0 or frames_per_batch % per_step:
+        raise ValueError(
+            f"frames_per_batch is {frames_per_batch}, expected a multiple of the {per_step} env instances."
+        )
+
+
+def weights_of(given: Any, policy: PopulationActor) -> dict[str, torch.Tensor]:
+    """State of a policy out of what was given as its weights. Raises TypeError for what holds none, ValueError for that
+    of another kind of module."""
+    if isinstance(given, nn.Module):
+        given = given.state_dict()
+    elif isinstance(given, TensorDictBase):
+        given = given.flatten_keys(".").to_dict()
+    if not isinstance(given, Mapping):
+        raise TypeError(f"The weights are a {type(given).__name__}; expected a PopulationActor, or its state_dict().")
+    own = policy.state_dict()
+    others = [*(name for name in own if name not in given), *(name for name in given if name not in own)]
+    if others:
+        raise ValueError(
+            f"The weights are {', '.join(map(str, given)) or 'none'}, expected {', '.join(own)}: those of a "
+            f"PopulationActor of {policy.population.count} candidates."
+        )
+    return dict(given)
 
 
 def check_policy(env: SplitStepEnv, policy: PopulationActor) -> None:

@@ -11,6 +11,7 @@ from torch.distributions import (
     ComposeTransform,
     Distribution,
     Independent,
+    OneHotCategorical,
     Transform,
     TransformedDistribution,
     constraints,
@@ -50,17 +51,30 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
     for a reference of actions within limits (a squashed one) of a policy whose actions have none: that KL is infinite.
     Of two that both have limits, which may lie on a GPU, the limits are not compared.
     """
+    return kl_of(policy, reference, squashed_alike(policy, reference))
+
+
+def squashed_alike(policy: Distribution, reference: Distribution) -> bool:
+    """Whether both are squashed by the same bijection. Looks at limits, which waits for a GPU."""
+    squashed, other = _squashed(policy), _squashed(reference)
+    return squashed is not None and other is not None and squashed.transforms == other.transforms
+
+
+def kl_of(policy: Distribution, reference: Distribution, alike: bool) -> torch.Tensor:
+    """`distribution_kl`; alike: what `squashed_alike` said of the two."""
     _check_alike(policy, reference)
     if not torch.compiler.is_compiling():  # which cannot look at what a distribution may do
         _check_reach(policy, reference)
     first, second = policy, reference
     squashed, other = _squashed(policy), _squashed(reference)
-    if squashed is not None and other is not None and squashed.transforms == other.transforms:
+    if alike and squashed is not None and other is not None:
         first, second = squashed.base_dist, other.base_dist
-    if isinstance(first, Categorical) and isinstance(second, Categorical):
-        return _categorical_kl(first, second)
+    choice, other_choice = _categorical(first), _categorical(second)
     try:
-        divergence = kl_divergence(first, second)
+        if choice is not None and other_choice is not None:
+            divergence = _categorical_kl(choice, other_choice)
+        else:
+            divergence = kl_divergence(first, second)
     except NotImplementedError:
         action = _reparametrised(policy, reference)
         return policy.log_prob(action) - reference.log_prob(action)
@@ -130,11 +144,25 @@ def _reparametrised(policy: Distribution, reference: Distribution) -> torch.Tens
 def _categorical_kl(policy: Categorical, reference: Categorical) -> torch.Tensor:
     """sum_a p(a) (ln p(a) - ln q(a)) over what the policy may do. torch's own takes the difference of two -inf where
     an action is masked out of both, and the gradient of what it then sets to 0 is NaN. Infinite, without gradient,
-    where the policy may do what the reference may not."""
+    where the policy may do what the reference may not. Raises ValueError for another number of actions."""
+    if policy.probs.shape[-1] != reference.probs.shape[-1]:
+        told = policy.probs.shape[-1], reference.probs.shape[-1]
+        raise ValueError(
+            f"The policy chooses among {told[0]} actions, its reference among {told[1]}; expected as many."
+        )
     possible = policy.probs > 0
     both = possible & (reference.probs != 0)
     ratio = torch.where(both, policy.logits, 0.0) - torch.where(both, reference.logits, 0.0)
     return torch.where((possible & ~both).any(-1), math.inf, (policy.probs * ratio).sum(-1))
+
+
+def _categorical(distribution: Distribution) -> Categorical | None:
+    """The choices that a distribution is made of: one, or independent ones; None for any other."""
+    if isinstance(distribution, Independent):
+        return _categorical(distribution.base_dist)
+    if isinstance(distribution, OneHotCategorical):
+        return Categorical(logits=distribution.logits, validate_args=False)
+    return distribution if isinstance(distribution, Categorical) else None
 
 
 def _squashed(distribution: Distribution) -> TransformedDistribution | None:

@@ -3,33 +3,41 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictModuleBase, TensorDictParams
 from tensordict.utils import NestedKey
 from torch import nn
 from torch.distributions import Distribution
 from torchrl.modules import set_recurrent_mode
+from torchrl.modules.distributions.utils import sample_and_log_prob
 from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
 
 from hts.rl.actor import PopulationActor
+from hts.rl.counted import counted, marks_in
 from hts.rl.given import OfItsSizes
-from hts.rl.kl import distribution_kl
+from hts.rl.kl import kl_of, squashed_alike
 from hts.rl.loss_checks import (
     check_action,
     check_actor,
     check_critic,
+    check_detached,
     check_finite,
     check_not_empty,
+    check_possible,
     check_reference,
     check_settings,
+    lacks,
     lacks_old_value,
+    lacks_value,
     read_by,
+    written_keys,
 )
 from hts.rl.multiplier import LagrangeMultiplier, as_bounds
 from hts.rl.rows import row_mean, row_standardised
@@ -42,7 +50,12 @@ FORGOTTEN = 1000  # losses before the first update of alpha; 10 passes over a ba
 def frozen(module: nn.Module) -> nn.Module:
     """A copy whose parameters are buffers: it is saved and moved with its owner, and no optimiser ever sees it."""
     copied = copy.deepcopy(module).eval()
-    for part in copied.modules():
+    for part in list(copied.modules()):
+        if isinstance(part, TensorDictParams):
+            continue  # holds no parameter of its own: its owner has got another
+        for name, child in part.named_children():
+            if isinstance(child, TensorDictParams):  # as `MultiAgentMLP` has them, by nested names
+                setattr(part, name, TensorDictParams(child.data.clone(), no_convert=True))
         for name, parameter in list(part.named_parameters(recurse=False)):
             delattr(part, name)
             part.register_buffer(name, parameter.detach().clone())
@@ -99,6 +112,9 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     ones off. Sum the losses before `backward`: candidates share no parameter. Where the actor is a `PopulationActor` of
     several candidates, or holds one, a float is the bound of each: it stands for [P] times itself.
 
+    Steps that TorchRL's masks leave out count in nothing, as in its own losses (`loss_mask_key`): what
+    `split_trajectories` or a `SliceSampler` has filled stretches up with, and what `GAE(shifted=True)` marks.
+
     multiplier_rate: eta of `LagrangeMultiplier`; clip_epsilon: eps; critic_coeff: v; entropy_coeff: h; clip_value: None
     for no clipping of the value, True for eps; normalize_advantage: to mean 0 and deviation 1, of each candidate;
     a single sample stays as it is.
@@ -106,7 +122,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
 
     @dataclass
     class _AcceptedKeys:
-        """What `set_keys` takes, and where things are otherwise.
+        """What `set_keys` takes, and where things are otherwise; action and sample_log_prob: where the actor says.
 
         advantage, value_target: of GAE; value: the critic's, also that of the old critic in the batch; sample_log_prob:
         ln pi_old(a); action; reward, done, terminated: for the value estimator.
@@ -147,12 +163,14 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
             check_reference(reference, actor_network)
         check_settings(critic_coeff, entropy_coeff, clip_epsilon, clip_value)
         self.actor_network, self.critic_network = actor_network, critic_network
+        self.set_keys(**written_keys(actor_network))
         self.reference = frozen(actor_network if reference is None else reference)
         self.multiplier = LagrangeMultiplier(_bound_of_each(kl_bound, actor_network, self.reference), multiplier_rate)
         self.clip_epsilon, self.critic_coeff, self.entropy_coeff = clip_epsilon, critic_coeff, entropy_coeff
         self.clip_value = clip_epsilon if clip_value is True else (clip_value or None)
         self.normalize_advantage = normalize_advantage
         self._told_frozen = False
+        self._alike: bool | None = None
         self._waiting = FORGOTTEN if multiplier_rate > 0.0 and bool(self.kl_bound.isfinite().any()) else 0
         parameter = next(actor_network.parameters(), None)
         if parameter is not None:
@@ -185,10 +203,10 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         if self._value_estimator is not None:
             self._value_estimator.set_keys(**{name: getattr(self.tensor_keys, name) for name in ESTIMATED})
 
-    def make_value_estimator(self, value_type: ValueEstimators | None = None, **hyperparams: Any) -> LossModule:
+    def make_value_estimator(self, value_type: ValueEstimators | str | None = None, **hyperparams: Any) -> LossModule:
         """GAE on this loss's critic and keys, as `loss.value_estimator`; hyperparams: gamma, lmbda, ... Raises
         NotImplementedError for any other estimator: give its advantage and value_target in the batch instead."""
-        if value_type not in (None, ValueEstimators.GAE):
+        if value_type not in (None, ValueEstimators.GAE, "gae"):
             raise NotImplementedError(
                 f"{value_type} is not supported, GAE is. Put advantage and value_target into the batch."
             )
@@ -202,63 +220,63 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         """tensordict [...], or [P, ...]: see `in_keys`. Returns `out_keys`, each [] or [P]: three losses, and without
         gradients kl, kl_approx (an estimate of that to the policy that acted), nats, and clip_fraction.
 
-        Raises KeyError naming what the batch lacks, ValueError where its log-probabilities carry gradients: against
-        themselves nothing would be learned; for shapes that do not fit each other, actions of another shape than the
-        actor's, an empty batch, and, on a CPU, actions, log-probabilities, advantages, targets or old values that are
-        not finite, of several candidates where nobody's are."""
+        Raises KeyError naming what the batch lacks, ValueError where its actions or their log-probabilities carry
+        gradients: against themselves nothing would be learned; for shapes that do not fit each other, actions of
+        another shape than the actor's, an empty batch, and, on a CPU, actions that the actor never gives, and actions,
+        log-probabilities, advantages, targets or old values that are not finite, of several candidates where nobody's
+        are."""
         if torch.is_grad_enabled() and not torch.compiler.is_compiling():  # a number that changes is compiled anew
             self._count()
         keys, batch = self.tensor_keys, tensordict.copy()
+        gives = {keys.action: "A collector", keys.sample_log_prob: "An actor with return_log_prob=True"}
         for key in (keys.action, keys.sample_log_prob, keys.advantage, keys.value_target):
             if batch.get(key, None) is None:
-                gives = {keys.action: "A collector", keys.sample_log_prob: "An actor with return_log_prob=True"}
-                raise KeyError(
-                    f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. "
-                    f"{gives.get(key, 'GAE')} gives it."
-                )
+                raise lacks(batch, key, gives.get(key, "GAE"))
         check_not_empty(batch.shape)
         if batch.ndim:  # else only what is computed of it says whose it is
             self._check_candidates(batch.shape)
+        marks = marks_in(batch, self._loss_mask_keys())
         for key in (keys.advantage, keys.value_target):
-            self._check_finite(batch, key)
+            self._check_finite(batch, key, marks)
         old_value = batch.get(keys.value, None)
-        if batch[keys.sample_log_prob].requires_grad:
-            raise ValueError(
-                f"The batch's {keys.sample_log_prob!r} carries gradients, so nothing would be learned from it. Collect "
-                "under torch.no_grad(), as collectors do, or detach it."
-            )
+        check_detached(batch, keys.action, keys.sample_log_prob)
         policy = self._policy_in(batch)
         check_action(batch[keys.action], policy, keys.action)
-        self._check_finite(batch, keys.action)
+        self._check_finite(batch, keys.action, marks)
+        check_possible(batch, keys.action, policy, marks)
         log_prob = policy.log_prob(batch[keys.action])
         self._check_candidates(log_prob.shape)
+        steps = counted(batch, log_prob.shape, marks)
         if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
             self._tell_frozen()
         log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
-        self._check_finite(batch, keys.sample_log_prob)
+        self._check_finite(batch, keys.sample_log_prob, marks)
         advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
         if self.normalize_advantage:
-            advantage = self._standardised(advantage)
-        kl = distribution_kl(policy, self._reference_in(batch))
+            advantage = self._standardised(advantage, steps)
+        kl = self._kl(policy, batch)
         valued = read_by("critic_network", self.critic_network, batch.exclude(keys.value), self.critic_network)
+        if valued.get(keys.value, None) is None:
+            raise lacks_value(self.critic_network.out_keys, keys.value)
         value = _as(log_prob, valued[keys.value], keys.value)
         target = _as(log_prob, batch[keys.value_target], keys.value_target)
         if self.clip_value is not None and old_value is None:
             raise lacks_old_value(batch, keys.value, self.critic_network.in_keys)
         old_value = value.detach() if old_value is None else _as(log_prob, old_value, keys.value)
         if self.clip_value is not None:
-            self._check_finite(batch, keys.value)
-        mean_kl = self._mean(kl)
-        objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon)) + self.multiplier(mean_kl)
+            self._check_finite(batch, keys.value, marks)
+        mean_kl = self._mean(kl, steps)
+        objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon), steps) + self.multiplier(mean_kl)
         with torch.no_grad():
             clipped = ((log_ratio.exp() - 1.0).abs() > self.clip_epsilon).to(log_ratio.dtype)
         losses = {
             "loss_objective": objective,
-            "loss_critic": self.critic_coeff * self._mean(value_error(value, target, old_value, self.clip_value)),
-            "loss_entropy": self._entropy_loss(policy, log_ratio),
+            "loss_critic": self.critic_coeff
+            * self._mean(value_error(value, target, old_value, self.clip_value), steps),
+            "loss_entropy": self._entropy_loss(policy, log_ratio, steps),
             "kl": mean_kl.detach(),
-            "kl_approx": self._mean(-log_ratio.detach()),
-            "clip_fraction": self._mean(clipped),
+            "kl_approx": self._mean(-log_ratio.detach(), steps),
+            "clip_fraction": self._mean(clipped, steps),
         }
         return TensorDict(losses, batch_size=self.multiplier.value.shape)
 
@@ -272,9 +290,9 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         check_not_empty(batch.shape)
         if batch.ndim:  # else only what is computed of it says whose it is
             self._check_candidates(batch.shape)
-        kl = distribution_kl(self._policy_in(batch), self._reference_in(batch))
+        kl = self._kl(self._policy_in(batch), batch)
         self._check_candidates(kl.shape)
-        return self._mean(kl)
+        return self._mean(kl, counted(batch, kl.shape, self._loss_mask_keys()), least=0)
 
     def update_multiplier(self, kl: torch.Tensor) -> torch.Tensor:
         """alpha <- [alpha + eta min(KL / c - 1, 2)]_+, once per batch; see `LagrangeMultiplier`. Returns the new
@@ -288,6 +306,12 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     @torch.no_grad()
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
         return read_by("reference", self.reference, batch.copy(), self.reference.get_dist)
+
+    def _kl(self, policy: Distribution, batch: TensorDictBase) -> torch.Tensor:
+        reference = self._reference_in(batch)
+        if self._alike is None or not torch.compiler.is_compiling():  # which cannot compare limits, and takes them to
+            self._alike = squashed_alike(policy, reference)  # be what they were
+        return kl_of(policy, reference, self._alike)
 
     def _count(self) -> None:
         """Warn, once, where alpha has not been updated for so long that it may have been forgotten."""
@@ -310,11 +334,12 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
                 "learns. Give the policy that is to be trained, not a frozen copy, or actor.requires_grad_()."
             )
 
-    def _check_finite(self, batch: TensorDictBase, key: NestedKey) -> None:
+    def _check_finite(self, batch: TensorDictBase, key: NestedKey, marks: Sequence[NestedKey]) -> None:
         keys = self.tensor_keys
         made = {keys.action: "policy", keys.sample_log_prob: "policy", keys.value: "critic"}
         gives = None if key not in made else f"The {made[key]} that acted gave it, or what it saw is not finite"
-        check_finite(batch, key, reward=keys.reward, candidates=self.kl_bound.ndim > 0, gives=gives)
+        several = self.kl_bound.ndim > 0
+        check_finite(batch, key, reward=keys.reward, candidates=several, gives=gives, masks=marks)
 
     def _check_candidates(self, shape: torch.Size) -> None:
         """Raise ValueError unless a batch of this shape begins with as many candidates as there are bounds."""
@@ -326,17 +351,22 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
                 "kl_bound where there is one policy."
             )
 
-    def _entropy_loss(self, policy: Distribution, log_ratio: torch.Tensor) -> torch.Tensor:
+    def _entropy_loss(self, policy: Distribution, log_ratio: torch.Tensor, steps: torch.Tensor | None) -> torch.Tensor:
         """-h E[H(pi)]; nothing is computed, or sampled, where h is 0."""
         entropy = _entropy(policy, log_ratio) if self.entropy_coeff else torch.zeros_like(log_ratio)
-        return -self.entropy_coeff * self._mean(entropy)
+        return -self.entropy_coeff * self._mean(entropy, steps)
 
-    def _mean(self, x: torch.Tensor) -> torch.Tensor:
-        return row_mean(x) if self.multiplier.value.ndim else x.mean()
+    def _mean(self, x: torch.Tensor, steps: torch.Tensor | None, least: int = 1) -> torch.Tensor:
+        """[] or [P]; steps: which of x count. least: a candidate with fewer has that many, of 0 each; 0: it has NaN."""
+        mean = row_mean if self.multiplier.value.ndim else torch.mean
+        if steps is None:
+            return mean(x)
+        share = mean(steps.to(x.dtype))
+        return mean(torch.where(steps, x, 0.0)) / share.clamp(min=least * share.numel() / x.numel())
 
-    def _standardised(self, x: torch.Tensor) -> torch.Tensor:
-        rows = x.reshape(len(x) if self.multiplier.value.ndim else 1, -1)
-        return row_standardised(rows).view(x.shape)
+    def _standardised(self, x: torch.Tensor, steps: torch.Tensor | None) -> torch.Tensor:
+        count = len(x) if self.multiplier.value.ndim else 1
+        return row_standardised(x.reshape(count, -1), None if steps is None else steps.reshape(count, -1)).view(x.shape)
 
 
 def _as(log_prob: torch.Tensor, value: torch.Tensor, key: NestedKey) -> torch.Tensor:
@@ -356,9 +386,10 @@ ESTIMATED = ("advantage", "value_target", "value", "reward", "done", "terminated
 
 
 def _entropy(policy: torch.distributions.Distribution, like: torch.Tensor) -> torch.Tensor:
-    """Entropy in each state, of the shape of like; by one sample where there is no closed form."""
+    """Entropy in each state, of the shape of like; by one sample where there is no closed form, of which TorchRL knows
+    the density where a tanh has rounded it to its limit, too: from the action alone it would be any number there."""
     try:
         entropy = policy.entropy()
     except NotImplementedError:
-        entropy = -policy.log_prob(policy.rsample())
+        entropy = -sample_and_log_prob(policy, reparameterize=True)[1]
     return entropy.expand(like.shape)

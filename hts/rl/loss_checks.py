@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any, TypeVar
 
@@ -11,17 +11,22 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import CompositeDistribution, TensorDictModuleBase, TensorDictSequential
 from tensordict.utils import NestedKey
-from torch.distributions import Distribution
+from torch.distributions import Distribution, Independent
+from torch.nn.parameter import is_lazy
+from torchrl.modules import MaskedOneHotCategorical, OneHotCategorical
 
 from hts.rl.actor import PopulationActor
+from hts.rl.counted import counted
 from hts.rl.given import check_number
 from hts.rl.kl import expands
+from hts.rl.possible import impossible
 
 Read = TypeVar("Read")
 
 
 def check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> None:
-    """Raise TypeError for an actor, or reference, whose distribution of one action nobody can ask for."""
+    """Raise TypeError for an actor, or reference, whose distribution of one action nobody can ask for, ValueError for
+    one that has no parameters yet."""
     try:
         actor.get_dist  # noqa: B018 -- of TorchRL's actors, and of whatever else gives distributions
     except AttributeError as error:
@@ -32,7 +37,26 @@ def check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> Non
     last = actor[-1] if isinstance(actor, TensorDictSequential) else actor  # it is the last module that knows
     with suppress(AttributeError):  # only modules with a distribution have it
         if last.distribution_class is CompositeDistribution:
-            raise TypeError(f"{name} has several actions (CompositeDistribution); expected one distribution.")
+            raise several_actions(name)
+    if any(map(is_lazy, actor.parameters())):
+        raise ValueError(
+            f"{name} has parameters without a shape yet (a lazy layer), of which no reference can be kept. Show it one "
+            "batch, or the env's fake_tensordict(), before the loss is made."
+        )
+
+
+def written_keys(actor: TensorDictModuleBase) -> dict[str, NestedKey]:
+    """Where an actor writes its action and its log-probability, as `set_keys` of a loss takes them; nothing of one that
+    does not say."""
+    found: dict[str, NestedKey] = {}
+    with suppress(AttributeError):
+        for name, keys in (("action", actor.dist_sample_keys), ("sample_log_prob", actor.log_prob_keys)):
+            found |= {name: keys[0]} if len(keys) == 1 else {}
+    return found
+
+
+def several_actions(name: str) -> TypeError:
+    return TypeError(f"{name} has several actions (CompositeDistribution); expected one distribution.")
 
 
 def check_critic(critic: TensorDictModuleBase) -> None:
@@ -76,6 +100,29 @@ def check_settings(critic_coeff: float, entropy_coeff: float, clip_epsilon: floa
         raise ValueError(f"clip_value is {clip_value}; expected a number from 0 on, True for clip_epsilon, or None.")
 
 
+def lacks(batch: TensorDictBase, key: NestedKey, gives: str) -> KeyError:
+    """What to raise where a batch has no entry of this key; gives: who writes it, in words."""
+    return KeyError(f"The batch has no {key!r}; it has {sorted(map(str, batch.keys()))}. {gives} gives it.")
+
+
+def lacks_value(written: Sequence[NestedKey], key: NestedKey) -> KeyError:
+    """What to raise where a critic writes other entries than the one of this key."""
+    return KeyError(
+        f"critic_network writes {', '.join(map(repr, written))}, and no {key!r}, where the loss looks for the value: "
+        "loss.set_keys(value=...) names another entry."
+    )
+
+
+def check_detached(batch: TensorDictBase, *keys: NestedKey) -> None:
+    """Raise ValueError where one of these entries carries gradients."""
+    for key in keys:
+        if batch[key].requires_grad:
+            raise ValueError(
+                f"The batch's {key!r} carries gradients, so nothing, or something else, would be learned from it. "
+                "Collect under torch.no_grad(), as collectors do, or detach it."
+            )
+
+
 def check_not_empty(shape: torch.Size) -> None:
     """Raise ValueError for a batch of this shape that holds nothing: the mean of nothing is NaN."""
     if 0 in shape:
@@ -87,13 +134,40 @@ def check_not_empty(shape: torch.Size) -> None:
 
 def check_action(action: torch.Tensor, policy: Distribution, key: NestedKey) -> None:
     """Raise ValueError for actions of another shape than the policy's, which torch would broadcast, or speak of
-    dimensions."""
-    states = action.shape[: action.ndim - len(policy.event_shape)]
-    if action.shape != states + policy.event_shape or not expands(policy.batch_shape, states):
+    dimensions, TypeError for a policy of several actions."""
+    if isinstance(policy, CompositeDistribution):  # of a class that its actor did not say
+        raise several_actions("actor_network")
+    own = _action_shape(policy)
+    states = action.shape[: action.ndim - len(own)]
+    if action.shape != states + own or not expands(policy.batch_shape, states):
         raise ValueError(
-            f"{key!r} has the shape {tuple(action.shape)}, expected {tuple(policy.batch_shape + policy.event_shape)}: "
-            f"in states {tuple(policy.batch_shape)} the policy has actions {tuple(policy.event_shape)}."
+            f"{key!r} has the shape {tuple(action.shape)}, expected {tuple(policy.batch_shape + own)}: "
+            f"in states {tuple(policy.batch_shape)} the policy has actions {tuple(own)}."
         )
+
+
+def _action_shape(policy: Distribution) -> torch.Size:
+    """Shape of an action. TorchRL's one-hot distributions are Categoricals, and say of themselves what those do: ()."""
+    if isinstance(policy, OneHotCategorical | MaskedOneHotCategorical):
+        return torch.Size((policy.num_samples,))
+    return policy.event_shape
+
+
+def check_possible(batch: TensorDictBase, key: NestedKey, policy: Distribution, masks: Iterable[NestedKey]) -> None:
+    """Raise ValueError for actions that the policy never does: a number of none of its choices, or one beyond limits
+    that its distribution has, whose density is clamped there and teaches nothing. On a CPU alone, as `check_finite`."""
+    action = batch[key]
+    if action.device.type != "cpu" or torch.compiler.is_compiling():
+        return
+    bad, steps = impossible(policy, action), counted(batch, action.shape, masks)
+    if bad is None or not bool((bad if steps is None else bad & steps).any()):
+        return
+    bare = policy.base_dist if isinstance(policy, Independent) else policy
+    raise ValueError(
+        f"{key!r} is {first_bad(action, bad if steps is None else bad & steps)}, which the actor's distribution "
+        f"({type(bare).__name__}) never gives. Expected the actions that the actor wrote, not those of another policy, "
+        "nor in an env's units, which a transform has made of them."
+    )
 
 
 def read_by(name: str, module: TensorDictModuleBase, batch: TensorDictBase, ask: Callable[[Any], Read]) -> Read:
@@ -126,18 +200,27 @@ def first_bad(value: torch.Tensor, bad: torch.Tensor) -> str:
 
 
 def check_finite(
-    batch: TensorDictBase, key: NestedKey, *, reward: NestedKey, candidates: bool, gives: str | None
+    batch: TensorDictBase,
+    key: NestedKey,
+    *,
+    reward: NestedKey,
+    candidates: bool,
+    gives: str | None,
+    masks: Iterable[NestedKey],
 ) -> None:
     """Raise ValueError where what a batch has under key is not finite; of candidates only where nobody's is, for
     they do not see each other, and one that is bad shows in its own loss. On a CPU alone: asking waits for a GPU, in
     every gradient step; there the update of the multiplier tells.
 
-    gives: where it comes from, in words; None: GAE has made it of the rewards, whose key under "next" reward is.
+    gives: where it comes from, in words; None: GAE has made it of the rewards, whose key under "next" reward is; masks:
+    the keys of which steps count.
     """
     value = batch[key]
     if value.device.type != "cpu" or torch.compiler.is_compiling():
         return
-    bad = ~value.isfinite()
+    bad, steps = ~value.isfinite(), counted(batch, value.shape, masks)
+    if steps is not None:
+        bad &= steps
     rows = bad.reshape(len(bad), -1).any(1) if candidates else bad.any()
     if not bool(rows.all()):
         return

@@ -11,6 +11,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
 from hts.rl.centring import RewardCentring
+from hts.rl.counted import counted
 from hts.rl.given import OfItsSizes, as_numbers, check_number
 from hts.rl.loss_checks import check_not_empty, first_bad
 
@@ -26,7 +27,8 @@ class MeasuredReward(OfItsSizes, Transform):
 
     Inside an env (`TransformedEnv`) each step's reward is changed, and the centre follows step by step at its `rate`.
     On a batch from a collector (called as a module) the centre is updated once with the whole batch and then
-    subtracted. Centred before anything else, never clipped. A reward that is not finite, measured or the task's, is
+    subtracted; steps that TorchRL's masks leave out (those that stretches are filled up with) are neither paid nor in
+    the centre. Centred before anything else, never clipped. A reward that is not finite, measured or the task's, is
     refused in a batch, and in an env on a CPU: to ask at every step would wait for a GPU. The reward keeps its dtype.
 
     Either way the reward as it was goes into an entry of its own beside it, `before_key`: "reward_before_effort" of
@@ -87,10 +89,10 @@ class MeasuredReward(OfItsSizes, Transform):
             found = ", ".join(map(repr, tensordict.keys()))
             raise KeyError(f"The batch has no 'next', where its rewards are; it has {found}. A collector gives it.")
         check_not_empty(outcome.shape)
-        self._with_reward(outcome, batch=True)
+        self._with_reward(outcome, batch=tensordict)
         return tensordict
 
-    def _with_reward(self, outcome: TensorDictBase, batch: bool = False) -> TensorDictBase:
+    def _with_reward(self, outcome: TensorDictBase, batch: TensorDictBase | None = None) -> TensorDictBase:
         measured_key, reward_key = self.in_keys
         for name, key in (("in_key", measured_key), ("reward_key", reward_key)):
             if outcome.get(key) is None:
@@ -105,13 +107,16 @@ class MeasuredReward(OfItsSizes, Transform):
                 f"in_key {measured_key!r} has the shape {tuple(measured.shape)}, the reward {tuple(task.shape)}: one "
                 "number for each step is expected, so write both alike, [..., 1]."
             )
-        if batch:
+        steps = None if batch is None else counted(batch, measured.shape)
+        if batch is not None:
             self._refuse_twice(outcome, task)
-        if batch or measured.device.type == "cpu":
-            _check_finite(measured_key, measured)
-            _check_finite(reward_key, task)
-        self.centring.update(measured)
+        if batch is not None or measured.device.type == "cpu":
+            _check_finite(measured_key, measured, steps)
+            _check_finite(reward_key, task, steps)
+        self.centring.update(measured, steps)
         added = self.added(measured)
+        if steps is not None:
+            added = torch.where(steps, added, 0.0)
         outcome.set(reward_key, task + (added.to(task.dtype) if task.is_floating_point() else added))
         outcome.set(self.before_key, _numbers(task.detach(), outcome.batch_dims))
         return outcome
@@ -146,9 +151,12 @@ class MeasuredReward(OfItsSizes, Transform):
         return _numbers(self.parent.full_reward_spec[self.in_keys[1]].zero(), len(self.parent.batch_size))
 
 
-def _check_finite(key: NestedKey, reward: torch.Tensor) -> None:
-    """Raise ValueError for a reward that is not finite: what is learned from it is lost for good."""
+def _check_finite(key: NestedKey, reward: torch.Tensor, steps: torch.Tensor | None) -> None:
+    """Raise ValueError for a reward that is not finite, of the steps that count: what is learned from it is lost for
+    good."""
     bad = ~reward.isfinite()
+    if steps is not None:
+        bad &= steps
     if bool(bad.any()):
         raise ValueError(
             f"The reward {key!r} is {first_bad(reward, bad)}. Nothing may be learned from that: stop, and look at the "

@@ -4,6 +4,7 @@ mean that is to stay below a number."""
 from __future__ import annotations
 
 import math
+from numbers import Real
 from typing import Any
 
 import torch
@@ -64,8 +65,15 @@ class LagrangeMultiplier(OfItsSizes):
     @torch.no_grad()
     def update(self, kl: torch.Tensor) -> torch.Tensor:
         """kl, of the shape of bounds: mean KL over the batch's states with the parameters after its gradient steps.
-        Returns the new value. Raises ValueError for another shape, or a NaN, which alpha would keep for good."""
-        kl = torch.as_tensor(kl)
+        Returns the new value. Raises ValueError for another shape, or a NaN, which alpha would keep for good, TypeError
+        for what is no number, such as all that the loss returned."""
+        if not isinstance(kl, torch.Tensor):
+            if not isinstance(kl, Real | list | tuple):
+                raise TypeError(
+                    f"kl is a {type(kl).__name__}; expected a tensor {tuple(self.bounds.shape)}, as kl_bound is, "
+                    "such as loss.kl_to_reference(data)."
+                )
+            kl = as_numbers("kl", kl, "a number, or [P] for P candidates", self.bounds.device)
         if kl.shape != self.bounds.shape:
             raise ValueError(
                 f"kl has the shape {tuple(kl.shape)}, kl_bound {tuple(self.bounds.shape)}; expected the same."
@@ -97,7 +105,8 @@ class LagrangeMultiplier(OfItsSizes):
     def step(self, kl: torch.Tensor) -> torch.Tensor:
         """`update` without its questions, which wait for a GPU."""
         excess = torch.where(torch.isinf(self.bounds), 0.0, kl / self.bounds - 1.0).clamp(max=LARGEST_EXCESS)
-        self.value = (self.value + self.rate * excess).clamp(min=0.0)
+        value = (self.value + self.rate * excess).clamp(min=0.0)
+        self.value = value.to(self.value.dtype)  # of a KL in another precision too: a saved state is what goes on
         self.updated = True
         return self.value
 
@@ -159,7 +168,7 @@ class EqualityMultiplier(OfItsSizes):
             raise ValueError(
                 f"mean has the shape {tuple(mean.shape)}, expected {tuple(self.value.shape)}: one for each multiplier."
             )
-        self.smoothed = self.smoothed + self.smoothing * (mean - self.smoothed)
+        self.smoothed = self.smoothed + self.smoothing * (mean.to(self.smoothed.dtype) - self.smoothed)
         excess = (self.smoothed / self.scale).clamp(-LARGEST_ERROR, LARGEST_ERROR) * strength
         self.integral = self.integral - self.rate * excess
         self.value = self.integral - self.gain * excess

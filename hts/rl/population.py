@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -350,5 +351,4 @@ class Population(OfItsSizes):
 
     def frozen(self) -> Population:
         """A copy that never changes: the anchor, its observation normaliser included."""
-        copy = Population.from_candidates(self.sizes, [self.candidate(i) for i in range(self.count)], self.device)
-        return copy.requires_grad_(False).eval()
+        return copy.deepcopy(self).requires_grad_(False).eval()

@@ -19,12 +19,21 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import unravel_key
-from torch import nn
 from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import EnvBase
 
 from hts.rl.actor import PopulationActor, log_prob
-from hts.rl.collector_checks import FLAGS, Key, Said, check_flags, check_policy, check_seen, checked_rewards
+from hts.rl.collector_checks import (
+    FLAGS,
+    Key,
+    Said,
+    check_flags,
+    check_frames,
+    check_policy,
+    check_seen,
+    checked_rewards,
+    weights_of,
+)
 from hts.rl.deferred import DeferrableTransform, base_and_transforms
 from hts.rl.random import EXPLORATION_SEED
 from hts.rl.task_env import SplitStepEnv
@@ -69,10 +78,7 @@ class SplitStepCollector(BaseCollector):
             )
         assert isinstance(bare, SplitStepEnv)
         per_step = bare.batch_size.numel()
-        if frames_per_batch <= 0 or frames_per_batch % per_step:
-            raise ValueError(
-                f"frames_per_batch is {frames_per_batch}, expected a multiple of the {per_step} env instances."
-            )
+        check_frames(frames_per_batch, total_frames, per_step)
         check_policy(bare, policy)
         self.env, self.policy = env, policy
         self.bare_env = bare
@@ -81,7 +87,7 @@ class SplitStepCollector(BaseCollector):
         self.frames_per_batch = self.requested_frames_per_batch = frames_per_batch
         self.total_frames = total_frames
         self._frames = 0
-        self._begun = self._closed = False
+        self._begun = self._closed = self._env_closed = False
 
     @property
     def captured(self) -> bool:
@@ -109,7 +115,9 @@ class SplitStepCollector(BaseCollector):
 
     @torch.no_grad()
     def collect(self) -> TensorDict:
-        """The next T steps of every env instance."""
+        """The next T steps of every env instance. Raises RuntimeError after `shutdown`."""
+        if self._closed:
+            raise RuntimeError(f"{type(self).__name__} was shut down: make another one to collect more.")
         self.update_policy_weights_()
         if not self._begun:
             self._begun = True
@@ -140,12 +148,15 @@ class SplitStepCollector(BaseCollector):
 
     # ------------------------------------------------------------------------------------------------- BaseCollector
 
-    def update_policy_weights_(self, policy_or_weights: Any = None, **kwargs: Any) -> None:  # type: ignore[override]
+    def update_policy_weights_(  # type: ignore[override]
+        self, policy_or_weights: Any = None, *, policy: Any = None, weights: Any = None
+    ) -> None:
         """Collect with the policy's parameters as they are now; each batch begins with it. Weights given here are
-        loaded into the policy first: a module of the same kind, or its state dict."""
-        given = policy_or_weights if policy_or_weights is not None else kwargs.get("policy", kwargs.get("weights"))
+        loaded into the policy first: a module of the same kind, its state dict, or a TensorDict of its parameters and
+        buffers. Raises TypeError for anything else, ValueError for the weights of another kind of module."""
+        given = next((one for one in (policy_or_weights, policy, weights) if one is not None), None)
         if given is not None:
-            self.policy.load_state_dict(given.state_dict() if isinstance(given, nn.Module) else dict(given))
+            self.policy.load_state_dict(weights_of(given, self.policy))
         self.policy.population.refresh()
 
     def set_seed(self, seed: int, static_seed: bool = False) -> int:
@@ -188,9 +199,10 @@ class SplitStepCollector(BaseCollector):
         self._frames = int(state_dict["frames"])
 
     def shutdown(self, timeout: float | None = None, close_env: bool = True, raise_on_error: bool = True) -> None:
-        """Close the env, once."""
-        if close_env and not self._closed:
-            self._closed = True
+        """Collect no more, and close the env, once."""
+        self._closed = True
+        if close_env and not self._env_closed:
+            self._env_closed = True
             self.env.close()
 
 

@@ -92,6 +92,47 @@ def test_a_batch_is_whole_steps(kind, frames):
 
 
 @COLLECTORS
+@pytest.mark.parametrize("how", [{"frames_per_batch": 16.0}, {"total_frames": "80"}, {"total_frames": float("nan")}])
+def test_frames_are_whole_numbers(kind, how):
+    (name,) = how
+    with pytest.raises(TypeError, match=f"^{name} is .*; expected a whole number of frames"):
+        kind(Walk(), actor(), **{"frames_per_batch": 16} | how)
+
+
+@COLLECTORS
+def test_weights_may_be_given_in_each_form_that_torchrl_knows(kind):
+    collector, other = kind(Walk(), actor(), frames_per_batch=16), actor()
+    for number, made in enumerate((lambda: other, other.state_dict, lambda: TensorDict.from_module(other))):
+        for name in (None, "policy", "weights"):
+            with torch.no_grad():
+                other.population.vectors[1].fill_(0.1 * number + len(name or ""))
+            collector.update_policy_weights_(*([made()] if name is None else []), **({name: made()} if name else {}))
+            assert torch.equal(collector.policy.population.vectors[1], other.population.vectors[1])
+    before = collector.policy.population.vectors[1].clone()
+    for wrong, error, said in (
+        (other.population, ValueError, "^The weights are observation_mean, .*expected population.observation_mean"),
+        ({}, ValueError, "^The weights are none, expected population"),
+        (5, TypeError, "^The weights are a int; expected a PopulationActor"),
+    ):
+        with pytest.raises(error, match=said):
+            collector.update_policy_weights_(wrong)
+    with pytest.raises(TypeError, match="model_id"):
+        collector.update_policy_weights_(other, model_id="critic")
+    assert torch.equal(collector.policy.population.vectors[1], before)
+
+
+@COLLECTORS
+@pytest.mark.parametrize("close_env", [True, False])
+def test_nothing_is_collected_after_a_shutdown(kind, close_env):
+    collector = kind(Walk(), actor(), frames_per_batch=16)
+    collector.collect()
+    collector.shutdown(close_env=close_env)
+    with pytest.raises(RuntimeError, match="was shut down: make another one"):
+        next(iter(collector))
+    collector.shutdown()
+
+
+@COLLECTORS
 @pytest.mark.parametrize("flag", [torch.zeros(SHAPE, dtype=torch.bool), torch.zeros(*SHAPE, 1)])
 def test_flags_of_another_shape_or_kind_are_told(kind, flag):
     collector = kind(Flagged(flag), actor(), frames_per_batch=16)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import CompositeDistribution, set_composite_lp_aggregate
+from tensordict.nn import CompositeDistribution, TensorDictModule, set_composite_lp_aggregate
+from torch import nn
 from torch.distributions import (
     AffineTransform,
     Beta,
@@ -17,9 +18,9 @@ from torch.distributions import (
     StudentT,
     TransformedDistribution,
 )
-from torchrl.modules import IndependentNormal, TanhNormal
+from torchrl.modules import IndependentNormal, NormalParamExtractor, ProbabilisticActor, TanhNormal, ValueOperator
 
-from hts.rl import gaussian_kl
+from hts.rl import KLConstrainedPPOLoss, gaussian_kl
 from hts.rl.kl import distribution_kl
 
 
@@ -112,3 +113,22 @@ def test_a_reference_within_limits_is_none_of_a_policy_without_any():
         assert torch.isfinite(distribution_kl(reference, free)).all()  # the other way round it is finite
     several = MultivariateNormal(torch.zeros(4, 2), torch.eye(2))
     assert torch.isfinite(distribution_kl(several, free)).all() and torch.isfinite(distribution_kl(free, several)).all()
+
+
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")  # torch of TorchRL's tanh
+def test_a_loss_of_actions_within_an_envs_limits_is_compiled_as_a_whole():
+    torch.manual_seed(0)
+    head = TensorDictModule(nn.Sequential(nn.Linear(3, 4), NormalParamExtractor()), ["observation"], ["loc", "scale"])
+    limits = {"low": torch.tensor([-2.0, 0.0]), "high": torch.tensor([2.0, 3.0])}  # others than -1 and 1
+    how = {"distribution_class": TanhNormal, "distribution_kwargs": limits, "return_log_prob": True}
+    actor = ProbabilisticActor(head, in_keys=["loc", "scale"], **how)
+    loss = KLConstrainedPPOLoss(actor, ValueOperator(nn.Linear(3, 1), in_keys=["observation"]))
+    sizes = {"observation": 3, "advantage": 1, "value_target": 1}
+    data = TensorDict({name: torch.randn(8, size) for name, size in sizes.items()}, [8])
+    with torch.no_grad():
+        loss.critic_network(actor(data))
+        head.module[0].bias.add_(0.3)
+    expected = loss(data)  # once before, as the page says
+    found = torch.compile(loss, backend="eager", fullgraph=True)(data)
+    assert float(found["kl"]) > 0.01
+    torch.testing.assert_close(found["kl"], expected["kl"])

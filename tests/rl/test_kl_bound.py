@@ -12,7 +12,7 @@ from hts.rl.actor import log_prob
 from hts.rl.centring import RewardCentring
 from hts.rl.kl import gaussian_kl
 from hts.rl.kl_bound import mean_kl, project_to_kl_bound
-from hts.rl.multiplier import LagrangeMultiplier
+from hts.rl.multiplier import EqualityMultiplier, LagrangeMultiplier
 from hts.rl.population import Population, Sizes
 
 
@@ -89,12 +89,17 @@ def test_bounds_are_approached_in_the_same_number_of_batches_whatever_their_size
     assert multipliers.value[0] == pytest.approx(float(multipliers.value[1]))
 
 
-def test_multipliers_go_on_from_a_saved_state():
-    multipliers = LagrangeMultiplier(torch.tensor([0.5]), rate=0.1)
-    multipliers.update(torch.tensor([1.0]))
-    other = LagrangeMultiplier(torch.tensor([0.5]), rate=0.1)
-    other.load_state_dict(multipliers.state_dict())
-    assert torch.equal(other.value, multipliers.value)
+@pytest.mark.parametrize("precision", [torch.float32, torch.float64])
+def test_multipliers_go_on_from_a_saved_state(precision):
+    """Also where what they are told of is in another precision than they are made in."""
+    for make in (LagrangeMultiplier, EqualityMultiplier):
+        multipliers, other = (make(0.7, rate=0.1) for _ in range(2))
+        multipliers.update(torch.tensor(0.8, dtype=precision) / 3)
+        multipliers.update(torch.tensor(1.0, dtype=precision) / 3 + 0.5)
+        other.load_state_dict(multipliers.state_dict())
+        for both in (multipliers, other):
+            both.update(torch.tensor(1.1, dtype=precision) / 3 + 0.6)
+        assert multipliers.value != 0.0 and torch.equal(other.value, multipliers.value)
 
 
 # ------------------------------------------------------------------------------------- the end of training
@@ -185,10 +190,11 @@ def test_one_candidates_centre_does_not_depend_on_the_others():
     assert torch.equal(crowd.mean[2:3], alone.mean)
 
 
-def test_centres_go_on_from_a_saved_state():
+@pytest.mark.parametrize("precision", [torch.float32, torch.float64])
+def test_centres_go_on_from_a_saved_state(precision):
     centre, other = RewardCentring(0.1, 1), RewardCentring(0.1, 1)
-    centre.update(torch.ones(1, 4))
+    centre.update(torch.ones(1, 4, dtype=precision) / 3)
     other.load_state_dict(centre.state_dict())
     for both in (centre, other):
-        both.update(torch.zeros(1, 4))
+        both.update(torch.zeros(1, 4, dtype=precision))
     assert torch.equal(centre.mean, other.mean)

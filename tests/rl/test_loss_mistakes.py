@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
 from test_loss_shapes import actor_of, loss_and_batch
 from torch import nn
-from torchrl.modules import ValueOperator
+from torchrl.modules import IndependentNormal, NormalParamExtractor, ProbabilisticActor, ValueOperator
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
 
 from hts.rl import KLConstrainedPPOLoss, Population, PopulationActor, PopulationCritic, Sizes
 
@@ -48,6 +52,32 @@ def test_a_bound_that_is_no_number_is_told(bound, several):
         actor, values = PopulationActor(population), PopulationCritic(population)
     with pytest.raises(TypeError, match=rf"^kl_bound is {bound!r}; expected a number, or \[P\] for P candidates"):
         KLConstrainedPPOLoss(actor, values, kl_bound=bound)
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_the_actor_says_where_its_action_is_as_in_torchrls_losses(nested):
+    act, seen = ("team", "act") if nested else "act", ("team", "seen") if nested else "seen"
+    head = TensorDictModule(nn.Sequential(nn.Linear(3, 4), NormalParamExtractor()), [seen], ["loc", "scale"])
+    actor = ProbabilisticActor(
+        head, in_keys=["loc", "scale"], out_keys=[act], distribution_class=IndependentNormal, return_log_prob=True
+    )
+    values = ValueOperator(nn.Linear(3, 1), in_keys=[seen])
+    data = TensorDict({seen: torch.randn(8, 3), "advantage": torch.randn(8, 1), "value_target": torch.randn(8, 1)}, [8])
+    with torch.no_grad():
+        values(actor(data))
+    loss, stock = KLConstrainedPPOLoss(actor, values), ClipPPOLoss(actor, values)
+    torch.testing.assert_close(loss(data)["loss_objective"], stock(data)["loss_objective"])
+    assert act in loss.in_keys
+    loss.set_keys(action="other")  # who says otherwise is heard
+    with pytest.raises(KeyError, match="The batch has no 'other'"):
+        loss(data)
+
+
+def test_an_estimator_may_be_named_as_torchrl_names_it():
+    loss = KLConstrainedPPOLoss(actor_of(), critic())
+    assert type(loss.make_value_estimator("gae", gamma=0.9).value_estimator) is GAE
+    with pytest.raises(NotImplementedError, match="^td0 is not supported, GAE is"):
+        loss.make_value_estimator("td0")
 
 
 def test_an_actor_without_gradients_is_told_once_since_the_critic_would_learn_alone():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from hts.rl.multiplier import (
     LARGEST_ERROR,
@@ -148,3 +149,11 @@ def test_a_kl_that_is_no_number_is_refused_and_changes_nothing():
 def test_a_kl_of_another_shape_than_its_bounds_is_refused(bounds, kl):
     with pytest.raises(ValueError, match=r"kl has the shape \(.*\), kl_bound \(.*\); expected the same"):
         LagrangeMultiplier(torch.tensor(bounds)).update(torch.tensor(kl))
+
+
+@pytest.mark.parametrize("given", ["a", None, TensorDict({"kl": torch.tensor(0.1)})])
+def test_what_is_no_number_is_no_kl(given):
+    multiplier = LagrangeMultiplier(0.5)
+    with pytest.raises(TypeError, match=rf"^kl is a {type(given).__name__}; expected a tensor .*kl_to_reference"):
+        multiplier.update(given)
+    assert not multiplier.updated and float(multiplier.update(1.0)) == pytest.approx(0.05)

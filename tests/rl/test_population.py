@@ -12,6 +12,7 @@ from torchrl.envs import ExplorationType, set_exploration_type
 
 from hts.rl.actor import PopulationActor
 from hts.rl.backend import CpuBackend
+from hts.rl.kl_bound import project_to_kl_bound
 from hts.rl.population import Population, Sizes
 from hts.rl.random import PopulationRandom
 from hts.rl.rows import row_mean, row_standardised
@@ -100,6 +101,16 @@ def test_an_anchor_stays_while_its_population_moves():
     population.refresh()
     assert torch.equal(anchor.mean(x), before) and not torch.equal(population.mean(x), before)
     assert not any(parameter.requires_grad for parameter in anchor.parameters())
+
+
+def test_an_anchor_is_as_precise_as_its_population():
+    population = Population(SIZES, 2).double()
+    anchor, x = population.frozen(), torch.randn(2, 3, 5, dtype=torch.float64)
+    assert torch.equal(anchor.mean(x), population.mean(x))
+    with torch.no_grad():
+        population.split(population.vectors[1])["actor.2.bias"].add_(1.0)
+    scale = project_to_kl_bound(population, anchor, x, 0.1)
+    assert scale[0] == 1.0 and 0.0 < scale[1] < 1.0
 
 
 def test_candidates_survive_the_way_out_and_in():

@@ -1,0 +1,110 @@
+"""Actions that the actor never gives are told: their clamped densities teach nothing, or torch speaks of an index."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import (
+    CompositeDistribution,
+    ProbabilisticTensorDictModule,
+    ProbabilisticTensorDictSequential,
+    TensorDictModule,
+)
+from test_loss_shapes import loss_and_batch
+from torch import distributions as D
+from torch import nn
+from torchrl.modules import (
+    IndependentNormal,
+    MaskedCategorical,
+    NormalParamExtractor,
+    OneHotCategorical,
+    TanhNormal,
+    TruncatedNormal,
+    ValueOperator,
+)
+
+from hts.rl import KLConstrainedPPOLoss
+from hts.rl.possible import impossible
+
+ZERO, ONE = torch.zeros(5, 2), torch.ones(5, 2)
+WIDE = {"low": torch.tensor([-2.0, 1.0]), "high": torch.tensor([2.0, 4.0])}
+
+
+def beta() -> D.Independent:
+    return D.Independent(D.Beta(2 * ONE, 2 * ONE), 1)
+
+
+@pytest.mark.parametrize(
+    ("policy", "action"),
+    [
+        (TanhNormal(ZERO, ONE), 1.5),
+        (TanhNormal(ZERO, ONE, **WIDE), 0.5),  # of the second only
+        (TruncatedNormal(ZERO, ONE), -1.5),
+        (beta(), 1.5),
+        (D.Categorical(logits=torch.zeros(5, 4)), 4),
+        (D.Categorical(logits=torch.zeros(5, 4)), 1.5),
+        (D.Independent(D.Categorical(logits=torch.zeros(5, 2, 4)), 1), -1),
+        (D.Bernoulli(logits=torch.zeros(5)), 0.5),
+    ],
+)
+def test_what_is_beyond_limits_or_of_no_choice_is_seen(policy, action):
+    own = policy.sample((400,))
+    assert not bool(impossible(policy, own).any())
+    assert not bool(impossible(policy, own.half().to(own.dtype)).any())  # kept in less precision
+    found = impossible(policy, torch.full_like(own[0], action, dtype=torch.float32))
+    expected = torch.tensor([False, True]) if action == 0.5 and found.ndim == 2 else True
+    assert bool((found == expected).all())
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        IndependentNormal(ZERO, ONE),
+        OneHotCategorical(logits=torch.zeros(5, 4)),
+        MaskedCategorical(logits=torch.zeros(5, 4), indices=torch.tensor([1, 3]).expand(5, -1)),
+        D.Independent(D.LogNormal(ZERO, ONE), 1),
+    ],
+)
+def test_nothing_is_said_of_others(policy):
+    assert impossible(policy, policy.sample()) is None
+
+
+def test_the_loss_says_which_action_it_was_and_does_not_look_at_filling():
+    loss, data = loss_and_batch(distribution=TanhNormal)
+    data["action"][3, 1] = 1.5
+    with pytest.raises(
+        ValueError, match=r"^'action' is 1.5 at \[3, 1\], in 1 of 16 numbers.*\(TanhNormal\) never gives"
+    ):
+        loss(data)
+    data["collector", "mask"] = torch.arange(8) < 3
+    loss(data)
+
+
+def test_actions_that_carry_gradients_are_told():
+    loss, data = loss_and_batch()
+    data["action"] = data["action"].clone().requires_grad_()
+    with pytest.raises(ValueError, match="^The batch's 'action' carries gradients"):
+        loss(data)
+
+
+def test_a_value_that_the_critic_writes_elsewhere_is_told():
+    loss, data = loss_and_batch()
+    loss.set_keys(value="worth")
+    with pytest.raises(KeyError, match="critic_network writes 'state_value', and no 'worth'.*set_keys"):
+        loss(data)
+
+
+def test_several_actions_are_told_where_only_the_distribution_shows_them():
+    keys = [("params", "action", "loc"), ("params", "action", "scale")]
+    head = TensorDictModule(nn.Sequential(nn.Linear(3, 4), NormalParamExtractor()), ["observation"], keys)
+    made = partial(CompositeDistribution, distribution_map={"action": IndependentNormal})
+    drawn = ProbabilisticTensorDictModule(["params"], ["action"], distribution_class=made)
+    actor = ProbabilisticTensorDictSequential(head, drawn)
+    loss = KLConstrainedPPOLoss(actor, ValueOperator(nn.Linear(3, 1), in_keys=["observation"]))
+    rest = {name: torch.zeros(8, 1) for name in ("action_log_prob", "advantage", "value_target", "state_value")}
+    data = TensorDict({"observation": torch.randn(8, 3), "action": torch.zeros(8, 2)} | rest, [8])
+    with pytest.raises(TypeError, match="^actor_network has several actions"):
+        loss(data)
