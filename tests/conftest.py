@@ -19,8 +19,10 @@ import pytest
 from hypothesis import settings
 
 from hts.cli.main import main
-from hts.report import style
 from hts.testing.packages import on_path, write_package
+
+sys.path.insert(0, str(Path(__file__).parent))
+from quick_figures import quick_figures  # noqa: F401 - a fixture of all tests
 
 # The same examples everywhere: what a search finds is for the one who searches, not for whoever runs the tests next.
 settings.register_profile("same", derandomize=True, database=None)
@@ -58,24 +60,6 @@ def install(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monkey
 
     with forgotten([folder]):
         yield install
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _figures_that_are_quick_to_draw(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Reports that a test draws in its own process have each figure as SVG only, where its axes stand: the search for
-    a layout and the PDF are most of the work of a report, which is a third of a small run. Tests of reports, and the
-    command line in a process of its own, draw what users get."""
-    with pytest.MonkeyPatch.context() as patch:
-        if request.path.parent.name != "report":
-            patch.setattr(style, "save", _saved_quickly)
-        yield
-
-
-def _saved_quickly(drawing: Any, folder: Path, name: str) -> Path:
-    drawing.set_layout_engine(None)
-    folder.mkdir(parents=True, exist_ok=True)
-    drawing.savefig(folder / f"{name}.svg", metadata={"Date": None})
-    return folder / f"{name}.svg"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -94,8 +94,9 @@ def test_their_own_tests_are_green(site):
     """In one process, which loads torch and the like once for all. Those of the objective run alone, on its page."""
     empty = next(site.parent.glob("empty*")).resolve()  # one of them is a link to the other
     names = [name for kind, name in NAMES.items() if kind != "objective"]
-    options = ("-q", "-rA", "-p", "no:cacheprovider", "--rootdir", empty)
-    done = python("-m", "pytest", *options, *(empty / f"hts-{name}" for name in names), path=[site], cwd=empty)
+    options = ("-q", "-rA", "-p", "no:cacheprovider", "-p", "quick_figures", "--rootdir", empty)
+    folders = (empty / f"hts-{name}" for name in names)
+    done = python("-m", "pytest", *options, *folders, path=[site, Path(__file__).parents[1]], cwd=empty)
     assert done.returncode == 0, done.stdout + done.stderr
     passed = set(re.findall(r"^PASSED hts-([a-z]+)/tests/", done.stdout, re.MULTILINE))
     assert passed == set(names), done.stdout
