@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import fcntl
+import importlib
 import json
 import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +18,11 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from hts.report import style
-from hts.testing.packages import write_package
+from hts.cli.main import main
+from hts.testing.packages import on_path, write_package
+
+sys.path.insert(0, str(Path(__file__).parent))
+from quick_figures import quick_figures  # noqa: F401 - a fixture of all tests
 
 # The same examples everywhere: what a search finds is for the one who searches, not for whoever runs the tests next.
 settings.register_profile("same", derandomize=True, database=None)
@@ -30,32 +35,31 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 Install = Callable[..., Path]
 
 
+@contextmanager
+def forgotten(folders: Sequence[Path]) -> Iterator[None]:
+    """What is imported from below these folders meanwhile is forgotten afterwards."""
+    before = set(sys.modules)
+    try:
+        yield
+    finally:
+        for name in set(sys.modules) - before:
+            file = str(getattr(sys.modules[name], "__file__", None))
+            if any(file.startswith(f"{folder}{os.sep}") for folder in folders):
+                del sys.modules[name]
+
+
 @pytest.fixture
 def install(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
     """install(package, {module: source}, entry_points) -> folder: a package that this test sees, gone afterwards."""
     folder = tmp_path_factory.mktemp("site-packages")
     monkeypatch.syspath_prepend(str(folder))
-    before = set(sys.modules)
 
     def install(package: str, modules: Mapping[str, str], entry_points: Mapping[str, str]) -> Path:
         files = {f"{name}.py": source for name, source in modules.items()}
         return write_package(folder, package, files, entry_points)
 
-    yield install
-    for name in set(sys.modules) - before:
-        if getattr(sys.modules[name], "__file__", None) and str(folder) in str(sys.modules[name].__file__):
-            del sys.modules[name]
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _fonts_that_are_quick_to_embed(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Reports that a test draws in its own process get Type 3 fonts in their PDFs: cutting TrueType ones down to the
-    letters in use is more than half of the work of a report, which is a third of a small run. Tests of reports, and the
-    command line in a process of its own, embed what users get."""
-    with pytest.MonkeyPatch.context() as patch:
-        if request.path.parent.name != "report":
-            patch.setitem(style.RC, "pdf.fonttype", 3)
-        yield
+    with forgotten([folder]):
+        yield install
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -79,15 +83,28 @@ class SmallRun:
         return summary
 
 
-SMALL_RUN = (
-    *("run", "--objective", "power", "--robot", "go1", "--preset", "smoke"),
-    *("--set", "world.block_seconds=3", "--set", "world.warmup_seconds=1", "--set", "world.unsteady_seconds=1"),
+SMALL = (
     *("--set", "collection.exploring=1", "--set", "measurement.epochs=1"),
-    *("--set", "sweep.kl_bounds=[1.0]", "--set", "sweep.weights.power=[1.0, 5.0]", "--set", "finetune.num_envs=2"),
+    *("--set", "sweep.kl_bounds=[1.0]", "--set", "finetune.num_envs=2"),
     *("--set", "simulation_test.num_envs=2", "--set", "simulation_test.seconds=3"),
     *("--set", "selection.elites=1", "--set", "evaluation.bootstrap=100"),
 )
+"""Less of everything than the preset `smoke` has."""
+SMALL_TWIN = (
+    *("--set", "world.block_seconds=3", "--set", "world.warmup_seconds=1", "--set", "world.unsteady_seconds=1"),
+    *SMALL,
+)
+SMALL_RUN = (
+    *("run", "--objective", "power", "--robot", "go1", "--preset", "smoke"),
+    *("--set", "sweep.weights.power=[1.0, 5.0]", *SMALL_TWIN),
+)
 """A run that does everything once, in seconds: 2 candidates, 1 elite, head-to-heads of 12 s."""
+
+
+@pytest.fixture(scope="session")
+def small() -> Callable[[str], tuple[str, ...]]:
+    """small("twin"): settings of `hts run --preset smoke` in that world, for tests that try no sizes."""
+    return lambda world: SMALL_TWIN if world == "twin" else SMALL
 
 
 @pytest.fixture(scope="session")
@@ -140,5 +157,25 @@ def hts() -> Callable[..., subprocess.CompletedProcess[str]]:
             cwd=cwd,
             check=False,
         )
+
+    return run
+
+
+@pytest.fixture
+def hts_here(capsys: pytest.CaptureFixture[str]) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """hts_here(*arguments, path=…): the same in this process, which has loaded torch and the like already. Modules
+    below `path` are forgotten afterwards."""
+
+    def run(*arguments: str | Path, path: Sequence[Path] = ()) -> subprocess.CompletedProcess[str]:
+        words = [*map(str, arguments)]
+        capsys.readouterr()
+        with ExitStack() as stack:
+            for folder in path:
+                stack.enter_context(on_path(folder))
+            importlib.invalidate_caches()
+            stack.enter_context(forgotten(path))
+            status = main(words)
+        said = capsys.readouterr()
+        return subprocess.CompletedProcess(words, status, said.out, said.err)
 
     return run

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+RUN = "hts.run.algorithm,hts.run.ready,hts.report"  # torch and the like
+
 
 def can_mount() -> bool:
     done = subprocess.run(
@@ -21,19 +23,26 @@ def can_mount() -> bool:
     return done.returncode == 0
 
 
+HTS = """
+hts() { printf '%s\\0' "$BASHPID" "$PWD" "$@" > "$HTS_ASKED"; read -r status < "$HTS_ANSWERED"; return "$status"; }
+trap ': > "$HTS_ASKED"' EXIT
+"""
+
+
 @pytest.fixture
-def on_a_disk(tmp_path: Path) -> Callable[[str, str], subprocess.CompletedProcess[str]]:
-    """on_a_disk(size, script): run a script that has $DISK, a small disk, and `hts`. Skips where not allowed."""
+def on_a_disk(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """on_a_disk(size, script, modules): run a script that has $DISK, a small disk, and `hts`, which is quick to start
+    where it needs these modules. Skips where not allowed."""
     if shutil.which("unshare") is None or not can_mount():
         pytest.skip("this system does not let a test mount a small disk")
     disk = tmp_path / "disk"
     disk.mkdir()
 
-    def run(size: str, script: str) -> subprocess.CompletedProcess[str]:
-        begin = f'set -u\nmount -t tmpfs -o size={size} tmpfs "$DISK"\n'
-        begin += f'hts() {{ "{sys.executable}" -m hts.cli.main "$@"; }}\n'
+    def run(size: str, script: str, modules: str = RUN) -> subprocess.CompletedProcess[str]:
+        begin = f'set -u\nmount -t tmpfs -o size={size} tmpfs "$DISK"\n{HTS}'
+        server = (sys.executable, "-W", "ignore", str(Path(__file__).with_name("preloaded.py")), modules)
         return subprocess.run(
-            ["unshare", "--mount", "--map-root-user", "bash", "-c", begin + script],
+            ["unshare", "--mount", "--map-root-user", *server, "bash", "-c", begin + script],
             capture_output=True,
             text=True,
             timeout=200,

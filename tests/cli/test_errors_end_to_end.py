@@ -252,7 +252,7 @@ mkdir "$DISK/run"; echo "preset: smoke" > "$DISK/run/config.yaml"
 mount -o remount,ro "$DISK"
 hts run --objective power --robot go1 --preset smoke --out "$DISK/new" > "$OUT/out" 2> "$OUT/err"; echo $? > "$OUT/code"
 """
-    done = on_a_disk("1m", script)
+    done = on_a_disk("1m", script, modules="")
     line = (tmp_path / "err").read_text()
     assert (tmp_path / "code").read_text().strip() == "2", done.stderr + line
     assert line.count("\n") == 1
@@ -284,7 +284,7 @@ def test_a_full_disk_before_anything_is_written_ends_in_one_line(on_a_disk, tmp_
 head -c 2000000 /dev/zero > "$DISK/full" 2> /dev/null
 hts run --objective power --robot go1 --preset smoke --out "$DISK/new" > "$OUT/out" 2> "$OUT/err"; echo $? > "$OUT/code"
 """
-    done = on_a_disk("1m", script)
+    done = on_a_disk("1m", script, modules="")
     line = (tmp_path / "err").read_text()
     assert (tmp_path / "code").read_text().strip() == "2", done.stderr + line
     assert line.count("\n") == 1 and "the disk is full" in line and f"{tmp_path}/disk/new" in line

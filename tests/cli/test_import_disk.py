@@ -45,7 +45,7 @@ def logs(folder):
 
 def test_a_full_disk_stops_an_import_with_one_line_and_loses_nothing(on_a_disk, tmp_path):
     logs(tmp_path)
-    done = on_a_disk("100m", SCRIPT)
+    done = on_a_disk("100m", SCRIPT, modules="hts.recordings.store,hts.recordings.drawing")
 
     def text(name):
         return (tmp_path / name).read_text()

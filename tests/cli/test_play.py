@@ -223,7 +223,7 @@ ls -A "$DISK" > "$OUT/left"
 
 def test_a_video_that_a_full_disk_cuts_off_is_refused_and_nothing_of_it_stays(on_a_disk, run_folder, tmp_path):
     shutil.copy(run_folder / "policies" / "pretrained.onnx", tmp_path)
-    on_a_disk("64k", f'python() {{ "{sys.executable}" "$@"; }}\n{CUT_OFF}')
+    on_a_disk("64k", f'python() {{ "{sys.executable}" "$@"; }}\n{CUT_OFF}', modules="")
     said = (tmp_path / "out").read_text()
     why = "(what was written cannot be read); what ffmpeg said of it is above."
     assert said == f"{tmp_path}/disk/walk.mp4: the video cannot be written {why}\n", (tmp_path / "err").read_text()

@@ -314,13 +314,12 @@ def test_learning_does_not_see_the_lab():
 
 @pytest.mark.slow
 @pytest.mark.timeout(240)
-def test_the_example_runs_from_command_to_report(hts, installed, tmp_path):
+def test_the_example_runs_from_command_to_report(hts_here, installed, tmp_path):
     folder = tmp_path / "run"
-    done = hts(
+    done = hts_here(
         *("run", "--objective", "effort", "--robot", "dm_walker", "--world", "walker_lab", "--preset", "smoke"),
         *("--config", EXAMPLE / "smoke.yaml", "--out", folder),
         path=installed,
-        timeout=220,
     )
     assert done.returncode == 0, done.stderr
     summary = json.loads((folder / "summary.json").read_text())
@@ -340,8 +339,8 @@ def test_the_example_runs_from_command_to_report(hts, installed, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_example_keeps_every_demand_of_the_kit(hts, installed):
-    done = hts("check", "hts-example-walker", path=installed)
+def test_the_example_keeps_every_demand_of_the_kit(hts_here, installed):
+    done = hts_here("check", "hts-example-walker", path=installed)
     assert done.returncode == 0, done.stdout + done.stderr
 
 

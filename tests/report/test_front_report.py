@@ -134,3 +134,5 @@ def test_a_front_without_a_final_promises_none_below(tmp_path, speeds):
     run = run_of(tmp_path, {"00-00": {"cost": 0.2, "level": 1.0}}, [A], "00-00")
     run.summary["final"]["objectives"] = {"cost": {"unit": "1", "speeds": speeds}} if speeds else {}
     assert front_part(run)["measured"] == bool(speeds)
+    drawn = {path.name: path.read_bytes() for path in (tmp_path / "figures").iterdir()}
+    assert set(drawn) == {"front.svg", "front.pdf"} and drawn["front.pdf"].startswith(b"%PDF")

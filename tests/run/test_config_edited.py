@@ -17,17 +17,15 @@ from hts.errors import RunError
 from hts.run import resume_run
 from hts.run.provenance import check_config, config_sha256
 from hts.testing.packages import kit_installed
-from hts.testing.tiny_run import tiny_run
 
 
 @pytest.fixture
-def begun(tmp_path):
+def begun(finished, tmp_path):
     """The folder of a run whose final is to be made again."""
-    folder = tmp_path / "run"
+    folder = shutil.copytree(finished.folder, tmp_path / "run")
+    for stage in ("final.json", "summary.json"):
+        (folder / stage).unlink()
     with kit_installed():
-        tiny_run(folder)
-        for stage in ("final.json", "summary.json"):
-            (folder / stage).unlink()
         yield folder
 
 
@@ -120,9 +118,9 @@ def test_nor_is_an_edited_one_evaluated_and_the_line_says_how_it_is_meant(tmp_pa
     assert not (tmp_path / "evaluation").exists()
 
 
-def test_a_report_of_an_edited_one_is_made_and_says_so(tmp_path, capsys):
+def test_a_report_of_an_edited_one_is_made_and_says_so(finished, tmp_path, capsys):
+    shutil.copytree(finished.folder, tmp_path / "run")
     with kit_installed():
-        tiny_run(tmp_path / "run")
         capsys.readouterr()
         assert main(["report", str(tmp_path / "run")]) == 0
         assert "warning" not in capsys.readouterr().err

@@ -25,6 +25,7 @@ TWICE = {
     "selection.block_seconds": 10.0,
     "selection.confirm": 2,
 }
+TRIALS = "iterations/00/test"
 
 
 def once(name: str, gain: float, fell: bool = False) -> TestedCandidate:
@@ -114,9 +115,8 @@ def worse_later(monkeypatch):
     return asked
 
 
-def test_a_run_tries_its_best_two_again_and_takes_the_best_over_both(tmp_path, worse_later):
-    with kit_installed():
-        run = tiny_run(tmp_path / "run", settings=TWICE)
+def test_a_run_tries_its_best_two_again_and_takes_the_best_over_both(run_on, tmp_path, worse_later):
+    run = run_on(TRIALS, tmp_path / "run", TWICE)
     again = json.loads((run.folder / "confirm.json").read_text())
     first, second = again["tried"]
     assert [trial for trial, _ in worse_later[-1]] == [first, second] and all(late for _, late in worse_later[-1])
@@ -129,10 +129,9 @@ def test_a_run_tries_its_best_two_again_and_takes_the_best_over_both(tmp_path, w
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory):
+def plain(run_on, tmp_path_factory):
     """A run whose best two were tried again, for those who only read it."""
-    with kit_installed():
-        return tiny_run(tmp_path_factory.mktemp("plain") / "run", settings=TWICE)
+    return run_on(TRIALS, tmp_path_factory.mktemp("plain") / "run", TWICE)
 
 
 def stage(run, name):

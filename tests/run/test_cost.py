@@ -193,10 +193,11 @@ def test_the_time_is_that_of_the_measured_speed():
     assert "not measured here" in estimate(config, load())["speed"]
 
 
-def test_a_dry_run_measures_builds_everything_and_writes_nothing(hts, tmp_path):
+def test_a_dry_run_measures_builds_everything_and_writes_nothing(hts_here, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     out = tmp_path / "run"
     options = ("--objective", "power", "--robot", "go1", "--preset", "smoke", "--out", out, "--dry-run")
-    done = hts("run", *options, cwd=tmp_path)
+    done = hts_here("run", *options)
     assert done.returncode == 0, done.stderr
     for words in (
         *("candidates trained", "minutes of walking", "simulation steps  ", "minutes in all", "GB of memory"),
@@ -263,8 +264,8 @@ def test_a_container_may_have_less_than_the_machine(monkeypatch, tmp_path):
     assert machine_memory_gb() >= whole
 
 
-def test_a_dry_run_that_cannot_fit_is_one_line(hts, tmp_path):
+def test_a_dry_run_that_cannot_fit_is_one_line(hts_here, tmp_path):
     options = ("--objective", "power", "--robot", "go1", "--preset", "smoke", "--out", tmp_path / "run", "--dry-run")
-    done = hts("run", *options, "--set", "finetune.num_envs=100000000000")
+    done = hts_here("run", *options, "--set", "finetune.num_envs=100000000000")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("\n") == 1 and "GB of memory, this machine has" in done.stderr

@@ -10,13 +10,6 @@ import pytest
 from hts.errors import ConfigError
 from hts.run import resume_run, simulates_yet
 from hts.testing.packages import kit_installed
-from hts.testing.tiny_run import tiny_run
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    with kit_installed():
-        return tiny_run(tmp_path_factory.mktemp("run") / "run", settings={"evaluation.bootstrap": 100})
 
 
 @pytest.fixture

@@ -144,11 +144,10 @@ def test_a_misspelt_setting_of_a_strangers_objective_ends_in_one_line(hts, fake_
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(240)
-def test_a_strangers_objective_runs_from_command_to_report(hts, fake_objective, tmp_path):
+def test_a_strangers_objective_runs_from_command_to_report(hts_here, small, fake_objective, tmp_path):
     folder = tmp_path / "run"
-    command = ["run", "--objective", "fake", "--robot", "go1", "--preset", "smoke", "--out", str(folder)]
-    done = hts(*command, path=[fake_objective], timeout=200)
+    command = ["run", "--objective", "fake", "--robot", "go1", "--preset", "smoke", "--out", folder, *small("twin")]
+    done = hts_here(*command, path=[fake_objective])
     assert done.returncode == 0, done.stderr
 
     summary = json.loads((folder / "summary.json").read_text())
@@ -175,7 +174,7 @@ def test_a_strangers_objective_runs_from_command_to_report(hts, fake_objective, 
         assert store.read(recording, ["fake_effort"]).values("fake_effort").min() >= 0.0
 
     before = (folder / "summary.json").read_bytes()
-    again = hts(*command, path=[fake_objective])
+    again = hts_here(*command, path=[fake_objective])
     assert again.returncode == 2
     assert f"hts resume {folder}" in again.stderr
     assert (folder / "summary.json").read_bytes() == before

@@ -15,8 +15,6 @@ from hts.report.outcome import closing, finals_before
 from hts.run import finals
 from hts.run.finals import Tried
 from hts.testing.known_world import KnownWorld
-from hts.testing.packages import kit_installed
-from hts.testing.tiny_run import tiny_run
 from hts.worlds.base import file_hash
 
 SETTINGS = {
@@ -54,15 +52,21 @@ def losing(monkeypatch):
     return lost, asked
 
 
-def ended(tmp_path, **settings):
-    with kit_installed():
-        run = tiny_run(tmp_path / "run", settings=SETTINGS | settings)
-    again = json.loads((run.folder / "confirm.json").read_text())
-    return run, [again["best"], *again["next"]], json.loads((run.folder / "final.json").read_text())
+@pytest.fixture(scope="module")
+def ended(run_on):
+    """ended(tmp_path, **settings): the run, who gets finals in turn, final.json. Of runs with the same settings only
+    the finals are walked anew."""
+
+    def ended(tmp_path, **settings):
+        run = run_on("final", tmp_path / "run", SETTINGS | settings)
+        again = json.loads((run.folder / "confirm.json").read_text())
+        return run, [again["best"], *again["next"]], json.loads((run.folder / "final.json").read_text())
+
+    return ended
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory):
+def kept(ended, tmp_path_factory):
     """A run whose best policy keeps all speeds, and how many finals were walked."""
     finals_of, plain = [], KnownWorld.head_to_head
     with pytest.MonkeyPatch.context() as patch:
@@ -82,7 +86,7 @@ def test_who_keeps_all_speeds_needs_no_other(kept):
     assert "given_up" not in run.summary["final"] and finals_before(run.summary) == []
 
 
-def test_the_next_one_of_the_trials_takes_the_place_of_who_lost_a_speed(tmp_path, losing, kept):
+def test_the_next_one_of_the_trials_takes_the_place_of_who_lost_a_speed(ended, tmp_path, losing, kept):
     losing[0][:] = [[0.5]]
     run, (best, second, *_), final = ended(tmp_path)
     assert final["policy"] == run.summary["final"]["policy"] == second and len(losing[1]) == 2
@@ -97,7 +101,7 @@ def test_the_next_one_of_the_trials_takes_the_place_of_who_lost_a_speed(tmp_path
     assert said in closing(run.summary) and said in (run.folder / "report.html").read_text()
 
 
-def test_where_all_lose_it_is_who_loses_fewest_and_the_first_of_these(tmp_path, losing):
+def test_where_all_lose_it_is_who_loses_fewest_and_the_first_of_these(ended, tmp_path, losing):
     losing[0][:] = [[0.5, 0.8], [0.5], [0.8]]
     run, order, final = ended(tmp_path)
     assert final["policy"] == order[1] and [one["policy"] for one in final["given_up"]] == [order[0], order[2]]
@@ -107,13 +111,15 @@ def test_where_all_lose_it_is_who_loses_fewest_and_the_first_of_these(tmp_path, 
     ).read_bytes()
 
 
-def test_one_final_alone_is_as_before(tmp_path, losing):
+def test_one_final_alone_is_as_before(ended, tmp_path, losing):
     losing[0][:] = [[0.5]]
     _, (best, *_), final = ended(tmp_path, **{"evaluation.finals": 1})
     assert final["policy"] == best and list(final["objectives"]["fake"]["refused"]) == ["0.5"]
 
 
-def test_where_nobody_keeps_any_speed_the_policy_to_start_from_stays_and_what_was_walked_is_kept(tmp_path, losing):
+def test_where_nobody_keeps_any_speed_the_policy_to_start_from_stays_and_what_was_walked_is_kept(
+    ended, tmp_path, losing
+):
     losing[0][:] = [[0.5, 0.8]] * 3
     run, order, final = ended(tmp_path)
     assert final["policy"] == run.summary["final"]["policy"] == "pretrained" and final["objectives"] == {}
@@ -129,7 +135,7 @@ def test_where_nobody_keeps_any_speed_the_policy_to_start_from_stays_and_what_wa
     assert said[0] in (run.folder / "report.html").read_text()
 
 
-def test_a_reference_that_cannot_be_judged_ends_the_run_in_one_line(tmp_path, losing, monkeypatch):
+def test_a_reference_that_cannot_be_judged_ends_the_run_in_one_line(ended, tmp_path, losing, monkeypatch):
     losing[0][:] = [[0.5, 0.8]] * 3
     judge = finals.walked_speeds
 
@@ -145,7 +151,7 @@ def test_a_reference_that_cannot_be_judged_ends_the_run_in_one_line(tmp_path, lo
     assert len(losing[1]) == 1
 
 
-def test_a_speed_that_the_reference_misses_costs_nobody_the_final(tmp_path, monkeypatch):
+def test_a_speed_that_the_reference_misses_costs_nobody_the_final(ended, tmp_path, monkeypatch):
     plain, order = KnownWorld.head_to_head, []
 
     def head_to_head(self, policy, reference, speeds):
@@ -169,7 +175,7 @@ def _slower(series):
     return replace(series, values=series.values * np.float32(0.6))
 
 
-def test_a_final_that_can_be_judged_counts_whatever_a_later_reference_does(tmp_path, losing, monkeypatch):
+def test_a_final_that_can_be_judged_counts_whatever_a_later_reference_does(ended, tmp_path, losing, monkeypatch):
     losing[0][:] = [[0.5], [0.5, 0.8]]
     judge = finals.walked_speeds
 

@@ -250,14 +250,17 @@ def outcomes(monkeypatch, fails):
     return asked
 
 
+STRICT = {"sweep.kl_bounds": [0.5, 1.0, 2.0], "gate.strict": True}
+
+
 def run(path, **settings):
     with kit_installed():
-        return tiny_run(path, settings={"sweep.kl_bounds": [0.5, 1.0, 2.0], "gate.strict": True, **settings})
+        return tiny_run(path, settings={**STRICT, **settings})
 
 
-def test_who_fails_is_replaced_by_the_next_best_and_never_tried(tmp_path, monkeypatch, capsys):
+def test_who_fails_is_replaced_by_the_next_best_and_never_tried(run_on, tmp_path, monkeypatch, capsys):
     asked = outcomes(monkeypatch, lambda name: name == asked[0][0])
-    found = run(tmp_path / "run")
+    found = run_on("iterations/00/gate", tmp_path / "run", STRICT)
     result = json.loads((tmp_path / "run/iterations/00/gate.json").read_text())
     first = asked[0][0]
     assert result["proposed"] == [first] and result["policies"][first]["passed"] is False
@@ -290,9 +293,9 @@ def test_who_ended_as_the_same_policy_does_not_move_up(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_where_all_fail_nobody_is_tried_and_the_run_says_so(tmp_path, monkeypatch, capsys):
+def test_where_all_fail_nobody_is_tried_and_the_run_says_so(run_on, tmp_path, monkeypatch, capsys):
     asked = outcomes(monkeypatch, lambda name: True)
-    found = run(tmp_path / "run")
+    found = run_on("iterations/00/gate", tmp_path / "run", STRICT)
     assert sorted(name for names in asked[:-1] for name in names) == ["00-00", "00-01", "00-02"]
     assert found.summary["final"]["policy"] == "pretrained"
     said = " ".join(capsys.readouterr().out.split())

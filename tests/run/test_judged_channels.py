@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -92,10 +93,10 @@ def test_a_run_judges_nothing_of_a_world_that_tells_speeds_in_another_unit(
     assert not (tmp_path / "run" / f"{unfinished}.json").exists()
 
 
-def test_an_evaluation_judges_nothing_of_such_a_world_either(tmp_path, monkeypatch):
+def test_an_evaluation_judges_nothing_of_such_a_world_either(finished, tmp_path, monkeypatch):
+    folder = shutil.copytree(finished.folder, tmp_path / "run")
     with kit_installed():
-        run = tiny_run(tmp_path / "run")
         monkeypatch.setattr(KnownWorld, "head_to_head", changed(KnownWorld.head_to_head, in_kmh))
         with pytest.raises(RecordingError, match=SAID):
-            evaluate_run(run.folder)
+            evaluate_run(folder)
     assert not (tmp_path / "run" / "evaluation.json").exists()

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 
 from hts.errors import RunError
 from hts.run import algorithm, resume_run
 from hts.testing.packages import kit_installed
-from hts.testing.tiny_run import tiny_run
 
 
-def test_what_fails_because_the_folder_was_moved_says_that_it_was(tmp_path, monkeypatch):
-    folder, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+def test_what_fails_because_the_folder_was_moved_says_that_it_was(finished, tmp_path, monkeypatch):
+    folder, elsewhere = shutil.copytree(finished.folder, tmp_path / "run"), tmp_path / "elsewhere"
     with kit_installed():
-        tiny_run(folder)
         (folder / "report.html").unlink()
 
         def report(where):

@@ -18,7 +18,6 @@ from hts.policies.files import load_policy
 from hts.run import gate, judging, nearer, resume_run
 from hts.selection.hierarchical import Hierarchical
 from hts.testing.packages import kit_installed
-from hts.testing.tiny_run import tiny_run
 from hts.training.sweep import is_nearer, nearer_id
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -40,17 +39,22 @@ def refused_if(monkeypatch, fails):
     monkeypatch.setattr(gate.Trials, "of", pretend)
 
 
-def run(path, **settings):
-    asked = {"sweep.kl_bounds": [0.5, 2.0], "gate.strict": True, "gate.nearer": [0.25, 0.5], **settings}
-    with kit_installed():
-        return tiny_run(path, settings=asked)
+@pytest.fixture
+def run(run_on):
+    """run(path, stage, **settings): what comes before the stage, where a test begins to change things, is shared."""
+
+    def run(path, stage="gate", **settings):
+        asked = {"sweep.kl_bounds": [0.5, 2.0], "gate.strict": True, "gate.nearer": [0.25, 0.5], **settings}
+        return run_on(f"iterations/00/{stage}", path, asked)
+
+    return run
 
 
 def stage(path, name):
     return json.loads((path / f"iterations/00/{name}.json").read_text())
 
 
-def test_who_passes_nearer_to_the_anchor_is_tried(tmp_path, monkeypatch, capsys):
+def test_who_passes_nearer_to_the_anchor_is_tried(run, tmp_path, monkeypatch, capsys):
     refused_if(monkeypatch, lambda name: not name.endswith("-w50"))
     path = tmp_path / "run"
     found = run(path)
@@ -80,7 +84,7 @@ def test_who_passes_nearer_to_the_anchor_is_tried(tmp_path, monkeypatch, capsys)
     assert {one.id: one.gate for one in line.tried} == {elite: True}
 
 
-def test_it_lies_on_the_way_and_its_distance_is_measured(tmp_path, monkeypatch):
+def test_it_lies_on_the_way_and_its_distance_is_measured(run, tmp_path, monkeypatch):
     refused_if(monkeypatch, lambda name: True)
     path = tmp_path / "run"
     run(path)
@@ -106,7 +110,7 @@ def vector(policy):
     return torch.cat([policy.tensors[name].double().flatten() for name in sorted(policy.tensors)])
 
 
-def test_who_fell_while_being_judged_is_asked_again_nearer(tmp_path, monkeypatch):
+def test_who_fell_while_being_judged_is_asked_again_nearer(run, tmp_path, monkeypatch):
     judge = judging._judge
 
     def far_ones_fall(row, *rest):
@@ -115,7 +119,7 @@ def test_who_fell_while_being_judged_is_asked_again_nearer(tmp_path, monkeypatch
     monkeypatch.setattr(judging, "_judge", far_ones_fall)
     refused_if(monkeypatch, lambda name: False)
     path = tmp_path / "run"
-    found = run(path)
+    found = run(path, "simulate")
     assert stage(path, "gate")["policies"] == {}
     (elite,) = stage(path, "nearer")["gate"]["elites"]
     assert elite.endswith("-w25")
@@ -123,7 +127,7 @@ def test_who_fell_while_being_judged_is_asked_again_nearer(tmp_path, monkeypatch
 
 
 @pytest.mark.slow
-def test_where_they_fail_as_well_nobody_is_tried(tmp_path, monkeypatch, capsys):
+def test_where_they_fail_as_well_nobody_is_tried(run, tmp_path, monkeypatch, capsys):
     refused_if(monkeypatch, lambda name: True)
     found = run(tmp_path / "run")
     assert found.summary["final"]["policy"] == "pretrained"
@@ -137,7 +141,7 @@ def test_where_they_fail_as_well_nobody_is_tried(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("damaged", ["nearer.json", "candidates/{elite}.safetensors"], ids=["result", "policy"])
-def test_what_is_damaged_is_made_again_as_the_line_says(tmp_path, monkeypatch, damaged):
+def test_what_is_damaged_is_made_again_as_the_line_says(run, tmp_path, monkeypatch, damaged):
     refused_if(monkeypatch, lambda name: not is_nearer(name))
     path = tmp_path / "run"
     found = run(path)
@@ -170,9 +174,9 @@ def test_what_was_there_before_the_training_is_not_brought_nearer(monkeypatch):
     assert [row["id"] for row in nearer._trained(FewestOfAJob(), 0)] == ["00-00"]
 
 
-def test_a_selector_that_names_nobody_is_taken_at_its_word(tmp_path, monkeypatch):
+def test_a_selector_that_names_nobody_is_taken_at_its_word(run, tmp_path, monkeypatch):
     monkeypatch.setattr(Hierarchical, "elites", lambda self, candidates, count: [])
-    run(tmp_path / "run")
+    run(tmp_path / "run", "simulate")
     assert not (tmp_path / "run/iterations/00/nearer.json").exists()
 
 
@@ -180,13 +184,13 @@ def test_a_selector_that_names_nobody_is_taken_at_its_word(tmp_path, monkeypatch
 @pytest.mark.parametrize(
     "settings", [{"gate.strict": False}, {"gate.nearer": []}, {"gate.enabled": False}], ids=["lenient", "none", "off"]
 )
-def test_it_is_not_done_where_nobody_asks_for_it(tmp_path, monkeypatch, settings):
+def test_it_is_not_done_where_nobody_asks_for_it(run, tmp_path, monkeypatch, settings):
     refused_if(monkeypatch, lambda name: True)
-    run(tmp_path / "run", **settings)
+    run(tmp_path / "run", "simulate", **settings)
     assert not (tmp_path / "run/iterations/00/nearer.json").exists()
 
 
-def test_nor_where_somebody_passes(tmp_path, monkeypatch):
+def test_nor_where_somebody_passes(run, tmp_path, monkeypatch):
     refused_if(monkeypatch, lambda name: name == "00-00")
     run(tmp_path / "run")
     assert not (tmp_path / "run/iterations/00/nearer.json").exists()
@@ -210,7 +214,7 @@ def first_of(path, name):
 FIRST = {"gate.nearer_for": "first", "selection.elites": 2}
 
 
-def test_where_the_first_may_not_be_tried_it_is_judged_nearer_beside_who_passed(tmp_path, monkeypatch, capsys):
+def test_where_the_first_may_not_be_tried_it_is_judged_nearer_beside_who_passed(run, tmp_path, monkeypatch, capsys):
     path = tmp_path / "run"
     refused_if(monkeypatch, lambda name: first_of(path, name))
     found = run(path, **FIRST)
@@ -234,7 +238,7 @@ def test_where_the_first_may_not_be_tried_it_is_judged_nearer_beside_who_passed(
     assert json.loads((path / "summary.json").read_text())["iterations"][0]["candidates"] == iteration["candidates"]
 
 
-def test_the_selector_chooses_of_both_as_many_as_are_tried(tmp_path, monkeypatch):
+def test_the_selector_chooses_of_both_as_many_as_are_tried(run, tmp_path, monkeypatch):
     path = tmp_path / "run"
     refused_if(monkeypatch, lambda name: first_of(path, name))
     asked = []
@@ -244,14 +248,14 @@ def test_the_selector_chooses_of_both_as_many_as_are_tried(tmp_path, monkeypatch
         return sorted((one.id for one in candidates), reverse=True)[:count]
 
     monkeypatch.setattr(Hierarchical, "elites", last_named)
-    run(path, **{**FIRST, "selection.elites": 1})
+    run(path, "simulate", **{**FIRST, "selection.elites": 1})
     first, other, closer = "00-01", "00-00", nearer_id("00-01", 0.5)
     assert stage(path, "simulate")["elites"] == [first] and stage(path, "gate")["elites"] == [other]
     assert asked[-1] == ([other, closer], 1)
     assert stage(path, "nearer")["elites"] == [closer] == stage(path, "test")["elites"]
 
 
-def test_where_it_fails_nearer_as_well_those_that_passed_are_tried(tmp_path, monkeypatch, capsys):
+def test_where_it_fails_nearer_as_well_those_that_passed_are_tried(run, tmp_path, monkeypatch, capsys):
     path = tmp_path / "run"
     refused_if(monkeypatch, lambda name: first_of(path, name) or is_nearer(name))
     found = run(path, **FIRST)
@@ -263,7 +267,7 @@ def test_where_it_fails_nearer_as_well_those_that_passed_are_tried(tmp_path, mon
     assert "so nobody is" not in capsys.readouterr().out and not any("so nobody" in one for one in gate_seen["lines"])
 
 
-def test_who_comes_behind_those_that_passed_is_not_asked_again(tmp_path, monkeypatch):
+def test_who_comes_behind_those_that_passed_is_not_asked_again(run, tmp_path, monkeypatch):
     path = tmp_path / "run"
     refused_if(monkeypatch, lambda name: not first_of(path, name))
     run(path, **FIRST)
@@ -271,7 +275,7 @@ def test_who_comes_behind_those_that_passed_is_not_asked_again(tmp_path, monkeyp
     assert stage(path, "test")["elites"] == stage(path, "simulate")["elites"][:1]
 
 
-def test_who_fell_while_being_judged_may_be_the_first(tmp_path, monkeypatch):
+def test_who_fell_while_being_judged_may_be_the_first(run, tmp_path, monkeypatch):
     judge, path = judging._judge, tmp_path / "run"
 
     def ends_fall(row, *rest):
@@ -282,12 +286,12 @@ def test_who_fell_while_being_judged_may_be_the_first(tmp_path, monkeypatch):
         Hierarchical, "elites", lambda self, candidates, count: [c.id for c in candidates][::-1][:count]
     )
     refused_if(monkeypatch, lambda name: False)
-    run(path, **FIRST)
+    run(path, "simulate", **FIRST)
     assert stage(path, "gate")["kept_out"].keys() == {"00-01"} and stage(path, "gate")["elites"] == ["00-00"]
     assert stage(path, "nearer")["elites"] == [nearer_id("00-01", 0.5), "00-00"]
 
 
-def test_a_result_that_lets_a_stranger_pass_is_told(tmp_path, monkeypatch):
+def test_a_result_that_lets_a_stranger_pass_is_told(run, tmp_path, monkeypatch):
     path = tmp_path / "run"
     refused_if(monkeypatch, lambda name: first_of(path, name))
     run(path, **FIRST)

@@ -52,12 +52,12 @@ def without(plain, left_out):
         (lambda one: True, "0 recordings and none of the policy"),
     ],
 )
-def test_a_world_owes_both_roles_at_every_speed_of_a_trial(tmp_path, monkeypatch, left_out, said):
+def test_a_world_owes_both_roles_at_every_speed_of_a_trial(run_on, tmp_path, monkeypatch, left_out, said):
     call = "head_to_heads_in_session"
     monkeypatch.setattr(KnownWorld, call, without(getattr(KnownWorld, call), left_out))
     settings = {"selection.block_seconds": 10.0, "selection.speeds": [0.5, 0.8]}
-    with kit_installed(), pytest.raises(PluginError, match=rf"{call}\(\), policy 1 of \d+ gave .*{said}"):
-        tiny_run(tmp_path / "run", settings=settings)
+    with pytest.raises(PluginError, match=rf"{call}\(\), policy 1 of \d+ gave .*{said}"):
+        run_on("iterations/00/test", tmp_path / "run", settings)
 
 
 def test_a_world_owes_a_list_for_each_policy_and_a_final_every_speed(tmp_path, monkeypatch):

@@ -12,11 +12,10 @@ from hts.testing.tiny_run import tiny_run
 
 
 @pytest.mark.parametrize(("r2", "told"), [(-12.5, True), (0.4, False), (None, False)])
-def test_it_is_told_in_a_line_and_stands_in_the_summary(tmp_path, monkeypatch, capsys, r2, told):
+def test_it_is_told_in_a_line_and_stands_in_the_summary(run_on, tmp_path, monkeypatch, capsys, r2, told):
     real = testing_elites.check
     monkeypatch.setattr(testing_elites, "check", lambda *given: {**real(*given), "r2": r2})
-    with kit_installed():
-        run = tiny_run(tmp_path / "run")
+    run = run_on("iterations/00/test", tmp_path / "run", {})
     shown = " ".join(capsys.readouterr().out.split())
     line = "'fake_level' of the policies that were tried is predicted worse than by its mean (R² -12.5)"
     assert (line in shown) == told

@@ -10,10 +10,11 @@ from hts.evaluation.head_to_head import TooFewSegments
 from hts.recordings.recording import Series
 from hts.run.testing_elites import Tests, check_reference
 from hts.testing.known_world import KnownWorld
-from hts.testing.packages import kit_installed
-from hts.testing.tiny_run import tiny_run
 
 TWO_TRIED = {"sweep.kl_bounds": [1.0, 2.0], "selection.elites": 2, "finetune.steps": 96}
+
+
+TRIALS = "iterations/00/test"
 
 
 def standing_reference(monkeypatch, in_trial):
@@ -35,10 +36,9 @@ def stand(recording):
     return recording.replace(channels={**recording.channels, "base_velocity": still})
 
 
-def test_who_met_it_is_refused_and_the_other_goes_on(tmp_path, monkeypatch, capsys):
+def test_who_met_it_is_refused_and_the_other_goes_on(run_on, tmp_path, monkeypatch, capsys):
     trials = standing_reference(monkeypatch, lambda number: number == 0)
-    with kit_installed():
-        run = tiny_run(tmp_path / "run", settings=TWO_TRIED)
+    run = run_on(TRIALS, tmp_path / "run", TWO_TRIED)
     (iteration,) = run.summary["iterations"]
     first, second = (next(row for row in iteration["candidates"] if row["id"] in trial.stem) for trial in trials[:2])
     assert "segments of the reference policy are valid" in first["refused"] and not first["real"]
@@ -47,16 +47,16 @@ def test_who_met_it_is_refused_and_the_other_goes_on(tmp_path, monkeypatch, caps
     assert run.summary["final"]["policy"] == second["id"]
 
 
-def test_a_run_ends_where_it_is_why_nobody_could_be_compared(tmp_path, monkeypatch):
+def test_a_run_ends_where_it_is_why_nobody_could_be_compared(run_on, tmp_path, monkeypatch):
     standing_reference(monkeypatch, lambda number: True)
-    with kit_installed(), pytest.raises(TooFewSegments, match="0 of 20 segments of the reference policy are valid"):
-        tiny_run(tmp_path / "run", settings=TWO_TRIED)
+    with pytest.raises(TooFewSegments, match="0 of 20 segments of the reference policy are valid"):
+        run_on(TRIALS, tmp_path / "run", TWO_TRIED)
 
 
-def test_nor_does_it_go_on_to_the_final_where_nobody_could_be_confirmed(tmp_path, monkeypatch):
+def test_nor_does_it_go_on_to_the_final_where_nobody_could_be_confirmed(run_on, tmp_path, monkeypatch):
     standing_reference(monkeypatch, lambda number: number >= 2)
-    with kit_installed(), pytest.raises(TooFewSegments, match="0 of 20 segments of the reference policy are valid"):
-        tiny_run(tmp_path / "run", settings={**TWO_TRIED, "selection.confirm": 2})
+    with pytest.raises(TooFewSegments, match="0 of 20 segments of the reference policy are valid"):
+        run_on(TRIALS, tmp_path / "run", {**TWO_TRIED, "selection.confirm": 2})
 
 
 def racing(monkeypatch, stands_beside):
@@ -77,29 +77,28 @@ def racing(monkeypatch, stands_beside):
     return names
 
 
-def test_a_race_in_which_it_stands_beside_one_elite_goes_on_with_the_other(tmp_path, monkeypatch):
+def test_a_race_in_which_it_stands_beside_one_elite_goes_on_with_the_other(run_on, tmp_path, monkeypatch):
     names = racing(monkeypatch, lambda name: name == names[0])
-    with kit_installed():
-        run = tiny_run(tmp_path / "run", settings=TWO_TRIED, selector="racing")
+    run = run_on(TRIALS, tmp_path / "run", TWO_TRIED, selector="racing")
     (iteration,) = run.summary["iterations"]
     first, second = (next(row for row in iteration["candidates"] if row["id"] in name) for name in names)
     assert "segments of the reference policy are valid" in first["refused"] and not first["real"]
     assert second["real"] and run.summary["final"]["policy"] == second["id"]
 
 
-def test_a_race_in_which_it_always_stands_ends_the_run(tmp_path, monkeypatch):
+def test_a_race_in_which_it_always_stands_ends_the_run(run_on, tmp_path, monkeypatch):
     names = racing(monkeypatch, lambda name: True)
-    with kit_installed(), pytest.raises(TooFewSegments, match="segments of the reference policy are valid"):
-        tiny_run(tmp_path / "run", settings=TWO_TRIED, selector="racing")
+    with pytest.raises(TooFewSegments, match="segments of the reference policy are valid"):
+        run_on(TRIALS, tmp_path / "run", TWO_TRIED, selector="racing")
     assert len(names) == 2
 
 
 @pytest.mark.parametrize(("simulated", "said"), [(True, True), (False, False), (None, False)])
-def test_only_a_simulated_world_says_that_going_on_ends_the_same(tmp_path, monkeypatch, simulated, said):
+def test_only_a_simulated_world_says_that_going_on_ends_the_same(run_on, tmp_path, monkeypatch, simulated, said):
     standing_reference(monkeypatch, lambda number: True)
     monkeypatch.setattr(KnownWorld, "simulated", simulated)
-    with kit_installed(), pytest.raises(TooFewSegments) as ended:
-        tiny_run(tmp_path / "run", settings=TWO_TRIED)
+    with pytest.raises(TooFewSegments) as ended:
+        run_on(TRIALS, tmp_path / "run", TWO_TRIED)
     assert ("would simulate the same session and end the same" in str(ended.value)) is said
     assert ended.value.role == "reference"
 

@@ -83,8 +83,8 @@ def test_the_page_of_those_that_are_tried_there_types_it(kind):
 
 
 @pytest.mark.parametrize("kind", sorted(NAMES.keys() - SHOWN.keys()))
-def test_it_passes_the_check(kind, site, hts):
-    done = hts("check", f"hts-{NAMES[kind]}", path=[site])
+def test_it_passes_the_check(kind, site, hts_here):
+    done = hts_here("check", f"hts-{NAMES[kind]}", path=[site])
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.splitlines()[-1].endswith("checks, 0 failed")
 
@@ -94,8 +94,9 @@ def test_their_own_tests_are_green(site):
     """In one process, which loads torch and the like once for all. Those of the objective run alone, on its page."""
     empty = next(site.parent.glob("empty*")).resolve()  # one of them is a link to the other
     names = [name for kind, name in NAMES.items() if kind != "objective"]
-    options = ("-q", "-rA", "-p", "no:cacheprovider", "--rootdir", empty)
-    done = python("-m", "pytest", *options, *(empty / f"hts-{name}" for name in names), path=[site], cwd=empty)
+    options = ("-q", "-rA", "-p", "no:cacheprovider", "-p", "quick_figures", "--rootdir", empty)
+    folders = (empty / f"hts-{name}" for name in names)
+    done = python("-m", "pytest", *options, *folders, path=[site, Path(__file__).parents[1]], cwd=empty)
     assert done.returncode == 0, done.stdout + done.stderr
     passed = set(re.findall(r"^PASSED hts-([a-z]+)/tests/", done.stdout, re.MULTILINE))
     assert passed == set(names), done.stdout
@@ -115,11 +116,11 @@ def test_the_tests_of_a_robot_without_a_policy_skip_what_needs_one(tmp_path):
 
 
 @pytest.mark.slow
-def test_all_of_them_run_smoke_together(site, hts, tmp_path):
+def test_all_of_them_run_smoke_together(site, hts, small, tmp_path):
     command = ["run", "--objective", "heat", "--robot", "hopper", "--preset", "smoke", "--out", tmp_path / "run"]
     chosen = ("--set", "selection.selector.name=steady", "--set", "objectives.heat.model=thermal")
     carried = ("--set", "world.instruments.thermometer.noise=0.1")  # beside the objective's own
-    done = hts(*command, *chosen, *carried, path=[site], timeout=280)
+    done = hts(*command, *chosen, *carried, *small("twin"), path=[site], timeout=280)
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["objectives"], summary["robot"], summary["world"]) == (["heat"], "hopper", "twin")
@@ -133,13 +134,16 @@ def test_all_of_them_run_smoke_together(site, hts, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_world_as_written_runs_smoke(site, hts, tmp_path):
-    """The world carries the objective's instrument."""
+def test_a_world_as_written_runs_smoke(site, hts_here, small, tmp_path):
+    """The world carries the objective's instrument; the model is another one than the objective asks for."""
     command = ["run", "--objective", "heat", "--robot", "hopper", "--preset", "smoke"]
-    done = hts(*command, "--world", "cellar", "--out", tmp_path / "cellar", path=[site], timeout=280)
+    command += ["--set", "objectives.heat.model=linear"]
+    done = hts_here(*command, *small("cellar"), "--world", "cellar", "--out", tmp_path / "cellar", path=[site])
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "cellar" / "summary.json").read_text())
     assert summary["world"] == "cellar"
+    fitted = json.loads((tmp_path / "cellar" / "iterations" / "00" / "fit.json").read_text())
+    assert fitted["heat"]["model"]["name"] == "linear"
     tested = [candidate["real"] for candidate in summary["iterations"][0]["candidates"] if candidate["elite"]]
     assert tested and all(real is not None and real["heat"]["0.8"]["segments"] > 0 for real in tested)
 
@@ -147,27 +151,27 @@ def test_a_world_as_written_runs_smoke(site, hts, tmp_path):
 @pytest.mark.parametrize(
     ("package", "log", "robot"), [("rover", "walk.csv", "rover"), ("diary", "walk.jsonl", "rover")]
 )
-def test_logs_are_imported_and_a_model_is_fitted_by_the_commands(package, log, robot, site, hts, tmp_path):
+def test_logs_are_imported_and_a_model_is_fitted_by_the_commands(package, log, robot, site, hts_here, tmp_path):
     folder = next(site.parent.glob(f"empty*/hts-{package}"))
     mapping = (folder / "mapping.yaml").read_text().replace("supply: ", "heat_level: ").replace("unit: A,", "unit: W,")
     (tmp_path / "mapping.yaml").write_text(mapping)
     store = tmp_path / "data.zarr"
     words = ("--robot", robot, "--mapping", tmp_path / "mapping.yaml", "--to", store)
-    done = hts("import", folder / log, *words, path=[site])
+    done = hts_here("import", folder / log, *words, path=[site])
     assert done.returncode == 0, done.stderr
     assert "20.00 s at 50 Hz, joint_torque, joint_velocity, heat_level" in done.stdout
     quick = ("--set", "measurement.epochs=2")
-    done = hts("fit", "--objective", "heat", "--data", store, "--out", tmp_path / "fit", *quick, path=[site])
+    done = hts_here("fit", "--objective", "heat", "--data", store, "--out", tmp_path / "fit", *quick, path=[site])
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "fit" / "fit.json").read_text())["target"] == "heat_level"
 
 
 @pytest.mark.slow
-def test_a_measurement_model_as_written_runs_smoke_with_our_own_objective_and_robot(site, hts, tmp_path):
+def test_a_measurement_model_as_written_runs_smoke_with_our_own_objective_and_robot(site, hts_here, tmp_path):
     pytest.importorskip("hts_go1", reason="the robot of this run is not installed")
     pytest.importorskip("hts_power", reason="the objective of this run is not installed")
     command = ["run", "--objective", "power", "--set", "objectives.power.model=thermal", "--robot", "go1"]
-    done = hts(*command, "--preset", "smoke", "--out", tmp_path / "run", path=[site], timeout=290)
+    done = hts_here(*command, "--preset", "smoke", "--out", tmp_path / "run", path=[site])
     assert done.returncode == 0, done.stderr
     assert "report: " in (done.stdout + done.stderr).splitlines()[-1]  # as docs/authors/measurement-model.md shows it
     report = json.loads((tmp_path / "run" / "iterations" / "00" / "fit.json").read_text())["power"]
@@ -301,7 +305,7 @@ def test_an_objective_gets_its_article(tmp_path):
         write_starter("objective", "Heat", tmp_path)
 
 
-def test_a_name_with_a_hyphen_is_the_name_and_its_modules_have_an_underscore(tmp_path, hts):
+def test_a_name_with_a_hyphen_is_the_name_and_its_modules_have_an_underscore(tmp_path, hts_here):
     """`hts check` takes such names, so `hts new` does."""
     from hts.testing.packages import write_package
 
@@ -309,7 +313,7 @@ def test_a_name_with_a_hyphen_is_the_name_and_its_modules_have_an_underscore(tmp
     assert folder.name == "hts-step-noise"
     assert (folder / "tests" / "test_step_noise.py").is_file()
     site = write_package(tmp_path / "site", "hts-step-noise", {}, {"step-noise": "hts_step_noise.plugin"})
-    done = hts("check", "hts-step-noise", "--quiet", path=[folder, site])
+    done = hts_here("check", "hts-step-noise", "--quiet", path=[folder, site])
     assert done.returncode == 0, done.stdout + done.stderr
 
 
