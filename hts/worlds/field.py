@@ -39,6 +39,7 @@ from hts.worlds.field_logs import (
     check_sections,
     check_weighed,
     described,
+    left_behind,
     mapping_of,
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
@@ -274,8 +275,12 @@ class FieldWorld(World):
         registry = self._registry
         card = DeployedPolicy(order.policy).card
         mapping, where = described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
-        check_weighed(self._mapping_path(), mapping)
+        runtime = bool(self._robot.bundle_commands)
+        left = left_behind(bundle / "logs", order.name) if runtime and where == self._mapping_path() else ""
+        check_weighed(self._mapping_path(), mapping, left)
         self._check_channels(mapping, where)
+        needed = field_levels.measured_from_idle(self._objectives, self._registry, self._robot)
+        field_levels.check_stated(needed, mapping, where, self._mapping_path(), left)
         if order.role != "collection":
             check_judged(self._robot.task(), mapping, where)
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
@@ -347,15 +352,7 @@ class FieldWorld(World):
 
     def _real_channels(self) -> list[Channel]:
         """What only the robot gives for the objectives."""
-        registry = self._registry
-        real: dict[str, Channel] = {}
-        for objective in self._objectives:
-            real |= {channel.name: channel for channel in objective.real_channels}
-            if objective.instrument is not None:  # some tell there what else the score needs
-                instrument = registry.make_instrument(objective.instrument, {}, self._robot)
-                levels = instrument.idle()
-                real |= {channel.name: channel for channel in instrument.channels if channel.name in levels}
-        return list(real.values())
+        return field_levels.real_channels(self._objectives, self._registry, self._robot)
 
     def _facts(self, request: str, held: bool) -> Facts:
         """What a bundle says of the robot and the run."""
