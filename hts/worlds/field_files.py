@@ -17,6 +17,8 @@ from hts.errors import RecordingError, WaitingForRobot, WorldError
 NOT_WHOLE = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp")
 """How programs that copy call a file until all of it is there."""
 LEFT_BESIDE = ("thumbs.db", "ehthumbs.db", "desktop.ini")
+PLAN = "plan.json"
+"""Of a bundle: its rows, and the names of their sessions, which no other bundle has."""
 LOOK_AGAIN_SECONDS = 2.0
 """A copy that stands still for so long is taken for one that is done."""
 
@@ -43,7 +45,37 @@ def beside(folder: Path, missing: Sequence[str]) -> str:
         if row is not None and not _is_left_beside(path) and path.name.partition(".")[0] != row:
             said.append(f"'{path.name}' is no row's name: if it is the log of row {row}, call it {row}{path.suffix}. ")
             break
-    return "".join(said)
+    return "".join(said) or _elsewhere(folder, missing)
+
+
+def _elsewhere(folder: Path, missing: Sequence[str]) -> str:
+    """A sentence where logs of missing rows lie in another folder of the bundle, such as logs/logs, or in one that was
+    this bundle until somebody gave it another name; "" for nothing."""
+    bundle = folder.parent
+    plan = _bytes(bundle / PLAN)
+    renamed = [one for one in sorted(bundle.parent.iterdir()) if one != bundle and plan and _bytes(one / PLAN) == plan]
+    for old in renamed:
+        if any(_of_row(old / folder.name, name) for name in missing):
+            return (
+                f"{old} holds this bundle's logs under another name: put what is in its {folder.name} into {folder}. "
+            )
+    inside = [bundle, *(one for one in bundle.iterdir() if one.is_dir()), *folder.glob("*/")]
+    for place in inside:
+        own = (folder, folder / "mappings", *(folder / name for name in missing))
+        found = [path for name in missing for path in _of_row(place, name)] if place not in own else []
+        if found:
+            return (
+                f"{found[0]} may be the log of row {found[0].name.split('.')[0]}: put what lies there into {folder}. "
+            )
+    return ""
+
+
+def _bytes(path: Path) -> bytes | None:
+    """What a small file holds; None where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None
 
 
 @contextmanager
