@@ -10,7 +10,6 @@ import time
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 from pydantic import Field
@@ -21,6 +20,7 @@ from hts.config import Config, ScheduleConfig
 from hts.contracts import HoldSpeed, Installed, Objective, Requests, Robot, Settings, World, WorldContext
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
+from hts.places import resume_command
 from hts.plugins import load
 from hts.recordings.commanded import ends_early
 from hts.recordings.needs import as_declared, check_mapping, in_units_of, levels_in_units_of
@@ -387,7 +387,7 @@ class FieldWorld(World):
 
     def _command(self) -> str:
         """What to type next, quoted for a shell: what asked says it; else the run goes on."""
-        return self._context.command or f"hts resume {quote(str(self._run_folder()))}"
+        return self._context.command or resume_command(self._run_folder())
 
 
 def _ends_early(recording: Recording) -> bool:
