@@ -301,6 +301,8 @@ class FieldWorld(World):
         except ConfigError as error:
             raise ConfigError(f"Row {order.name}: {where}: {error}") from error
         recording = in_units_of(self._objectives, recording, self._robot.channels(), f"Row {order.name}: {where}")
+        if order.role != "collection":
+            field_holding.check_speed_read(files[0], recording, self._robot.task(), {**frozen, **mapping})
         longer = recording.seconds - order.schedule.seconds
         if abs(longer) > 0.1 * order.schedule.seconds and not (longer < 0 and recording.fell):
             raise RecordingError(
