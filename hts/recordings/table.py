@@ -14,8 +14,8 @@ from hts.errors import RecordingError, unknown_name
 ColumnName = str | int
 
 DATES = "iso"
-AGAIN = "Copy the log again if not all of it came over, or record it again."
 """The unit of stamps that are dates and times instead of numbers."""
+AGAIN = "Copy the log again if not all of it came over, or record it again."
 
 
 @dataclass(frozen=True, eq=False)

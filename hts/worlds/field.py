@@ -22,14 +22,13 @@ from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
 from hts.places import resume_command
 from hts.plugins import load
-from hts.recordings.commanded import ends_early
 from hts.recordings.needs import as_declared, check_mapping, in_units_of, levels_in_units_of
 from hts.recordings.recording import Recording
 from hts.worlds import field_holding, field_levels
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits, write_bundle
 from hts.worlds.field_commands import check_sent
-from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, stamps, whole
+from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, may_be_cut, stamps, whole
 from hts.worlds.field_logs import (
     FOLDER,
     check_judged,
@@ -40,10 +39,10 @@ from hts.worlds.field_logs import (
     check_weighed,
     described,
     left_behind,
-    mapping_of,
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
 from hts.worlds.field_once import check_once
+from hts.worlds.field_pause import with_pauses
 from hts.worlds.field_ran import check_whose
 from hts.worlds.field_readings import check_readings
 
@@ -254,7 +253,7 @@ class FieldWorld(World):
         for order in orders:
             with whole(files[order.name], self._command()):
                 recordings.append(self._read(files[order.name], order, bundle))
-        if any(_ends_early(recording) for recording in recordings):
+        if any(may_be_cut(recording) for recording in recordings):
             time.sleep(LOOK_AGAIN_SECONDS)
         check_still(before, self._command())
         firsts = [files[order.name][0] for order in orders]
@@ -264,8 +263,13 @@ class FieldWorld(World):
             check_whose(firsts, recordings, [order.policy for order in orders])
         if held:
             field_holding.check_one_command(recordings)
-        mappings = [mapping_of(bundle / "logs", order.name, self._mapping_path()) for order in orders]
-        return field_levels.with_one_level(recordings, list(files), mappings, self._mapping_path())
+        said = [self._described(bundle, order) for order in orders]
+        where = [path for _, path in said]
+        recordings = field_levels.with_one_level(recordings, list(files), where, self._mapping_path())
+        return with_pauses(recordings, files, [mapping for mapping, _ in said])
+
+    def _described(self, bundle: Path, order: Order) -> tuple[dict[str, Any], Path]:
+        return described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
 
     def _read(self, files: Sequence[Path], order: Order, bundle: Path) -> Recording:
         from hts.policies.deploy import DeployedPolicy
@@ -274,7 +278,7 @@ class FieldWorld(World):
 
         registry = self._registry
         card = DeployedPolicy(order.policy).card
-        mapping, where = described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
+        mapping, where = self._described(bundle, order)
         runtime = bool(self._robot.bundle_commands)
         left = left_behind(bundle / "logs", order.name) if runtime and where == self._mapping_path() else ""
         check_weighed(self._mapping_path(), mapping, left)
@@ -390,8 +394,3 @@ class FieldWorld(World):
     def _command(self) -> str:
         """What to type next, quoted for a shell: what asked says it; else the run goes on."""
         return self._context.command or resume_command(self._run_folder())
-
-
-def _ends_early(recording: Recording) -> bool:
-    """Whether a log may be a copy of which the end has still to come."""
-    return "last_line_dropped" in recording.notes or ends_early(recording)

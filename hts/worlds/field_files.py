@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hts.errors import RecordingError, WaitingForRobot, WorldError
+from hts.recordings.commanded import ends_early
+from hts.recordings.recording import Recording
 
 NOT_WHOLE = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp")
 """How programs that copy call a file until all of it is there."""
@@ -90,6 +92,11 @@ def whole(files: Sequence[Path], command: str) -> Iterator[None]:
         check_still(before, command, error)
         raise
     check_still(before, command)
+
+
+def may_be_cut(recording: Recording) -> bool:
+    """Whether a log may be a copy of which the end has still to come."""
+    return "last_line_dropped" in recording.notes or ends_early(recording)
 
 
 def check_still(before: Stamps, command: str, cause: Exception | None = None) -> None:
