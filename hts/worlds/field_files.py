@@ -28,7 +28,8 @@ Stamps = dict[Path, tuple[int, int]]
 
 
 def log_files(folder: Path, name: str) -> list[Path]:
-    """Whole files of one log: everything in a folder NAME, or NAME.something; none while a part of it is copied.
+    """Whole files of one log: everything in a folder NAME, and NAME.something; none while a part of it is copied. A row
+    that has both may have been walked again, and somebody has to say which of them is its log.
 
     Raises WorldError where they cannot be read.
     """
@@ -126,7 +127,7 @@ def stamps(files: Iterable[Path]) -> Stamps:
 def _of_row(folder: Path, name: str) -> list[Path]:
     try:
         inside = _files((folder / name).iterdir()) if (folder / name).is_dir() else []
-        return inside or _files(folder.glob(f"{name}.*"))
+        return [*inside, *_files(folder.glob(f"{name}.*"))]
     except OSError as error:
         raise WorldError(f"{folder}: cannot be read ({error.strerror}).") from error
 

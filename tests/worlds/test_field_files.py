@@ -120,6 +120,18 @@ def test_a_log_whose_name_is_almost_a_rows_is_named_with_the_row(run, policy, lo
     )
 
 
+def test_of_a_folder_and_a_file_of_one_row_neither_is_taken_for_the_log(run, policy, logs):
+    """Such as the row that was walked again, saved in the other way."""
+    (logs / "00").mkdir()
+    shutil.copy(logs / "00.csv", logs / "00" / "state.csv")
+    with pytest.raises(
+        ConfigError, match=r"2 files for one recording: .*logs/00/state\.csv, .*logs/00\.csv\. Take away"
+    ):
+        field(run).collect([policy], ASKED)
+    (logs / "00" / "state.csv").unlink()
+    assert len(field(run).collect([policy], ASKED)) == 1
+
+
 @pytest.mark.parametrize("place", ["logs/logs", "Logs", "."])
 def test_logs_that_were_copied_one_folder_too_deep_or_too_high_are_pointed_out(run, policy, logs, place):
     found = logs.parent / place
