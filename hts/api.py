@@ -198,6 +198,7 @@ def load(folder: Path | str) -> Run:
     For example `api.load("runs/first").policy("best").card.policy_hash`.
     """
     from hts.config_loading import read_config
+    from hts.places import resume_command
 
     place = _run_folder(folder)
     summary = place / "summary.json"
@@ -205,7 +206,7 @@ def load(folder: Path | str) -> Run:
         found = json.loads(summary.read_text(encoding="utf-8")) if summary.exists() else None
     except ValueError as error:
         raise RunError(
-            f"{summary}: is not JSON ({error}). Delete it and write it again: `hts resume {place}`."
+            f"{summary}: is not JSON ({error}). Delete it and write it again: `{resume_command(place)}`."
         ) from error
     return Run(place, read_config(place / "config.yaml"), found)
 

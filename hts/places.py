@@ -6,6 +6,7 @@ import errno
 import os
 import tempfile
 from pathlib import Path
+from shlex import quote
 
 from hts.atomic import temporary_of
 from hts.errors import RunError
@@ -35,6 +36,11 @@ PLACE_FAULTS: dict[int, str] = {
     errno.ELOOP: "a link in this path leads back to itself. Choose another place{option}",
 }
 """errno -> what is wrong and what to do, the end of a sentence that began with the path."""
+
+
+def resume_command(folder: str | Path) -> str:
+    """What goes on with a run or a pretraining, to be pasted into a shell: a folder with a blank is quoted."""
+    return f"hts resume {quote(str(folder))}"
 
 
 def place_fault(number: int, option: str = "") -> str | None:

@@ -15,7 +15,7 @@ from hts.cli.device_faults import device_fault
 from hts.cli.output import OutputFault, say_last
 from hts.cli.told_to_end import ToldToEnd, told_to_end
 from hts.errors import HtsError, PluginError, RunError, UnfitWorldError, WaitingForRobot
-from hts.places import place_fault
+from hts.places import place_fault, resume_command
 
 OF_PATHS = (errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP)
 """Said only of the error itself: as the cause of another one they may have been dealt with."""
@@ -71,29 +71,30 @@ def resumable(folder: Path | None, begun: str = "config.yaml", option: str = "--
     def left() -> bool:
         return folder is not None and (folder / begun).exists()
 
+    go_on = resume_command(folder or "")
     threading.excepthook = _in_a_thread
     try:
         with told_to_end():
             yield
     except KeyboardInterrupt as stop:
         by = f" by {stop.name}" if isinstance(stop, ToldToEnd) else ""
-        say_last(f"\nstopped{by}" + (f": `hts resume {folder}` goes on" if left() else " before anything was written"))
+        say_last(f"\nstopped{by}" + (f": `{go_on}` goes on" if left() else " before anything was written"))
         raise typer.Exit(stop.exit_code if isinstance(stop, ToldToEnd) else 130) from None
     except OutputFault as error:
         if not left():
             raise
-        raise RunError(f"{error} `hts resume {folder}` then goes on.") from error
+        raise RunError(f"{error} `{go_on}` then goes on.") from error
     except HtsError as error:
         said = str(error)
         advised = isinstance(error, (WaitingForRobot, UnfitWorldError)) or "resume" in said or "begin anew" in said
         if advised or not left():
             raise
-        raise type(error)(f"{error} `hts resume {folder}` then goes on.") from error
+        raise type(error)(f"{error} `{go_on}` then goes on.") from error
     except Exception as error:
         fault = disk_fault(error, folder, option) or device_fault(error)
         if fault is None:
             raise
-        resume = f" Then `hts resume {folder}` goes on." if left() else ""
+        resume = f" Then `{go_on}` goes on." if left() else ""
         raise RunError(f"{fault}{resume}") from error
     finally:
         threading.excepthook = threading.__excepthook__

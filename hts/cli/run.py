@@ -76,20 +76,20 @@ def refuse_existing(folder: Path) -> None:
     """Raises RunError if something is there already: nothing is ever overwritten."""
     from hts.atomic import temporary_of
     from hts.errors import RunError
-    from hts.places import PRETRAINING
+    from hts.places import PRETRAINING, resume_command
 
     left = temporary_of(folder / "config.yaml")  # all that a run leaves which was killed before it began
     if folder.is_dir() and all(entry == left for entry in folder.iterdir()):
         return
     if (folder / "config.yaml").exists():
         raise RunError(
-            f"{folder}: this folder holds a run already. Go on with it: `hts resume {folder}`; or start anew in "
+            f"{folder}: this folder holds a run already. Go on with it: `{resume_command(folder)}`; or start anew in "
             "another: --out DIR."
         )
     if (folder / PRETRAINING).exists():
         raise RunError(
-            f"{folder}: a pretraining was begun here and is not done. Go on with it: `hts resume {folder}`; or start "
-            "anew in another: --out DIR."
+            f"{folder}: a pretraining was begun here and is not done. Go on with it: `{resume_command(folder)}`; or "
+            "start anew in another: --out DIR."
         )
     if folder.exists():
         raise RunError(f"{folder}: exists already and is not an empty folder. Choose another one: --out DIR.")

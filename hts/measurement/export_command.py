@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hts.errors import ConfigError, PolicyError, RunError, unknown_name
 from hts.measurement import files
-from hts.places import check_place
+from hts.places import check_place, resume_command
 
 if TYPE_CHECKING:
     from hts.contracts import RobotSpec
@@ -55,7 +55,9 @@ def export_measurement_model(
         name, settings = model, config.objectives[model]
         found = sorted((folder / "iterations").glob(f"*/models/{model}.safetensors"))
         if not found:
-            raise RunError(f"{folder}: has fitted no model of '{model}' yet. `hts resume {folder}` goes on with it.")
+            raise RunError(
+                f"{folder}: has fitted no model of '{model}' yet. `{resume_command(folder)}` goes on with it."
+            )
         path = found[-1]
         if robot is None:
             robot = registry.make_robot(config.robot.name, config.robot.settings).spec

@@ -14,7 +14,7 @@ from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
 from hts.recordings.csv_end import Unended, of_last_line, unended_line
 from hts.recordings.encoding import in_place, not_plain, not_utf8
-from hts.recordings.table import ColumnName, Table, no_column, whole_rows
+from hts.recordings.table import AGAIN, ColumnName, Table, no_column, whole_rows
 
 if TYPE_CHECKING:
     from hts.recordings.csv_reader import CsvMapping
@@ -115,6 +115,8 @@ def _what_is_wrong(path: Path, log: CsvMapping, names: Sequence[str], what: str)
     no_text = "can't decode" in what or "\ufffd" in what or "UTF8" in what
     if why := not_plain(path) or (not_utf8(path) if no_text else ""):
         return why
+    if "Empty CSV file" in what:
+        return f"nothing stands in it ({path.stat().st_size} bytes). {AGAIN}"
     column = re.match(r"In CSV column #(\d+): ", what)
     if column is not None and int(column[1]) < len(names):
         what = f"column '{names[int(column[1])]}': {what[column.end() :]}"

@@ -19,9 +19,11 @@ DOUBTS = (
     "foot_force_scale",
     "foot_force_legs",
     "idle_differs",
+    "recorded_apart",
 )
 """Names of the notes of `torque_notes`, `work_notes`, `velocity_notes`, `repeated_notes`, `still_notes`, `axes_notes`
-and `foot_notes`, and that of a world whose recordings are compared although they state idle levels that differ."""
+and `foot_notes`, and those of a world whose recordings are compared although they state idle levels that differ, or
+lie long after each other."""
 
 
 def remarks(recordings: Sequence[Recording]) -> list[str]:

@@ -98,7 +98,7 @@ def samples_of(
         said = listed(empty) or columns
         raise RecordingError(
             f"{where}: columns of '{name}'{f' ({said})' if said else ''} hold no numbers. "
-            f"Correct the mapping, or import without it: --drop {name}"
+            f"Correct the mapping, or leave '{name}' out of it (hts import: --drop {name})."
         )
     holes = {}
     if len(components) == values.shape[1]:
@@ -186,7 +186,7 @@ def _slow(name: str, rate: float, gauge: bool, control_rate_hz: float | None) ->
     if control_rate_hz is not None and rate < 0.9 * control_rate_hz:
         return (
             f"log '{name}' at {control_rate_hz:g} Hz or faster, the rate of the robot's policy, or leave it out "
-            f"(--drop {name})"
+            f"of the mapping (hts import: --drop {name})"
         )
     if control_rate_hz is not None:
         return f"set rate_hz to {control_rate_hz:g}, the rate of the robot's policy"

@@ -22,8 +22,8 @@ def check_channels(log: LogMapping, robot: Robot) -> None:
         if name not in own and channel.real and channel.idle is None:
             unknown = unknown_name(f"channel of robot '{robot.spec.name}'", name, own)
             raise ConfigError(
-                f"Mapping: {unknown} If only the real robot measures it, give its `idle` level (electronics on, motors "
-                "idle); if not, say real: false."
+                f"Mapping: channels.{name} states no level. {unknown} If only the real robot measures it, give its "
+                "`idle` level (electronics on, motors idle); if not, say real: false."
             )
         _check_factors(name, channel, robot.spec.joint_names if follows_joints(name, channel) else None)
 

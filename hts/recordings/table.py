@@ -15,6 +15,7 @@ ColumnName = str | int
 
 DATES = "iso"
 """The unit of stamps that are dates and times instead of numbers."""
+AGAIN = "Copy the log again if not all of it came over, or record it again."
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,8 @@ def whole_rows(
     place: what messages call a row, from its index; unit: of the stamps, so that messages show dates as such.
     Raises RecordingError for infinite numbers, data without a time, time that does not increase, less than two rows.
     """
+    if not len(there):
+        raise RecordingError(f"{path}: no row of data stands in it. {AGAIN}")
     if not there.any():
         raise RecordingError(f"{path}: no row has a time in column '{time}'. Expected a log; correct the mapping.")
     filled = np.zeros(len(there), dtype=np.bool_)

@@ -121,8 +121,8 @@ def _read_otherwise(
     """
     policy = (
         "taken as what a policy gives, offsets from the default pose or actions. Expected the angle that is sent, "
-        "default_pose + offset or default_pose + action_scale * action: write that into the log, or import without "
-        "it, --drop joint_target"
+        "default_pose + offset or default_pose + action_scale * action: write that into the log, or leave "
+        "joint_target out of the mapping (hts import: --drop joint_target)"
     )
     readings = [("taken the other way. Expected the positions' sign: say sign: -1", -target)]
     if _apart(pose, np.zeros(len(pose))) > FAR:

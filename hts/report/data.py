@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from hts.errors import RunError
 from hts.explain import explain
+from hts.places import resume_command
 from hts.report.task_words import TaskWords
 
 Json = dict[str, Any]
@@ -133,10 +134,10 @@ def read_run(folder: Path) -> RunData:
     if not path.is_file():
         if (folder / "config.yaml").is_file():
             raise RunError(
-                f"{folder}: this run is not finished (no summary.json). Go on with it: `hts resume {folder}`."
+                f"{folder}: this run is not finished (no summary.json). Go on with it: `{resume_command(folder)}`."
             )
         raise RunError(f"{folder}: holds no run (no summary.json). Give the folder that `hts run` named at its end.")
-    again = f"Delete it and `hts resume {folder}`: it is written again."
+    again = f"Delete it and `{resume_command(folder)}`: it is written again."
     summary = _json(path, again)
     try:
         Summary.model_validate(summary)
@@ -151,8 +152,8 @@ def read_run(folder: Path) -> RunData:
         config=_yaml(folder / "config.yaml"),
         provenance=_json(
             folder / "provenance.json",
-            f"Restore it from a backup, since `hts resume {folder}` wants it too; deleted, the report says that it is "
-            "not there.",
+            f"Restore it from a backup, since `{resume_command(folder)}` wants it too; deleted, the report says that "
+            "it is not there.",
         ),
         fits={
             int(iteration["index"]): fit
@@ -168,7 +169,8 @@ def read_run(folder: Path) -> RunData:
 
 def _segments(path: Path) -> Json:
     """segments.json, {} if there is none."""
-    mend = f"Delete it, final.json, summary.json and report.html, and `hts resume {path.parent}` makes the final again."
+    again = f"`{resume_command(path.parent)}` makes the final again."
+    mend = f"Delete it, final.json, summary.json and report.html, and {again}"
     found = _json(path, mend)
     try:
         TypeAdapter(dict[str, dict[str, SegmentsPart]]).validate_python(found)
@@ -183,7 +185,7 @@ def without_segments(run: RunData) -> str | None:
         return None
     return (
         f"{run.folder / 'segments.json'}: is missing, so the report lacks the figure of the final's segments. Delete "
-        f"final.json, summary.json and report.html, and `hts resume {run.folder}` makes the final again."
+        f"final.json, summary.json and report.html, and `{resume_command(run.folder)}` makes the final again."
     )
 
 

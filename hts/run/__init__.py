@@ -122,9 +122,10 @@ def make_folder(config: RunConfig, out: Path) -> None:
     from hts.atomic import atomic_write, temporary_of
     from hts.config_loading import dump_config
     from hts.errors import RunError
+    from hts.places import resume_command
 
     left = temporary_of(out / "config.yaml")  # all that a run leaves which was killed before it began
     if out.exists() and any(entry != left for entry in out.iterdir()):
-        raise RunError(f"{out}: is not empty. Go on with `hts resume {out}`, or choose another --out.")
+        raise RunError(f"{out}: is not empty. Go on with `{resume_command(out)}`, or choose another --out.")
     out.mkdir(parents=True, exist_ok=True)  # before the file, so that an error names the folder that was asked for
     atomic_write(out / "config.yaml", dump_config(config))

@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 from hts.config import RunConfig, ScheduleConfig
@@ -16,6 +15,7 @@ from hts.errors import ConfigError, PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.measurement import files
 from hts.measurement.transform import Measured
+from hts.places import resume_command
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, save_policy
@@ -145,7 +145,9 @@ class Job:
                 PRETRAINED: self.policy_path(PRETRAINED),  # `prepare` writes all of it again
                 "best": self.folder / "final.json",
             }.get(name, self.policy_path(name).parent.with_name("nearer.json" if is_nearer(name) else "finetune.json"))
-            raise PolicyError(f"{error} Or delete {maker} and `hts resume {self.folder}` makes it anew.") from error
+            raise PolicyError(
+                f"{error} Or delete {maker} and `{resume_command(self.folder)}` makes it anew."
+            ) from error
 
     def anchor(self, name: str) -> Policy:
         """A policy as candidates begin at it, and as their KL is counted from it: with `finetune.renew_noise` its sigma
@@ -173,7 +175,7 @@ class Job:
         if other is not None:
             raise PolicyError(
                 f"{path}: damaged, or of another policy ({other}). Expected that of {own}, "
-                f"{policy.card.policy_hash[:12]}. Delete it and `hts resume {self.folder}` writes it again."
+                f"{policy.card.policy_hash[:12]}. Delete it and `{resume_command(self.folder)}` writes it again."
             )
         return path
 
@@ -185,7 +187,7 @@ class Job:
         except PolicyError as error:
             maker = path.parent.with_name("fit.json")
             raise PolicyError(
-                f"{error} In this run: delete {maker} and `hts resume {self.folder}` fits it anew."
+                f"{error} In this run: delete {maker} and `{resume_command(self.folder)}` fits it anew."
             ) from error
 
     @property
@@ -212,7 +214,7 @@ class Job:
             seed=self.config.seed,
             folder=self.folder / "world",
             registry=self.registry,
-            command=f"hts resume {quote(str(self.folder))}",
+            command=resume_command(self.folder),
         )
         world = self.registry.make_world(self.config.world.name, self.config.world.settings, context)
         if self.hold is not None:
@@ -302,7 +304,7 @@ class Job:
             if maker is None:
                 raise
             raise RecordingError(
-                f"{error} In this run: then delete {maker} too, and `hts resume {self.folder}` makes it anew."
+                f"{error} In this run: then delete {maker} too, and `{resume_command(self.folder)}` makes it anew."
             ) from error
 
     def known(self, iteration: int) -> list[str]:

@@ -15,7 +15,7 @@ from hts.contracts import Robot
 from hts.envs.constants import delay_seconds
 from hts.errors import ConfigError, RunError
 from hts.locks import only_one
-from hts.places import CURVE, PRETRAINED_FILE, PRETRAINING
+from hts.places import CURVE, PRETRAINED_FILE, PRETRAINING, resume_command
 from hts.policies.files import Policy, make_card, save_policy
 from hts.policies.layout import layout_of
 from hts.policy_ids import PRETRAINED
@@ -135,7 +135,8 @@ def _begin(out: Path, asked: Mapping[str, Any]) -> None:
         atomic_write(path, text)
     elif path.read_text(encoding="utf-8") != text:
         raise RunError(
-            f"{out}: another pretraining was begun here. Go on with it: `hts resume {out}`; or choose another folder."
+            f"{out}: another pretraining was begun here. Go on with it: `{resume_command(out)}`; or choose "
+            "another folder."
         )
 
 

@@ -10,7 +10,6 @@ import time
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 from pydantic import Field
@@ -21,15 +20,15 @@ from hts.config import Config, ScheduleConfig
 from hts.contracts import HoldSpeed, Installed, Objective, Requests, Robot, Settings, World, WorldContext
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError, RecordingError, WaitingForRobot, WorldError
+from hts.places import resume_command
 from hts.plugins import load
-from hts.recordings.commanded import ends_early
 from hts.recordings.needs import as_declared, check_mapping, in_units_of, levels_in_units_of
 from hts.recordings.recording import Recording
 from hts.worlds import field_holding, field_levels
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
 from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits, write_bundle
 from hts.worlds.field_commands import check_sent
-from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, stamps, whole
+from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, may_be_cut, stamps, whole
 from hts.worlds.field_logs import (
     FOLDER,
     check_judged,
@@ -39,10 +38,11 @@ from hts.worlds.field_logs import (
     check_sections,
     check_weighed,
     described,
-    mapping_of,
+    left_behind,
 )
 from hts.worlds.field_manifest import Facts, Frozen, run_configuration
 from hts.worlds.field_once import check_once
+from hts.worlds.field_pause import with_pauses
 from hts.worlds.field_ran import check_whose
 from hts.worlds.field_readings import check_readings
 
@@ -253,7 +253,7 @@ class FieldWorld(World):
         for order in orders:
             with whole(files[order.name], self._command()):
                 recordings.append(self._read(files[order.name], order, bundle))
-        if any(_ends_early(recording) for recording in recordings):
+        if any(may_be_cut(recording) for recording in recordings):
             time.sleep(LOOK_AGAIN_SECONDS)
         check_still(before, self._command())
         firsts = [files[order.name][0] for order in orders]
@@ -263,8 +263,13 @@ class FieldWorld(World):
             check_whose(firsts, recordings, [order.policy for order in orders])
         if held:
             field_holding.check_one_command(recordings)
-        mappings = [mapping_of(bundle / "logs", order.name, self._mapping_path()) for order in orders]
-        return field_levels.with_one_level(recordings, list(files), mappings, self._mapping_path())
+        said = [self._described(bundle, order) for order in orders]
+        where = [path for _, path in said]
+        recordings = field_levels.with_one_level(recordings, list(files), where, self._mapping_path())
+        return with_pauses(recordings, files, [mapping for mapping, _ in said])
+
+    def _described(self, bundle: Path, order: Order) -> tuple[dict[str, Any], Path]:
+        return described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
 
     def _read(self, files: Sequence[Path], order: Order, bundle: Path) -> Recording:
         from hts.policies.deploy import DeployedPolicy
@@ -273,9 +278,13 @@ class FieldWorld(World):
 
         registry = self._registry
         card = DeployedPolicy(order.policy).card
-        mapping, where = described(bundle / "logs", order.name, self._mapping(), self._mapping_path())
-        check_weighed(self._mapping_path(), mapping)
+        mapping, where = self._described(bundle, order)
+        runtime = bool(self._robot.bundle_commands)
+        left = left_behind(bundle / "logs", order.name) if runtime and where == self._mapping_path() else ""
+        check_weighed(self._mapping_path(), mapping, left)
         self._check_channels(mapping, where)
+        needed = field_levels.measured_from_idle(self._objectives, self._registry, self._robot)
+        field_levels.check_stated(needed, mapping, where, self._mapping_path(), left)
         if order.role != "collection":
             check_judged(self._robot.task(), mapping, where)
         facts = {key: value for key, value in dict(mapping.get("recording") or {}).items() if value is not None}
@@ -296,6 +305,8 @@ class FieldWorld(World):
         except ConfigError as error:
             raise ConfigError(f"Row {order.name}: {where}: {error}") from error
         recording = in_units_of(self._objectives, recording, self._robot.channels(), f"Row {order.name}: {where}")
+        if order.role != "collection":
+            field_holding.check_speed_read(files[0], recording, self._robot.task(), {**frozen, **mapping})
         longer = recording.seconds - order.schedule.seconds
         if abs(longer) > 0.1 * order.schedule.seconds and not (longer < 0 and recording.fell):
             raise RecordingError(
@@ -347,15 +358,7 @@ class FieldWorld(World):
 
     def _real_channels(self) -> list[Channel]:
         """What only the robot gives for the objectives."""
-        registry = self._registry
-        real: dict[str, Channel] = {}
-        for objective in self._objectives:
-            real |= {channel.name: channel for channel in objective.real_channels}
-            if objective.instrument is not None:  # some tell there what else the score needs
-                instrument = registry.make_instrument(objective.instrument, {}, self._robot)
-                levels = instrument.idle()
-                real |= {channel.name: channel for channel in instrument.channels if channel.name in levels}
-        return list(real.values())
+        return field_levels.real_channels(self._objectives, self._registry, self._robot)
 
     def _facts(self, request: str, held: bool) -> Facts:
         """What a bundle says of the robot and the run."""
@@ -390,9 +393,4 @@ class FieldWorld(World):
 
     def _command(self) -> str:
         """What to type next, quoted for a shell: what asked says it; else the run goes on."""
-        return self._context.command or f"hts resume {quote(str(self._run_folder()))}"
-
-
-def _ends_early(recording: Recording) -> bool:
-    """Whether a log may be a copy of which the end has still to come."""
-    return "last_line_dropped" in recording.notes or ends_early(recording)
+        return self._context.command or resume_command(self._run_folder())

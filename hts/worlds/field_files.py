@@ -13,10 +13,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hts.errors import RecordingError, WaitingForRobot, WorldError
+from hts.recordings.commanded import ends_early
+from hts.recordings.recording import Recording
 
 NOT_WHOLE = (".part", ".partial", ".filepart", ".crdownload", ".download", ".tmp")
 """How programs that copy call a file until all of it is there."""
 LEFT_BESIDE = ("thumbs.db", "ehthumbs.db", "desktop.ini")
+PLAN = "plan.json"
+"""Of a bundle: its rows, and the names of their sessions, which no other bundle has."""
 LOOK_AGAIN_SECONDS = 2.0
 """A copy that stands still for so long is taken for one that is done."""
 
@@ -24,7 +28,8 @@ Stamps = dict[Path, tuple[int, int]]
 
 
 def log_files(folder: Path, name: str) -> list[Path]:
-    """Whole files of one log: everything in a folder NAME, or NAME.something; none while a part of it is copied.
+    """Whole files of one log: everything in a folder NAME, and NAME.something; none while a part of it is copied. A row
+    that has both may have been walked again, and somebody has to say which of them is its log.
 
     Raises WorldError where they cannot be read.
     """
@@ -43,7 +48,37 @@ def beside(folder: Path, missing: Sequence[str]) -> str:
         if row is not None and not _is_left_beside(path) and path.name.partition(".")[0] != row:
             said.append(f"'{path.name}' is no row's name: if it is the log of row {row}, call it {row}{path.suffix}. ")
             break
-    return "".join(said)
+    return "".join(said) or _elsewhere(folder, missing)
+
+
+def _elsewhere(folder: Path, missing: Sequence[str]) -> str:
+    """A sentence where logs of missing rows lie in another folder of the bundle, such as logs/logs, or in one that was
+    this bundle until somebody gave it another name; "" for nothing."""
+    bundle = folder.parent
+    plan = _bytes(bundle / PLAN)
+    renamed = [one for one in sorted(bundle.parent.iterdir()) if one != bundle and plan and _bytes(one / PLAN) == plan]
+    for old in renamed:
+        if any(_of_row(old / folder.name, name) for name in missing):
+            return (
+                f"{old} holds this bundle's logs under another name: put what is in its {folder.name} into {folder}. "
+            )
+    inside = [bundle, *(one for one in bundle.iterdir() if one.is_dir()), *folder.glob("*/")]
+    for place in inside:
+        own = (folder, folder / "mappings", *(folder / name for name in missing))
+        found = [path for name in missing for path in _of_row(place, name)] if place not in own else []
+        if found:
+            return (
+                f"{found[0]} may be the log of row {found[0].name.split('.')[0]}: put what lies there into {folder}. "
+            )
+    return ""
+
+
+def _bytes(path: Path) -> bytes | None:
+    """What a small file holds; None where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError:
+        return None
 
 
 @contextmanager
@@ -58,6 +93,11 @@ def whole(files: Sequence[Path], command: str) -> Iterator[None]:
         check_still(before, command, error)
         raise
     check_still(before, command)
+
+
+def may_be_cut(recording: Recording) -> bool:
+    """Whether a log may be a copy of which the end has still to come."""
+    return "last_line_dropped" in recording.notes or ends_early(recording)
 
 
 def check_still(before: Stamps, command: str, cause: Exception | None = None) -> None:
@@ -87,7 +127,7 @@ def stamps(files: Iterable[Path]) -> Stamps:
 def _of_row(folder: Path, name: str) -> list[Path]:
     try:
         inside = _files((folder / name).iterdir()) if (folder / name).is_dir() else []
-        return inside or _files(folder.glob(f"{name}.*"))
+        return [*inside, *_files(folder.glob(f"{name}.*"))]
     except OSError as error:
         raise WorldError(f"{folder}: cannot be read ({error.strerror}).") from error
 

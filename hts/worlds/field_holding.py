@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from hts.contracts import HoldSpeed
+from hts.contracts import FollowVelocity, HoldSpeed, Task
 from hts.errors import ConfigError, RecordingError
 from hts.recordings.recording import Recording
+from hts.recordings.unread import LONGEST_SECONDS, check_read
 
 SPEED_CHANNEL = "base_velocity"
 FELL_WHILE_TRIMMED = "fell_while_trimmed"
@@ -44,6 +45,19 @@ def check_mapping(path: Path, mapping: Mapping[str, Any]) -> None:
     for name, why in ((SPEED_CHANNEL, f"It takes {SENSOR}."), ("command", "It is what was sent to the robot.")):
         if isinstance(channels, Mapping) and name not in channels:
             raise ConfigError(f"{path}: holding the speed needs the channel '{name}', which is not there. {why}")
+
+
+def check_speed_read(file: Path, recording: Recording, task: Task, mapping: Mapping[str, Any]) -> None:
+    """Raise RecordingError if the trunk's speed keeps one number while the joints move: a tracker that has lost the
+    robot repeats where it was last, and then that is, or is not, the speed asked for, whatever the robot does.
+
+    mapping: for how long it may. After a fall nobody sees the markers, and nothing is asked.
+    """
+    said = mapping["channels"].get(SPEED_CHANNEL) or {}
+    if not isinstance(task, FollowVelocity) or recording.fell or said.get("may_be_constant"):
+        return
+    longest = mapping.get("frozen_real_seconds", LONGEST_SECONDS)
+    check_read(recording.channels, recording.rate_hz, (SPEED_CHANNEL,), str(file), None, longest)
 
 
 def held(files: Sequence[Path], recording: Recording, hold: HoldSpeed, trimmed: bool) -> Recording:

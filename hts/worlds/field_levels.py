@@ -9,13 +9,16 @@ difference is held against what walking adds to the level.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hts import units
-from hts.errors import RecordingError
+from hts.channels import Channel
+from hts.contracts import Installed, Objective, Robot
+from hts.errors import ConfigError, RecordingError
 from hts.recordings.recording import Recording
 
 IDLE_NOTED = 0.03
@@ -32,6 +35,51 @@ MASS_REFUSED = 0.02
 rows of a comparison as it is."""
 NOTE = "idle_differs"
 """Note of the recordings of a comparison whose rows state idle levels further apart than IDLE_NOTED."""
+
+
+def real_channels(objectives: Iterable[Objective], registry: Installed, robot: Robot) -> list[Channel]:
+    """What only the robot gives for the objectives: their own real channels, and what else their instruments tell with
+    a level."""
+    found: dict[str, Channel] = {}
+    for objective in objectives:
+        found |= {channel.name: channel for channel in objective.real_channels}
+        found |= {channel.name: channel for channel in _with_levels(objective, registry, robot)}
+    return list(found.values())
+
+
+def measured_from_idle(objectives: Iterable[Objective], registry: Installed, robot: Robot) -> list[str]:
+    """Names of the channels whose idle level an objective needs: its target, and what its instrument has a level of."""
+    own, found = robot.channels(), dict[str, None]()
+    for objective in objectives:
+        for channel in (objective.target, *_with_levels(objective, registry, robot)):
+            found |= {channel.name: None} if channel.name not in own else {}
+    return list(found)
+
+
+def _with_levels(objective: Objective, registry: Installed, robot: Robot) -> list[Channel]:
+    """Channels that the objective's instrument states an idle level of; some tell there what else a score needs."""
+    if objective.instrument is None:
+        return []
+    instrument = registry.make_instrument(objective.instrument, {}, robot)
+    levels = instrument.idle()
+    return [channel for channel in instrument.channels if channel.name in levels]
+
+
+def check_stated(needed: Iterable[str], mapping: Mapping[str, Any], where: Path, own: Path, hint: str = "") -> None:
+    """Raise ConfigError for a channel of `needed` that the mapping has without an idle level, as the template leaves it
+    and as `real: false` would let it pass: it would be missed when the robot has walked, at the first comparison.
+
+    where: of the mapping; own: the run's own; hint: a sentence for the end, or "".
+    """
+    for name in needed:
+        one = (mapping.get("channels") or {}).get(name)
+        if isinstance(one, Mapping) and one.get("idle") is None:
+            also = "" if where == own else f", or for all rows in {own}"
+            raise ConfigError(
+                f"{where}: channels.{name}.idle is not stated, and what '{name}' shows is counted from there. Read the "
+                f"level off with electronics on and motors idle, and write it there{also}"
+                f"{'; real: false does not stand for it' if one.get('real') is False else ''}.{hint}"
+            )
 
 
 def with_one_level(

@@ -169,12 +169,20 @@ def _agree(commands: Sequence[Any], wanted: Sequence[Mapping[str, Any]]) -> bool
     )
 
 
-def check_weighed(where: Path, mapping: Mapping[str, Any]) -> None:
+def left_behind(logs: Path, name: str) -> str:
+    """A sentence for a log of which a runtime may have written a mapping that was not copied with it."""
+    return (
+        f" Or, if the robot's runtime recorded row {name}, copy what it wrote beside the log as well: there is no "
+        f"{logs / FOLDER / name}.yaml."
+    )
+
+
+def check_weighed(where: Path, mapping: Mapping[str, Any], hint: str = "") -> None:
     """Raise RecordingError if the mass, which the template leaves to be filled in, is still empty. where: of the
-    mapping."""
+    mapping; hint: a sentence for the end, or ""."""
     facts = mapping.get("recording")
     if isinstance(facts, Mapping) and "mass_kg" in facts and facts["mass_kg"] is None:
         raise RecordingError(
             f"{where}: recording.mass_kg is still empty. Weigh the robot as it walks and write the kilograms there, or "
-            "delete the line if nothing that is measured needs them."
+            f"delete the line if nothing that is measured needs them.{hint}"
         )

@@ -73,12 +73,19 @@ def _same(one: Samples, other: Samples) -> bool:
 
 
 def _read(path: Path) -> dict[str, dict[str, Samples]]:
-    """What was read before; nothing where the file is damaged: it is a second look, and is written again."""
+    """What was read before; nothing where the file is damaged, or what it says of a bundle: it is a second look, and is
+    written again."""
     try:
         known = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return known if isinstance(known, dict) else {}
+    known = known if isinstance(known, dict) else {}
+    return {bundle: logs for bundle, logs in known.items() if _is_of_logs(logs)}
+
+
+def _is_of_logs(found: object) -> bool:
+    """Whether it is log -> channel -> hash."""
+    return isinstance(found, dict) and all(isinstance(samples, dict) for samples in found.values())
 
 
 def _of_bundles(folder: Path, known: Mapping[str, Mapping[str, Samples]], own: str) -> Iterator[tuple[str, Samples]]:

@@ -250,10 +250,10 @@ def test_a_disk_that_cannot_be_written_names_the_file_and_what_to_do(fakes, fake
     line = one_line_of(capsys)
     assert line.startswith("error: /somewhere/data.zarr: ") and words in line
     assert "resume" not in line  # nothing was begun
-    begun = tmp_path / "begun"
+    begun = tmp_path / "begun today"
     begun.mkdir()
     (begun / "config.yaml").touch()
-    with pytest.raises(RunError, match=f"`hts resume {begun}` goes on"), resumable(begun):
+    with pytest.raises(RunError, match=f"`hts resume '{begun}'` goes on"), resumable(begun):
         raise fake_run.error
 
 

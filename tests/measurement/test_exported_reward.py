@@ -126,6 +126,34 @@ def test_an_order_of_joints_is_given_and_never_guessed(model, exported, tmp_path
         reward.term_of({"model": exported, "joint_names": ("knee", "y", "z")}, env, FIELDS)
 
 
+@pytest.mark.parametrize(
+    ("params", "said"),
+    [
+        ({"joint_names": ("x", "y", "y")}, "joint 'y' is named twice"),
+        (
+            {"channels": {"torque": lambda env: env.data.torque}},
+            "where 'torque' is in this env, .* reads joint_torque, ",
+        ),
+        (
+            {"channels": {"joint_torque": lambda env: env.data.torque.T}},
+            r"has the shape \(3, 4\) .* 4 env instances first",
+        ),
+    ],
+)
+def test_params_that_would_be_read_as_other_numbers_are_refused(exported, reward, params, said):
+    with pytest.raises(reward.ModelFileError, match=said):
+        reward.term_of({"model": exported, **params}, Env(), FIELDS)(Env())
+
+
+def test_numbers_of_another_precision_are_read_as_those_of_hts(exported, reward):
+    found = []
+    for dtype in (torch.float32, torch.float64, torch.float16):
+        env = Env()
+        env.show(torch.full((WORLDS, 3), 2.5, dtype=dtype), torch.full((WORLDS, 3), -0.5, dtype=dtype))
+        found.append(reward.term_of({"model": exported, "centring": None}, env, FIELDS)(env))
+    assert all(one.dtype == torch.float32 and torch.equal(one, found[0]) for one in found)
+
+
 def test_what_is_not_finite_stops_the_training_with_the_instance_named(exported, reward):
     env = Env()
     term = reward.term_of({"model": exported}, env, FIELDS)

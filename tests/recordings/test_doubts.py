@@ -11,7 +11,7 @@ from walker_recording import a_recording
 import hts.recordings
 from hts.recordings.doubts import DOUBTS, doubts
 from hts.run.job import Job
-from hts.worlds.field_levels import NOTE
+from hts.worlds import field_levels, field_pause
 
 SCALE = "0.16 times what kp (target - position) - kd velocity asks for: is it of the motor's side of the gears?"
 
@@ -42,7 +42,7 @@ def test_all_that_an_import_doubts_is_among_them():
     for name in ("pd_torque", "base_speed", "joint_work", "repeated", "attitude", "axes", "feet"):
         text = (Path(hts.recordings.__file__).parent / f"{name}.py").read_text()
         found |= set(re.findall(r'return \{\s+"(\w+)": ', text))
-    assert found | {NOTE} == set(DOUBTS)
+    assert found | {field_levels.NOTE, field_pause.NOTE} == set(DOUBTS)
 
 
 def test_a_run_says_them_of_what_it_keeps():

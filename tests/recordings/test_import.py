@@ -164,7 +164,7 @@ def bad_logs() -> dict[str, tuple[list[str] | None, dict[str, Any], str]]:
             "line 6 of the file has data but no time in column 't'",
         ),
         "empty column": ([f"{20 * i},{i},{-i}," for i in range(20)], {}, "columns of 'draw' (amps) hold no numbers"),
-        "empty file": ([], {}, "no row has a time"),
+        "empty file": ([], {}, "no row of data stands in it. Copy the log again"),
         "no such column": (
             None,
             channels(draw={**draw, "columns": "amp"}),

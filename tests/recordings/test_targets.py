@@ -57,7 +57,8 @@ def test_offsets_from_the_default_pose_are_refused_with_how_far_they_lie_off():
         "01.csv: 'joint_target' lies 1.4 rad from 'joint_position' (median of 10 s of moving, root mean square of 3 "
         "joints), but 0.13 rad taken as what a policy gives, offsets from the default pose or actions. Expected the "
         "angle that is sent, default_pose + offset or default_pose + action_scale * action: write that into the log, "
-        "or import without it, --drop joint_target; if it is right, say so with `limits`."
+        "or leave joint_target out of the mapping (hts import: --drop joint_target); if it is right, "
+        "say so with `limits`."
     )
 
 

@@ -68,7 +68,9 @@ def test_a_log_that_grows_while_it_is_read_is_waited_for(run, policy, logs, monk
     assert len(field(run).collect([policy], ASKED)) == 1
 
 
-@pytest.mark.parametrize(("share", "words"), [(0.5, "If not all of it was copied, copy it again"), (0.0, "Empty")])
+@pytest.mark.parametrize(
+    ("share", "words"), [(0.5, "If not all of it was copied, copy it again"), (0.0, "nothing stands in it")]
+)
 def test_a_copy_that_ended_early_and_grows_no_more_is_refused_as_it_is(run, policy, logs, monkeypatch, share, words):
     monkeypatch.setattr(field_files.time, "sleep", lambda seconds: None)
     content = (logs / "00.csv").read_bytes()
@@ -116,6 +118,40 @@ def test_a_log_whose_name_is_almost_a_rows_is_named_with_the_row(run, policy, lo
     assert f"'{name}' is no row's name: if it is the log of row 00, call it 00.csv. What to record" in str(
         waiting.value
     )
+
+
+def test_of_a_folder_and_a_file_of_one_row_neither_is_taken_for_the_log(run, policy, logs):
+    """Such as the row that was walked again, saved in the other way."""
+    (logs / "00").mkdir()
+    shutil.copy(logs / "00.csv", logs / "00" / "state.csv")
+    with pytest.raises(
+        ConfigError, match=r"2 files for one recording: .*logs/00/state\.csv, .*logs/00\.csv\. Take away"
+    ):
+        field(run).collect([policy], ASKED)
+    (logs / "00" / "state.csv").unlink()
+    assert len(field(run).collect([policy], ASKED)) == 1
+
+
+@pytest.mark.parametrize("place", ["logs/logs", "Logs", "."])
+def test_logs_that_were_copied_one_folder_too_deep_or_too_high_are_pointed_out(run, policy, logs, place):
+    found = logs.parent / place
+    found.mkdir(exist_ok=True)
+    (logs / "00.csv").rename(found / "00.csv")
+    with pytest.raises(WaitingForRobot) as waiting:
+        field(run).collect([policy], ASKED)
+    assert f"{found / '00.csv'} may be the log of row 00: put what lies there into {logs}. " in str(waiting.value)
+
+
+def test_a_bundle_that_was_renamed_is_known_by_its_plan(run, policy, logs):
+    old = logs.parent.with_name("first-visit")
+    logs.parent.rename(old)
+    with pytest.raises(WaitingForRobot) as waiting:
+        field(run).collect([policy], ASKED)
+    assert f"{old} holds this bundle's logs under another name: put what is in its logs into {logs}" in str(
+        waiting.value
+    )
+    (old / "logs" / "00.csv").rename(logs / "00.csv")
+    assert len(field(run).collect([policy], ASKED)) == 1
 
 
 @pytest.mark.parametrize("name", ["00.CSV", "00.csv.bak"])

@@ -11,7 +11,7 @@ from field_folder import bundle, field, fill_in, write_log
 
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
-from hts.errors import RecordingError, WaitingForRobot
+from hts.errors import ConfigError, RecordingError, WaitingForRobot
 from hts.recordings.doubts import remarks
 from hts.recordings.recording import Recording, Series
 from hts.worlds.field_levels import NOTE, with_one_level
@@ -138,3 +138,38 @@ def test_the_level_that_the_runs_own_mapping_states_is_that_of_all_rows(run, pol
     recordings = field(run).head_to_head(policy, policy, [0.8])
     assert {recording.idle["battery_current"] for recording in recordings} == {1.3}
     assert not told(recordings)
+
+
+@pytest.mark.parametrize("said", [{"idle": None}, {"real": False}], ids=["as the template leaves it", "real: false"])
+@pytest.mark.parametrize("channel", ["battery_current", "battery_voltage"])
+def test_a_level_that_nobody_stated_is_asked_for_with_the_first_logs(run, policy, robot, said, channel):
+    def ask():
+        return field(run).collect([policy], ScheduleConfig(commands=(Command(seconds=3.0, vx=0.5),)))
+
+    with pytest.raises(WaitingForRobot):
+        ask()
+    fill_in(run)
+    own = run / "field" / "mapping.yaml"
+    mapping = yaml.safe_load(own.read_text())
+    level = mapping["channels"][channel].pop("idle")
+    mapping["channels"][channel] |= said
+    own.write_text(yaml.safe_dump(mapping))
+    write_log(bundle(run) / "logs" / "00.csv", robot)
+    with pytest.raises(
+        ConfigError, match=rf"mapping\.yaml: channels\.{channel}\.idle is not stated, .* write it there"
+    ):
+        ask()
+    mapping["channels"][channel] = {**mapping["channels"][channel], "idle": level, "real": True}
+    own.write_text(yaml.safe_dump(mapping))
+    assert ask()[0].idle[channel] == level
+
+
+def test_of_a_log_whose_runtime_wrote_a_mapping_it_is_said_that_it_was_not_copied(run, policy, robot):
+    with pytest.raises(WaitingForRobot):
+        field(run).head_to_head(policy, policy, [0.8])
+    for number in range(4):
+        write_log(bundle(run) / "logs" / f"{number:02d}.csv", robot)
+    with pytest.raises(
+        RecordingError, match=r"mass_kg is still empty.* copy .* there is no .*logs/mappings/00\.yaml\."
+    ):
+        field(run).head_to_head(policy, policy, [0.8])

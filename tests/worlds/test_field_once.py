@@ -67,6 +67,16 @@ def test_the_same_bundle_is_read_again_as_often_as_one_likes(run, policy, robot)
     assert list(json.loads(before)) == [bundle(run).name]
 
 
+@pytest.mark.parametrize("damage", ["{", "[]", '{"other": 3}', '{"other": {"mapping.yaml": 3}}'])
+def test_what_was_read_is_a_second_look_and_is_written_again_where_it_is_damaged(run, policy, robot, damage):
+    collected(run, policy, robot)
+    known = run / "field" / READ
+    before = known.read_text()
+    known.write_text(damage)
+    assert len(field(run).collect([policy], walking(0.8, SECONDS))) == 1
+    assert known.read_text() == before
+
+
 def test_a_log_that_was_moved_to_where_it_belongs_is_no_second_one(run, policy, robot):
     old, _ = collected(run, policy, robot)
     asked_again(run, policy, robot, old)

@@ -16,15 +16,16 @@ RENAMED = (("actor_obs_normalizer.", "obs_normalizer."), ("actor.", "mlp."))
 """Beginnings of the names of an actor's numbers before rsl_rl 4 -> since."""
 SIGMAS = {"std": "distribution.std_param", "log_std": "distribution.log_std_param"}
 """Names of sigma before rsl_rl 5 -> since."""
+GIVE = "Give the model_N.pt of the policy that the data were recorded with."
 
 
 def read_checkpoint(path: str | Path) -> dict[str, Any]:
     """What `runner.save` wrote, on the CPU. Raises AnchorError."""
+    if not isinstance(path, str | Path) or not str(path):
+        raise AnchorError(f"anchor_checkpoint is {path!r}; expected a file. {GIVE}")
     path = Path(path)
     if not path.is_file():
-        raise AnchorError(
-            f"anchor_checkpoint: {path} is no file. Give the model_N.pt of the policy that the data were recorded with."
-        )
+        raise AnchorError(f"anchor_checkpoint: {path} is no file. {GIVE}")
     try:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch names a dozen, pickle's own among them

@@ -8,6 +8,7 @@ import torch
 
 from hts_rsl_rl.errors import AnchorError
 
+AS_TEXT = " In YAML a number with an exponent needs a point (1.0e-2), and infinity is .inf."
 LARGEST_EXCESS = 2.0  # of KL / c - 1 in one update: one bad batch must not spend the training on getting back
 
 
@@ -19,10 +20,12 @@ class LagrangeMultiplier:
     """
 
     def __init__(self, bound: float, rate: float = 0.05) -> None:
-        if not bound > 0:
-            raise AnchorError(f"kl_bound is {bound}; expected a positive number of nats, infinity for no bound.")
-        if not rate >= 0:
-            raise AnchorError(f"multiplier_rate is {rate}; expected 0 or more.")
+        if not is_number(bound) or not bound > 0:
+            raise AnchorError(
+                f"kl_bound is {bound!r}; expected a positive number of nats, infinity for no bound.{AS_TEXT}"
+            )
+        if not is_number(rate) or not 0 <= rate < math.inf:
+            raise AnchorError(f"multiplier_rate is {rate!r}; expected a number, 0 or more.{AS_TEXT}")
         self.bound, self.rate, self.value = float(bound), float(rate), 0.0
 
     def update(self, kl: float) -> float:
@@ -46,8 +49,8 @@ class RunningMean:
     """
 
     def __init__(self, rate: float, device: torch.device | str = "cpu") -> None:
-        if not 0 < rate <= 1:
-            raise AnchorError(f"The rate of centring is {rate}; expected a number above 0, at most 1.")
+        if not is_number(rate) or not 0 < rate <= 1:
+            raise AnchorError(f"The rate of centring is {rate!r}; expected a number above 0, at most 1.{AS_TEXT}")
         self.rate = rate
         self.mean, self.trace = torch.zeros((), device=device), torch.zeros((), device=device)
 
@@ -56,3 +59,8 @@ class RunningMean:
         """Fold in the mean of a batch, or of one step over all env instances; 0-dimensional."""
         self.trace = self.trace + self.rate * (1.0 - self.trace)
         self.mean = self.mean + self.rate / self.trace * (mean - self.mean)
+
+
+def is_number(value: object) -> bool:
+    """Whether a setting is a number: YAML makes a text of 1e-2, and a yes is no number."""
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -72,7 +72,13 @@ class MeasuredTerm:
         """The term after a control step, (W,)."""
         parts = []
         for one in self.model.inputs:
-            values = self.channels[one.name](env).reshape(len(self.state), -1)
+            values = self.channels[one.name](env)
+            if not values.ndim or len(values) != len(self.state):
+                raise ModelFileError(
+                    f"{self.model.path}: '{one.name}' has the shape {tuple(values.shape)} in this env; expected "
+                    f"{len(self.state)} env instances first, then {one.size} numbers each. Turn it round in params."
+                )
+            values = values.reshape(len(self.state), -1).float()
             if values.shape[1] != one.size:
                 raise ModelFileError(
                     f"{self.model.path}: '{one.name}' has {one.size} numbers, this env gives {values.shape[1]}. Say in "
@@ -131,6 +137,13 @@ def term_of(params: Mapping[str, Any], env: Any, fields: Mapping[str, str]) -> M
     given = {"entity": "robot", "joint_names": None, "channels": None, "centring": CENTRING, **params}
     own = dict(given["channels"] or {})
     model = MeasurementModel(given["model"])
+    inputs = [one.name for one in model.inputs]
+    for name in own:
+        if name not in inputs:
+            raise ModelFileError(
+                f"{given['model']}: params say where '{name}' is in this env, which the model does not read; it reads "
+                f"{', '.join(inputs)}. Correct the name in channels, or leave it out."
+            )
     read = [one.name for one in model.inputs if one.name in fields and one.name not in own]
     if read:
         entity = env.scene[given["entity"]]
@@ -162,5 +175,11 @@ def joint_order(path: str, given: Sequence[str] | None, model: Sequence[str] | N
         raise ModelFileError(
             f"{path}: joint '{missing[0]}' is not in this env, which has {', '.join(known)}. Say in params how the "
             "joints are called here, in the order of the recordings: joint_names=(...)."
+        )
+    twice = next((name for place, name in enumerate(names) if name in names[:place]), None)
+    if twice is not None:
+        raise ModelFileError(
+            f"{path}: joint '{twice}' is named twice in the order of the joints, {', '.join(names)}. Say each joint of "
+            "the recordings once: joint_names=(...)."
         )
     return [list(known).index(name) for name in names]

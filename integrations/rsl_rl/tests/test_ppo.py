@@ -226,7 +226,8 @@ def test_a_checkpoint_of_earlier_versions_is_the_same_anchor(path):
 def test_what_cannot_be_an_anchor_is_refused_in_a_line(path, tmp_path):
     saved = torch.load(path, weights_only=True)
     assert "is no file" in refused(str(tmp_path / "missing.pt"))
-    assert "is no file" in refused("")
+    assert "anchor_checkpoint is ''; expected a file" in refused("")
+    assert "anchor_checkpoint is None; expected a file" in refused(None)
 
     def written(**changes) -> str:
         torch.save({**saved, **changes}, tmp_path / "bad.pt")
@@ -267,3 +268,7 @@ def test_settings_that_cannot_be_are_refused_in_a_line(path):
     assert "kl_bound is 0" in refused(path, kl_bound=0.0)
     assert "multiplier_rate is -1" in refused(path, multiplier_rate=-1.0)
     assert "centring is 2" in refused(path, centring_rate=2.0)
+    for setting in ("kl_bound", "multiplier_rate", "centring_rate"):  # what YAML makes of 5e-2
+        assert "is '5e-2'; expected a" in refused(path, **{setting: "5e-2"})
+    assert "multiplier_rate is inf" in refused(path, multiplier_rate=math.inf)
+    assert "kl_bound is None" in refused(path, kl_bound=None)

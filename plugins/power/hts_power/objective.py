@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
 GRAVITY = 9.81  # m/s²
+VOLTAGE_APART = 0.5
+"""A pack of six cells has 25.2 V when full and 18 when empty; what walking takes off that is less."""
 USUAL_SPREAD = 1 / 3
 """A gauge's standard deviation over the mean net current: 0.25 to 0.63 on sixteen drawn machines (docs/power.md)."""
 
@@ -126,11 +128,13 @@ class Power(Objective):
 
     def score(self, segments: Segments) -> Mapping[str, np.ndarray]:
         """gross_power W, net_power W and cost_of_transport (J per metre and newton of weight) of each segment. Raises
-        EvaluationError for measured segments whose mean net power is not above 0."""
+        EvaluationError for measured segments whose mean net power is not above 0, or whose idle voltage no pack has."""
         current, voltage = segments.values("battery_current"), segments.values("battery_voltage")
         idle_power = segments.idle("battery_current") * segments.idle("battery_voltage")
         gross = mean_power(current, voltage)
         net = gross - idle_power
+        if isinstance(segments, Segments) and len(segments):
+            _check_level(segments, float(voltage.mean(dtype=float)), segments.idle("battery_voltage"))
         # Here, not in `compare`: all of a policy's segments are a mistake of the idle level, one draw of them is noise.
         if isinstance(segments, Segments) and len(segments) and net.mean() <= 0:
             raise EvaluationError(_below_idle(segments, float(gross.mean()), float(idle_power.mean())))
@@ -164,6 +168,19 @@ class Power(Objective):
     def proxy(self, channels: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Yang et al.'s analytic power, W; see `hts_power.proxy`."""
         return analytic_power(channels["joint_torque"], channels["joint_velocity"], self.settings.joule_coefficient)
+
+
+def _check_level(segments: Segments, walking: float, levels: np.ndarray) -> None:
+    """Raise EvaluationError for idle voltages that are half or twice the one while walking, such as of a point in the
+    wrong place or 0 for one that nobody read: idle power is made of them. walking: mean, V."""
+    for level in dict.fromkeys(levels.tolist()):
+        if not VOLTAGE_APART * walking <= level <= walking / VOLTAGE_APART:
+            raise EvaluationError(
+                f"A recording of {segments.recordings[0].role} {segments.recordings[0].policy_hash[:8]} says "
+                f"battery_voltage is {level:.4g} V idle, and it was {walking:.4g} V in the mean of its walk; "
+                f"expected {VOLTAGE_APART:g} to {1 / VOLTAGE_APART:g} times that, since a pack sags by some per cent. "
+                "Read it off again with electronics on and motors idle, and correct it in the mapping."
+            )
 
 
 def _below_idle(segments: Segments, gross: float, idle: float) -> str:

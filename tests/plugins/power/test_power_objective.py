@@ -95,6 +95,14 @@ def test_an_idle_level_above_what_walking_draws_is_refused_as_it_turns_the_sign(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("level", [0.0, 2.0, 200.0])
+def test_an_idle_voltage_that_is_no_packs_is_refused(level):
+    idle = {"battery_current": 1.3, "battery_voltage": level}
+    walked = replace(recording([5.0], [20.0], 0.8), idle=idle)
+    with pytest.raises(EvaluationError, match=f"battery_voltage is {level:g} V idle, and it was 20 V in the mean"):
+        Power().score(cut([walked]))
+
+
 def test_seconds_below_idle_are_noise_where_the_mean_is_above():
     """Of 10 ± 60 W net many a second, and many a draw of the interval, is below 0."""
     found = head_to_head(92.0, 100.0, 90.0, scatter=60.0)
