@@ -7,6 +7,7 @@ two visits, or what changed while the robot stood: the pack, a load, a sensor th
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from itertools import islice, pairwise
@@ -69,9 +70,10 @@ def _begin(files: Sequence[Path], mapping: Mapping[str, Any]) -> float | None:
         cell = first[named.index(column) if header else int(column)].strip()
         if unit == DATES:
             return datetime.fromisoformat(cell).timestamp()
-        return float(cell.replace(mapping.get("decimal", "."), ".")) * SECONDS[unit]
+        stamp = float(cell.replace(mapping.get("decimal", "."), ".")) * SECONDS[unit]
     except (ValueError, IndexError):
         return None
+    return stamp if math.isfinite(stamp) else None
 
 
 def _long(seconds: float) -> str:

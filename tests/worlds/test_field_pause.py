@@ -12,8 +12,9 @@ from hts.worlds.field_pause import NOTE
 DAY = 86400.0
 
 
-def told(run, policy, robot, begins) -> list[str]:
-    """What is said of a head-to-head whose rows' logs begin at these stamps, s."""
+def told(run, policy, robot, begins, first="") -> list[str]:
+    """What is said of a head-to-head whose rows' logs begin at these stamps, s. first: the stamp of one more line in
+    front of each log, without data."""
 
     def ask():
         return field(run).head_to_head(policy, policy, [0.8])
@@ -26,7 +27,8 @@ def told(run, policy, robot, begins) -> list[str]:
         write_log(log, robot)
         head, *rows = (line.split(",", 1) for line in log.read_text().splitlines())
         moved = [",".join(head), *(f"{float(stamp) + begin:.6f},{rest}" for stamp, rest in rows)]
-        log.write_text("\n".join(moved) + "\n")
+        lost = [first + "," * moved[0].count(",")] if first else []
+        log.write_text("\n".join([moved[0], *lost, *moved[1:]]) + "\n")
     return [line for line in remarks(ask()) if NOTE in line]
 
 
@@ -48,3 +50,7 @@ def test_rows_of_two_visits_are_told_of(run, policy, robot, begins, said):
 @pytest.mark.parametrize("begins", [[0.0] * 4, [5.0 + (SECONDS + 1.0) * row for row in range(4)], [0.0, 60, 3, 200]])
 def test_nothing_is_said_of_one_visit_nor_of_clocks_that_begin_with_each_log(run, policy, robot, begins):
     assert told(run, policy, robot, begins) == []
+
+
+def test_a_log_whose_first_line_has_no_time_says_nothing(run, policy, robot):
+    assert told(run, policy, robot, [7.0, 10.1, DAY, DAY + 3.1], first="nan") == []
