@@ -32,6 +32,9 @@ raw and normalised, channels, actions, and their gradients' working copies)."""
 BASE_MEMORY_GB = 1.2
 """The libraries in the run's own process and in two processes of a twin, before anything is trained."""
 
+AROUND_SECONDS = 20.0
+"""What is neither simulated nor walked: processes that start, fits to a run's few minutes of logs, the report; of
+`smoke` and of `quick`, on two cores."""
 
 CONTAINER_LIMITS = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 """Where Linux says how much memory a container may take, bytes: control groups of version 2 and 1."""
@@ -95,8 +98,8 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
         "beside": beside or None,
         "simulation_steps": steps,
         "speed": f"{rate:,.0f} a second, {measured}",
-        "wall_minutes": (steps / rate + walls[0]) / 60.0,
-        "wall_minutes_most": (steps / rate + walls[1]) / 60.0,
+        "wall_minutes": (AROUND_SECONDS + steps / rate + walls[0]) / 60.0,
+        "wall_minutes_most": (AROUND_SECONDS + steps / rate + walls[1]) / 60.0,
         "memory_gb": BASE_MEMORY_GB + batch_gb,
         "host_memory_gb": BASE_MEMORY_GB + (0.0 if _on_gpu(config) else batch_gb),
     }
