@@ -18,6 +18,8 @@ from torch.distributions import (
     kl_divergence,
 )
 
+from hts.rl.possible import support_of
+
 LIMITED = (
     constraints.interval,
     constraints.half_open_interval,
@@ -115,12 +117,9 @@ def _limited(distribution: Distribution) -> bool | None:
         return _limited(distribution.base_dist)
     if isinstance(distribution, TransformedDistribution):  # whose own `support` is that of its last transform alone
         return True if any(map(_limits, distribution.transforms)) else _limited(distribution.base_dist)
-    try:
-        support = distribution.support
-    except NotImplementedError:
+    support = support_of(distribution)
+    if support is None:
         return None
-    while isinstance(support, constraints.independent):
-        support = support.base_constraint
     return True if isinstance(support, LIMITED) else False if support is constraints.real else None
 
 

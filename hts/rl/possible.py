@@ -24,16 +24,24 @@ def impossible(policy: Distribution, action: torch.Tensor) -> torch.Tensor | Non
         return _beyond_squashing(policy.transforms, action)
     if isinstance(policy, OneHotCategorical | MaskedCategorical):  # they say of themselves what a Categorical does
         return None
-    try:
-        support = policy.support
-    except NotImplementedError:
+    support = support_of(policy)
+    if support is None:
         return None
-    while isinstance(support, constraints.independent):
-        support = support.base_constraint
     if isinstance(support, constraints.interval):
         return _beyond(support, action)
     whole = isinstance(support, constraints.integer_interval) or support is constraints.boolean
     return ~support.check(action) if whole else None
+
+
+def support_of(distribution: Distribution) -> constraints.Constraint | None:
+    """What each number of an action may be; None where the distribution does not say."""
+    try:
+        support = distribution.support
+    except NotImplementedError:
+        return None
+    while isinstance(support, constraints.independent):
+        support = support.base_constraint
+    return support
 
 
 def _beyond_squashing(transforms: list[Transform], action: torch.Tensor) -> torch.Tensor | None:
