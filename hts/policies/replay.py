@@ -38,9 +38,10 @@ from hts.policies.position_control import (
 )
 from hts.policies.proof import NOT_PROVEN, PROVEN, State, of_card
 from hts.policies.replay_log import Log
+from hts.policies.replay_observation import AXES, SEEN_TOLERANCE, relative
+from hts.policies.replay_observation import explained as explained_part
 from hts.policies.replay_targets import TARGET_TOLERANCE, explained
 
-SEEN_TOLERANCE = 1e-4  # of an observation's entry, relative where it is larger than 1
 MOVES = 1e-3  # action units: an action that varies less shows nothing of its joint
 RATE_TOLERANCE = 0.02
 WORST_FACTOR = 1.05  # a lag counts as good as the best up to this factor of the residual
@@ -265,14 +266,14 @@ class _Replay:
                 expected = self._expected(name, first, size, offset)
                 if expected is None:
                     break
-                fits.append(_relative(seen, expected[rows]))
+                fits.append(relative(seen, expected[rows]))
             if not fits:
                 unknown.append(name)
                 continue
             good = [offset for offset, off in enumerate(fits) if off <= SEEN_TOLERANCE]
             if not good:
-                if name.startswith("joint_") and self.log.action is not None:
-                    self._explain_part(name, seen, self._expected(name, first, size, int(np.argmin(fits))))
+                for offset in np.argsort(fits):
+                    self._explain_part(name, first, size, seen, int(offset))
                 unknown.append(f"{name} (off by {min(fits):.2g})")
             elif len(good) == 1 and name.startswith("joint_"):
                 offsets[name] = good[0]
@@ -282,18 +283,21 @@ class _Replay:
             return _open("observation", f"the log does not show, or not as the layout says: {', '.join(unknown)}")
         return _shown("observation", f"{len(self.given)} observations are what the layout says of the log's channels")
 
-    def _explain_part(self, name: str, seen: np.ndarray, expected: np.ndarray | None) -> None:
-        """Raises PolicyError if the part is exactly that of the joints in another order."""
-        if expected is None or seen.std(0).min() < 1e-6:
+    def _explain_part(self, name: str, first: int, size: int, seen: np.ndarray, offset: int) -> None:
+        """Raises PolicyError if the part is exactly something else than the layout says."""
+        expected = self._expected(name, first, size, offset)
+        if expected is None or self.log.action is None:
             return
-        off = np.abs(seen[:, :, None] - expected[self.asked][:, None, :]).max(0)  # (source entry, joint)
-        best = off.argmin(1)
-        if np.all(off.min(1) <= SEEN_TOLERANCE) and np.any(best != np.arange(len(best))):
-            joint = int(np.flatnonzero(best != np.arange(len(best)))[0])
-            raise self._refuted(
-                f"joint_order is another: entry {joint} of {name} is {self.names[best[joint]]} in the log, the "
-                f"contract says {self.names[joint]}"
-            )
+        factor = self.maps.factor[first : first + size].numpy()
+        others = {}
+        for other, at, width in self.maps.parts:
+            if other != name and width == size and (values := self._expected(other, at, width, offset)) is not None:
+                others[other] = (values / self.maps.factor[at : at + width].numpy())[self.asked]
+        labels = self.names if size == len(self.names) else AXES
+        if len(labels) == size and (
+            wrong := explained_part(name, labels, seen, expected[self.asked], factor, self.pose, others)
+        ):
+            raise self._refuted(wrong)
 
     # ----------------------------------------------------------------------------------------- torques
 
@@ -363,7 +367,7 @@ class _Replay:
     def _refuted(self, what: str) -> PolicyError:
         return PolicyError(
             f"{self.path}: the log {self.log.path} refutes its contract: {what}. Correct the contract (--layout), or "
-            "replay a log of this policy."
+            "the log's columns if they are wrong; or replay a log of this policy."
         )
 
 
@@ -385,8 +389,3 @@ def _open(item: str, why: str) -> dict[str, State]:
 
 def _shown(item: str, why: str) -> dict[str, State]:
     return {item: State(PROVEN, why)}
-
-
-def _relative(found: np.ndarray, wanted: np.ndarray) -> float:
-    """The largest difference, relative where the wanted number is larger than 1."""
-    return float((np.abs(found - wanted) / np.maximum(np.abs(wanted), 1.0)).max(initial=0.0))

@@ -167,6 +167,56 @@ def test_a_full_log_refutes_what_is_wrong_and_actions_alone_leave_it_open(checkp
     assert by_state(found, PROVEN) == ["actions"]
 
 
+def changed(number, **keys):
+    """PARTS with other keys in one of them."""
+    return tuple({**part, **(keys if place == number else {})} for place, part in enumerate(PARTS))
+
+
+WRONG_PARTS = {
+    "a scale": (changed(1, scale=1.0), {}, r"the scale of command is 2 by the log \(x\), the layout says 1"),
+    "degrees": (
+        PARTS,
+        {"joint_velocity": np.degrees},
+        "the scale of joint_velocity is 0.0008727 .* says 0.05, as if the log were in degrees",
+    ),
+    "a sign": (PARTS, {"projected_gravity": np.negative}, "the scale of projected_gravity is -1 .* sign is another"),
+    "axes": (
+        PARTS,
+        {"projected_gravity": lambda xyz: xyz[:, [1, 2, 0]]},
+        "projected_gravity has its axes in another order: entry 0 of projected_gravity is z in the log",
+    ),
+    "order of parts": (
+        (PARTS[2], PARTS[1], PARTS[0], *PARTS[3:]),
+        {},
+        "what the layout calls projected_gravity is angular_velocity in the log, with the scale 0.25",
+    ),
+    "angles": (
+        changed(3, name="joint_position"),
+        {},
+        "calls joint_position are distances from the default pose in the log: call it joint_position_offset",
+    ),
+    "zero": (
+        PARTS,
+        {"joint_position": lambda angles: angles + [0.0, 0.2, 0.0, 0.0]},
+        "joint_position_offset of a_knee is off by -0.2 rad in the whole log",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", WRONG_PARTS)
+def test_a_log_refutes_an_observation_that_is_exactly_something_else(checkpoint, full, what):
+    parts, changes, words = WRONG_PARTS[what]
+    log = {**full, **{key: change(full[key]) for key, change in changes.items()}}
+    with pytest.raises(PolicyError, match=f"log.npz refutes its contract: .*{words}"):
+        states(checkpoint, log, parts=parts)
+
+
+def test_an_observation_with_noise_is_not_proven_and_refutes_nothing(checkpoint, full):
+    noisy = full["angular_velocity"] + 0.1 * np.random.default_rng(2).standard_normal(full["angular_velocity"].shape)
+    found = states(checkpoint, {**full, "angular_velocity": noisy})
+    assert found["observation"].state == NOT_PROVEN and "angular_velocity (off by" in found["observation"].why
+
+
 def test_a_log_with_wrong_actions_is_refuted(checkpoint, full):
     with pytest.raises(PolicyError, match="its actions are off by up to"):
         states(checkpoint, {"observation": full["observation"], "action": full["action"] + 2e-4})
