@@ -112,6 +112,19 @@ def completed(path: Path, what: str, values: Values, robot: RobotSpec) -> Values
     return {**values, **{name: own[name] for name in own if not _found(path, what, values, name)}}
 
 
+def check_keys(path: Path, what: str, values: Values, names: Sequence[str]) -> None:
+    """Raises PolicyError for a name or pattern that means no joint: a slip of the pen, whose number nobody would get.
+    names: the robot's joints."""
+    if not isinstance(values, Mapping):
+        return
+    idle = [key for key in values if not any(_found(path, what, {key: values[key]}, name) for name in names)]
+    if idle:
+        raise PolicyError(
+            f"{path}: {what}: no joint is meant by '{str(idle[0])[:60]}', so its number would be used nowhere. "
+            f"Correct it; the robot has {', '.join(names)}."
+        )
+
+
 def _matching(path: Path, what: str, values: Mapping[str, float], name: str) -> Any:
     found = _found(path, what, values, name)
     if len(set(found.values())) != 1:

@@ -14,6 +14,7 @@ starts anew; give fine-tuning a few `warmup_batches`, in which only the critic l
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -142,14 +143,14 @@ def _finished(
     size = sum(int(part["size"]) for part in layout.observation)
     if inputs != size and given is not None and given.observation:
         raise PolicyError(
-            f"{path}: its actor takes {inputs} observations, the parts of the layout's `observation` have {size}. Add "
-            "the parts that are missing, correct their sizes, or leave the key out if it observes what "
-            f"'{robot.name}' does."
+            f"{path}: its actor takes {inputs} observations, the parts of the layout's `observation` have {size}"
+            f"{_history(inputs, layout.observation, robot.num_joints)}. Add the parts that are missing, correct their sizes, or leave the key out if it "
+            f"observes what '{robot.name}' does."
         )
     if inputs != size or outputs != robot.num_joints:
         raise PolicyError(
             f"{path}: its actor maps {inputs} observations to {outputs} actions, expected {size} to "
-            f"{robot.num_joints} for robot '{robot.name}'. Say with a layout (--layout) what it observes, or use a "
+            f"{robot.num_joints} for robot '{robot.name}'{_history(inputs, layout.observation, robot.num_joints)}. Say with a layout (--layout) what it observes, or use a "
             "policy of this robot."
         )
     check_values(path, contract, robot)
@@ -170,3 +171,11 @@ def _finished(
     made |= {"source": proof.written(contract), "proof": proof.as_card(states)}
     card = make_card(robot, whole, [dict(part) for part in seen.parts], sizes, **made)
     return Imported(Policy(whole, card), network, maps, contract)
+
+
+def _history(inputs: int, parts: Sequence[Mapping[str, Any]], joints: int) -> str:
+    """In words, what a multiple of a whole observation probably is; empty for none."""
+    size = sum(int(part["size"]) for part in parts)
+    if inputs % size or inputs == size or all(int(part["size"]) != joints for part in parts):
+        return ""
+    return f" ({inputs} = {inputs // size} x {size}: a history of several observations? hts shows a policy one at a time)"

@@ -17,7 +17,7 @@ from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError
 from hts.explain import explain
 from hts.policies.card_checks import LARGEST_OBSERVATION
-from hts.policies.contract import GAINS, Contract, completed
+from hts.policies.contract import GAINS, Contract, check_keys, completed
 from hts.rl.task_env import TaskEnv
 from hts.yaml_text import load_mapping_file
 
@@ -101,7 +101,8 @@ class LayoutFile(Config):
 
 
 def load_layout(file: Path, robot: RobotSpec | None = None) -> Layout:
-    """The layout in a YAML file; robot: whose numbers `rest: robot` means. Raises ConfigError naming file and key."""
+    """The layout in a YAML file; robot: whose joints it names, and whose numbers `rest: robot` means. Raises
+    ConfigError or PolicyError naming file and key."""
     try:
         found = LayoutFile.model_validate(load_mapping_file(file, "layout of a policy"))
     except ValidationError as error:
@@ -116,8 +117,12 @@ def load_layout(file: Path, robot: RobotSpec | None = None) -> Layout:
         said["delay_seconds"] = (float(least), float(most))
     said_by = dict.fromkeys(said, file.name)
     contract = Contract(**said, said_by=said_by)
+    per_joint = ("default_pose", "action_scale", "kp", "kd")
+    if robot is not None:
+        for key in per_joint:
+            check_keys(file, key, said.get(key, 0.0), robot.joint_names)
     if found.rest == "robot" and robot is not None:
-        for key in ("default_pose", "action_scale", "kp", "kd"):
+        for key in per_joint:
             if key in said and (whole := completed(file, key, said[key], robot)) != said[key]:
                 said[key], said_by[key] = whole, f"{file.name} and the robot"
         contract = Contract(**said, said_by=said_by).of_robot(robot)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -69,9 +70,11 @@ def weights_of(path: Path) -> Mapping[str, Any]:
     try:
         data = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many classes, one for each way a file can be broken or unsafe
+        objects = re.findall(r"GLOBAL ([\w.]+)", str(error))  # torch's advice is to run them; ours is not
         why = str(error).splitlines()[0] if str(error) else type(error).__name__
+        held = f"it holds Python objects such as {objects[0]}, which would have to be run" if objects else why
         raise PolicyError(
-            f"{path}: cannot be read as weights only ({why[:160]}). Save its state_dicts as plain tensors."
+            f"{path}: cannot be read as weights only ({held[:160]}). Save its state_dicts as plain tensors."
         ) from error
     if not isinstance(data, Mapping):
         raise PolicyError(
@@ -116,7 +119,12 @@ def _parts(
     std = state.get("std", state.get("distribution.std_param"))
     log_std = state.get("log_std", state.get("distribution.log_std_param"))
     if log_std is None and std is not None:
-        log_std = std.float().clamp(min=1e-3).log()
+        if bool((std <= 0).any()):
+            raise PolicyError(
+                f"{path}: its sigma of exploration (std) is {float(std.min()):g} for an action, expected above 0. Use "
+                "another checkpoint."
+            )
+        log_std = std.float().log()
     return layers, normaliser, None if log_std is None else log_std.float()
 
 

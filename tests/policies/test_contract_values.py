@@ -95,6 +95,17 @@ def test_a_map_may_leave_joints_to_the_robot(tmp_path):
         per_joint(FILE, "default_pose", contract.default_pose, NAMES)
 
 
+@pytest.mark.parametrize("rest", ["", "rest: robot\n"])
+@pytest.mark.parametrize(
+    "line", ["default_pose: {.*_haa: 0.1, .*_hef: 0.8, .*_kfe: -1.6}", "kp: {F_haa: 20, .*_hfe: 30, .*_kfe: 30, H_haaa: 5}"]
+)
+def test_a_name_that_means_no_joint_is_refused(tmp_path, line, rest):
+    file = tmp_path / "L.yaml"
+    file.write_text(f"{line}\n{rest}")
+    with pytest.raises(PolicyError, match=r"L.yaml: (default_pose|kp): no joint is meant by '(\.\*_hef|H_haaa)'"):
+        load_layout(file, SPEC)
+
+
 def test_a_delay_that_nobody_says_is_asked_for_without_rest():
     whole = Contract().of_robot(SPEC)
     with pytest.raises(
