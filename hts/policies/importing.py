@@ -91,7 +91,7 @@ def _import(
 ) -> Imported:
     if path.suffix == ".safetensors" and not path.with_suffix(".json").exists() and holds_layers(path):
         network, examples, made = layers_of(path, robot.num_joints)
-        return _finished(path, robot, network, Source(), layout, seen, std, made, HEADROOM, examples=examples)
+        return _finished(path, robot, network, Source(), layout, seen, std, made, HEADROOM, strict, examples)
     if path.suffix in (".safetensors", ".json"):
         return Imported(load_policy(path, robot))
     if path.suffix == ".onnx":
@@ -178,4 +178,6 @@ def _history(inputs: int, parts: Sequence[Mapping[str, Any]], joints: int) -> st
     size = sum(int(part["size"]) for part in parts)
     if inputs % size or inputs == size or all(int(part["size"]) != joints for part in parts):
         return ""
-    return f" ({inputs} = {inputs // size} x {size}: a history of several observations? hts shows a policy one at a time)"
+    return (
+        f" ({inputs} = {inputs // size} x {size}: a history of several observations? hts shows a policy one at a time)"
+    )

@@ -97,7 +97,8 @@ def test_a_map_may_leave_joints_to_the_robot(tmp_path):
 
 @pytest.mark.parametrize("rest", ["", "rest: robot\n"])
 @pytest.mark.parametrize(
-    "line", ["default_pose: {.*_haa: 0.1, .*_hef: 0.8, .*_kfe: -1.6}", "kp: {F_haa: 20, .*_hfe: 30, .*_kfe: 30, H_haaa: 5}"]
+    "line",
+    ["default_pose: {.*_haa: 0.1, .*_hef: 0.8, .*_kfe: -1.6}", "kp: {F_haa: 20, .*_hfe: 30, .*_kfe: 30, H_haaa: 5}"],
 )
 def test_a_name_that_means_no_joint_is_refused(tmp_path, line, rest):
     file = tmp_path / "L.yaml"

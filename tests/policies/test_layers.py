@@ -205,7 +205,11 @@ def test_the_command_writes_a_policy_and_nothing_over_another(written, tmp_path,
 
     file = written(a_network())
     with kit_installed():
-        words = ("policy", "import", file, "--robot", "tiny", "--to", tmp_path / "mine.safetensors")
+        bare = ("policy", "import", file, "--robot", "tiny", "--to", tmp_path / "mine.safetensors")
+        guessed = hts(*bare)  # its order, pose and scale are nowhere: never taken for the robot's without a word
+        assert guessed.returncode == 2 and "neither it nor what lies beside it says joint_names" in guessed.stderr
+        (tmp_path / "layout.yaml").write_text("rest: robot\ndelay_seconds: 0\n")
+        words = (*bare[:3], "--layout", tmp_path / "layout.yaml", *bare[3:])
         done = hts(*words)
         assert done.returncode == 0, done.stderr
         assert "15-8-4-2 for robot tiny, 40 actions replayed, off by at most" in done.stdout

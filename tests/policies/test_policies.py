@@ -359,7 +359,9 @@ class Trap:
 
 def test_a_checkpoint_that_would_run_code_is_refused_and_runs_none(tmp_path):
     torch.save({"model_state_dict": Trap(tmp_path / "ran")}, tmp_path / "model.pt")
-    with pytest.raises(PolicyError, match="weights only .it holds Python objects such as .*open, which would have to be run"):
+    with pytest.raises(
+        PolicyError, match="weights only .it holds Python objects such as .*open, which would have to be run"
+    ):
         import_policy(tmp_path / "model.pt", SPEC)
     assert not (tmp_path / "ran").exists()
 
