@@ -197,7 +197,7 @@ WRONG_PARTS = {
     ),
     "zero": (
         PARTS,
-        {"joint_position": lambda angles: angles + [0.0, 0.2, 0.0, 0.0]},
+        {"joint_position": lambda angles: angles + np.array([0.0, 0.2, 0.0, 0.0])},
         "joint_position_offset of a_knee is off by -0.2 rad in the whole log",
     ),
 }
