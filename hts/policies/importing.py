@@ -144,15 +144,15 @@ def _finished(
     several = _history(inputs, layout.observation, robot.num_joints)
     if inputs != size and given is not None and given.observation:
         raise PolicyError(
-            f"{path}: its actor takes {inputs} observations, the parts of the layout's `observation` have {size}{several}. "
-            "Add the parts that are missing, correct their sizes, or leave the key out if it observes what "
+            f"{path}: its actor takes {inputs} observations, the parts of the layout's `observation` have {size}"
+            f"{several}. Add the parts that are missing, correct their sizes, or leave the key out if it observes what "
             f"'{robot.name}' does."
         )
     if inputs != size or outputs != robot.num_joints:
         raise PolicyError(
             f"{path}: its actor maps {inputs} observations to {outputs} actions, expected {size} to "
-            f"{robot.num_joints} for robot '{robot.name}'{several}. Say with a layout (--layout) what it observes, or use "
-            "a policy of this robot."
+            f"{robot.num_joints} for robot '{robot.name}'{several}. Say with a layout (--layout) what it observes, or "
+            "use a policy of this robot."
         )
     check_values(path, contract, robot)
     maps = translation(path, robot, layout, seen, contract)
