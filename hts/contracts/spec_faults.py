@@ -7,8 +7,12 @@ from typing import Any
 
 from hts.contracts.robot import RobotSpec
 
-MOST_ANGLE, HIGHEST = 10.0, 5.0
-"""rad, more than a turn and a half, and m: of no leg's joint and no walking robot's trunk."""
+MOST_ANGLE, HIGHEST, FASTEST = 10.0, 5.0, 100.0
+"""rad, more than a turn and a half, m and rad/s, five times a fast leg: of no leg's joint, no walking robot's trunk."""
+ENDLESS = 60.0
+"""rad: a joint whose range is as wide as some ten turns is a wheel or a winch."""
+ROUNDED = 0.01
+"""rad: so far may a default pose be outside its range, which is rounded somewhere."""
 
 
 def fault_of_spec(spec: RobotSpec) -> str:
@@ -32,7 +36,7 @@ def fault_of_spec(spec: RobotSpec) -> str:
     for name, (values, wanted) in per_joint.items():
         if fault := _per_joint(f"spec.{name}", values, wanted, spec.joint_names):
             return fault
-    return _in_degrees(spec) or fault_of_height(spec) or fault_of_times(spec)
+    return _in_degrees(spec) or _of_no_leg(spec) or fault_of_height(spec) or fault_of_times(spec)
 
 
 def _in_degrees(spec: RobotSpec) -> str:
@@ -42,6 +46,31 @@ def _in_degrees(spec: RobotSpec) -> str:
             return (
                 f"spec.default_pose of '{joint}' is {angle:g}, expected at most {MOST_ANGLE:g} rad (write rad, not "
                 "degrees)"
+            )
+    return ""
+
+
+def _of_no_leg(spec: RobotSpec) -> str:
+    """In words, for a leg's joint that rests outside its range, that one action unit moves beyond it, or that is faster
+    than any: a number in degrees, or per minute. Else empty."""
+    columns = (spec.joint_names, spec.default_pose, spec.position_limit, spec.action_scale, spec.velocity_limit)
+    for joint, pose, (low, high), scale, fastest in zip(*columns, strict=True) if spec.foot_sites else ():
+        if not low - ROUNDED <= pose <= high + ROUNDED:
+            in_rad = math.radians(low) - ROUNDED <= pose <= math.radians(high) + ROUNDED
+            why = "position_limit is probably in degrees: write rad" if in_rad else "correct one of them, both in rad"
+            where = f"outside its position_limit {low:g} to {high:g}"
+            return f"spec.default_pose of '{joint}' is {pose:g} rad, {where} ({why})"
+        if high - low > ENDLESS:
+            continue
+        if scale > high - low:
+            return (
+                f"spec.action_scale of '{joint}' is {scale:g} rad per action unit, more than its whole range of "
+                f"{high - low:.4g} rad (write rad, not degrees; a leg's is 0.25 or so)"
+            )
+        if fastest > FASTEST:
+            return (
+                f"spec.velocity_limit of '{joint}' is {fastest:g}, expected at most {FASTEST:g} rad/s (write rad/s, "
+                "not degrees per second or turns per minute)"
             )
     return ""
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hts.contracts import RobotSpec
+from hts.contracts.spec_faults import ROUNDED
 from hts.errors import PolicyError
 from hts.policies.contract import Contract, known_joints, per_joint
 
@@ -15,8 +16,6 @@ STIFFEST = 30.0
 bound of ours, far from what a leg needs."""
 MOST_DAMPED = 5.0
 """s/rad: kd over torque limit: at its limit at 0.2 rad/s; likewise."""
-ROUNDED = 0.01
-"""rad: so far may a default pose be outside its range, which is rounded somewhere."""
 
 
 def check_values(path: Path, contract: Contract, robot: RobotSpec) -> None:

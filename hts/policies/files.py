@@ -15,8 +15,8 @@ from safetensors.torch import load_file
 from safetensors.torch import save as dump_tensors
 
 from hts.atomic import atomic_write
-from hts.contracts import RobotSpec
-from hts.errors import PolicyError
+from hts.contracts import Robot, RobotSpec
+from hts.errors import ConfigError, PolicyError
 from hts.policies.card_checks import check_card
 from hts.rl.population import Sizes
 
@@ -137,6 +137,18 @@ def save_policy(path: Path, policy: Policy) -> Path:
     tensors = dump_tensors({name: value.contiguous() for name, value in policy.tensors.items()})
     atomic_write(path.with_suffix(".json"), json.dumps(asdict(policy.card), indent=1) + "\n")
     return atomic_write(path, tensors)
+
+
+def pretrained_file(robot: Robot) -> Path:
+    """Of the policy to start from. Raises ConfigError, with the ways to one, for a robot that names none."""
+    source = robot.pretrained_policy()
+    if source is None:
+        raise ConfigError(
+            f"Robot '{robot.spec.name}' has no pretrained policy. Make one with `hts pretrain`, or bring one from "
+            "elsewhere with `hts policy import`; then name it: --set robot.policy=FILE.safetensors, or in the robot's "
+            "pretrained_policy()."
+        )
+    return source
 
 
 def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:

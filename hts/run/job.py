@@ -11,14 +11,14 @@ from typing import Any
 
 from hts.config import RunConfig, ScheduleConfig
 from hts.contracts import HoldSpeed, MeasurementModel, Objective, Robot, World, WorldContext
-from hts.errors import ConfigError, PolicyError, RecordingError, RunError
+from hts.errors import PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.measurement import files
 from hts.measurement.transform import Measured
 from hts.places import resume_command
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
-from hts.policies.files import Policy, load_policy, save_policy
+from hts.policies.files import Policy, load_policy, pretrained_file, save_policy
 from hts.policies.onnx_ours import what_differs
 from hts.policy_ids import PRETRAINED
 from hts.recordings.doubts import remarks
@@ -67,9 +67,7 @@ class Job:
     def prepare(self) -> None:
         """The pretrained policy and the provenance, before anything is spent."""
         assert self.combinations is not None  # raises ConfigError where there is nothing to learn from
-        source = self.robot.pretrained_policy()
-        if source is None:
-            raise ConfigError(f"Robot '{self.robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
+        source = pretrained_file(self.robot)
         begun = (self.folder / "provenance.json").exists()
         kept = self.read("provenance") if begun else {}
         if not self.policy_path(PRETRAINED).exists():

@@ -99,12 +99,9 @@ def inputs(seen: Iterable[Measured]) -> tuple[str, ...]:
 
 def pretrained_policy(robot: Robot) -> Policy:
     """The policy to start from. Raises ConfigError if there is none, PolicyError if its file cannot be used."""
-    from hts.policies.files import load_policy
+    from hts.policies.files import load_policy, pretrained_file
 
-    source = robot.pretrained_policy()
-    if source is None:
-        raise ConfigError(f"Robot '{robot.spec.name}' has no pretrained policy: make one with `hts pretrain`.")
-    return load_policy(source, robot.spec)
+    return load_policy(pretrained_file(robot), robot.spec)
 
 
 def check_world(config: RunConfig, registry: Registry) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import math
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -29,12 +31,33 @@ def compile_model(robot: Robot) -> mujoco.MjModel:
                 "the velocity task needs its mjcf()."
             )
         raise ConfigError(f"Robot '{robot.spec.name}' has no model to simulate here: {why}")
-    model = guarded(
-        f"Robot '{robot.spec.name}': compiling what mjcf() gives",
-        lambda: mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets()),
-    )
+    name = f"Robot '{robot.spec.name}'"
+    text, assets = guarded(f"{name}: writing what mjcf() gives", lambda: (root.to_xml_string(), root.get_assets()))
+    if fault := not_a_number(text):
+        raise ConfigError(
+            f"{name}: its model has {fault}. Correct it where it is made: MuJoCo takes some of these for left out, and "
+            "simulates the others."
+        )
+    model = guarded(f"{name}: compiling what mjcf() gives", lambda: mujoco.MjModel.from_xml_string(text, assets))
     model.opt.timestep = robot.spec.physics_dt
     return model
+
+
+def not_a_number(text: str) -> str:
+    """The first attribute of an MJCF text with a NaN among its numbers, in words; empty for none."""
+    for element in ElementTree.fromstring(text).iter():
+        for attribute, value in element.attrib.items():
+            if "nan" in value.lower() and any(math.isnan(one) for one in _numbers(value)):
+                return f'{attribute}="{value}" in <{element.tag} name="{element.get("name", "")}">'
+    return ""
+
+
+def _numbers(value: str) -> list[float]:
+    """Of an attribute that holds numbers and nothing else."""
+    try:
+        return [float(one) for one in value.split()]
+    except ValueError:
+        return []
 
 
 def check_added_mass(model: mujoco.MjModel, robot: Robot, added: tuple[float, float], where: str) -> None:

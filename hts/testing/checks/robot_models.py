@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.contracts import Robot
-from hts.contracts.spec_faults import fault_of_height, fault_of_spec
+from hts.contracts.spec_faults import ENDLESS, fault_of_height, fault_of_spec
 from hts.envs.velocity_robot import VelocityRobot
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import NotTried, ensure
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 RELATIVE = 1e-3  # of gains and torques: a rounded number is no other one
 ANGLE = 2e-3  # rad, of limits: degrees with one decimal are
-ENDLESS = 60.0  # rad: a joint without a range may have any limit in the spec that is as wide as some ten turns
+LIGHT, HEAVY = 0.003, 30.0  # weight times standing height over the sum of all torques: of robots that walk 0.05 to 2
 DEPTH = 1e-3  # m that a foot is put into the floor
 HEIGHT = 0.1  # of the standing height: a robot whose servos give way under its weight stands a little lower
 
@@ -172,6 +172,25 @@ def position_limits_match(entry: Entry, registry: Registry) -> None:
             continue
         rows.append((joint, f"{found[0]:.6g} to {found[1]:.6g}" if limited else "none", f"{low:.6g} to {high:.6g}"))
     _compare("range of joints in its model, rad", rows, "Correct the model or SPEC.position_limit")
+
+
+def weight_is_carried(entry: Entry, registry: Registry) -> None:
+    """In a model for the velocity task gravity points down, and the robot weighs what its torques can carry."""
+    import mujoco
+
+    robot, model = comparable_model(entry)
+    if model is None or fault_of_height(robot.spec):  # which `height_matches` says
+        return
+    off = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY))
+    x, y, z = (0.0, 0.0, 0.0) if off else model.opt.gravity
+    ensure(z < 0 and abs(x) + abs(y) < 1e-6 * abs(z), f"gravity of its model is {x:g} {y:g} {z:g}, expected 0 0 -9.81")
+    mass, torque = float(model.body_mass.sum()), math.fsum(robot.spec.torque_limit)
+    share = -z * mass * robot.spec.base_height / torque
+    ensure(
+        LIGHT <= share <= HEAVY,
+        f"its model weighs {mass:.4g} kg and stands {robot.spec.base_height:g} m high, all its torque limits together "
+        f"are {torque:.4g} N·m: nothing like it walks. Write masses in kg, torques in N·m",
+    )
 
 
 def floor_decides_the_grip(entry: Entry, registry: Registry) -> None:
@@ -356,6 +375,7 @@ CHECKS = (
     torque_limits_match,
     targets_are_not_clipped,
     position_limits_match,
+    weight_is_carried,
     floor_decides_the_grip,
     feet_are_felt,
     height_matches,

@@ -1,0 +1,94 @@
+"""Numbers of a robot in other units than are asked for, and models that hold no numbers: said in one line each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from legged_model import dog, text
+
+from hts.contracts.spec_faults import fault_of_spec
+from hts.errors import ConfigError, PluginError
+from hts.plugins import Entry, load
+from hts.policies.files import pretrained_file
+from hts.sim.models import compile_model
+from hts.testing.checks.robot_models import weight_is_carried
+
+MODEL = text()
+SPEC = dog(MODEL).spec
+
+WRONG = {
+    "a range in degrees": (
+        {"position_limit": ((-46.0, 46.0), (-57.0, 143.0), (-149.0, -29.0)) * 4},
+        r"spec.default_pose of 'LF_KFE' is -1.6 rad, outside its position_limit -149 to -29 \(position_limit is pro",
+    ),
+    "a pose beyond its end": (
+        {"default_pose": (0.0, 0.8, -2.8) * 4},
+        r"spec.default_pose of 'LF_KFE' is -2.8 rad, outside its position_limit -2.6 to -0.5 \(correct one of them",
+    ),
+    "a scale in degrees": (
+        {"action_scale": (14.3,) * 12},
+        r"spec.action_scale of 'LF_HAA' is 14.3 rad per action unit, more than its whole range of 1.6 rad",
+    ),
+    "a speed in degrees": (
+        {"velocity_limit": (1146.0,) * 12},
+        r"spec.velocity_limit of 'LF_HAA' is 1146, expected at most 100 rad/s \(write rad/s, not degrees",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changes", "words"), WRONG.values(), ids=WRONG)
+def test_a_number_in_degrees_is_said(changes, words):
+    with pytest.raises(AssertionError, match=words):
+        assert fault_of_spec(replace(SPEC, **changes)) == ""
+
+
+def test_wheels_and_rounded_ends_are_no_fault():
+    wheels = {"position_limit": ((-math.inf, math.inf),) * 12, "action_scale": (12.5,) * 12}
+    assert fault_of_spec(replace(SPEC, **wheels, velocity_limit=(200.0,) * 12)) == ""
+    assert fault_of_spec(replace(SPEC, default_pose=(0.8005, 2.5, -0.5) * 4)) == ""
+
+
+def carried(model):
+    robot = dog(model)
+    weight_is_carried(Entry("dog", lambda settings: robot, "lab"), load(()))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('mass="8"', 'mass="8000"', r"its model weighs 8006 kg and stands 0.3 m high, .* together are 480 N·m"),
+        ('<option integrator="implicitfast"/>', '<option gravity="0 0 0"/>', "gravity of its model is 0 0 0, expected"),
+        ('<option integrator="implicitfast"/>', '<option gravity="0 -9.81 0"/>', "gravity of its model is 0 -9.81 0"),
+        (
+            '<option integrator="implicitfast"/>',
+            '<option><flag gravity="disable"/></option>',
+            "gravity of its model is 0 0 0",
+        ),
+    ],
+)
+def test_a_robot_in_grams_or_without_gravity_is_said(old, new, words):
+    assert old in MODEL
+    carried(MODEL)
+    with pytest.raises(PluginError, match=words):
+        carried(MODEL.replace(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('mass="8"', 'mass="nan"', r"its model has mass=\"nan\" in <geom name=\"trunk\">"),
+        ('pos="0 0 0.3"', 'pos="0 NaN 0.3"', r"its model has pos=\"0 nan 0\.[23]\d*\" in <body name=\"trunk\">"),
+    ],
+)
+def test_a_model_with_what_is_no_number_is_named(old, new, words):
+    """MuJoCo reads a mass that is NaN as one that was left out, without a word, and computes another."""
+    assert old in MODEL
+    with pytest.raises(ConfigError, match=words):
+        compile_model(dog(MODEL.replace(old, new)))
+
+
+def test_a_robot_without_a_policy_is_told_all_the_ways_to_one():
+    with pytest.raises(ConfigError, match=r"hts pretrain.*hts policy import.*--set robot.policy=FILE.safetensors"):
+        pretrained_file(dog(MODEL))
