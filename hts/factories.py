@@ -59,7 +59,7 @@ def made_by(factory: Callable[..., Any], kind: str, who: str, name: str, package
         _check_parts(made, name, f"{_begun(who, package)}", remedy)
         _check_weights(made, _begun(who, package))
     if isinstance(made, Robot):
-        _check_spec(made, _begun(who, package), remedy)
+        _check_spec(made, name, _begun(who, package), remedy)
     return made
 
 
@@ -113,13 +113,15 @@ def _check_parts(objective: Objective, name: str, who: str, remedy: str) -> None
             raise PluginError(f"{who}: measures {channel!r}, expected a hts.channels.Channel. {remedy}.")
 
 
-def _check_spec(robot: Robot, who: str, remedy: str) -> None:
+def _check_spec(robot: Robot, name: str, who: str, remedy: str) -> None:
     """Raise PluginError for a robot without a spec, which every command reads, or with numbers that fit no machine."""
     if "spec" not in dir(robot):
         raise PluginError(f"{who}: its class sets no spec, which every robot has. {remedy}.")
     spec = guarded(f"{who}: its spec", lambda: robot.spec)
     if not isinstance(spec, RobotSpec):
         raise PluginError(f"{who}: its spec is a {type(spec).__name__}, expected a hts.contracts.RobotSpec. {remedy}.")
+    if spec.name != name:  # recordings and policies would be of that other one
+        raise PluginError(f"{who}: its spec is called '{spec.name}', expected the registered name, '{name}'. {remedy}.")
     if fault := fault_of_spec(spec):
         raise PluginError(f"{who}: {fault}. Correct its RobotSpec.")
 

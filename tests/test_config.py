@@ -219,10 +219,14 @@ def test_a_run_needs_an_objective_and_a_robot():
     assert "--robot NAME" in refusal(robot=None)
 
 
+class Hopper(Tiny):
+    spec = replace(Tiny.spec, name="hopper")
+
+
 def registry() -> Registry:
     return replace(
         load(),
-        robots={"hopper": Entry("hopper", lambda settings: Tiny(), "lab")},
+        robots={"hopper": Entry("hopper", lambda settings: Hopper(), "lab")},
         objectives={"fake": Entry("fake", lambda settings: Fake(), "lab")},
         worlds={"twin": Entry("twin", lambda *given: KnownWorld(Tiny(), [], {}), "lab")},
     )

@@ -30,8 +30,11 @@ def make_fake(settings):
     return Fake()
 
 def make_hopper(settings):
-    from hts.testing.examples.robot.robot import Tiny
-    return Tiny()
+    from dataclasses import replace
+    from hts.testing.examples.robot.robot import SPEC, Tiny
+    hopper = Tiny()
+    hopper.spec = replace(SPEC, name="hopper")
+    return hopper
 
 @hookimpl
 def hts_objectives(register): register("fake", make_fake)

@@ -52,7 +52,7 @@ class Asking(World):
 def registry() -> Registry:
     return Registry(
         objectives={"cost": Entry("cost", lambda settings: CostObjective(), "tests")},
-        robots={"example": Entry("example", lambda settings: Tiny(), "tests")},
+        robots={"tiny": Entry("tiny", lambda settings: Tiny(), "tests")},
         worlds={"asking": Entry("asking", lambda settings, context: Asking(context), "tests")},
     )
 
@@ -63,7 +63,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def made(folder: Path, *overrides: str) -> Path:
-    config = load_config(preset="quick", objectives=["cost"], robot="example", world="asking", overrides=overrides)
+    config = load_config(preset="quick", objectives=["cost"], robot="tiny", world="asking", overrides=overrides)
     (folder / "policies").mkdir(parents=True)
     (folder / "config.yaml").write_text(dump_config(config))
     for name in ("best", "pretrained"):
@@ -111,12 +111,12 @@ def test_wheels_may_be_faster_and_set_points_of_another_task_are_no_speeds(folde
         def task(self):
             return Heights()
 
-    registry.robots["example"] = Entry("example", lambda settings: Wheeled(), "tests")
+    registry.robots["tiny"] = Entry("tiny", lambda settings: Wheeled(), "tests")
     with pytest.raises(Asked):
         evaluate_run(folder, speeds=[28.8], registry=registry)
     with pytest.raises(ConfigError, match=r"^--speed: expected at most 100 m/s, found 800\. "):
         evaluate_run(folder, speeds=[800.0], registry=registry)
-    registry.robots["example"] = Entry("example", lambda settings: Crane(), "tests")
+    registry.robots["tiny"] = Entry("tiny", lambda settings: Crane(), "tests")
     with pytest.raises(Asked):
         evaluate_run(folder, speeds=[800.0], registry=registry)
 

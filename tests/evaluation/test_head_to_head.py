@@ -247,7 +247,7 @@ class KnownWorld(World):
 @pytest.fixture
 def run_folder(tmp_path):
     plain = ["evaluation.hold_speed=false"]
-    config = load_config(preset="quick", objectives=["cost"], robot="example", world="known", overrides=plain)
+    config = load_config(preset="quick", objectives=["cost"], robot="tiny", world="known", overrides=plain)
     (tmp_path / "config.yaml").write_text(dump_config(config))
     (tmp_path / "policies").mkdir()
     for name in ("best", "pretrained"):
@@ -260,7 +260,7 @@ def registry(walks: bool = True) -> Registry:
     world.walks = walks
     return Registry(
         objectives={"cost": Entry("cost", lambda settings: CostObjective(), "tests")},
-        robots={"example": Entry("example", lambda settings: Tiny(), "tests")},
+        robots={"tiny": Entry("tiny", lambda settings: Tiny(), "tests")},
         worlds={"known": Entry("known", lambda settings, context: world, "tests")},
     )
 

@@ -97,14 +97,19 @@ def test_an_instrument_that_measures_something_else_is_told(broken):
     assert "wants 'other'" in refusal(UnfitWorldError, "broken", "twin")
 
 
-def test_a_robot_without_a_model_has_no_twin(install):
+def test_a_robot_without_a_model_has_no_twin(install, tmp_path):
     from hts.hookspecs import API_VERSION
+    from hts.testing.tiny_policy import write_drive_policy
 
     text = (
+        "from dataclasses import replace\nfrom pathlib import Path\n"
         f"from hts import hookimpl\nfrom hts.testing.examples.robot.robot import Tiny\nHTS_API = {API_VERSION}\n"
-        "class Bare(Tiny):\n    def mjcf(self):\n        return None\n"
+        "class Bare(Tiny):\n    spec = replace(Tiny.spec, name='bare')\n    def mjcf(self):\n        return None\n"
+        "    def pretrained_policy(self):\n"
+        f"        return Path({str(tmp_path / 'bare.safetensors')!r})\n"
         "@hookimpl\ndef hts_robots(register):\n    register('bare', lambda settings: Bare())\n"
     )
+    write_drive_policy(tmp_path / "bare.safetensors", "bare")
     install("stranger", {"stranger": text}, {"stranger": "stranger"})
     assert "has no model" in refusal(UnfitWorldError, robot="bare", world="twin")
 
@@ -113,9 +118,9 @@ def test_a_policy_file_that_is_not_there_is_told(install, tmp_path):
     from hts.hookspecs import API_VERSION
 
     text = (
-        "from pathlib import Path\n"
+        "from dataclasses import replace\nfrom pathlib import Path\n"
         f"from hts import hookimpl\nfrom hts.testing.examples.robot.robot import Tiny\nHTS_API = {API_VERSION}\n"
-        "class Lost(Tiny):\n    def pretrained_policy(self):\n"
+        "class Lost(Tiny):\n    spec = replace(Tiny.spec, name='lost')\n    def pretrained_policy(self):\n"
         f"        return Path({str(tmp_path / 'none.safetensors')!r})\n"
         "@hookimpl\ndef hts_robots(register):\n    register('lost', lambda settings: Lost())\n"
     )

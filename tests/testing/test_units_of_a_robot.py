@@ -10,6 +10,7 @@ from legged_model import dog, text
 
 from hts.contracts.spec_faults import fault_of_spec
 from hts.errors import ConfigError, PluginError
+from hts.factories import made_by
 from hts.plugins import Entry, load
 from hts.policies.files import pretrained_file
 from hts.sim.models import compile_model
@@ -87,6 +88,12 @@ def test_a_model_with_what_is_no_number_is_named(old, new, words):
     assert old in MODEL
     with pytest.raises(ConfigError, match=words):
         compile_model(dog(MODEL.replace(old, new)))
+
+
+def test_a_robot_whose_spec_has_another_name_than_the_registered_one_is_refused():
+    """Else its recordings and policies would be of that other robot."""
+    with pytest.raises(PluginError, match=r"Robot 'cat' .from lab.: its spec is called 'dog', expected .*, 'cat'"):
+        made_by(lambda settings: dog(MODEL), "robots", "robot 'cat'", "cat", "lab", {})
 
 
 def test_a_robot_without_a_policy_is_told_all_the_ways_to_one():
