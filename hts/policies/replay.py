@@ -170,6 +170,11 @@ class _Replay:
             return _open("actions", "a part that something stands in for differs from what the original saw")
         off = self._off(self.given, self.action)
         if not off <= TOLERANCE:
+            if self.target is not None and self._off(self.given, self.target) <= TARGET_TOLERANCE:
+                raise self._refuted(
+                    "its network gives the joint targets themselves, rad, and not the actions that they are made of. "
+                    "Export it without default pose and scale"
+                )
             raise self._refuted(
                 f"its actions are off by up to {off:.2g} from the log's. Is `observation` what the "
                 "network was given, before its normaliser, and the action without noise"

@@ -222,6 +222,17 @@ def test_a_log_with_wrong_actions_is_refuted(checkpoint, full):
         states(checkpoint, {"observation": full["observation"], "action": full["action"] + 2e-4})
 
 
+def test_a_network_that_gives_targets_is_told_so(tmp_path, full):
+    net = network()
+    with torch.no_grad():
+        net[-1].weight.mul_(torch.from_numpy(SCALE)[:, None])
+        net[-1].bias.mul_(torch.from_numpy(SCALE)).add_(torch.from_numpy(POSE))
+    state = {f"actor.{name}": value for name, value in net.state_dict().items()}
+    torch.save({"model_state_dict": {"std": torch.full((4,), 0.3), **state}, "iter": 7}, tmp_path / "model.pt")
+    with pytest.raises(PolicyError, match="its network gives the joint targets themselves, rad, and not the actions"):
+        states(tmp_path / "model.pt", full)
+
+
 def test_stamps_at_another_rate_refute_the_rate(checkpoint, full):
     with pytest.raises(PolicyError, match="change 40 times a second"):
         states(checkpoint, {**full, "time": 1.25 * full["time"]})
