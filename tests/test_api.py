@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -128,6 +129,8 @@ def test_a_robot_is_made_by_name_with_its_settings(monkeypatch):
     from hts.testing.examples.robot.robot import Tiny
 
     class Wheels(Tiny):
+        spec = replace(Tiny.spec, name="wheels")
+
         def __init__(self, settings):
             self.settings = settings
 

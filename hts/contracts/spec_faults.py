@@ -93,6 +93,17 @@ def fault_of_times(spec: RobotSpec) -> str:
     return ""
 
 
+def fault_of_step(dt: float, spec: RobotSpec) -> str:
+    """In words, if the control step of the robot's env, s, is not the robot's; else empty. Measurement models and
+    policies are stepped once a control step, so at another rate they would say something else."""
+    if abs(dt * spec.control_rate_hz - 1) < 1e-3:
+        return ""
+    return (
+        f"its env has dt = {dt:g} s, expected {1 / spec.control_rate_hz:g} s, a control step at the "
+        f"{spec.control_rate_hz:g} Hz of spec.control_rate_hz: recordings and measurement models are at that rate"
+    )
+
+
 def _per_joint(name: str, values: Any, wanted: str, joints: tuple[str, ...]) -> str:
     try:
         entries = list(values)

@@ -18,6 +18,7 @@ from hts.rl.task_env import TaskEnv
 
 Key = str | tuple[str, ...]
 FLAGS = ("done", "terminated", "truncated")
+LONGEST_STEP = 1.0  # s
 ChannelValues = Callable[[TensorDictBase, torch.Tensor], Mapping[str, torch.Tensor]]
 
 
@@ -49,6 +50,7 @@ class FoldedEnv(TaskEnv):
         action_limit: float | None = None,
         reward_scale: float | None = None,
     ) -> None:
+        _check_numbers(dt, action_limit)
         worlds = inner.batch_size.numel()
         if len(inner.batch_size) != 1 or worlds % num_candidates:
             raise ConfigError(
@@ -160,6 +162,19 @@ class FoldedEnv(TaskEnv):
         if not self.inner.is_closed:
             self.inner.close()
         super().close(**kwargs)
+
+
+def _check_numbers(dt: float, action_limit: float | None) -> None:
+    """Raises ConfigError for a control step that is none, and for a limit that is no number above 0."""
+    if not isinstance(dt, int | float) or not 0 < dt <= LONGEST_STEP:
+        raise ConfigError(
+            f"FoldedEnv: dt is {dt}, expected the control step in s, above 0 and up to {LONGEST_STEP:g} (not in ms)."
+        )
+    if action_limit is not None and not (isinstance(action_limit, int | float) and action_limit > 0):
+        raise ConfigError(
+            f"FoldedEnv: action_limit is {action_limit}, expected one number above 0, to which all actions are clipped "
+            "both ways, or None."
+        )
 
 
 def _shown(key: Key) -> str:

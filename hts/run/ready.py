@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from hts.config import RunConfig
 from hts.config_loading import check_names, make_model
 from hts.contracts import Objective, Robot, WorldContext, robot_signals
+from hts.contracts.spec_faults import fault_of_step
 from hts.errors import ConfigError, PluginError
 from hts.evaluation.held import ask_to_hold, check_hold, hold_of
 from hts.guarded import guarded
@@ -166,6 +167,9 @@ def check_step(
 
     def step() -> None:
         bare = robot.make_env(engine, 1, FEW_ENVS, config.finetune.env, channels=channels, seeds=[config.seed])
+        if "dt" in dir(bare) and (fault := fault_of_step(bare.dt, robot.spec)):
+            bare.close()
+            raise PluginError(f"Robot '{config.robot.name}': {fault}. Correct the env's dt, or the spec.")
         made = around()
         env = measured_env(bare, made)
         try:

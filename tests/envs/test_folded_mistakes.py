@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -38,9 +40,11 @@ class Inner(EnvBase):
         """Nothing is random."""
 
 
-def folded(values=lambda step, action: {"push": torch.zeros(WORLDS, 2)}, inner=None, observation=("position",)):
+def folded(
+    values=lambda step, action: {"push": torch.zeros(WORLDS, 2)}, inner=None, observation=("position",), dt=0.1, **more
+):
     channels = {"push": Channel("push", "N", (2,))}
-    return FoldedEnv(inner or Inner(), 2, dt=0.1, observation=observation, channels=channels, values=values)
+    return FoldedEnv(inner or Inner(), 2, dt=dt, observation=observation, channels=channels, values=values, **more)
 
 
 def refusal(kind: type[HtsError], **given) -> str:
@@ -54,6 +58,19 @@ def test_an_env_without_a_mistake_is_folded():
     state = folded(observation=("position", "height")).reset()
     assert state["observation"].shape == (2, 2, 4)  # three numbers and one
     assert state["channels", "push"].shape == (2, 2, 2)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"dt": 20}, r"dt is 20, expected the control step in s, above 0 and up to 1 \(not in ms\)"),
+        ({"dt": -0.02}, "dt is -0.02, expected"),
+        ({"action_limit": [1.0, 2.0]}, r"action_limit is \[1.0, 2.0\], expected one number above 0"),
+        ({"action_limit": 0.0}, "action_limit is 0.0, expected one number above 0"),
+    ],
+)
+def test_a_step_in_ms_and_a_limit_that_is_no_number_are_said(given, words):
+    assert re.search(words, refusal(ConfigError, **given))
 
 
 def test_a_misspelt_observation_is_answered_with_the_closest():

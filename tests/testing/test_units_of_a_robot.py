@@ -8,13 +8,14 @@ from dataclasses import replace
 import pytest
 from legged_model import dog, text
 
-from hts.contracts.spec_faults import fault_of_spec
+from hts.contracts.spec_faults import fault_of_spec, fault_of_step
 from hts.errors import ConfigError, PluginError
 from hts.factories import made_by
 from hts.plugins import Entry, load
 from hts.policies.files import pretrained_file
 from hts.sim.models import compile_model
 from hts.testing.checks.robot_models import weight_is_carried
+from hts.testing.checks.robots import env_gives_what_was_asked
 
 MODEL = text()
 SPEC = dog(MODEL).spec
@@ -49,6 +50,24 @@ def test_wheels_and_rounded_ends_are_no_fault():
     wheels = {"position_limit": ((-math.inf, math.inf),) * 12, "action_scale": (12.5,) * 12}
     assert fault_of_spec(replace(SPEC, **wheels, velocity_limit=(200.0,) * 12)) == ""
     assert fault_of_spec(replace(SPEC, default_pose=(0.8005, 2.5, -0.5) * 4)) == ""
+
+
+def test_an_env_at_another_rate_than_the_robots_is_said():
+    """Measurement models are stepped once a control step, and were fitted at the robot's rate."""
+    assert fault_of_step(0.02, SPEC) == ""
+    with pytest.raises(AssertionError, match=r"its env has dt = 0.025 s, expected 0.02 s, .* 50 Hz"):
+        assert fault_of_step(0.025, SPEC) == ""
+    robot = dog(MODEL)
+    made = type(robot).make_env
+
+    def faster(self, *given, **more):
+        env = made(self, *given, **more)
+        env.dt = 0.01
+        return env
+
+    type(robot).make_env = faster
+    with pytest.raises(PluginError, match=r"dt = 0.01 s, expected 0.02 s"):
+        env_gives_what_was_asked(Entry("dog", lambda settings: robot, "lab"), load(()))
 
 
 def carried(model):

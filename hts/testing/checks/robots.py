@@ -12,7 +12,7 @@ from hts import units
 from hts.channels import standard_channels
 from hts.config import EnvConfig, RandomisationConfig
 from hts.contracts import FollowVelocity, Robot, Task
-from hts.contracts.spec_faults import fault_of_height, fault_of_spec, fault_of_times
+from hts.contracts.spec_faults import fault_of_height, fault_of_spec, fault_of_step, fault_of_times
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import unknown_name
 from hts.measurement.physics_steps import IN_STEPS
@@ -130,7 +130,8 @@ def policy_fits(entry: Entry, registry: Registry) -> None:
 
 
 def env_gives_what_was_asked(entry: Entry, registry: Registry) -> None:
-    """Its env has batch size [P, N], finite rewards [P, N, 1], the channels asked for, and leaves its config alone."""
+    """Its env has batch size [P, N], the robot's control step, finite rewards [P, N, 1], the channels asked for, and
+    leaves its config alone."""
     robot = entry.factory({})
     if not _has_env(entry, robot):
         return
@@ -142,6 +143,8 @@ def env_gives_what_was_asked(entry: Entry, registry: Registry) -> None:
         tuple(env.batch_size) == (3, WORLDS), f"its env has batch size {tuple(env.batch_size)} for P = 3, N = {WORLDS}"
     )
     ensure("dt" in dir(env), "its env has no attribute dt, the control step in s")
+    fault = fault_of_step(env.dt, robot.spec)
+    ensure(not fault, fault)
     (step, *_) = _steps(env)
     channels = {str(name): value for name, value in step["channels"].items()}
     ensure(set(channels) == set(asked), f"of channels {listed(asked)} its env writes {listed(channels)}")
