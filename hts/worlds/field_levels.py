@@ -9,7 +9,9 @@ difference is held against what walking adds to the level.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ import numpy as np
 
 from hts import units
 from hts.channels import Channel
-from hts.contracts import Installed, Objective, Robot
+from hts.contracts import Installed, JointMotors, Objective, Robot
 from hts.errors import ConfigError, RecordingError
 from hts.recordings.recording import Recording
 
@@ -60,9 +62,19 @@ def _with_levels(objective: Objective, registry: Installed, robot: Robot) -> lis
     """Channels that the objective's instrument states an idle level of; some tell there what else a score needs."""
     if objective.instrument is None:
         return []
-    instrument = registry.make_instrument(objective.instrument, {}, robot)
+    instrument = registry.make_instrument(objective.instrument, {}, _with_motors(robot))
     levels = instrument.idle()
     return [channel for channel in instrument.channels if channel.name in levels]
+
+
+def _with_motors(robot: Robot) -> Robot:
+    """The robot, with motor constants of 1 where nobody wrote them down: of the instrument only the names of its
+    channels are taken, and a machine that is measured needs no constants."""
+    if robot.spec.motors is not None:
+        return robot
+    ones, made = (1.0,) * robot.spec.num_joints, copy.copy(robot)
+    made.spec = replace(robot.spec, motors=JointMotors(ones, ones, ones))
+    return made
 
 
 def check_stated(needed: Iterable[str], mapping: Mapping[str, Any], where: Path, own: Path, hint: str = "") -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +14,10 @@ from field_folder import bundle, field, fill_in, write_log
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.errors import ConfigError, RecordingError, WaitingForRobot
+from hts.plugins import load
 from hts.recordings.doubts import remarks
 from hts.recordings.recording import Recording, Series
-from hts.worlds.field_levels import NOTE, with_one_level
+from hts.worlds.field_levels import NOTE, real_channels, with_one_level
 
 
 def walked(run, policy, robot, changed, **said):
@@ -173,3 +176,13 @@ def test_of_a_log_whose_runtime_wrote_a_mapping_it_is_said_that_it_was_not_copie
         RecordingError, match=r"mass_kg is still empty.* copy .* there is no .*logs/mappings/00\.yaml\."
     ):
         field(run).head_to_head(policy, policy, [0.8])
+
+
+def test_a_machine_whose_motor_constants_nobody_wrote_down_can_be_measured(robot):
+    """They are for the simulated gauge; of it only the names of channels are taken here."""
+    registry, bare = load(), copy.copy(robot)
+    bare.spec = replace(robot.spec, motors=None)
+    objective = registry.make_objective("power")
+    names = [channel.name for channel in real_channels([objective], registry, bare)]
+    assert names == [channel.name for channel in real_channels([objective], registry, robot)]
+    assert "battery_current" in names and bare.spec.motors is None
