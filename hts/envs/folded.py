@@ -4,13 +4,13 @@ in the shape that hts trains on."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import EnvBase
+from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv, VecGymEnvTransform
 
 from hts.channels import Channel
 from hts.errors import ConfigError, PluginError, unknown_name
@@ -75,6 +75,12 @@ class FoldedEnv(TaskEnv):
                 if _shown(key) not in given:
                     text = unknown_name("entry of the inner env's observation_spec", _shown(key), given)
                     raise ConfigError(f"FoldedEnv: {part}: {text}")
+        if any(isinstance(one, VecGymEnvTransform) and not one.native_autoreset for one in _transforms(self.inner)):
+            raise ConfigError(
+                "FoldedEnv: the inner env begins episodes anew by itself, so the last observation of each is not "
+                "there, and what a time-out is worth would be made of placeholders. Have it wait for a reset: in "
+                "gymnasium autoreset_mode=AutoresetMode.DISABLED, or a SerialEnv of one GymWrapper a world."
+            )
         flags = set(self.inner.full_done_spec.keys(True, True))
         for name in FLAGS:
             if name not in flags:
@@ -162,6 +168,13 @@ class FoldedEnv(TaskEnv):
         if not self.inner.is_closed:
             self.inner.close()
         super().close(**kwargs)
+
+
+def _transforms(env: EnvBase) -> Iterator[Transform]:
+    """Of an env and of those that it is around."""
+    while isinstance(env, TransformedEnv):
+        yield from env.transform if isinstance(env.transform, Compose) else (env.transform,)
+        env = env.base_env
 
 
 def _check_numbers(dt: float, action_limit: float | None) -> None:

@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import EnvBase
+from torchrl.envs import Compose, EnvBase, RewardSum, TransformedEnv, VecGymEnvTransform
 
 from hts.channels import Channel
 from hts.envs.folded import FoldedEnv
@@ -96,3 +96,10 @@ def test_a_channel_of_another_shape_is_told_with_both(shape):
 def test_values_that_are_no_tensors_are_told():
     assert "is a list, expected a tensor" in refusal(PluginError, values=lambda step, action: {"push": [0.0]})
     assert "gives a Tensor, expected a mapping" in refusal(PluginError, values=lambda step, action: torch.zeros(4, 2))
+
+
+def test_an_env_that_begins_episodes_by_itself_is_refused():
+    """What it says of the last step of an episode is a placeholder: zeros, or NaN."""
+    text = refusal(ConfigError, inner=TransformedEnv(Inner(), Compose(RewardSum(), VecGymEnvTransform())))
+    assert "begins episodes anew by itself" in text and "AutoresetMode.DISABLED" in text
+    assert folded(inner=TransformedEnv(Inner(), RewardSum())).reset()["observation"].shape == (2, 2, 3)
