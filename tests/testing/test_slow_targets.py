@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from hts.errors import PluginError
 from hts.plugins import Entry, load
+from hts.testing.checks.ensure import NotTried
 from hts.testing.checks.instruments import remembered
-from hts.testing.checks.objectives import target_forgets
+from hts.testing.checks.objectives import score_lets_nan_through, scores_each_segment, target_forgets
 from hts.testing.examples.instrument.instrument import CHANNEL, Settings, Warmth
-from hts.testing.packages import on_path
+from hts.testing.examples.objective.objective import Fake
+from hts.testing.packages import kit_installed, on_path
 
 SLOW = """
 from hts import hookimpl
@@ -55,3 +58,16 @@ def test_what_is_remembered_follows_the_time_constant(seconds, left):
 
 def test_motion_that_changes_less_than_the_noise_says_nothing():
     assert remembered(Warmth(Settings(noise=50.0)), CHANNEL.name) == 0.0
+
+
+def test_a_score_of_several_numbers_a_segment_is_said_once():
+    class Several(Fake):
+        def score(self, segments):
+            return {name: np.stack([values, values], -1) for name, values in super().score(segments).items()}
+
+    entry = Entry("fake", lambda settings: Several(), "lab")
+    with kit_installed():
+        with pytest.raises(PluginError, match=r"score '\w+' has shape \(\d+, 2\) for segments"):
+            scores_each_segment(entry, load())
+        with pytest.raises(NotTried):
+            score_lets_nan_through(entry, load())

@@ -16,7 +16,7 @@ from hts.errors import HtsError, PluginError, unknown_name
 from hts.evaluation.scoring import plain
 from hts.evaluation.segments import Segments
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import ensure, listed, same
+from hts.testing.checks.ensure import NotTried, ensure, listed, same
 from hts.testing.checks.instruments import remembered
 from hts.testing.checks.made_up import segments, sim_channels, walk
 from hts.testing.checks.model_fits import after
@@ -172,6 +172,8 @@ def score_lets_nan_through(entry: Entry, registry: Registry) -> None:
     objective = entry.factory({})
     made_up = segments(objective, registry)
     clean = objective.score(made_up)
+    if any(np.ndim(values) != 1 for values in clean.values()):
+        raise NotTried("score does not give one number per segment")  # said by `scores_each_segment`
     for recording in made_up.recordings:
         recording.channels[objective.target.name].values[made_up.start[0] + 1] = np.nan
     with np.errstate(all="ignore"):
