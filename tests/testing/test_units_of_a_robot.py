@@ -14,7 +14,7 @@ from hts.factories import made_by
 from hts.plugins import Entry, load
 from hts.policies.files import pretrained_file
 from hts.sim.models import compile_model
-from hts.testing.checks.robot_models import weight_is_carried
+from hts.testing.checks.robot_models import height_matches, weight_is_carried
 from hts.testing.checks.robots import env_gives_what_was_asked
 
 MODEL = text()
@@ -107,6 +107,20 @@ def test_a_model_with_what_is_no_number_is_named(old, new, words):
     assert old in MODEL
     with pytest.raises(ConfigError, match=words):
         compile_model(dog(MODEL.replace(old, new)))
+
+
+@pytest.mark.parametrize(("ref", "said"), [("0.6", True), ("0.1", False)])
+def test_a_leg_that_is_bent_otherwise_than_the_others_is_said(ref, said):
+    """A zero of 0.6 rad (`ref`) in one knee: its foot hangs in the air while the others stand."""
+    model = MODEL.replace('<joint name="LF_KFE" ', f'<joint name="LF_KFE" ref="{ref}" ')
+    assert model != MODEL
+    robot = dog(model)
+    entry = Entry("dog", lambda settings: robot, "lab")
+    if not said:
+        height_matches(entry, load(()))
+        return
+    with pytest.raises(PluginError, match=r"feet in the default pose: foot 'LF_foot': \d+\.?\d* mm above that of '"):
+        height_matches(entry, load(()))
 
 
 def test_a_robot_whose_spec_has_another_name_than_the_registered_one_is_refused():

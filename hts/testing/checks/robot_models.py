@@ -247,6 +247,21 @@ def height_matches(entry: Entry, registry: Registry) -> None:
         f"spec.base_height is {said:g} m; in the default pose the lowest part of its model touches the floor with "
         f"'{robot.spec.trunk_body}' at {height:.4g} m. Correct SPEC.base_height, m, or SPEC.default_pose",
     )
+    data, feet = mujoco.MjData(model), robot.spec.foot_sites
+    reach = {foot: _standing(model, data, robot, [int(model.site_bodyid[model.site(foot).id])])[0] for foot in feet}
+    longest = max(reach, key=lambda foot: reach[foot], default="")
+    rows = [
+        (
+            foot,
+            f"{1000 * (reach[longest] - low):.3g} mm above that of '{longest}'",
+            "as low, within a tenth of the height",
+        )
+        for foot, low in reach.items()
+        if low > 0 and reach[longest] - low > HEIGHT * reach[longest]
+    ]
+    _compare(
+        "lowest points of its feet in the default pose", rows, "Correct a joint's axis or ref, or the pose", "foot"
+    )
 
 
 def _placeable(entry: Entry) -> tuple[Robot, mujoco.MjModel | None]:
