@@ -11,7 +11,7 @@ import numpy as np
 
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
-from hts.contracts import Objective, Robot
+from hts.contracts import Comparison, Objective, Robot
 from hts.errors import PluginError, RecordingError
 from hts.evaluation.scoring import as_scores, plain
 from hts.evaluation.segments import Segments
@@ -24,21 +24,21 @@ SHAPES = re.compile(r"broadcast|shape|dimension|reshape|not aligned|inhomogeneou
 """Of what numpy says in a ValueError where arrays do not fit each other, whatever their numbers."""
 
 
-def check_score(objective: Objective, robot: Robot, package: str) -> None:
+def check_score(objective: Objective, robot: Robot, package: str) -> Comparison | None:
     """Raise PluginError for a score that reads a channel that no recording of this robot has, fails on a recording, or
-    is not one number per segment, and for a comparison of such scores that fails or is no numbers."""
+    is not one number per segment, and for a comparison of such scores that fails or is no numbers. Gives that
+    comparison; None where the objective has reason to make none of numbers that nobody measured."""
     who = f"Objective '{objective.name}' (from {package})"
     kind = f"on a recording of '{robot.spec.name}' with all that the robot and the objective name"
     segments = made_up_segments(robot, objective.real_channels)
     found, opinion = _tried(lambda: objective.score(segments), f"{who}: score fails {kind}")
     if opinion:
-        return
+        return None
     means = {name: float(values.mean()) for name, values in as_scores(who, found, SEGMENTS).items()}
     found, opinion = _tried(
         lambda: objective.compare(dict(means), dict(means)), f"{who}: compare fails on what score gives, {means}"
     )
-    if not opinion:
-        plain(objective, found)
+    return None if opinion else plain(objective, found)
 
 
 def _tried(work: Callable[[], Any], what: str) -> tuple[Any, bool]:
