@@ -27,7 +27,9 @@ class CheckedSelector(Selector):
 
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
         """Ids of the candidates, each once; where `capped`, at most `count`."""
-        found = self._ids("elites", self._asked("elites", lambda: self._inner.elites(list(candidates), count)), candidates)
+        found = self._ids(
+            "elites", self._asked("elites", lambda: self._inner.elites(list(candidates), count)), candidates
+        )
         if self._capped and len(found) > count:
             raise PluginError(
                 f"{self._what}: elites() gives {len(found)} candidates, but max_real_samples is enough for {count}."

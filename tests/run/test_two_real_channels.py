@@ -177,5 +177,7 @@ def test_a_score_that_is_not_finite_names_all_channels_that_it_may_have_read(hts
 
     hts_fake_objective.also_measured = (Channel("voltage", "V"),)
     hts_fake_objective.score = lambda segments: {"power": np.array([1.0, math.nan])}
-    with pytest.raises(EvaluationError, match=r"in 1 of 2 segments of the policy\. Look at channels '.*' and 'voltage'"):
+    with pytest.raises(
+        EvaluationError, match=r"in 1 of 2 segments of the policy\. Look at channels '.*' and 'voltage'"
+    ):
         scored(hts_fake_objective, [0, 1], "policy")
