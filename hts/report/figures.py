@@ -123,7 +123,7 @@ def sweep(run: RunData, objective: str) -> Figure | None:
         left.set_title(f"Iteration {iteration['index']}: in simulation")
         left.set_ylabel("score in simulation")
         _measured(right, run, iteration, objective, factor, styles)
-        right.set_title("Elites in reality")
+        right.set_title(f"Elites {run.where}")
         if edges:
             margin = 0.06 * (max(*edges, 0.0) - min(*edges, 0.0) + 1e-9)
             right.set_xlim(min(*edges, 0.0) - margin, max(*edges, 0.0) + margin)
@@ -167,7 +167,7 @@ def iterations(run: RunData, objective: str) -> Figure | None:
             linestyle="none",
             color=REFERENCE,
             markersize=4.5,
-            label=f"other elites{at}" if others else None,
+            label=f"{'other elites' if best else 'elites'}{at}" if others else None,
         )
         color = ramp(position, len(speeds)) if len(speeds) > 1 else ACCENT
         panel.plot(

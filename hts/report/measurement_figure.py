@@ -25,8 +25,10 @@ def measurement(run: RunData, objective: str) -> Figure | None:
         return None
     fits = {index: run.fit(index, objective) for index, _ in rows}
     latest = max((index for index in fits if policy_means(fits[index])), default=None)
-    drawing, axes = figure(2.7, 1, 1 if latest is None else 2)
+    drawing, axes = figure(2.95, 1, 1 if latest is None else 2)
     _quality(axes[0, 0], rows, [(index, proxy_r2(fits[index])) for index, _ in rows])
+    if axes[0, 0].get_legend_handles_labels()[0]:  # none where nothing was held out
+        drawing.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3, columnspacing=1.2)
     if latest is not None:
         _predicted(axes[0, 1], latest, fits[latest])
     return drawing
@@ -61,8 +63,6 @@ def _quality(panel: Axes, rows: list[tuple[int, Mapping[str, Any]]], proxy: list
     panel.grid(axis="x", visible=False)
     panel.set_xlabel("iteration")
     panel.set_title("On recordings it never saw")
-    if panel.get_legend_handles_labels()[0]:  # none where nothing was held out
-        panel.legend(loc="lower right")
 
 
 def _predicted(panel: Axes, index: int, fit: Mapping[str, Any]) -> None:

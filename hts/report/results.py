@@ -17,6 +17,7 @@ def result_rows(name: str, result: Json, task: TaskWords) -> dict[str, Any]:
             **_result_table(result["unit"], part["speeds"], task),
             "words": words.removeprefix(", "),
             "held": words == HELD,
+            "refused": list((part.get("refused") or {}).values()),
         }
         for part, words in wording.ways(result)
     ]
@@ -98,7 +99,8 @@ def headline(run: RunData, name: str, result: Json) -> str:
         spread = (
             wording.interval((values[0], values[-1]), unit) if len(values) > 1 else wording.quantity(values[0], unit)
         )
-        text = f"Against the pretrained policy, {policy} improves {name} by {spread}{run.task.everywhere}."
+        where = run.task.at(better) if len(better) == 1 else run.task.everywhere
+        text = f"Against the pretrained policy, {policy} improves {name} by {spread}{where}."
     else:
         neither = "not clearly either" if better or worse else "neither clearly better nor clearly worse"
         parts = [(better, "better"), (worse, "worse"), ([k for k in speeds if k not in better + worse], neither)]

@@ -40,9 +40,9 @@ FEW_ENVS = 2  # per candidate: enough to see that an env can be made and stepped
 def check_ready(config: RunConfig, registry: Registry, engine: str | None = None) -> None:
     """Raise the HtsError that a run of this configuration would end in, as far as that can be known before it runs.
 
-    Cheap things first: names and settings, inputs, proxies, λ, scores, the selector, measurement models, the policy's file, the world
-    with this robot and these objectives, last an env that takes a step. engine: what `auto` stands for here; None: the
-    env is not made.
+    Cheap things first: names and settings, inputs, proxies, λ, scores, the selector, measurement models, the policy's
+    file, the world with this robot and these objectives, last an env that takes a step. engine: what `auto` stands for
+    here; None: the env is not made.
     """
     from hts.measurement.proxy import try_proxy
 
