@@ -72,7 +72,8 @@ def distribution(run: RunData, objective: str) -> Figure | None:
         return None
     keys = sorted(speeds, key=float)
     quantity = next(iter(speeds[keys[0]]["policy"]))
-    fraction = run.unit(objective) == wording.PERCENT
+    own = (run.final.get(objective, {}).get("metric_units") or {}).get(quantity)
+    fraction = own == wording.PERCENT or run.unit(objective) == wording.PERCENT
     drawing, axes = figure(2.6, 1, len(keys), sharey=True)
     rng = np.random.default_rng(0)
     every = [[np.asarray(speeds[key][role][quantity], dtype=float) for role in ("reference", "policy")] for key in keys]
@@ -89,7 +90,7 @@ def distribution(run: RunData, objective: str) -> Figure | None:
         panel.grid(axis="x", visible=False)
         panel.set_title(run.task.at([key]).removeprefix(" at "))
     name = wording.label(quantity)
-    unit = f", 1e{exponent}" if exponent else ""
+    unit = ", " + " ".join(filter(None, (f"1e{exponent}" if exponent else "", own))) if exponent or own else ""
     axes[0, 0].set_ylabel(f"{name} / pretrained mean" if fraction else f"{name} − pretrained mean{unit}")
     return drawing
 

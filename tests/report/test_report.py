@@ -18,9 +18,6 @@ from hts.contracts import Comparison
 from hts.errors import RunError
 from hts.report import figures, write_report
 from hts.report.data import read_run
-from hts.report.measurement_figure import measurement
-from hts.report.page import _flat, figure_note
-from hts.report.style import embedded
 from hts.report.table import print_evaluation, print_table
 from hts.testing.made_up_recordings import CostObjective
 
@@ -194,19 +191,6 @@ def test_a_twin_is_called_simulated_and_a_robot_real(run, tmp_path, words_only):
     assert "A real robot." in text(tmp_path) and "Simulated reality" not in text(tmp_path)
 
 
-def test_no_figure_or_heading_of_a_twin_reads_like_a_robots(run, tmp_path):
-    assert "<h1>Cost on example in simulated reality</h1>" in page(run)
-    assert "tried in simulated reality" in page(run) and "samples from simulated reality" in text(run)
-    twin, field = read_run(run), tmp_path / "field"
-    write_example_run(field, world="field", **SMALL)
-    assert figure_note(twin) == "simulated reality (twin): no robot" and figure_note(read_run(field)) == ""
-    titles = [axes.get_title() or axes.title.get_text() for axes in figures.sweep(twin, "cost").axes]
-    assert not any("in reality" in one for one in titles)
-    drawing = figures.sweep(twin, "cost")
-    embedded(drawing, tmp_path, "sweep", "Sweep", "", figure_note(twin))
-    assert drawing.get_suptitle() == figure_note(twin)
-
-
 @pytest.mark.parametrize(
     ("simulated", "words"),
     [(True, "Simulated reality. No robot was involved"), (False, "A real robot."), (None, "World: lab.")],
@@ -287,45 +271,6 @@ def test_falls_at_speeds_that_are_refused_are_falls(tmp_path, words_only, held, 
     assert said in text(changed(tmp_path, fall))
 
 
-def test_a_speed_that_could_not_be_compared_at_equal_commands_says_why(tmp_path, words_only):
-    def beside(summary):
-        result = summary["final"]["objectives"]["cost"]
-        result["open_loop"] = {"speeds": {}, "refused": {"0.5": "Head-to-head at 0.5 m/s: nobody walked."}}
-
-    assert "Head-to-head at 0.5 m/s: nobody walked." in text(changed(tmp_path, beside))
-
-
-def test_a_final_at_one_speed_is_not_said_of_every_speed(tmp_path, words_only):
-    def one(summary):
-        result = summary["final"]["objectives"]["cost"]
-        result["speeds"] = {"0.8": result["speeds"]["0.8"]}
-
-    shown = text(changed(tmp_path, one))
-    assert "% at 0.8 m/s. It did not fall" in shown and "at every speed tested" not in shown
-
-
-def test_seconds_that_counted_stand_beside_their_speed_where_they_differ(tmp_path, words_only):
-    def several(summary):
-        for row in summary["iterations"][0]["candidates"]:
-            for speeds in (row["real"] or {}).values():
-                (first,) = speeds.values()
-                speeds |= {"0.5": {**first, "segments": 11}, "1.1": {**first, "segments": 11}}
-
-    assert re.search(r"<td>\d+<br>11<br>11</td>", page(changed(tmp_path, several)))
-
-
-def test_versions_of_many_packages_are_one_line():
-    many = {f"package-{number}": "1.0" for number in range(9)}
-    ((key, shown),) = _flat({"packages": many})
-    assert key == "packages" and shown.startswith("package-0 1.0, package-1 1.0, ")
-    assert len(list(_flat({"hardware": {"cores": 2, "system": "Linux"}}))) == 2
-
-
-def test_the_legend_of_the_measurement_model_lies_beside_its_lines(run):
-    drawing = measurement(read_run(run), "cost")
-    assert drawing.legends and all(axes.get_legend() is None for axes in drawing.axes)
-
-
 def test_a_run_in_which_nothing_improved_still_has_a_page(tmp_path):
     def nothing(summary):
         summary["final"] = None
@@ -366,14 +311,6 @@ def test_a_later_evaluation_is_shown_beside_the_run_s_own(tmp_path, words_only):
     write_report(tmp_path)
     assert "policy best against pretrained in world other, seed 3" in text(tmp_path)
     assert "confirms nothing" not in text(tmp_path)
-
-
-def test_a_later_evaluation_that_walked_the_final_again_says_so(tmp_path, words_only):
-    summary = write_example_run(tmp_path, **SMALL)
-    result = {"policy": "best", "world": "twin", "seed": summary["seed"], "objectives": summary["final"]["objectives"]}
-    (tmp_path / "evaluation.json").write_text(json.dumps(result))
-    write_report(tmp_path)
-    assert "so it is the same walk again and confirms nothing" in text(tmp_path)
 
 
 def test_names_from_a_run_cannot_become_markup(tmp_path, words_only):
