@@ -366,8 +366,8 @@ def _reading(columns_of: Callable[[Path], Columns]) -> Callable[[Path, Sequence[
             ) from error
         if columns is None or isinstance(columns, Sequence):
             raise PluginError(
-                f"{path}: log reader '{log.reader}' gives its columns as a {type(columns).__name__}, expected a mapping "
-                "from each column's name to its numbers, such as {'t': [0.0, 0.02]}."
+                f"{path}: log reader '{log.reader}' gives its columns as a {type(columns).__name__}, expected a "
+                "mapping from each column's name to its numbers, such as {'t': [0.0, 0.02]}."
             )
         run = log.runs.column if log.runs is not None else None
         return table_of(path, log.time.column, log.time.unit, wanted, columns, run)

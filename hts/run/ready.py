@@ -23,7 +23,7 @@ from hts.guarded import guarded
 from hts.plugins import Registry
 from hts.run.budget import plan
 from hts.run.gate_checks import check_told
-from hts.run.score_check import check_score
+from hts.run.score_check import check_score, gain_of_less
 from hts.run.selector_check import check_selector
 from hts.training.sweep import combinations, own_weights
 
@@ -173,12 +173,30 @@ def _check_reward(name: str, objective: Objective) -> None:
             )
 
 
+def check_sign(name: str, objective: Objective, robot: Robot) -> None:
+    """What pays in training is what counts on the robot. Raise PluginError for a reward that pays for what `compare`
+    calls worse: policies would be trained to be worse, at every λ."""
+    import torch
+
+    from hts.measurement.reward import reward_of
+
+    gain = gain_of_less(objective, robot)
+    less, more = (float(reward_of(name, objective.reward, torch.full((1, 1), given))) for given in (-HALF, HALF))
+    if gain is not None and gain * (less - more) < 0:
+        paid, counts = ("less", "more") if less > more else ("more", "less")
+        raise PluginError(
+            f"Objective '{name}': reward() pays for {paid} of '{objective.target.name}', compare() counts {counts} of "
+            "it as an improvement, so training would work against what is measured. Turn the sign of one of them."
+        )
+
+
 def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
     """The training env of this robot is made, with the rewards in it, and takes a step."""
 
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
     for key in config.objectives:
         _check_reward(key, registry.make_objective(key, config.objectives[key]))
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+        check_sign(key, registry.make_objective(key, config.objectives[key]), robot)
     check_step(config, robot, engine, inputs(transforms(config, registry)), lambda: transforms(config, registry))
 
 
