@@ -74,7 +74,7 @@ def _tried(work: Callable[[], Any], what: str) -> tuple[Any, bool]:
 
 def made_up_segments(robot: Robot, measured: Sequence[Channel], share: float = 1.0) -> Segments:
     """SEGMENTS valid seconds of one recording: every sim channel of the robot and every measured one, between 0.5 and
-    1.5 in the channel's unit, idle at 0.1. share: of the first measured one, so much is left."""
+    1.5 in the channel's unit, idle at 0.4, below all of them. share: of the first measured one, so much is left."""
     spec, rng = robot.spec, np.random.default_rng(0)
     samples = round(spec.control_rate_hz)
     count = SEGMENTS * samples
@@ -91,7 +91,7 @@ def made_up_segments(robot: Robot, measured: Sequence[Channel], share: float = 1
         kd=spec.kd,
         rate_hz=spec.control_rate_hz,
         schedule=ScheduleConfig(commands=(Command(seconds=float(SEGMENTS), vx=1.0),)),
-        idle={one.name: 0.1 for one in measured},
+        idle={one.name: 0.4 for one in measured},
         clock="simulated",
         time=np.arange(count) / spec.control_rate_hz,
         channels={name: Series(one, values[name]) for name, one in channels.items()},
