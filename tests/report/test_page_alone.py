@@ -141,3 +141,9 @@ def test_a_later_evaluation_that_walked_the_final_again_says_so(tmp_path, words_
     (tmp_path / "evaluation.json").write_text(json.dumps(result))
     write_report(tmp_path)
     assert "so it is the same walk again and confirms nothing" in text(tmp_path)
+
+
+def test_a_figure_that_is_longer_than_a_sheet_is_printed_smaller_not_cut(run, words_only):
+    write_report(run)
+    print_rules = page(run).split("@media print", 1)[1].split("</style>", 1)[0]
+    assert re.search(r"figure img \{ max-height: \d+mm; object-fit: contain;", print_rules)
