@@ -110,6 +110,13 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         ),
     ),
     (
+        "Predicted improvement",
+        (
+            "What the measurement model promises of a candidate by how it walks in simulation, before it is tried. "
+            "Where it promises much more than is measured, the model was trusted where it had no data."
+        ),
+    ),
+    (
         "Measurement model",
         "Predicts the measured quantity from what simulation knows too. Fitted on all recordings so far.",
     ),

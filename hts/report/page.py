@@ -309,6 +309,7 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
                 "falls": wording.count(candidate.get("falls")),
                 "fell": bool(candidate.get("falls")),
                 "kind": "best" if best else "elite" if candidate.get("elite") else "",
+                "predicted": _predicted(run, candidate) or ["–"],
                 "improvement": [
                     (f"{run.task.point(speed)}: " if several else "")
                     + wording.quantity(result.get("improvement"), run.unit(name))
@@ -326,6 +327,7 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
     return {
         "index": iteration["index"],
         "rows": rows,
+        "promises": any(row["predicted"] != ["–"] for row in rows),
         "warnings": iteration.get("warnings") or [],
         "scale": [
             f"Rewards of the task and of {name} spread by {wording.number(found['task_spread'])} and "
@@ -334,6 +336,20 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
             for name, found in (iteration.get("reward_scale") or {}).items()
         ],
     }
+
+
+def _predicted(run: RunData, candidate: Json) -> list[str]:
+    """What the measurement models promised of a candidate before it was tried: improvements, slowest speed first."""
+    promised = [
+        (name, speed, speeds[speed])
+        for name, speeds in (candidate.get("predicted") or {}).items()
+        for speed in sorted(speeds, key=float)
+    ]
+    several = len(promised) > len(run.objectives)
+    return [
+        (f"{run.task.point(speed)}: " if several else "") + wording.quantity(one.get("improvement"), run.unit(name))
+        for name, speed, one in promised
+    ]
 
 
 def _once(cells: list[str]) -> list[str]:

@@ -147,3 +147,17 @@ def test_a_figure_that_is_longer_than_a_sheet_is_printed_smaller_not_cut(run, wo
     write_report(run)
     print_rules = page(run).split("@media print", 1)[1].split("</style>", 1)[0]
     assert re.search(r"figure img \{ max-height: \d+mm; object-fit: contain;", print_rules)
+
+
+def test_what_was_promised_of_a_candidate_stands_beside_what_was_measured(tmp_path, words_only):
+    def promised(summary):
+        for row in summary["iterations"][0]["candidates"][:1]:
+            row["predicted"] = {"cost": {"0.8": {"improvement": 0.123}}}
+
+    folder = changed(tmp_path, promised)
+    assert "<th>predicted improvement</th>" in page(folder) and "<td>12.3 %</td>" in page(folder)
+
+
+def test_without_promises_there_is_no_column_of_them(run, words_only):
+    write_report(run)
+    assert "<th>predicted improvement</th>" not in page(run)
