@@ -46,14 +46,14 @@ def proxy_r2(fit: Mapping[str, Any]) -> float | None:
 
 
 def _quality(panel: Axes, rows: list[tuple[int, Mapping[str, Any]]], proxy: list[tuple[int, float | None]]) -> None:
-    for values, name, color, marker in (
-        ([(index, model.get("held_out_r2")) for index, model in rows], "held-out R²", ACCENT, "o"),
-        ([(index, model.get("rank_correlation")) for index, model in rows], "rank correlation", INK, "D"),
-        (proxy, "R² of the analytic stand-in", REFERENCE, "s"),
+    for values, name, color, marker, size in (  # the first ones larger, since numbers may be the same
+        ([(index, model.get("held_out_r2")) for index, model in rows], "held-out R²", ACCENT, "o", 8.0),
+        (proxy, "R² of the analytic stand-in", REFERENCE, "s", 6.0),
+        ([(index, model.get("rank_correlation")) for index, model in rows], "rank correlation", INK, "D", 4.0),
     ):
         found = [(index, value) for index, value in values if value is not None]
         if found:
-            panel.plot(*zip(*found, strict=True), color=color, marker=marker, markersize=5, label=name)
+            panel.plot(*zip(*found, strict=True), color=color, marker=marker, markersize=size, label=name)
     indices = [index for index, _ in rows]
     panel.set_xticks(indices)
     panel.set_xlim(min(indices) - 0.5, max(indices) + 0.5)

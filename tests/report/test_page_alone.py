@@ -104,6 +104,8 @@ def test_versions_of_many_packages_are_one_line():
 def test_the_legend_of_the_measurement_model_lies_beside_its_lines(run):
     drawing = measurement(read_run(run), "cost")
     assert drawing.legends and all(axes.get_legend() is None for axes in drawing.axes)
+    sizes = [line.get_markersize() for line in drawing.axes[0].get_lines() if line.get_label()[0] != "_"]
+    assert sizes == sorted(set(sizes), reverse=True)  # the same number twice shows both
 
 
 def test_a_metric_has_the_unit_that_its_objective_says(tmp_path, words_only):
