@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 
 def measurement(run: RunData, objective: str) -> Figure | None:
-    """Held-out R² and rank correlation of each iteration; predicted against measured mean per policy, if known."""
+    """Held-out R² and rank correlation of each iteration; predicted against measured mean per policy, if known. None
+    where nothing of it is: one recording alone leaves none to hold out."""
     rows = [
         (int(iteration["index"]), (iteration.get("measurement_models") or {}).get(objective) or {})
         for iteration in run.iterations
@@ -25,6 +26,9 @@ def measurement(run: RunData, objective: str) -> Figure | None:
         return None
     fits = {index: run.fit(index, objective) for index, _ in rows}
     latest = max((index for index in fits if policy_means(fits[index])), default=None)
+    known = (value for _, model in rows for value in (model.get("held_out_r2"), model.get("rank_correlation")))
+    if latest is None and all(value is None for value in known):
+        return None
     drawing, axes = figure(2.95, 1, 1 if latest is None else 2)
     _quality(axes[0, 0], rows, [(index, proxy_r2(fits[index])) for index, _ in rows])
     if axes[0, 0].get_legend_handles_labels()[0]:  # none where nothing was held out

@@ -101,6 +101,12 @@ def test_versions_of_many_packages_are_one_line():
     assert len(list(_flat({"hardware": {"cores": 2, "system": "Linux"}}))) == 2
 
 
+def test_of_a_model_of_which_nothing_is_known_there_is_no_empty_figure(tmp_path):
+    models = {"cost": {"dataset": "ab", "held_out_r2": None, "rank_correlation": None}}
+    summary = {"objectives": ["cost"], "iterations": [{"index": 0, "measurement_models": models}]}
+    assert measurement(RunData(tmp_path, summary, {}, {}, {}, {}, {}), "cost") is None
+
+
 def test_the_legend_of_the_measurement_model_lies_beside_its_lines(run):
     drawing = measurement(read_run(run), "cost")
     assert drawing.legends and all(axes.get_legend() is None for axes in drawing.axes)
