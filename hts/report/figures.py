@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+FEW_POINTS = 40
+"""So many seconds of one policy need no see-through marks."""
+
+
 def improvement(run: RunData, objective: str) -> Figure | None:
     """Improvement at each speed with its 95 % interval; the objective's other fractions beside it."""
     speeds = run.final.get(objective, {}).get("speeds") or {}
@@ -83,7 +87,9 @@ def distribution(run: RunData, objective: str) -> Figure | None:
         panel.axhline(1.0 if fraction else 0.0, color=SOFT, linewidth=0.9, zorder=1)
         for x, (values, color) in enumerate(zip(groups, (REFERENCE, ACCENT), strict=True)):
             shown = values / centre if fraction else (values - centre) / 10.0**exponent
-            panel.scatter(x + rng.uniform(-0.2, 0.2, len(shown)), shown, s=7, color=color, alpha=0.45, linewidths=0)
+            size, opaque = (7, 0.45) if len(shown) > FEW_POINTS else (16, 0.9)  # a few small pale ones are not seen
+            jitter = rng.uniform(-0.2, 0.2, len(shown))
+            panel.scatter(x + jitter, shown, s=size, color=color, alpha=opaque, linewidths=0)
             panel.plot([x - 0.3, x + 0.3], [shown.mean()] * 2, color=INK, linewidth=1.4)
         panel.set_xticks([0, 1], ["pretrained", "final"])
         panel.set_xlim(-0.6, 1.6)

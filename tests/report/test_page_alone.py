@@ -101,6 +101,12 @@ def test_versions_of_many_packages_are_one_line():
     assert len(list(_flat({"hardware": {"cores": 2, "system": "Linux"}}))) == 2
 
 
+def test_a_few_seconds_are_drawn_large_and_dark_enough_to_be_seen(tmp_path):
+    few = {"0.8": {"policy": {"cost": [2.0, 3.0]}, "reference": {"cost": [4.0, 5.0]}}}
+    data = RunData(tmp_path, {}, {}, {}, {}, {"cost": few}, {})
+    assert {marks.get_alpha() for marks in figures.distribution(data, "cost").axes[0].collections} == {0.9}
+
+
 def test_of_a_model_of_which_nothing_is_known_there_is_no_empty_figure(tmp_path):
     models = {"cost": {"dataset": "ab", "held_out_r2": None, "rank_correlation": None}}
     summary = {"objectives": ["cost"], "iterations": [{"index": 0, "measurement_models": models}]}
