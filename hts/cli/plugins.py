@@ -9,6 +9,7 @@ import typer
 
 from hts import plugins
 from hts.cli import options
+from hts.cli.commands import COMMANDS
 from hts.errors import HtsError, PluginError
 from hts.plugins import KINDS, Registry
 
@@ -58,8 +59,12 @@ MADE_QUICKLY = ("objectives", "robots", "selectors", "log_readers")
 
 
 def _not_made(registry: Registry) -> dict[tuple[str, str], str]:
-    """(kind, name) of what is registered and cannot be made -> why. One that only needs settings is not among them."""
-    found: dict[tuple[str, str], str] = {}
+    """(kind, name) of what is registered and cannot be made, or never asked for -> why. One that only needs settings is
+    not among them."""
+    found: dict[tuple[str, str], str] = {
+        ("commands", name): f"hts has a command '{name}' of its own, which is the one that runs. Give it another name."
+        for name in sorted(set(registry.commands) & set(COMMANDS))
+    }
     for kind in MADE_QUICKLY:
         make = getattr(registry, f"make_{kind.removesuffix('s')}")
         for name in sorted(registry.offered(kind)):

@@ -67,3 +67,11 @@ def test_its_traceback_is_shown_where_it_is_asked_for(tell, monkeypatch):
     monkeypatch.setenv("HTS_DEBUG", "1")
     with pytest.raises(Exception, match="division by zero"):
         tell("1 / 0")
+
+
+def test_a_command_that_hts_has_itself_is_listed_as_broken(install, capsys):
+    text = PLUGIN.format(body="pass", factory="return tell").replace('register("tell"', 'register("run"')
+    install("lab", {"lab": text}, {"lab": "lab"})
+    assert main(["plugins"]) == 0
+    shown = capsys.readouterr().out
+    assert "lab (command 'run'): hts has a command 'run' of its own" in shown.partition("\nbroken\n")[2]
