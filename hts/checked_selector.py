@@ -12,6 +12,8 @@ from hts.errors import PluginError
 from hts.guarded import guarded
 from hts.plugins import Registry
 
+SHORTEST = 1.0  # s: in a shorter block there is no second to compare
+
 
 class CheckedSelector(Selector):
     """Passes every question on to `inner`. Raises PluginError, one line that begins with `what`, for code that fails
@@ -49,10 +51,10 @@ class CheckedSelector(Selector):
         found = self._asked("rounds", self._inner.rounds)
         if found is not None and not isinstance(found, Rounds):
             raise PluginError(f"{self._what}: rounds() gives {_shown(found)}, expected None or Rounds.")
-        if found is not None and not (_number(found.block_seconds) and found.block_seconds > 0):
+        if found is not None and not (_number(found.block_seconds) and found.block_seconds >= SHORTEST):
             raise PluginError(
-                f"{self._what}: rounds() gives block_seconds={found.block_seconds!r}, expected a number of seconds "
-                "above 0."
+                f"{self._what}: rounds() gives block_seconds={found.block_seconds!r}, expected {SHORTEST:g} s at "
+                "least: whole seconds are compared, and the first ones of a block are left out."
             )
         if found is not None and not (type(found.most) is int and found.most >= 1):
             raise PluginError(

@@ -98,7 +98,8 @@ def test_a_run_ends_in_that_line_before_anybody_walks(tmp_path, monkeypatch):
     [
         (Rounds(4.0, 0), r"rounds\(\) gives most=0, expected a whole number of at least 1"),
         (Rounds(4.0, 2.5), r"rounds\(\) gives most=2.5"),
-        (Rounds(-4.0, 3), r"rounds\(\) gives block_seconds=-4.0, expected a number of seconds above 0"),
+        (Rounds(-4.0, 3), r"rounds\(\) gives block_seconds=-4.0, expected 1 s at least"),
+        (Rounds(0.01, 3), r"rounds\(\) gives block_seconds=0.01, expected 1 s at least"),
         (Rounds("4", 3), r"rounds\(\) gives block_seconds='4'"),
         (Rounds(float("nan"), 3), r"rounds\(\) gives block_seconds=nan"),
     ],
