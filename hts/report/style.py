@@ -76,7 +76,8 @@ def embedded(drawing: Figure, folder: Path, file: str, title: str, caption: str,
     if note:
         drawing.suptitle(note, x=0.005, ha="left", fontsize=7, fontweight="normal", color=SOFT)
     data = base64.b64encode(save(drawing, folder, file).read_bytes()).decode()
-    return {"title": title, "caption": caption, "alt": f"{title}. {caption}", "data": data}
+    alt = f"{title}{f', {note}' if note else ''}; described below"  # the caption is read out after it
+    return {"title": title, "caption": caption, "alt": alt, "data": data}
 
 
 def ramp(position: int, count: int) -> str:

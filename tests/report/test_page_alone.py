@@ -63,8 +63,9 @@ def test_no_figure_or_heading_of_a_twin_reads_like_a_robots(run, tmp_path, words
     titles = [axes.get_title() or axes.title.get_text() for axes in figures.sweep(twin, "cost").axes]
     assert not any("in reality" in one for one in titles)
     drawing = figures.sweep(twin, "cost")
-    embedded(drawing, tmp_path, "sweep", "Sweep", "", figure_note(twin))
+    shown = embedded(drawing, tmp_path, "sweep", "Sweep", "Left and right.", figure_note(twin))
     assert drawing.get_suptitle() == figure_note(twin)
+    assert shown["alt"] == "Sweep, simulated reality (twin): no robot; described below"
 
 
 def test_a_speed_that_could_not_be_compared_at_equal_commands_says_why(tmp_path, words_only):
