@@ -11,6 +11,7 @@ import contextlib
 import importlib.metadata
 import inspect
 import sys
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -64,12 +65,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Plugin:
-    """An entry point that was loaded: its name, the module behind it, its distribution and version."""
+    """An entry point that was loaded: its name, the module behind it, its distribution and version, and how long that
+    took, which every command waits for."""
 
     entry_point: str
     module: str
     package: str
     version: str
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -164,7 +167,7 @@ def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) ->
     if entry_points is None:
         entry_points = importlib.metadata.entry_points(group=GROUP)
     for point in sorted(entry_points, key=lambda point: (_package(point), point.name)):
-        package = _package(point)
+        package, begun = _package(point), time.monotonic()
         try:
             offered = _offers(point, package)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - any fault of a stranger's module is shown, never fatal to others
@@ -176,7 +179,7 @@ def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) ->
                 raise PluginError(_two_of_one_name(kind, other, entry))
             found[kind][entry.name] = entry
         version = point.dist.version if point.dist is not None else "unknown"
-        plugins.append(Plugin(point.name, point.value, package, version))
+        plugins.append(Plugin(point.name, point.value, package, version, time.monotonic() - begun))
     return Registry(**found, plugins=tuple(plugins), broken=tuple(broken))
 
 
