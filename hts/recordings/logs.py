@@ -24,7 +24,7 @@ from hts import units
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
-from hts.errors import ConfigError, HtsError, RecordingError
+from hts.errors import ConfigError, HtsError, PluginError, RecordingError
 from hts.recordings.attitude import still_notes
 from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
@@ -364,6 +364,11 @@ def _reading(columns_of: Callable[[Path], Columns]) -> Callable[[Path, Sequence[
             raise RecordingError(
                 f"{path}: not a log that the reader '{log.reader}' knows ({what:.160}). {remedy(log)}"
             ) from error
+        if columns is None or isinstance(columns, Sequence):
+            raise PluginError(
+                f"{path}: log reader '{log.reader}' gives its columns as a {type(columns).__name__}, expected a "
+                "mapping from each column's name to its numbers, such as {'t': [0.0, 0.02]}."
+            )
         run = log.runs.column if log.runs is not None else None
         return table_of(path, log.time.column, log.time.unit, wanted, columns, run)
 
