@@ -10,15 +10,18 @@ from torch.distributions import (
     Categorical,
     ComposeTransform,
     Distribution,
+    Gumbel,
+    HalfNormal,
     Independent,
     OneHotCategorical,
+    Pareto,
     Transform,
     TransformedDistribution,
     constraints,
     kl_divergence,
 )
 
-from hts.rl.possible import support_of
+from hts.rl.possible import name_of, support_of
 
 LIMITED = (
     constraints.interval,
@@ -27,6 +30,8 @@ LIMITED = (
     constraints.greater_than_eq,
     constraints.less_than,
 )
+FORMULAS = Gumbel, HalfNormal, Pareto
+"""Squashed distributions of which torch knows the KL for any parameters, that of the bijection among them."""
 
 
 def gaussian_kl(
@@ -62,15 +67,34 @@ def squashed_alike(policy: Distribution, reference: Distribution) -> bool:
     return squashed is not None and other is not None and squashed.transforms == other.transforms
 
 
+def learned(policy: Distribution) -> bool:
+    """Whether a policy is squashed by a bijection that depends on its parameters, so that a gradient step makes another
+    one of it. Where no gradients are kept nothing tells."""
+    squashed = _squashed(policy)
+    return squashed is not None and any(map(_is_learned, squashed.transforms))
+
+
+def _is_learned(transform: Transform) -> bool:
+    if isinstance(transform, ComposeTransform):
+        return any(map(_is_learned, transform.parts))
+    held = vars(transform).values()
+    return any(
+        one.requires_grad if isinstance(one, torch.Tensor) else isinstance(one, Transform) and _is_learned(one)
+        for one in held
+    )
+
+
 def kl_of(policy: Distribution, reference: Distribution, alike: bool) -> torch.Tensor:
     """`distribution_kl`; alike: what `squashed_alike` said of the two."""
     _check_alike(policy, reference)
-    if not torch.compiler.is_compiling():  # which cannot look at what a distribution may do
-        _check_reach(policy, reference)
     first, second = policy, reference
     squashed, other = _squashed(policy), _squashed(reference)
     if alike and squashed is not None and other is not None:
         first, second = squashed.base_dist, other.base_dist
+    if not torch.compiler.is_compiling():  # which cannot look at what a distribution may do
+        _check_reach(policy, reference)
+    elif not alike and squashed is not None and other is not None and not isinstance(squashed, FORMULAS):
+        return _kl_of_one_action(policy, reference)  # torch would compare the limits first
     choice, other_choice = _categorical(first), _categorical(second)
     try:
         if choice is not None and other_choice is not None:
@@ -78,8 +102,7 @@ def kl_of(policy: Distribution, reference: Distribution, alike: bool) -> torch.T
         else:
             divergence = kl_divergence(first, second)
     except NotImplementedError:
-        action = _reparametrised(policy, reference)
-        return policy.log_prob(action) - reference.log_prob(action)
+        return _kl_of_one_action(policy, reference)
     extra = divergence.ndim - len(policy.batch_shape)
     return divergence.sum(tuple(range(-extra, 0))) if extra else divergence
 
@@ -103,7 +126,7 @@ def _check_reach(policy: Distribution, reference: Distribution) -> None:
     """Raise ValueError where the policy does, with some probability, what the reference never does: a density that
     is clamped at its limits, as a squashed one's, would make a finite number of that."""
     if _limited(reference) is True and _limited(policy) is False:
-        names = type(policy).__name__, type(reference).__name__
+        names = name_of(policy), name_of(reference)
         raise ValueError(
             f"KL({names[0]} || {names[1]}) is infinite: the policy's actions have no limits, its reference's have. "
             "Expected the same kind of distribution of both."
@@ -129,15 +152,16 @@ def _limits(transform: Transform) -> bool:
     return isinstance(transform.codomain, LIMITED)
 
 
-def _reparametrised(policy: Distribution, reference: Distribution) -> torch.Tensor:
+def _kl_of_one_action(policy: Distribution, reference: Distribution) -> torch.Tensor:
     try:
-        return policy.rsample()
+        action = policy.rsample()
     except NotImplementedError as error:
-        names = type(policy).__name__, type(reference).__name__
+        names = name_of(policy), name_of(reference)
         raise NotImplementedError(
             f"torch knows no formula of KL({names[0]} || {names[1]}), and {names[0]} has no rsample, with which one "
             "action would stand for it. Give the policy a distribution that has either, such as TorchRL's TanhNormal."
         ) from error
+    return policy.log_prob(action) - reference.log_prob(action)
 
 
 def _categorical_kl(policy: Categorical, reference: Categorical) -> torch.Tensor:

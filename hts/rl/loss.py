@@ -22,7 +22,7 @@ from torchrl.objectives.value import GAE
 from hts.rl.actor import PopulationActor
 from hts.rl.counted import counted, marks_in
 from hts.rl.given import OfItsSizes
-from hts.rl.kl import kl_of, squashed_alike
+from hts.rl.kl import kl_of, learned, squashed_alike
 from hts.rl.loss_checks import (
     check_action,
     check_actor,
@@ -310,8 +310,8 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     def _kl(self, policy: Distribution, batch: TensorDictBase) -> torch.Tensor:
         reference = self._reference_in(batch)
         if self._alike is None or not torch.compiler.is_compiling():  # which cannot compare limits, and takes them to
-            self._alike = squashed_alike(policy, reference)  # be what they were
-        return kl_of(policy, reference, self._alike)
+            self._alike = squashed_alike(policy, reference)  # be what they were, unless they are learned
+        return kl_of(policy, reference, self._alike and not (torch.compiler.is_compiling() and learned(policy)))
 
     def _count(self) -> None:
         """Warn, once, where alpha has not been updated for so long that it may have been forgotten."""

@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import CompositeDistribution, TensorDictModuleBase, TensorDictSequential
 from tensordict.utils import NestedKey
-from torch.distributions import Distribution, Independent
+from torch.distributions import Distribution
 from torch.nn.parameter import is_lazy
 from torchrl.modules import MaskedOneHotCategorical, OneHotCategorical
 
@@ -19,7 +19,7 @@ from hts.rl.actor import PopulationActor
 from hts.rl.counted import counted
 from hts.rl.given import check_number
 from hts.rl.kl import expands
-from hts.rl.possible import impossible
+from hts.rl.possible import impossible, name_of
 
 Read = TypeVar("Read")
 
@@ -162,10 +162,9 @@ def check_possible(batch: TensorDictBase, key: NestedKey, policy: Distribution, 
     bad, steps = impossible(policy, action), counted(batch, action.shape, masks)
     if bad is None or not bool((bad if steps is None else bad & steps).any()):
         return
-    bare = policy.base_dist if isinstance(policy, Independent) else policy
     raise ValueError(
         f"{key!r} is {first_bad(action, bad if steps is None else bad & steps)}, which the actor's distribution "
-        f"({type(bare).__name__}) never gives. Expected the actions that the actor wrote, not those of another policy, "
+        f"({name_of(policy)}) never gives. Expected the actions that the actor wrote, not those of another policy, "
         "nor in an env's units, which a transform has made of them."
     )
 

@@ -58,6 +58,11 @@ def impossible(policy: Distribution, action: torch.Tensor) -> torch.Tensor | Non
     return (action < lower - room) | (action > upper + room)
 
 
+def name_of(distribution: Distribution) -> str:
+    """The kind of distribution, in a word; not that it is one of several components."""
+    return type(distribution.base_dist if type(distribution) is Independent else distribution).__name__
+
+
 def support_of(distribution: Distribution) -> constraints.Constraint | None:
     """What each number of an action may be; None where the distribution does not say, as TorchRL's TanhNormal."""
     if isinstance(distribution, modules.TanhNormal):  # whose property is broken

@@ -17,6 +17,7 @@ from torch.distributions import (
     Normal,
     StudentT,
     TransformedDistribution,
+    VonMises,
 )
 from torchrl.modules import IndependentNormal, NormalParamExtractor, ProbabilisticActor, TanhNormal, ValueOperator
 
@@ -132,3 +133,32 @@ def test_a_loss_of_actions_within_an_envs_limits_is_compiled_as_a_whole():
     found = torch.compile(loss, backend="eager", fullgraph=True)(data)
     assert float(found["kl"]) > 0.01
     torch.testing.assert_close(found["kl"], expected["kl"])
+
+
+def scaled_by_the_policy(loc, scale):
+    base = Independent(Normal(torch.zeros_like(loc), 1.0), 1)
+    return TransformedDistribution(base, [AffineTransform(loc, scale, event_dim=1)])
+
+
+def test_a_bijection_that_is_learned_has_a_kl_in_compiled_code_too():
+    torch.manual_seed(0)
+    head = TensorDictModule(nn.Sequential(nn.Linear(3, 4), NormalParamExtractor()), ["observation"], ["loc", "scale"])
+    how = {"distribution_class": scaled_by_the_policy, "return_log_prob": True}
+    actor = ProbabilisticActor(head, in_keys=["loc", "scale"], **how)
+    loss = KLConstrainedPPOLoss(actor, ValueOperator(nn.Linear(3, 1), in_keys=["observation"]))
+    sizes = {"observation": 3, "advantage": 1, "value_target": 1}
+    data = TensorDict({name: torch.randn(2000, size) for name, size in sizes.items()}, [2000])
+    with torch.no_grad():
+        loss.critic_network(actor(data))
+    loss(data)  # policy and reference are the same here
+    with torch.no_grad():
+        head.module[0].bias[:2] += 0.3
+    found = torch.compile(loss, backend="eager", fullgraph=True)(data)
+    sigma = loss.reference.get_dist(data).transforms[0].scale
+    assert float(found["kl"]) == pytest.approx(float((0.3 / sigma).square().sum(-1).mean() / 2), rel=0.1)
+
+
+def test_what_lacks_a_formula_is_called_by_its_own_name():
+    ring = Independent(VonMises(torch.zeros(4, 2), torch.ones(4, 2)), 1)
+    with pytest.raises(NotImplementedError, match=r"^torch knows no formula of KL\(VonMises \|\| VonMises\)"):
+        distribution_kl(ring, ring)
