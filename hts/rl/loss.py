@@ -14,13 +14,13 @@ from tensordict.utils import NestedKey
 from torch import nn
 from torch.distributions import Distribution
 from torchrl.modules import set_recurrent_mode
-from torchrl.modules.distributions.utils import sample_and_log_prob
 from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
 
 from hts.rl.actor import PopulationActor
 from hts.rl.counted import counted, marks_in
+from hts.rl.entropy import entropy_of
 from hts.rl.given import OfItsSizes
 from hts.rl.kl import kl_of, learned, squashed_alike
 from hts.rl.loss_checks import (
@@ -32,10 +32,12 @@ from hts.rl.loss_checks import (
     check_not_empty,
     check_possible,
     check_reference,
+    check_same,
     check_settings,
     lacks,
     lacks_old_value,
     lacks_value,
+    one_each,
     read_by,
     written_keys,
 )
@@ -249,30 +251,32 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         steps = counted(batch, log_prob.shape, marks)
         if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
             self._tell_frozen()
-        log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
+        log_ratio = log_prob - one_each(batch, keys.sample_log_prob, log_prob)
         self._check_finite(batch, keys.sample_log_prob, marks)
-        advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
+        advantage = one_each(batch, keys.advantage, log_prob, shared_by=policy)
         if self.normalize_advantage:
-            advantage = self._standardised(advantage, steps)
+            advantage = self._standardised(advantage, counted(batch, advantage.shape, marks))
         kl = self._kl(policy, batch)
         valued = read_by("critic_network", self.critic_network, batch.exclude(keys.value), self.critic_network)
         if valued.get(keys.value, None) is None:
             raise lacks_value(self.critic_network.out_keys, keys.value)
-        value = _as(log_prob, valued[keys.value], keys.value)
-        target = _as(log_prob, batch[keys.value_target], keys.value_target)
+        target = one_each(batch, keys.value_target, log_prob, shared_by=policy)
+        value = one_each(valued, keys.value, log_prob, shared_by=policy)
+        check_same({keys.value_target: target, keys.value: value})
         if self.clip_value is not None and old_value is None:
             raise lacks_old_value(batch, keys.value, self.critic_network.in_keys)
-        old_value = value.detach() if old_value is None else _as(log_prob, old_value, keys.value)
+        old_value = value.detach() if old_value is None else one_each(batch, keys.value, log_prob, shared_by=policy)
+        check_same({keys.value_target: target, keys.value: old_value})
         if self.clip_value is not None:
             self._check_finite(batch, keys.value, marks)
+        error = value_error(value, target, old_value, self.clip_value)
         mean_kl = self._mean(kl, steps)
         objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon), steps) + self.multiplier(mean_kl)
         with torch.no_grad():
             clipped = ((log_ratio.exp() - 1.0).abs() > self.clip_epsilon).to(log_ratio.dtype)
         losses = {
             "loss_objective": objective,
-            "loss_critic": self.critic_coeff
-            * self._mean(value_error(value, target, old_value, self.clip_value), steps),
+            "loss_critic": self.critic_coeff * self._mean(error, counted(batch, error.shape, marks)),
             "loss_entropy": self._entropy_loss(policy, log_ratio, steps),
             "kl": mean_kl.detach(),
             "kl_approx": self._mean(-log_ratio.detach(), steps),
@@ -353,7 +357,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
 
     def _entropy_loss(self, policy: Distribution, log_ratio: torch.Tensor, steps: torch.Tensor | None) -> torch.Tensor:
         """-h E[H(pi)]; nothing is computed, or sampled, where h is 0."""
-        entropy = _entropy(policy, log_ratio) if self.entropy_coeff else torch.zeros_like(log_ratio)
+        entropy = entropy_of(policy, log_ratio) if self.entropy_coeff else torch.zeros_like(log_ratio)
         return -self.entropy_coeff * self._mean(entropy, steps)
 
     def _mean(self, x: torch.Tensor, steps: torch.Tensor | None, least: int = 1) -> torch.Tensor:
@@ -369,27 +373,5 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         return row_standardised(x.reshape(count, -1), None if steps is None else steps.reshape(count, -1)).view(x.shape)
 
 
-def _as(log_prob: torch.Tensor, value: torch.Tensor, key: NestedKey) -> torch.Tensor:
-    """value in the shape of the actions' log-probabilities. Raises ValueError unless it is one number for each of them:
-    what broadcasts would be added to the wrong actions."""
-    if value.numel() != log_prob.numel():
-        raise ValueError(
-            f"{key!r} has the shape {tuple(value.shape)}, the actor's log-probabilities {tuple(log_prob.shape)}: one "
-            "number for each action is expected in both. A distribution that has one for each component, such as "
-            "Normal, becomes one of whole actions by torch's Independent."
-        )
-    return value.reshape(log_prob.shape)
-
-
 ESTIMATED = ("advantage", "value_target", "value", "reward", "done", "terminated")
 """Keys that the value estimator shares with the loss."""
-
-
-def _entropy(policy: torch.distributions.Distribution, like: torch.Tensor) -> torch.Tensor:
-    """Entropy in each state, of the shape of like; by one sample where there is no closed form, of which TorchRL knows
-    the density where a tanh has rounded it to its limit, too: from the action alone it would be any number there."""
-    try:
-        entropy = policy.entropy()
-    except NotImplementedError:
-        entropy = -sample_and_log_prob(policy, reparameterize=True)[1]
-    return entropy.expand(like.shape)
