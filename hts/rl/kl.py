@@ -13,6 +13,7 @@ from torch.distributions import (
     Gumbel,
     HalfNormal,
     Independent,
+    MultivariateNormal,
     OneHotCategorical,
     Pareto,
     Transform,
@@ -100,11 +101,15 @@ def kl_of(policy: Distribution, reference: Distribution, alike: bool) -> torch.T
         if choice is not None and other_choice is not None:
             divergence = _categorical_kl(choice, other_choice)
         else:
-            divergence = kl_divergence(first, second)
+            known = _uncompiled if isinstance(first, MultivariateNormal) else kl_divergence
+            divergence = known(first, second)
     except NotImplementedError:
         return _kl_of_one_action(policy, reference)
     extra = divergence.ndim - len(policy.batch_shape)
     return divergence.sum(tuple(range(-extra, 0))) if extra else divergence
+
+
+_uncompiled = torch.compiler.disable(kl_divergence)  # torch's formula of multivariate normals cannot be traced
 
 
 def _check_alike(policy: Distribution, reference: Distribution) -> None:

@@ -22,7 +22,7 @@ from torch.distributions import (
 from torchrl.modules import IndependentNormal, NormalParamExtractor, ProbabilisticActor, TanhNormal, ValueOperator
 
 from hts.rl import KLConstrainedPPOLoss, gaussian_kl
-from hts.rl.kl import distribution_kl
+from hts.rl.kl import distribution_kl, kl_of
 
 
 def test_squashing_changes_no_kl():
@@ -156,6 +156,15 @@ def test_a_bijection_that_is_learned_has_a_kl_in_compiled_code_too():
     found = torch.compile(loss, backend="eager", fullgraph=True)(data)
     sigma = loss.reference.get_dist(data).transforms[0].scale
     assert float(found["kl"]) == pytest.approx(float((0.3 / sigma).square().sum(-1).mean() / 2), rel=0.1)
+
+
+def test_multivariate_normals_have_their_kl_in_compiled_code():
+    def asked(loc):
+        policy, reference = (MultivariateNormal(mean, torch.eye(3)) for mean in (loc, torch.zeros(3)))
+        return kl_of(policy, reference, False) + 1.0
+
+    found = torch.compile(asked, backend="eager")(torch.ones(5, 3))
+    torch.testing.assert_close(found, torch.full((5,), 2.5))
 
 
 def test_what_lacks_a_formula_is_called_by_its_own_name():
