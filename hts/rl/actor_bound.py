@@ -15,7 +15,7 @@ from hts.rl.actor import PopulationActor
 from hts.rl.counted import counted
 from hts.rl.given import check_number
 from hts.rl.kl import distribution_kl
-from hts.rl.loss_checks import check_actor, check_not_empty, read_by
+from hts.rl.loss_checks import check_actor, check_not_empty, distribution_of
 
 
 @torch.no_grad()
@@ -60,8 +60,8 @@ def project_actor_to_kl_bound(
         for name, parameter in actor.named_parameters():
             start, end = starts[name], ends[name]
             parameter.copy_(end if scale == 1.0 else start + scale * (end - start))
-        policy = read_by("actor", actor, tensordict.copy(), actor.get_dist)
-        kl = distribution_kl(policy, read_by("reference", reference, tensordict.copy(), reference.get_dist))
+        policy = distribution_of("actor", actor, tensordict.copy())
+        kl = distribution_kl(policy, distribution_of("reference", reference, tensordict.copy()))
         steps = counted(tensordict, kl.shape)
         return float(kl.mean() if steps is None else kl[steps].mean())
 

@@ -34,6 +34,7 @@ from hts.rl.loss_checks import (
     check_reference,
     check_same,
     check_settings,
+    distribution_of,
     lacks,
     lacks_old_value,
     lacks_value,
@@ -305,11 +306,11 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         return self.multiplier.update(kl)
 
     def _policy_in(self, batch: TensorDictBase) -> Distribution:
-        return read_by("actor_network", self.actor_network, batch, self.actor_network.get_dist)
+        return distribution_of("actor_network", self.actor_network, batch)
 
     @torch.no_grad()
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
-        return read_by("reference", self.reference, batch.copy(), self.reference.get_dist)
+        return distribution_of("reference", self.reference, batch.copy())
 
     def _kl(self, policy: Distribution, batch: TensorDictBase) -> torch.Tensor:
         reference = self._reference_in(batch)

@@ -36,10 +36,11 @@ def check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> Non
             f"{name} is a {type(actor).__name__} without get_dist; expected a ProbabilisticActor, a "
             "ProbabilisticTensorDictSequential, or what else has it."
         ) from error
+    with suppress(AttributeError):  # not every actor says it
+        if len(actor.dist_sample_keys) > 1:
+            raise several_actions(name, actor.dist_sample_keys)
     last = actor[-1] if isinstance(actor, TensorDictSequential) else actor  # it is the last module that knows
     with suppress(AttributeError):  # only modules with a distribution have it
-        if last.distribution_class is CompositeDistribution:
-            raise several_actions(name)
         if last.distribution_class in SURE:
             raise TypeError(
                 f"{name} has a {last.distribution_class.__name__}, one action in each state, of which there is no "
@@ -62,8 +63,11 @@ def written_keys(actor: TensorDictModuleBase) -> dict[str, NestedKey]:
     return found
 
 
-def several_actions(name: str) -> TypeError:
-    return TypeError(f"{name} has several actions (CompositeDistribution); expected one distribution.")
+def several_actions(name: str, actions: Iterable[NestedKey]) -> TypeError:
+    return TypeError(
+        f"{name} has several actions, {', '.join(map(repr, actions))}; expected one. Of numbers that are drawn alike "
+        "torch's Independent makes one action."
+    )
 
 
 def check_critic(critic: TensorDictModuleBase) -> None:
@@ -142,8 +146,8 @@ def check_not_empty(shape: torch.Size) -> None:
 def check_action(action: torch.Tensor, policy: Distribution, key: NestedKey) -> None:
     """Raise ValueError for actions of another shape than the policy's, which torch would broadcast, or speak of
     dimensions, TypeError for a policy of several actions."""
-    if isinstance(policy, CompositeDistribution):  # of a class that its actor did not say
-        raise several_actions("actor_network")
+    if isinstance(policy, CompositeDistribution):  # of an actor that did not say
+        raise several_actions("actor_network", policy.dists)
     own = _action_shape(policy)
     states = action.shape[: action.ndim - len(own)]
     if action.shape != states + own or not expands(policy.batch_shape, states):
@@ -218,6 +222,14 @@ def check_possible(batch: TensorDictBase, key: NestedKey, policy: Distribution, 
         f"({name_of(policy)}) never gives. Expected the actions that the actor wrote, not those of another policy, "
         "nor in an env's units, which a transform has made of them."
     )
+
+
+def distribution_of(name: str, actor: TensorDictModuleBase, batch: TensorDictBase) -> Distribution:
+    """An actor's distribution in the states of a batch, which gets what the actor writes; as `read_by`."""
+    policy = read_by(name, actor, batch, actor.get_dist)
+    if isinstance(policy, CompositeDistribution) and len(policy.dists) == 1:  # as where a module follows the action
+        return next(iter(policy.dists.values()))
+    return policy
 
 
 def read_by(name: str, module: TensorDictModuleBase, batch: TensorDictBase, ask: Callable[[Any], Read]) -> Read:

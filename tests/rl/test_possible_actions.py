@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import pytest
 import tensordict.nn as tensordict_nn
 import torch
-from tensordict import TensorDict
-from tensordict.nn import (
-    CompositeDistribution,
-    ProbabilisticTensorDictModule,
-    ProbabilisticTensorDictSequential,
-    TensorDictModule,
-)
 from test_loss_shapes import loss_and_batch
 from torch import distributions as D
-from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import (
     IndependentNormal,
     MaskedCategorical,
-    NormalParamExtractor,
     OneHotCategorical,
     TanhNormal,
     TruncatedNormal,
-    ValueOperator,
 )
 
-from hts.rl import KLConstrainedPPOLoss
 from hts.rl.possible import impossible
 
 ZERO, ONE = torch.zeros(5, 2), torch.ones(5, 2)
@@ -130,17 +117,4 @@ def test_a_value_that_the_critic_writes_elsewhere_is_told():
     loss, data = loss_and_batch()
     loss.set_keys(value="worth")
     with pytest.raises(KeyError, match="critic_network writes 'state_value', and no 'worth'.*set_keys"):
-        loss(data)
-
-
-def test_several_actions_are_told_where_only_the_distribution_shows_them():
-    keys = [("params", "action", "loc"), ("params", "action", "scale")]
-    head = TensorDictModule(nn.Sequential(nn.Linear(3, 4), NormalParamExtractor()), ["observation"], keys)
-    made = partial(CompositeDistribution, distribution_map={"action": IndependentNormal})
-    drawn = ProbabilisticTensorDictModule(["params"], ["action"], distribution_class=made)
-    actor = ProbabilisticTensorDictSequential(head, drawn)
-    loss = KLConstrainedPPOLoss(actor, ValueOperator(nn.Linear(3, 1), in_keys=["observation"]))
-    rest = {name: torch.zeros(8, 1) for name in ("action_log_prob", "advantage", "value_target", "state_value")}
-    data = TensorDict({"observation": torch.randn(8, 3), "action": torch.zeros(8, 2)} | rest, [8])
-    with pytest.raises(TypeError, match="^actor_network has several actions"):
         loss(data)
