@@ -220,7 +220,7 @@ def check_possible(batch: TensorDictBase, key: NestedKey, policy: Distribution, 
     raise ValueError(
         f"{key!r} is {first_bad(action, bad if steps is None else bad & steps)}, which the actor's distribution "
         f"({name_of(policy)}) never gives. Expected the actions that the actor wrote, not those of another policy, "
-        "nor in an env's units, which a transform has made of them."
+        "or under another mask, nor in an env's units, which a transform has made of them."
     )
 
 

@@ -54,7 +54,8 @@ def impossible(policy: Distribution, action: torch.Tensor) -> torch.Tensor | Non
     if bool(lower.isneginf().all() and upper.isposinf().all()):
         return None
     largest = torch.stack([(upper - lower).abs(), *(limit.abs().expand_as(upper - lower) for limit in limits)])
-    room = largest.masked_fill(largest.isinf(), 0.0).amax(0) * max(ROUNDING, torch.finfo(action.dtype).eps)
+    rounding = max(ROUNDING, torch.finfo(action.dtype).eps) if action.is_floating_point() else ROUNDING
+    room = largest.masked_fill(largest.isinf(), 0.0).amax(0) * rounding
     return (action < lower - room) | (action > upper + room)
 
 
@@ -73,7 +74,7 @@ def support_of(distribution: Distribution) -> constraints.Constraint | None:
         return None
     while isinstance(support, constraints.independent):
         support = support.base_constraint
-    return support
+    return None if constraints.is_dependent(support) else support
 
 
 def _not_one_hot(action: torch.Tensor) -> torch.Tensor:

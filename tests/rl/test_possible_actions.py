@@ -30,6 +30,7 @@ def beta() -> D.Independent:
     ("policy", "action"),
     [
         (TanhNormal(ZERO, ONE), 1.5),
+        (TanhNormal(ZERO, ONE), 2),  # a whole number
         (TanhNormal(ZERO, ONE, **WIDE), 0.5),  # of the second only
         (TruncatedNormal(ZERO, 0.3 * ONE), -1.5),
         (TruncatedNormal(ZERO, ONE, **WIDE), 0.5),  # of the second only
@@ -61,7 +62,7 @@ def test_what_is_beyond_limits_or_of_no_choice_is_seen(policy, action):
         assert not bool(impossible(policy, drawn).any())
         assert not bool(impossible(policy, drawn.half().to(own.dtype)).any())  # kept in less precision
     whole = isinstance(action, int)
-    found = impossible(policy, torch.full_like(own[0], action, dtype=None if whole else torch.float32))
+    found = impossible(policy, torch.full_like(own[0], action, dtype=torch.long if whole else torch.float32))
     expected = torch.tensor([False, True]) if action == 0.5 and found.ndim == 2 else True
     assert bool((found == expected).all())
 
@@ -86,6 +87,13 @@ def test_actions_in_the_precision_of_the_policy_are_never_beyond_limits():
     for kind in (TanhNormal, TruncatedNormal):
         policy = kind(loc, torch.ones_like(loc), low=low, high=high)
         assert not bool(impossible(policy, policy.sample()).any())
+
+
+def test_of_a_support_that_is_not_said_nothing_is_known():
+    class Own(D.Normal):
+        support = D.constraints.dependent
+
+    assert impossible(Own(ZERO, ONE), ONE) is None
 
 
 def test_an_actor_learns_from_its_own_actions_of_a_truncated_normal():
