@@ -130,7 +130,7 @@ def expands(shape: torch.Size, to: torch.Size) -> bool:
 def _check_reach(policy: Distribution, reference: Distribution) -> None:
     """Raise ValueError where the policy does, with some probability, what the reference never does: a density that
     is clamped at its limits, as a squashed one's, would make a finite number of that."""
-    if _limited(reference) is True and _limited(policy) is False:
+    if limited(reference) is True and limited(policy) is False:
         names = name_of(policy), name_of(reference)
         raise ValueError(
             f"KL({names[0]} || {names[1]}) is infinite: the policy's actions have no limits, its reference's have. "
@@ -138,17 +138,26 @@ def _check_reach(policy: Distribution, reference: Distribution) -> None:
         )
 
 
-def _limited(distribution: Distribution) -> bool | None:
+def limited(distribution: Distribution) -> bool | None:
     """Whether the numbers of an action have limits, as far as types tell, for no value is looked at; None: they do
     not."""
     if isinstance(distribution, Independent):
-        return _limited(distribution.base_dist)
+        return limited(distribution.base_dist)
     if isinstance(distribution, TransformedDistribution):  # whose own `support` is that of its last transform alone
-        return True if any(map(_limits, distribution.transforms)) else _limited(distribution.base_dist)
+        return True if any(map(_limits, distribution.transforms)) else limited(distribution.base_dist)
     support = support_of(distribution)
     if support is None:
         return None
     return True if isinstance(support, LIMITED) else False if support is constraints.real else None
+
+
+@torch.no_grad()
+def in_reach(policy: Distribution, action: torch.Tensor, counted: torch.Tensor | None) -> torch.Tensor:
+    """Actions, with others in steps that do not count, of the shape of counted: what stretches are filled up with may
+    be beyond limits, and the gradient of a density that is not finite is NaN, though it counts for nothing."""
+    if counted is None or limited(policy) is not True:
+        return action
+    return torch.where(counted, action, policy.sample())
 
 
 def _limits(transform: Transform) -> bool:

@@ -22,7 +22,7 @@ from hts.rl.actor import PopulationActor
 from hts.rl.counted import counted, marks_in
 from hts.rl.entropy import entropy_of
 from hts.rl.given import OfItsSizes
-from hts.rl.kl import kl_of, learned, squashed_alike
+from hts.rl.kl import in_reach, kl_of, learned, squashed_alike
 from hts.rl.loss_checks import (
     check_action,
     check_actor,
@@ -247,7 +247,8 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         check_action(batch[keys.action], policy, keys.action)
         self._check_finite(batch, keys.action, marks)
         check_possible(batch, keys.action, policy, marks)
-        log_prob = policy.log_prob(batch[keys.action])
+        action = in_reach(policy, batch[keys.action], counted(batch, batch[keys.action].shape, marks))
+        log_prob = policy.log_prob(action)
         self._check_candidates(log_prob.shape)
         steps = counted(batch, log_prob.shape, marks)
         if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
