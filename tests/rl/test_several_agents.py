@@ -89,3 +89,9 @@ def test_what_is_shared_keeps_a_dimension_of_one():
     data["advantage"] = data["advantage"].squeeze(-1)
     with pytest.raises(ValueError, match=r"^'advantage' has the shape \(8,\), the actor's log-probabilities \(8, 3\)"):
         loss(data)
+
+
+def test_no_value_is_looked_at_where_that_would_wait_for_a_gpu():
+    loss, data = loss_and_batch(normalize_advantage=True)
+    data["collector", "mask"] = torch.arange(STATES) < 5
+    assert loss.to("meta")(data.to("meta"))["loss_objective"].is_meta  # a device on which asking for a value raises
