@@ -22,7 +22,7 @@ from torch.distributions import (
     kl_divergence,
 )
 
-from hts.rl.possible import name_of, support_of
+from hts.rl.possible import beyond_reach, name_of, support_of
 
 LIMITED = (
     constraints.interval,
@@ -56,8 +56,8 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
     was squashed, since a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action
     a ~ policy, which has the right mean. Raises NotImplementedError where torch knows neither a formula nor how to take
     such an action (`rsample`), as of mixtures; ValueError for distributions of different actions, of other states, or
-    for a reference of actions within limits (a squashed one) of a policy whose actions have none: that KL is infinite.
-    Of two that both have limits, which may lie on a GPU, the limits are not compared.
+    for a reference of actions within limits (a squashed one) of a policy whose actions have none, or go further: that
+    KL is infinite. Of two that both have limits these are compared on a CPU alone.
     """
     return kl_of(policy, reference, squashed_alike(policy, reference))
 
@@ -130,11 +130,15 @@ def expands(shape: torch.Size, to: torch.Size) -> bool:
 def _check_reach(policy: Distribution, reference: Distribution) -> None:
     """Raise ValueError where the policy does, with some probability, what the reference never does: a density that
     is clamped at its limits, as a squashed one's, would make a finite number of that."""
+    infinite = f"KL({name_of(policy)} || {name_of(reference)}) is infinite: the policy's actions"
     if limited(reference) is True and limited(policy) is False:
-        names = name_of(policy), name_of(reference)
         raise ValueError(
-            f"KL({names[0]} || {names[1]}) is infinite: the policy's actions have no limits, its reference's have. "
-            "Expected the same kind of distribution of both."
+            f"{infinite} have no limits, its reference's have. Expected the same kind of distribution of both."
+        )
+    beyond = beyond_reach(policy, reference)
+    if beyond is not None:
+        raise ValueError(
+            f"{infinite} go to {beyond[0]:.4g}, its reference's to {beyond[1]:.4g}. Expected the same limits of both."
         )
 
 

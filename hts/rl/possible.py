@@ -53,10 +53,24 @@ def impossible(policy: Distribution, action: torch.Tensor) -> torch.Tensor | Non
     lower, upper = limits
     if bool(lower.isneginf().all() and upper.isposinf().all()):
         return None
-    largest = torch.stack([(upper - lower).abs(), *(limit.abs().expand_as(upper - lower) for limit in limits)])
     rounding = max(ROUNDING, torch.finfo(action.dtype).eps) if action.is_floating_point() else ROUNDING
-    room = largest.masked_fill(largest.isinf(), 0.0).amax(0) * rounding
+    room = _largest(limits) * rounding
     return (action < lower - room) | (action > upper + room)
+
+
+def beyond_reach(policy: Distribution, reference: Distribution) -> tuple[float, float] | None:
+    """A limit of the policy that lies beyond the reference's, and that; None: none does, or nothing is known, as on a
+    GPU, which is not asked."""
+    own, other = _limits_of(policy), _limits_of(reference)
+    if own is None or other is None or any(limit.device.type != "cpu" for limit in (*own, *other)):
+        return None
+    room = _largest(other) * ROUNDING
+    for far, near, sign in zip(own, other, (-1.0, 1.0), strict=True):
+        far, near = torch.broadcast_tensors(far.detach(), near)
+        beyond = sign * far > sign * near + room
+        if bool(beyond.any()):
+            return float(far[beyond][0]), float(near[beyond][0])
+    return None
 
 
 def name_of(distribution: Distribution) -> str:
@@ -99,10 +113,12 @@ def _limits_of(policy: Distribution) -> Limits | None:
     if isinstance(policy, NORMALISED):
         return tuple((policy.loc + policy.scale * limit).detach() for limit in (policy.a, policy.b))
     support = support_of(policy)
-    if isinstance(policy, TransformedDistribution):  # whose support is that of its last transform alone
+    if isinstance(policy, TransformedDistribution) and (support is None or not _says_itself(policy)):
         limits = _images(policy)
         if limits is not None and not any(limit.requires_grad for limit in limits):
             return limits
+        if support is constraints.real:  # of its last transform
+            return None
     if isinstance(support, constraints.interval | constraints.half_open_interval):
         return torch.as_tensor(support.lower_bound), torch.as_tensor(support.upper_bound)
     if isinstance(support, constraints.greater_than | constraints.greater_than_eq):
@@ -112,6 +128,18 @@ def _limits_of(policy: Distribution) -> Limits | None:
     if support is constraints.simplex:
         return torch.tensor(0.0), torch.tensor(1.0)
     return (torch.tensor(-math.inf), torch.tensor(math.inf)) if support is constraints.real else None
+
+
+def _says_itself(policy: TransformedDistribution) -> bool:
+    """Whether the class knows its support, as `Gumbel` does; else it is said of the last transform alone."""
+    return type(policy).support is not TransformedDistribution.support
+
+
+def _largest(limits: Limits) -> torch.Tensor:
+    """The largest number at limits, their distance among them, 0 where there are none."""
+    lower, upper = torch.broadcast_tensors(*limits)
+    numbers = torch.stack([upper - lower, lower.abs(), upper.abs()])
+    return numbers.masked_fill(numbers.isinf(), 0.0).amax(0)
 
 
 def _images(policy: TransformedDistribution) -> Limits | None:

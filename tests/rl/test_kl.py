@@ -19,7 +19,14 @@ from torch.distributions import (
     TransformedDistribution,
     VonMises,
 )
-from torchrl.modules import IndependentNormal, NormalParamExtractor, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.modules import (
+    IndependentNormal,
+    NormalParamExtractor,
+    ProbabilisticActor,
+    TanhNormal,
+    TruncatedNormal,
+    ValueOperator,
+)
 
 from hts.rl import KLConstrainedPPOLoss, gaussian_kl
 from hts.rl.kl import distribution_kl, kl_of
@@ -165,6 +172,23 @@ def test_multivariate_normals_have_their_kl_in_compiled_code():
 
     found = torch.compile(asked, backend="eager")(torch.ones(5, 3))
     torch.testing.assert_close(found, torch.full((5,), 2.5))
+
+
+@pytest.mark.parametrize("kind", [TanhNormal, TruncatedNormal])
+def test_a_reference_within_narrower_limits_is_none(kind):
+    loc, scale = torch.zeros(4, 2), torch.ones(4, 2)
+    narrow, wide = kind(loc, scale), kind(loc, scale, high=torch.tensor([1.0, 3.0]))
+    with pytest.raises(ValueError, match=r"is infinite: the policy's actions go to 3, its reference's to 1\. Expected"):
+        distribution_kl(wide, narrow)
+    assert torch.isfinite(distribution_kl(narrow, wide)).all()
+
+
+def test_limits_that_are_learned_are_not_compared():
+    def scaled(low, width):
+        return TransformedDistribution(Beta(2 * torch.ones(4, 1), 2.0), [AffineTransform(low, width)])
+
+    low, width = torch.zeros(4, 1, requires_grad=True), torch.ones(4, 1)
+    assert distribution_kl(scaled(low, width), scaled(low.detach(), width)).tolist() == [[0.0]] * 4
 
 
 def test_what_lacks_a_formula_is_called_by_its_own_name():
