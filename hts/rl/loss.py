@@ -115,6 +115,9 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     ones off. Sum the losses before `backward`: candidates share no parameter. Where the actor is a `PopulationActor` of
     several candidates, or holds one, a float is the bound of each: it stands for [P] times itself.
 
+    Log-probabilities [..., A] are of A agents, which may share an advantage, a value and its target, [..., 1], as in
+    `ClipPPOLoss`; every output is a mean over agents, too.
+
     Steps that TorchRL's masks leave out count in nothing, as in its own losses (`loss_mask_key`): what
     `split_trajectories` or a `SliceSampler` has filled stretches up with, and what `GAE(shifted=True)` marks.
 
