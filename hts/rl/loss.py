@@ -261,7 +261,8 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         advantage = one_each(batch, keys.advantage, log_prob, shared_by=policy)
         if self.normalize_advantage:
             advantage = self._standardised(advantage, counted(batch, advantage.shape, marks))
-        kl = self._kl(policy, batch)
+        with torch.set_grad_enabled(torch.is_grad_enabled() and self._pulls()):
+            kl = self._kl(policy, batch)
         valued = read_by("critic_network", self.critic_network, batch.exclude(keys.value), self.critic_network)
         if valued.get(keys.value, None) is None:
             raise lacks_value(self.critic_network.out_keys, keys.value)
@@ -315,6 +316,12 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     @torch.no_grad()
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
         return distribution_of("reference", self.reference, batch.copy())
+
+    def _pulls(self) -> bool:
+        """Whether the KL's gradient may count. It need not be finite where one sample stands for the KL, and 0 times
+        that is NaN. On a GPU nobody asks alpha, and it may."""
+        alpha = self.multiplier.value
+        return alpha.device.type != "cpu" or torch.compiler.is_compiling() or bool(alpha.any())
 
     def _kl(self, policy: Distribution, batch: TensorDictBase) -> torch.Tensor:
         reference = self._reference_in(batch)
