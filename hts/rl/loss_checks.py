@@ -176,7 +176,8 @@ def one_each(
     raise ValueError(
         f"{key!r} has the shape {tuple(value.shape)}, the actor's log-probabilities {tuple(log_prob.shape)}: one "
         "number for each action is expected in both. A distribution that has one for each component, such as "
-        "Normal, becomes one of whole actions by torch's Independent."
+        "Normal, becomes one of whole actions by torch's Independent. What several agents share of a state ends with "
+        "a dimension of 1."
     )
 
 
