@@ -93,7 +93,7 @@ def kl_of(policy: Distribution, reference: Distribution, alike: bool) -> torch.T
     if alike and squashed is not None and other is not None:
         first, second = squashed.base_dist, other.base_dist
     if not torch.compiler.is_compiling():  # which cannot look at what a distribution may do
-        _check_reach(policy, reference)
+        _check_reach(first, second)
     elif not alike and squashed is not None and other is not None and not isinstance(squashed, FORMULAS):
         return _kl_of_one_action(policy, reference)  # torch would compare the limits first
     choice, other_choice = _categorical(first), _categorical(second)
