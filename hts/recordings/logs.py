@@ -6,8 +6,8 @@
 
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
-the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle`,
-`check_read`, `check_upright`, `check_turning`, `check_told_turn`, `check_targets`, `torque_notes`, `work_notes`,
+the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_still_joints`,
+`check_motion`, `check_idle`, `check_read`, `check_upright`, `check_turning`, `check_told_turn`, `check_targets`, `torque_notes`, `work_notes`,
 `velocity_notes`, `foot_notes`, `still_notes`, `axes_notes` and `repeated_notes` for values.
 """
 
@@ -56,6 +56,7 @@ from hts.recordings.repeated import repeated_notes
 from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
 from hts.recordings.stated_channels import check_channels
+from hts.recordings.still_joints import check_still_joints
 from hts.recordings.stretches import Stretch, stretches
 from hts.recordings.table import ColumnName, Table, table_of
 from hts.recordings.targets import check_targets
@@ -72,6 +73,7 @@ __all__ = [
     "check_limits",
     "check_motion",
     "check_read",
+    "check_still_joints",
     "check_targets",
     "check_told_turn",
     "check_turning",

@@ -21,6 +21,7 @@ from hts.recordings.plausible import check_facts, check_idle, check_limits
 from hts.recordings.recording import Recording, Series
 from hts.recordings.repeated import repeated_notes
 from hts.recordings.standard_units import in_standard_units
+from hts.recordings.still_joints import check_still_joints
 from hts.recordings.targets import check_targets
 from hts.recordings.told_turn import check_told_turn
 from hts.recordings.turning import check_turning
@@ -42,6 +43,7 @@ def looked_over(
     check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
     check(recording, where)
     judged = recording.replace(channels=in_standard_units(channels, besides=recording.idle))
+    check_still_joints(judged.channels, robot.spec, rate_hz, where, stated)
     check_motion(judged.channels, robot.spec, rate_hz, where, stated)
     levels = {name: level for name, level in recording.idle.items() if name not in stated}
     check_idle(judged.channels, levels, where)
