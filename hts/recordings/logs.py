@@ -7,8 +7,9 @@
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
 the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_still_joints`,
-`check_motion`, `check_idle`, `check_read`, `check_upright`, `check_turning`, `check_told_turn`, `check_targets`, `torque_notes`, `work_notes`,
-`velocity_notes`, `foot_notes`, `still_notes`, `axes_notes` and `repeated_notes` for values.
+`check_motion`, `check_idle`, `check_read`, `check_upright`, `check_turning`, `check_told_turn`, `check_targets`,
+`torque_notes`, `work_notes`, `velocity_notes`, `foot_notes`, `still_notes`, `axes_notes` and `repeated_notes` for
+values.
 """
 
 from __future__ import annotations
