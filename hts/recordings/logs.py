@@ -8,8 +8,8 @@
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
 the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_still_joints`,
 `check_motion`, `check_idle`, `check_read`, `check_upright`, `check_turning`, `check_told_turn`, `check_targets`,
-`torque_notes`, `work_notes`, `velocity_notes`, `foot_notes`, `still_notes`, `axes_notes` and `repeated_notes` for
-values.
+`torque_notes`, `work_notes`, `velocity_notes`, `foot_notes`, `still_notes`, `axes_notes`, `repeated_notes` and
+`temperature_notes` for values.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ from hts.recordings.still_joints import check_still_joints
 from hts.recordings.stretches import Stretch, stretches
 from hts.recordings.table import ColumnName, Table, table_of
 from hts.recordings.targets import check_targets
+from hts.recordings.temperatures import temperature_notes
 from hts.recordings.told_turn import check_told_turn
 from hts.recordings.turning import check_turning
 from hts.recordings.unread import check_read
@@ -91,6 +92,7 @@ __all__ = [
     "samples_of",
     "still_notes",
     "table_of",
+    "temperature_notes",
     "torque_notes",
     "velocity_notes",
     "work_notes",

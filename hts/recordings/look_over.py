@@ -23,6 +23,7 @@ from hts.recordings.repeated import repeated_notes
 from hts.recordings.standard_units import in_standard_units
 from hts.recordings.still_joints import check_still_joints
 from hts.recordings.targets import check_targets
+from hts.recordings.temperatures import temperature_notes
 from hts.recordings.told_turn import check_told_turn
 from hts.recordings.turning import check_turning
 from hts.recordings.unread import check_read
@@ -56,6 +57,7 @@ def looked_over(
     doubts = torque_notes(judged, robot.spec, where, stated) | velocity_notes(judged, robot, where, stated)
     doubts |= repeated_notes(judged.channels, rate_hz) | work_notes(judged, stated) | still_notes(judged, stated)
     doubts |= foot_notes(judged, robot, stated) | axes_notes(judged.channels, rate_hz, stated)
+    doubts |= temperature_notes(channels, {name: one.unit for name, one in log.channels.items()}, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 
