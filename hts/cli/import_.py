@@ -11,6 +11,7 @@ import typer
 if TYPE_CHECKING:
     from hts.contracts import Installed, Robot
     from hts.recordings.recording import Recording
+    from hts.recordings.same_data import Known
 
 SAME = " (was there already)"
 OTHER_NOTES = " (was there already, with other notes, which it keeps)"
@@ -180,8 +181,25 @@ def _store(to: Path, groups: Sequence[list[Path]], read: Sequence[Sequence[Recor
         for recording in recordings:
             there = known.find(recording)
             if there is None:
+                _tell_of_copy(known, recording, where, to)
                 ids.append((store.write(recording, where), ""))
+                known.add(ids[-1][0], recording)
             else:
                 ids.append((there[0], SAME if there[1] else OTHER_NOTES))
         stored.append(ids)
     return stored
+
+
+def _tell_of_copy(known: Known, recording: Recording, where: str, to: Path) -> None:
+    """Say so if the store has that walk already, under another name or with other stated facts."""
+    from hts.cli.printable import printable
+
+    found = known.walk_of(recording)
+    if found is not None:
+        there, source, channel = found
+        text = (
+            f"note: {where}: '{channel}' holds the same samples as recording {there} of {to} ({source}), which has "
+            f"another name or states other facts. No two walks are alike, and this one counts twice now: delete "
+            f"{to / there} if it is the one that is wrong, or import each log with its own mapping."
+        )
+        typer.echo(printable(text), err=True)

@@ -80,7 +80,7 @@ def test_a_log_that_is_shorter_than_its_schedule_is_taken_and_told(
     stated["schedule"]["commands"][0]["seconds"] = 0.22
     (commands / "m.yaml").write_text(yaml.safe_dump(a_mapping(recording=stated)))
     hts_import(commands, a_log(commands))
-    assert capsys.readouterr().err == ""
+    assert "ends before its schedule" not in capsys.readouterr().err
 
 
 def test_import_stores_nothing_if_one_of_the_files_is_refused(commands: Path) -> None:
