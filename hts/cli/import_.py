@@ -74,7 +74,7 @@ def command(
         typer.echo(printable(suggested_mapping(files[0], machine, asked)), nl=False)
         return
     if mapping is None:
-        raise ConfigError("--mapping M.yaml is needed; `hts import FILE --robot R --suggest > M.yaml` begins one.")
+        raise ConfigError(_no_mapping(files[0]))
     if to is None and not dry_run:
         raise ConfigError("--to STORE is needed, or --dry-run, which stores nothing.")
     if to is not None:
@@ -113,6 +113,18 @@ def command(
             typer.echo(printable(line))
     if figure is not None:
         typer.echo(printable(str(figure)))
+
+
+def _no_mapping(log: Path) -> str:
+    """What to type where no mapping is named: the one that a robot's runtime wrote beside the log, or a new one."""
+    from shlex import quote
+
+    from hts.worlds.field_logs import FOLDER
+
+    beside = log.parent / FOLDER / f"{log.stem}.yaml"
+    if beside.is_file():
+        return f"--mapping M.yaml is needed; {log.name} has one beside it: --mapping {quote(str(beside))}."
+    return "--mapping M.yaml is needed; `hts import FILE --robot R --suggest > M.yaml` begins one."
 
 
 def _drop(given: dict[str, Any], names: Sequence[str], mapping: Path) -> None:
