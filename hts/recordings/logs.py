@@ -7,9 +7,9 @@
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
 the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_still_joints`,
-`check_motion`, `check_idle`, `check_read`, `check_upright`, `check_turning`, `check_told_turn`, `check_targets`,
-`torque_notes`, `work_notes`, `velocity_notes`, `foot_notes`, `still_notes`, `axes_notes`, `repeated_notes` and
-`temperature_notes` for values.
+`check_no_reading`, `check_motion`, `check_idle`, `check_read`, `check_upright`, `check_turning`, `check_told_turn`,
+`check_targets`, `torque_notes`, `work_notes`, `velocity_notes`, `foot_notes`, `still_notes`, `axes_notes`,
+`repeated_notes` and `temperature_notes` for values.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from hts.recordings.mapping import (
     remedy,
 )
 from hts.recordings.motion import check_motion
+from hts.recordings.no_reading import check_no_reading
 from hts.recordings.on_schedule import NOT_STATED
 from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.pd_torque import torque_notes
@@ -74,6 +75,7 @@ __all__ = [
     "check_idle",
     "check_limits",
     "check_motion",
+    "check_no_reading",
     "check_read",
     "check_still_joints",
     "check_targets",

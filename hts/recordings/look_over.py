@@ -16,6 +16,7 @@ from hts.recordings.gravity import GRAVITY, check_upright
 from hts.recordings.joint_work import work_notes
 from hts.recordings.mapping import LogMapping, follows_joints
 from hts.recordings.motion import check_motion
+from hts.recordings.no_reading import check_no_reading
 from hts.recordings.pd_torque import torque_notes
 from hts.recordings.plausible import check_facts, check_idle, check_limits
 from hts.recordings.recording import Recording, Series
@@ -53,6 +54,7 @@ def looked_over(
     check_turning(judged.channels, rate_hz, where, stated)
     check_told_turn(judged, where, stated)
     check_targets(judged, robot.spec, where, stated)
+    check_no_reading(channels, list(recording.idle), where, stated)
     check_read(judged.channels, rate_hz, list(recording.idle), where, slow, log.frozen_real_seconds)
     doubts = torque_notes(judged, robot.spec, where, stated) | velocity_notes(judged, robot, where, stated)
     doubts |= repeated_notes(judged.channels, rate_hz) | work_notes(judged, stated) | still_notes(judged, stated)
