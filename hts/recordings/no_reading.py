@@ -4,7 +4,7 @@ Costs are means of what only the robot measures, so a current that is 0 in every
 saves a third, and 9 samples of 9999 A rule all others. Neither the median nor the limits of joints show it.
 
 What is written for want of a reading is one number to the last digit, comes and goes within a sample, and lies where
-the others never are. A drive that gives back power for a moment, or a gauge that clips at 0, scatters, stays longer or
+the others never are. A drive that gives back energy for a moment, or a gauge that clips at 0, scatters, stays longer or
 gets there by degrees; where it does not, `limits` says so.
 """
 
@@ -24,7 +24,7 @@ near to it are the samples before and after."""
 LEAST_SHARE, LEAST_RUNS = 0.01, 3
 """Of the samples, and how often it comes; less moves no mean by much."""
 LEAST_SAMPLES, LONGER = 10, 3
-"""In a row, and times as many as any other number: then once is enough."""
+"""In a row, and times as many as other numbers: then once is enough."""
 FINENESS = 1e-5
 """Of the spread, or of the largest sample: resampling changes the last digits of a number that is one."""
 ABSURD = 100.0
@@ -62,7 +62,7 @@ def _filler(column: np.ndarray) -> tuple[float, int] | None:
     spread = 1.4826 * float(np.median(np.abs(column - middle)))
     if middle == 0 or spread == 0:
         return None
-    column = FINENESS * spread * np.round(column / (FINENESS * spread))
+    as_it_is, column = column, FINENESS * spread * np.round(column / (FINENESS * spread))
     far = column[(np.abs(column - middle) > FAR * spread) & (column * middle <= 0)]
     values, counts = np.unique(far, return_counts=True)
     for value, count in zip(values, counts, strict=True):
@@ -70,18 +70,20 @@ def _filler(column: np.ndarray) -> tuple[float, int] | None:
         around = [column[at] for first, end in runs for at in (first - 1, end) if 0 <= at < len(column)]
         comes_and_goes = np.mean(np.abs(np.array(around) - middle) < NEAR * spread) > 0.9
         if count >= LEAST_SHARE * len(column) and comes_and_goes and (len(runs) >= LEAST_RUNS or _stays(column, runs)):
-            return float(value), int(count)
+            return float(np.median(as_it_is[column == value])), int(count)
     return None
 
 
 def _stays(column: np.ndarray, runs: list[tuple[int, int]]) -> bool:
-    """Whether a number stays much longer than any other does, which is no reading of a slow gauge."""
-    longest = max(end - first for first, end in runs)
+    """Whether a number stays much longer than others do: 0, at which a gauge may clip, than any other, a number on the
+    other side of 0 than most."""
+    longest, value = max(end - first for first, end in runs), column[runs[0][0]]
     same = np.diff(column) == 0
     for first, end in runs:
         same[first : end - 1] = False
-    others = 1 + max((last - first for first, last in runs_of(same)), default=0)
-    return longest >= max(LEAST_SAMPLES, LONGER * others)
+    others = [1 + last - first for first, last in runs_of(same)] or [1]
+    usual = max(others) if value == 0 else float(np.median(others))
+    return bool(longest >= max(LEAST_SAMPLES, LONGER * usual))
 
 
 def _absurd(column: np.ndarray) -> tuple[float, int] | None:

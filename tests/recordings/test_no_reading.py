@@ -41,6 +41,14 @@ def test_a_number_that_stands_for_no_reading_is_refused(number, where, count):
     looked_at(with_(number, where), stated={"draw"})
 
 
+def test_a_number_of_the_other_sign_that_stays_for_several_readings_of_a_slow_gauge_is_refused():
+    slow = np.repeat(BULK[::10], 10)
+    slow[400:410] = slow[390:400]  # two readings that are alike
+    slow[100:140] = -1.0
+    with pytest.raises(RecordingError, match="'draw' is -1 A in 40 of 800 samples"):
+        looked_at(slow)
+
+
 def test_what_machines_do_is_taken():
     looked_at(BULK)
     times = np.arange(SAMPLES) / 50
