@@ -70,7 +70,7 @@ def _filler(column: np.ndarray) -> tuple[float, int] | None:
         around = [column[at] for first, end in runs for at in (first - 1, end) if 0 <= at < len(column)]
         comes_and_goes = np.mean(np.abs(np.array(around) - middle) < NEAR * spread) > 0.9
         if count >= LEAST_SHARE * len(column) and comes_and_goes and (len(runs) >= LEAST_RUNS or _stays(column, runs)):
-            return float(np.median(as_it_is[column == value])), int(count)
+            return 0.0 if value == 0 else float(np.median(as_it_is[column == value])), int(count)
     return None
 
 

@@ -41,6 +41,11 @@ def test_a_number_that_stands_for_no_reading_is_refused(number, where, count):
     looked_at(with_(number, where), stated={"draw"})
 
 
+def test_what_resampling_leaves_of_a_zero_is_called_zero():
+    with pytest.raises(RecordingError, match="'draw' is 0 A in 267 of 800 samples"):
+        looked_at(with_(4e-13, slice(None, None, 3)))
+
+
 def test_a_number_of_the_other_sign_that_stays_for_several_readings_of_a_slow_gauge_is_refused():
     slow = np.repeat(BULK[::10], 10)
     slow[400:410] = slow[390:400]  # two readings that are alike
