@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,6 +11,8 @@ from hts.contracts import RacedCandidate, Rounds, Selector, SimulatedCandidate, 
 from hts.errors import PluginError
 from hts.guarded import guarded
 from hts.plugins import Registry
+
+SHORTEST = 1.0  # s: in a shorter block there is no second to compare
 
 
 class CheckedSelector(Selector):
@@ -26,7 +29,9 @@ class CheckedSelector(Selector):
 
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
         """Ids of the candidates, each once; where `capped`, at most `count`."""
-        found = self._ids("elites", self._asked("elites", lambda: self._inner.elites(candidates, count)), candidates)
+        found = self._ids(
+            "elites", self._asked("elites", lambda: self._inner.elites(list(candidates), count)), candidates
+        )
         if self._capped and len(found) > count:
             raise PluginError(
                 f"{self._what}: elites() gives {len(found)} candidates, but max_real_samples is enough for {count}."
@@ -35,7 +40,7 @@ class CheckedSelector(Selector):
 
     def best(self, tested: Sequence[TestedCandidate]) -> str | None:
         """The id of one of them, or None."""
-        found = self._asked("best", lambda: self._inner.best(tested))
+        found = self._asked("best", lambda: self._inner.best(list(tested)))
         known = [one.id for one in tested]
         if found is not None and (not isinstance(found, str) or found not in known):
             raise PluginError(f"{self._what}: best() gives {_shown(found)}, expected None or one of {known}.")
@@ -46,6 +51,15 @@ class CheckedSelector(Selector):
         found = self._asked("rounds", self._inner.rounds)
         if found is not None and not isinstance(found, Rounds):
             raise PluginError(f"{self._what}: rounds() gives {_shown(found)}, expected None or Rounds.")
+        if found is not None and not (_number(found.block_seconds) and found.block_seconds >= SHORTEST):
+            raise PluginError(
+                f"{self._what}: rounds() gives block_seconds={found.block_seconds!r}, expected {SHORTEST:g} s at "
+                "least: whole seconds are compared, and the first ones of a block are left out."
+            )
+        if found is not None and not (type(found.most) is int and found.most >= 1):
+            raise PluginError(
+                f"{self._what}: rounds() gives most={found.most!r}, expected a whole number of at least 1."
+            )
         return found
 
     def keep(self, raced: Sequence[RacedCandidate]) -> list[str]:
@@ -74,6 +88,10 @@ def checked_selector(registry: Registry, named: Named, capped: bool = False) -> 
     if not isinstance(inner, Selector):
         raise PluginError(f"{what} is a {type(inner).__name__}, expected a hts.contracts.Selector.")
     return CheckedSelector(inner, what, capped)
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _shown(value: Any) -> str:

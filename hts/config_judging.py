@@ -72,7 +72,7 @@ class SelectionConfig(Config):
         "counts by the way it goes, and the final is stricter (evaluation.held_tolerance)",
     )
     block_seconds: float | None = Field(
-        None, gt=0, description="length of each of its blocks, s; null: that of the world"
+        None, ge=1, description="length of each of its blocks, s; null: that of the world"
     )
     min_valid: float | None = Field(
         None,

@@ -94,8 +94,11 @@ def _check_parts(objective: Objective, name: str, who: str, remedy: str) -> None
         raise PluginError(f"{who}: its class sets no {', '.join(lacking)}, which every objective has. {remedy}.")
     if objective.name != name:  # its rewards would be looked for under the registered one
         raise PluginError(f"{who}: calls itself {objective.name!r}, expected the registered name, '{name}'. {remedy}.")
-    if not units.known(str(objective.unit)):
-        raise PluginError(f"{who}: unit: {units.unknown(str(objective.unit))} {remedy}.")
+    if not isinstance(objective.unit, str):
+        raise PluginError(f"{who}: unit is {objective.unit!r}, expected text, such as '1' for a fraction. {remedy}.")
+    if not units.known(objective.unit):
+        raise PluginError(f"{who}: unit: {units.unknown(objective.unit)} {remedy}.")
+    _check_metric_units(objective, who, remedy)
     inputs = objective.inputs
     if not isinstance(inputs, (tuple, list)) or not inputs or not all(isinstance(one, str) for one in inputs):
         raise PluginError(
@@ -111,6 +114,18 @@ def _check_parts(objective: Objective, name: str, who: str, remedy: str) -> None
     for channel in objective.real_channels:
         if not isinstance(channel, Channel):
             raise PluginError(f"{who}: measures {channel!r}, expected a hts.channels.Channel. {remedy}.")
+
+
+def _check_metric_units(objective: Objective, who: str, remedy: str) -> None:
+    """Raise PluginError unless they are names with units that hts knows."""
+    named = objective.metric_units
+    if not isinstance(named, Mapping) or not all(isinstance(part, str) for pair in named.items() for part in pair):
+        raise PluginError(
+            f"{who}: metric_units are {named!r}, expected names with units, such as {{'watts': 'W'}}. {remedy}."
+        )
+    for name, unit in named.items():
+        if not units.known(unit):
+            raise PluginError(f"{who}: metric_units of '{name}': {units.unknown(unit)} {remedy}.")
 
 
 def _check_spec(robot: Robot, name: str, who: str, remedy: str) -> None:
@@ -135,6 +150,6 @@ def _check_weights(objective: Objective, who: str) -> None:
             found = [float(one) for one in values] if numbers else repr(values)
             raise ConfigError(
                 f"{who}: {what} are {found}; expected finite λ of at least 0, else more of what is "
-                f"to be less would be rewarded. Change them with --set objectives.{objective.name}.{what}=[1.0], or in "
-                "the package."
+                f"to be less would be rewarded. Change them in the package, or, where it has that setting, with --set "
+                f"objectives.{objective.name}.{what}=[1.0]."
             )

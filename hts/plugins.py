@@ -7,8 +7,11 @@ worlds, selector and log reader come in by the same door, as the entry point ``c
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import inspect
+import sys
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -62,12 +65,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Plugin:
-    """An entry point that was loaded: its name, the module behind it, its distribution and version."""
+    """An entry point that was loaded: its name, the module behind it, its distribution and version, and how long that
+    took, which every command waits for."""
 
     entry_point: str
     module: str
     package: str
     version: str
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -162,7 +167,7 @@ def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) ->
     if entry_points is None:
         entry_points = importlib.metadata.entry_points(group=GROUP)
     for point in sorted(entry_points, key=lambda point: (_package(point), point.name)):
-        package = _package(point)
+        package, begun = _package(point), time.monotonic()
         try:
             offered = _offers(point, package)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - any fault of a stranger's module is shown, never fatal to others
@@ -174,18 +179,24 @@ def load(entry_points: Iterable[importlib.metadata.EntryPoint] | None = None) ->
                 raise PluginError(_two_of_one_name(kind, other, entry))
             found[kind][entry.name] = entry
         version = point.dist.version if point.dist is not None else "unknown"
-        plugins.append(Plugin(point.name, point.value, package, version))
+        plugins.append(Plugin(point.name, point.value, package, version, time.monotonic() - begun))
     return Registry(**found, plugins=tuple(plugins), broken=tuple(broken))
 
 
 def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[str, Entry]]:
     """Import one plugin and ask it for all it offers, as (kind, entry)."""
-    module = point.load()
+    with contextlib.redirect_stdout(sys.stderr):  # what hts prints may be read by a program
+        module = point.load()
     written_for = vars(module).get("HTS_API")
     if written_for is None:
         raise PluginError(
             f"{point.value} does not say which version of the hooks it was written for; "
             f"add the line HTS_API = {hookspecs.API_VERSION} to it"
+        )
+    if not isinstance(written_for, int) or isinstance(written_for, bool):
+        raise PluginError(
+            f"{_line_of_version(module)}: HTS_API is {written_for!r}, expected a whole number; "
+            f"write HTS_API = {hookspecs.API_VERSION}"
         )
     if written_for != hookspecs.API_VERSION:
         raise PluginError(_other_version(module, package, written_for))
@@ -228,12 +239,12 @@ def _check_hooks(manager: pluggy.PluginManager, module: ModuleType) -> None:
             raise PluginError(f"{module.__name__}: {name}(): " + unknown_name("hook", marks["specname"] or name, hooks))
 
 
-def _other_version(module: ModuleType, package: str, written_for: Any) -> str:
+def _other_version(module: ModuleType, package: str, written_for: int) -> str:
     """What whoever wrote the plugin has to do, or else whoever installed it."""
     said = (
         f"{package} was written for version {written_for} of the hooks, this hts has version {hookspecs.API_VERSION}; "
     )
-    change = hookspecs.CHANGES.get(written_for) if isinstance(written_for, int) else None
+    change = hookspecs.CHANGES.get(written_for)
     if change is None:
         return said + f"install a version of {package} made for this hts"
     return (

@@ -34,6 +34,9 @@ ONE_INPUT = ("objective.py", "    target = TARGET\n", "    target = TARGET\n    
 NO_TUPLE = ("objective.py", "    target = TARGET\n", "    target = TARGET\n    also_measured = TARGET\n")
 NO_BASE = ("objective.py", "class Heat(Objective):", "class Heat:")
 NO_UNIT = ("objective.py", '    unit = "1"', '    unit = "percentage"')
+UNIT_IS_NO_TEXT = ("objective.py", '    unit = "1"', "    unit = 1")
+UNIT_OF_METRIC = ("objective.py", '    unit = "1"', '    unit = "1"\n    metric_units = {"net": "wats"}')
+UNITS_OF_METRICS = ("objective.py", '    unit = "1"', '    unit = "1"\n    metric_units = ("net", "W")')
 NO_TARGET = ("objective.py", "    target = TARGET\n", "")
 FAULTS = {
     "a misspelt import": (NO_IMPORT, "ImportError: cannot import name 'Feld' from 'pydantic'"),
@@ -50,6 +53,9 @@ FAULTS = {
     "a channel that is no tuple": (NO_TUPLE, "also_measured is a Channel, expected a tuple of hts.channels.Channel"),
     "a class that does not derive": (NO_BASE, "its factory gives a Heat, not a hts.contracts.Objective"),
     "a unit that nobody knows": (NO_UNIT, "unit: No unit named 'percentage'. Known: "),
+    "a unit that is no text": (UNIT_IS_NO_TEXT, "unit is 1, expected text, such as '1' for a fraction"),
+    "a metric in a unit that nobody knows": (UNIT_OF_METRIC, "metric_units of 'net': No unit named 'wats'. Known: "),
+    "units of metrics that are no mapping": (UNITS_OF_METRICS, "metric_units are ('net', 'W'), expected names with"),
     "a target that is missing": (NO_TARGET, "its class sets no target"),
 }
 

@@ -77,6 +77,7 @@ def value_of(key: str) -> Any:
     [
         ("gate.joint_margin=-0.1", "--set gate.joint_margin: expected at least 0, found -0.1."),
         ("gate.seconds=.inf", "--set gate.seconds: expected a finite number, found inf."),
+        ("selection.block_seconds=0.5", "--set selection.block_seconds: expected at least 1, found 0.5."),
         ("iterations=true", "--set iterations: expected a whole number, found True."),
         ("sweep.kl_bounds=[true, 1.0]", "--set sweep.kl_bounds: expected a number, found [True, 1.0]."),
         ("finetune.steps=1e6", "--set finetune.steps: expected a whole number, found '1e6', write 1000000."),

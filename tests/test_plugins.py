@@ -158,6 +158,7 @@ def test_a_robot_and_an_objective_may_share_a_name(install):
         ("raise RuntimeError('two\\nlines')", "RuntimeError: two lines"),
         ("x = 1", "does not say which version of the hooks"),
         ("HTS_API = 99", "stranger was written for version 99 of the hooks, this hts has version 2"),
+        ("HTS_API = '2'", "stranger.py: HTS_API is '2', expected a whole number; write HTS_API = 2"),
         # Pluggy alone would accept these two: misspelt, and not marked.
         (HEAD + "@hookimpl\ndef hts_robot(register): pass", "No hook named 'hts_robot'. Did you mean 'hts_robots'?"),
         (HEAD + "def hts_robots(register): pass", "stranger: hts_robots() is not marked as a hook"),
@@ -176,6 +177,13 @@ def test_a_broken_plugin_is_kept_with_its_reason_and_the_others_go_on(install, s
     assert reason in broken.reason
     assert "\n" not in broken.reason
     assert "twin" in registry.worlds
+
+
+def test_what_a_plugin_prints_on_import_is_not_among_what_a_command_prints(install, capsys):
+    install("lab", {"lab": HEAD + "print('loading')\n"}, {"lab": "lab"})
+    load()
+    found = capsys.readouterr()
+    assert (found.out, found.err) == ("", "loading\n")
 
 
 def test_a_hook_may_have_a_name_of_its_own_and_one_of_a_later_hts_may_be_there(install):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +13,9 @@ from typer.main import get_command
 
 from hts import plugins
 from hts.cli.commands import COMMANDS
+from hts.cli.one_line import one_line
 from hts.errors import ConfigError, PluginError, unknown_name
+from hts.guarded import guarded
 from hts.plugins import Entry
 
 SUMMARY = "Improve robot policies on what simulators cannot compute: measure, model, fine-tune, test, repeat."
@@ -29,7 +32,7 @@ class LazyGroup(TyperGroup):
             return _built(cmd_name, importlib.import_module(COMMANDS[cmd_name][0]))
         plugin_commands = _plugin_commands()
         if cmd_name in plugin_commands:
-            return _from_function(cmd_name, plugin_commands[cmd_name].factory())
+            return _of_plugin(cmd_name, plugin_commands[cmd_name])
         raise ConfigError(unknown_name("command", cmd_name, [*COMMANDS, *plugin_commands]))
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -63,6 +66,27 @@ def _built(name: str, module: Any) -> Any:
         group.name = name
         return group
     return _from_function(name, module.command)
+
+
+def _of_plugin(name: str, entry: Entry) -> Any:
+    """A plugin's command. What goes wrong in its code, and is none of the errors that hts or typer explains, is a
+    PluginError that names it, and so is a factory that gives no function."""
+    who = f"Command '{name}' (from {entry.package})"
+    function = guarded(f"{who}: its factory", entry.factory)
+    if not callable(function):
+        raise PluginError(f"{who}: its factory gives a {type(function).__name__}, expected a function.")
+
+    @functools.wraps(function)
+    def asked(*given: Any, **named: Any) -> Any:
+        try:
+            return function(*given, **named)
+        except Exception as error:
+            if isinstance(error, typer.Exit) or one_line(error) is not None:
+                raise
+            text = " ".join(str(error).split())
+            raise PluginError(f"{who} failed, {type(error).__name__}: {text} (HTS_DEBUG=1 shows where).") from error
+
+    return guarded(f"{who}: its arguments", lambda: _from_function(name, asked))
 
 
 def _from_function(name: str, function: Callable[..., Any]) -> Any:

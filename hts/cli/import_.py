@@ -11,6 +11,7 @@ import typer
 if TYPE_CHECKING:
     from hts.contracts import Installed, Robot
     from hts.recordings.recording import Recording
+    from hts.recordings.same_data import Known
 
 SAME = " (was there already)"
 OTHER_NOTES = " (was there already, with other notes, which it keeps)"
@@ -73,7 +74,7 @@ def command(
         typer.echo(printable(suggested_mapping(files[0], machine, asked)), nl=False)
         return
     if mapping is None:
-        raise ConfigError("--mapping M.yaml is needed; `hts import FILE --robot R --suggest > M.yaml` begins one.")
+        raise ConfigError(_no_mapping(files[0]))
     if to is None and not dry_run:
         raise ConfigError("--to STORE is needed, or --dry-run, which stores nothing.")
     if to is not None:
@@ -112,6 +113,18 @@ def command(
             typer.echo(printable(line))
     if figure is not None:
         typer.echo(printable(str(figure)))
+
+
+def _no_mapping(log: Path) -> str:
+    """What to type where no mapping is named: the one that a robot's runtime wrote beside the log, or a new one."""
+    from shlex import quote
+
+    from hts.worlds.field_logs import FOLDER
+
+    beside = log.parent / FOLDER / f"{log.stem}.yaml"
+    if beside.is_file():
+        return f"--mapping M.yaml is needed; {log.name} has one beside it: --mapping {quote(str(beside))}."
+    return "--mapping M.yaml is needed; `hts import FILE --robot R --suggest > M.yaml` begins one."
 
 
 def _drop(given: dict[str, Any], names: Sequence[str], mapping: Path) -> None:
@@ -180,8 +193,25 @@ def _store(to: Path, groups: Sequence[list[Path]], read: Sequence[Sequence[Recor
         for recording in recordings:
             there = known.find(recording)
             if there is None:
+                _tell_of_copy(known, recording, where, to)
                 ids.append((store.write(recording, where), ""))
+                known.add(ids[-1][0], recording)
             else:
                 ids.append((there[0], SAME if there[1] else OTHER_NOTES))
         stored.append(ids)
     return stored
+
+
+def _tell_of_copy(known: Known, recording: Recording, where: str, to: Path) -> None:
+    """Say so if the store has that walk already, under another name or with other stated facts."""
+    from hts.cli.printable import printable
+
+    found = known.walk_of(recording)
+    if found is not None:
+        there, source, channel = found
+        text = (
+            f"note: {where}: '{channel}' holds the same samples as recording {there} of {to} ({source}), which has "
+            f"another name or states other facts. No two walks are alike, and this one counts twice now: delete "
+            f"{to / there} if it is the one that is wrong, or import each log with its own mapping."
+        )
+        typer.echo(printable(text), err=True)

@@ -9,6 +9,7 @@ import typer
 
 from hts import plugins
 from hts.cli import options
+from hts.cli.commands import COMMANDS
 from hts.errors import HtsError, PluginError
 from hts.plugins import KINDS, Registry
 
@@ -53,13 +54,19 @@ def as_data(registry: Registry) -> dict[str, Any]:
     return data
 
 
+SLOW = 2.0
+"""s, also on a busy machine: importing a plugin that imports nothing heavy takes a hundredth of it."""
 MADE_QUICKLY = ("objectives", "robots", "selectors", "log_readers")
 """Kinds that are made of their settings alone, in milliseconds: what is broken behind a factory shows so."""
 
 
 def _not_made(registry: Registry) -> dict[tuple[str, str], str]:
-    """(kind, name) of what is registered and cannot be made -> why. One that only needs settings is not among them."""
-    found: dict[tuple[str, str], str] = {}
+    """(kind, name) of what is registered and cannot be made, or never asked for -> why. One that only needs settings is
+    not among them."""
+    found: dict[tuple[str, str], str] = {
+        ("commands", name): f"hts has a command '{name}' of its own, which is the one that runs. Give it another name."
+        for name in sorted(set(registry.commands) & set(COMMANDS))
+    }
     for kind in MADE_QUICKLY:
         make = getattr(registry, f"make_{kind.removesuffix('s')}")
         for name in sorted(registry.offered(kind)):
@@ -82,6 +89,14 @@ def as_text(registry: Registry) -> str:
             packages = max(len(row["package"]) for row in data[kind])
             for row in data[kind]:
                 lines.append(f"  {row['name']:<{width}}  {row['package']:<{packages}}  {row['summary']}".rstrip())
+    slow = [one for one in registry.plugins if one.seconds > SLOW]
+    if slow:
+        lines.append("slow")
+        lines += [
+            f"  {one.package} ({one.entry_point}): takes {one.seconds:.1f} s to import, which every command waits for. "
+            "Import what is heavy inside functions."
+            for one in slow
+        ]
     if data["broken"]:
         lines.append("broken")
         lines += [f"  {row['package']} ({row['entry_point']}): {row['reason']}" for row in data["broken"]]

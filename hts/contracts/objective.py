@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from hts.config import Named
@@ -40,7 +41,9 @@ class Objective(ABC):
     must have them, and `predicted_channels` says what they would be beside a predicted target; weights: default
     sweep over λ; baseline_weights: the same for the analytic proxy, of `hts baseline`; proxy_weights: of a run that the
     proxy pays (`hts run --reward proxy`): as many as `weights`, so that it trains as much as one that the model pays;
-    none: baseline_weights.
+    none: baseline_weights; metric_units: unit of what `score` gives and of metrics of `compare`, by name, for tables
+    and figures ("1": a plain number of which ratios mean something). A metric whose name ends in _reduction, _share or
+    _fraction needs none: it is shown as per cent.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Objective(ABC):
     weights: tuple[float, ...] = (0.5, 1.0, 5.0)
     baseline_weights: tuple[float, ...] = ()
     proxy_weights: tuple[float, ...] = ()
+    metric_units: Mapping[str, str] = MappingProxyType({})
     instrument: str | None = None  # name of the instrument that measures the real channels on a twin
 
     @property

@@ -39,6 +39,10 @@ ITSELF = (
     "The best policy of this run is the pretrained one, so this compares it with itself: what is found is scatter. "
     "Name another one with --policy."
 )
+AS_BEFORE = (
+    "No new log was read: all {count} recordings are those of an earlier evaluation. To walk it again, move the logs "
+    "out of their bundle below {folder}, and give the command again."
+)
 
 
 def evaluate_run(
@@ -142,7 +146,10 @@ def evaluate_run(
             for line in remarks(walked):
                 say(line)
         store = RecordingStore(place / "data.zarr", create=True)
+        known = {*store.ids()}
         ids = [store.write(recording) for recording in walked]
+        if say is not None and not where.simulated and known.issuperset(ids):
+            say(AS_BEFORE.format(count=len(ids), folder=place))
         entries, segments = {}, {}
         for name, objective in objectives.items():
             if hold is not None:

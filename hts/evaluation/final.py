@@ -121,9 +121,10 @@ def refused_and_fallen(
 
 
 def entry_of(objective: Objective, results: Mapping[float, HeadToHead]) -> dict[str, Any]:
-    """`final.objectives.<name>` of `summary.json`: {"unit", "speeds": {"0.8": {...}}}."""
+    """`final.objectives.<name>` of `summary.json`: {"unit", "metric_units", "speeds": {"0.8": {...}}}."""
     return {
         "unit": objective.unit,
+        **({"metric_units": dict(objective.metric_units)} if objective.metric_units else {}),
         "speeds": {speed_key(speed): result.entry() for speed, result in sorted(results.items())},
     }
 

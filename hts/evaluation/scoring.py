@@ -26,9 +26,11 @@ def scored(objective: Objective, segments: Segments, of: str) -> dict[str, np.nd
     for name, values in scores.items():
         bad = int((~np.isfinite(values)).sum())
         if bad:
+            names = [channel.name for channel in objective.real_channels]
+            channels = f"channel{'s' if len(names) > 1 else ''} " + " and ".join(map(repr, names))
             raise EvaluationError(
                 f"{who}: '{name}' is not a finite number in {bad} of {len(values)} segments of the {of}. Look at "
-                f"channel '{objective.target.name}' in its recordings."
+                f"{channels} in its recordings."
             )
     return scores
 

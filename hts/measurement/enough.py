@@ -23,6 +23,7 @@ from hts.measurement.data import check_units, recorded_signals
 from hts.measurement.drift import REMEDY, drift, drift_note
 from hts.measurement.linear import Linear, LinearSettings
 from hts.measurement.scoring import Trace, commanded_speed, r2
+from hts.measurement.shared import copies, told_of_copies
 from hts.measurement.split import named_part
 from hts.recordings.on_schedule import NOT_STATED
 
@@ -87,6 +88,9 @@ def enough(objective: Objective, recordings: Sequence[Recording], speeds: Sequen
     signals = recorded_signals(objective, recordings[0])
     for one in recordings:
         check_units(signals, one)
+    channels = (*objective.inputs, objective.target.name)
+    twice, again = told_of_copies(recordings, channels), {id(other) for _, other in copies(recordings, channels)}
+    recordings = [one for one in recordings if id(one) not in again]
     policies = list(dict.fromkeys(one.policy_hash for one in recordings))
     at = _speeds(recordings)
     seconds = float(sum(one.seconds for one in recordings))
@@ -95,6 +99,7 @@ def enough(objective: Objective, recordings: Sequence[Recording], speeds: Sequen
     pairs = _by_policy(recordings, policies) if by_policy else _by_time(recordings)
     held_out, found = _held_out(objective, signals, pairs)
     missing = [
+        *twice,
         *_too_little(seconds, policies, at, speeds, directions, inputs),
         *_too_wrong(held_out, found, by_policy, objective.target.unit),
     ]

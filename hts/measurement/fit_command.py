@@ -32,7 +32,7 @@ from hts.measurement.fitting import called, fit_model
 from hts.measurement.outliers import masked_split
 from hts.measurement.physics_steps import NEEDED
 from hts.measurement.proxy import proxy_along
-from hts.measurement.shared import Shared, shared_samples, without_shared
+from hts.measurement.shared import Shared, shared_samples, told_of_copies, without_shared
 from hts.measurement.split import of_fitted_sessions, split
 from hts.measurement.splits import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
 from hts.measurement.wanted import Wanted, without_objective
@@ -208,6 +208,8 @@ def fit_store(
     recordings, left_out = _usable(store, objective, wanted.robot)
     recorded_signals(objective, recordings[0])  # what is wrong with these two is told before anything is fitted
     proxy_along(objective, recordings[0])
+    for line in told_of_copies(recordings, (*objective.inputs, objective.target.name)):
+        say(f"note: {line}")
     dataset = store.dataset([one.id for one in recordings])
     parts, shared, untested = _split(objective, recordings, checks, config, wanted.robot)
     candidates = Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.measurement.split import named_part, stretches
+from hts.recordings.header import array_digest
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -61,6 +62,31 @@ def shared_samples(
     both = left & right
     marked = [_marked(one, both) for one in numbers]
     return marked[:split], marked[split:]
+
+
+def copies(recordings: Sequence[Recording], channels: Sequence[str]) -> list[tuple[Recording, Recording]]:
+    """(the first, the other) of recordings that hold the very same samples of these channels: one walk that is there
+    twice. Nothing is said of what stands still."""
+    first: dict[tuple[str, ...], Recording] = {}
+    found = []
+    for one in recordings:
+        values = [one.values(name) for name in channels]
+        if all(np.ptp(each) == 0 for each in values):
+            continue
+        before = first.setdefault(tuple(array_digest(each) for each in values), one)
+        if before is not one:
+            found.append((before, one))
+    return found
+
+
+def told_of_copies(recordings: Sequence[Recording], channels: Sequence[str]) -> list[str]:
+    """One line for each of them."""
+    return [
+        f"recordings {first.id} ({first.notes.get('source', 'no source')}) and {other.id} "
+        f"({other.notes.get('source', 'no source')}) hold the same samples, so one walk counts twice: delete the "
+        "folder of the one that is wrong from the store"
+        for first, other in copies(recordings, channels)
+    ]
 
 
 def without_shared(

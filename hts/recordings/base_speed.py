@@ -20,6 +20,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from hts.contracts import Robot
 from hts.contracts.speeds import fastest
 from hts.errors import RecordingError
+from hts.recordings.leg_speed import leg_speed
 from hts.recordings.on_schedule import command_at
 from hts.recordings.recording import Recording
 
@@ -42,6 +43,10 @@ OTHER_AXES = (
 )
 MUCH = 2.5
 """Along from which on it is told: km/h are 3.6 times as many. Below ELSEWHERE it is told, too."""
+FAST, TIMES_LEGS, LEGS_WALK = 1.7, 2.0, (0.4, 1.4)
+"""Along from which on the legs are asked: knots are 1.94 times m/s, miles an hour 2.24, feet a second 3.28. Where they
+walk about as they were told, between these shares of the commands, and the trunk goes so many times as fast as they
+say, it is in another unit: legs that are thrown forward do not double a speed."""
 
 
 def velocity_notes(recording: Recording, robot: Robot, where: str, stated: Collection[str] = ()) -> dict[str, str]:
@@ -76,6 +81,11 @@ def velocity_notes(recording: Recording, robot: Robot, where: str, stated: Colle
         raise _refusal(where, f"is {size:.3g} times as fast as the commands")
     if size > WALKS and along < ELSEWHERE * size:
         raise _refusal(where, _direction(along, aside, size), OTHER_AXES)
+    legs = _of_legs(recording, robot, steady, told) if along > FAST else None
+    if legs is not None and LEGS_WALK[0] < legs < LEGS_WALK[1] and along > TIMES_LEGS * legs:
+        text = f"is {along:.2g} times the commands, but the legs walk at {legs:.2g} times them (feet that stand)"
+        hint = "It is probably in another unit (km/h are 3.6, miles an hour 2.24 times m/s): correct unit or scale"
+        raise _refusal(where, text, hint)
     if along > MUCH or size < ELSEWHERE:
         return {
             "base_velocity_scale": (
@@ -84,6 +94,17 @@ def velocity_notes(recording: Recording, robot: Robot, where: str, stated: Colle
             )
         }
     return {}
+
+
+def _of_legs(recording: Recording, robot: Robot, steady: np.ndarray, told: np.ndarray) -> float | None:
+    """Share of the commanded speed at which the legs walk along it; None where that cannot be told. steady: samples
+    (T,) bool; told: of these, (k, 2), m/s."""
+    velocity = leg_speed(recording, robot)
+    if velocity is None:
+        return None
+    kept = steady[: len(velocity)]
+    told = told[: int(kept.sum())]
+    return float((velocity[kept] * told).sum() / (told**2).sum()) if len(told) else None
 
 
 def _refusal(where: str, found: str, hint: str = ANOTHER_UNIT) -> RecordingError:

@@ -18,12 +18,17 @@ DOUBTS = (
     "angular_velocity_axes",
     "foot_force_scale",
     "foot_force_legs",
+    "temperature_unit",
     "idle_differs",
+    "blocks_unlike",
     "recorded_apart",
+    "walked_in_another_order",
+    "logs_overlap",
 )
-"""Names of the notes of `torque_notes`, `work_notes`, `velocity_notes`, `repeated_notes`, `still_notes`, `axes_notes`
-and `foot_notes`, and those of a world whose recordings are compared although they state idle levels that differ, or
-lie long after each other."""
+"""Names of the notes of `torque_notes`, `work_notes`, `velocity_notes`, `repeated_notes`, `still_notes`, `axes_notes`,
+`foot_notes` and `temperature_notes`, and those of a world whose recordings are compared although they state idle levels
+that differ, measure what is far apart, or lie long after each other, in another order than planned or over one
+another."""
 
 
 def remarks(recordings: Sequence[Recording]) -> list[str]:

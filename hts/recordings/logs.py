@@ -6,9 +6,10 @@
 
 `columns_of(file)` gives all columns of one file by name; everything that docs/recordings.md says of mappings then
 holds: units, signs, joint order, gaps, resampling, limits, idle levels. A format that is no table is put together from
-the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_motion`, `check_idle`,
-`check_read`, `check_upright`, `check_turning`, `check_told_turn`, `check_targets`, `torque_notes`, `work_notes`,
-`velocity_notes`, `foot_notes`, `still_notes`, `axes_notes` and `repeated_notes` for values.
+the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_still_joints`,
+`check_no_reading`, `check_motion`, `check_idle`, `check_read`, `check_upright`, `check_turning`, `check_told_turn`,
+`check_targets`, `torque_notes`, `work_notes`, `velocity_notes`, `foot_notes`, `still_notes`, `axes_notes`,
+`repeated_notes` and `temperature_notes` for values.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from hts import units
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import Robot
-from hts.errors import ConfigError, HtsError, RecordingError
+from hts.errors import ConfigError, HtsError, PluginError, RecordingError
 from hts.recordings.attitude import still_notes
 from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
@@ -47,6 +48,7 @@ from hts.recordings.mapping import (
     remedy,
 )
 from hts.recordings.motion import check_motion
+from hts.recordings.no_reading import check_no_reading
 from hts.recordings.on_schedule import NOT_STATED
 from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.pd_torque import torque_notes
@@ -56,9 +58,11 @@ from hts.recordings.repeated import repeated_notes
 from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
 from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
 from hts.recordings.stated_channels import check_channels
+from hts.recordings.still_joints import check_still_joints
 from hts.recordings.stretches import Stretch, stretches
 from hts.recordings.table import ColumnName, Table, table_of
 from hts.recordings.targets import check_targets
+from hts.recordings.temperatures import temperature_notes
 from hts.recordings.told_turn import check_told_turn
 from hts.recordings.turning import check_turning
 from hts.recordings.unread import check_read
@@ -71,7 +75,9 @@ __all__ = [
     "check_idle",
     "check_limits",
     "check_motion",
+    "check_no_reading",
     "check_read",
+    "check_still_joints",
     "check_targets",
     "check_told_turn",
     "check_turning",
@@ -88,6 +94,7 @@ __all__ = [
     "samples_of",
     "still_notes",
     "table_of",
+    "temperature_notes",
     "torque_notes",
     "velocity_notes",
     "work_notes",
@@ -364,6 +371,11 @@ def _reading(columns_of: Callable[[Path], Columns]) -> Callable[[Path, Sequence[
             raise RecordingError(
                 f"{path}: not a log that the reader '{log.reader}' knows ({what:.160}). {remedy(log)}"
             ) from error
+        if columns is None or isinstance(columns, Sequence):
+            raise PluginError(
+                f"{path}: log reader '{log.reader}' gives its columns as a {type(columns).__name__}, expected a "
+                "mapping from each column's name to its numbers, such as {'t': [0.0, 0.02]}."
+            )
         run = log.runs.column if log.runs is not None else None
         return table_of(path, log.time.column, log.time.unit, wanted, columns, run)
 

@@ -16,12 +16,15 @@ from hts.recordings.gravity import GRAVITY, check_upright
 from hts.recordings.joint_work import work_notes
 from hts.recordings.mapping import LogMapping, follows_joints
 from hts.recordings.motion import check_motion
+from hts.recordings.no_reading import check_no_reading
 from hts.recordings.pd_torque import torque_notes
 from hts.recordings.plausible import check_facts, check_idle, check_limits
 from hts.recordings.recording import Recording, Series
 from hts.recordings.repeated import repeated_notes
 from hts.recordings.standard_units import in_standard_units
+from hts.recordings.still_joints import check_still_joints
 from hts.recordings.targets import check_targets
+from hts.recordings.temperatures import temperature_notes
 from hts.recordings.told_turn import check_told_turn
 from hts.recordings.turning import check_turning
 from hts.recordings.unread import check_read
@@ -42,6 +45,7 @@ def looked_over(
     check_limits(channels, robot.spec, where, per_joint=per_joint, stated=stated, real=recording.idle)
     check(recording, where)
     judged = recording.replace(channels=in_standard_units(channels, besides=recording.idle))
+    check_still_joints(judged.channels, robot.spec, rate_hz, where, stated)
     check_motion(judged.channels, robot.spec, rate_hz, where, stated)
     levels = {name: level for name, level in recording.idle.items() if name not in stated}
     check_idle(judged.channels, levels, where)
@@ -50,10 +54,12 @@ def looked_over(
     check_turning(judged.channels, rate_hz, where, stated)
     check_told_turn(judged, where, stated)
     check_targets(judged, robot.spec, where, stated)
+    check_no_reading(channels, list(recording.idle), where, stated)
     check_read(judged.channels, rate_hz, list(recording.idle), where, slow, log.frozen_real_seconds)
     doubts = torque_notes(judged, robot.spec, where, stated) | velocity_notes(judged, robot, where, stated)
     doubts |= repeated_notes(judged.channels, rate_hz) | work_notes(judged, stated) | still_notes(judged, stated)
     doubts |= foot_notes(judged, robot, stated) | axes_notes(judged.channels, rate_hz, stated)
+    doubts |= temperature_notes(channels, {name: one.unit for name, one in log.channels.items()}, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 

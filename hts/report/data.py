@@ -73,6 +73,13 @@ class RunData:
         return self.summary.get("world_simulated", {"twin": True, "field": False}.get(self.world))
 
     @property
+    def where(self) -> str:
+        """Where candidates were tried, for a sentence: no twin's number stands under a robot's name."""
+        if self.world_simulated is None:
+            return f"in world '{self.world}'"
+        return "in simulated reality" if self.world_simulated else "in reality"
+
+    @property
     def task(self) -> TaskWords:
         """How its set-points are called."""
         return TaskWords.of(self.summary)

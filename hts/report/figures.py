@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+FEW_POINTS = 40
+"""So many seconds of one policy need no see-through marks."""
+
+
 def improvement(run: RunData, objective: str) -> Figure | None:
     """Improvement at each speed with its 95 % interval; the objective's other fractions beside it."""
     speeds = run.final.get(objective, {}).get("speeds") or {}
@@ -72,7 +76,8 @@ def distribution(run: RunData, objective: str) -> Figure | None:
         return None
     keys = sorted(speeds, key=float)
     quantity = next(iter(speeds[keys[0]]["policy"]))
-    fraction = run.unit(objective) == wording.PERCENT
+    own = (run.final.get(objective, {}).get("metric_units") or {}).get(quantity)
+    fraction = own == wording.PERCENT or run.unit(objective) == wording.PERCENT
     drawing, axes = figure(2.6, 1, len(keys), sharey=True)
     rng = np.random.default_rng(0)
     every = [[np.asarray(speeds[key][role][quantity], dtype=float) for role in ("reference", "policy")] for key in keys]
@@ -82,14 +87,16 @@ def distribution(run: RunData, objective: str) -> Figure | None:
         panel.axhline(1.0 if fraction else 0.0, color=SOFT, linewidth=0.9, zorder=1)
         for x, (values, color) in enumerate(zip(groups, (REFERENCE, ACCENT), strict=True)):
             shown = values / centre if fraction else (values - centre) / 10.0**exponent
-            panel.scatter(x + rng.uniform(-0.2, 0.2, len(shown)), shown, s=7, color=color, alpha=0.45, linewidths=0)
+            size, opaque = (7, 0.45) if len(shown) > FEW_POINTS else (16, 0.9)  # a few small pale ones are not seen
+            jitter = rng.uniform(-0.2, 0.2, len(shown))
+            panel.scatter(x + jitter, shown, s=size, color=color, alpha=opaque, linewidths=0)
             panel.plot([x - 0.3, x + 0.3], [shown.mean()] * 2, color=INK, linewidth=1.4)
         panel.set_xticks([0, 1], ["pretrained", "final"])
         panel.set_xlim(-0.6, 1.6)
         panel.grid(axis="x", visible=False)
         panel.set_title(run.task.at([key]).removeprefix(" at "))
     name = wording.label(quantity)
-    unit = f", 1e{exponent}" if exponent else ""
+    unit = ", " + " ".join(filter(None, (f"1e{exponent}" if exponent else "", own))) if exponent or own else ""
     axes[0, 0].set_ylabel(f"{name} / pretrained mean" if fraction else f"{name} − pretrained mean{unit}")
     return drawing
 
@@ -123,7 +130,7 @@ def sweep(run: RunData, objective: str) -> Figure | None:
         left.set_title(f"Iteration {iteration['index']}: in simulation")
         left.set_ylabel("score in simulation")
         _measured(right, run, iteration, objective, factor, styles)
-        right.set_title("Elites in reality")
+        right.set_title(f"Elites {run.where}")
         if edges:
             margin = 0.06 * (max(*edges, 0.0) - min(*edges, 0.0) + 1e-9)
             right.set_xlim(min(*edges, 0.0) - margin, max(*edges, 0.0) + margin)
@@ -167,7 +174,7 @@ def iterations(run: RunData, objective: str) -> Figure | None:
             linestyle="none",
             color=REFERENCE,
             markersize=4.5,
-            label=f"other elites{at}" if others else None,
+            label=f"{'other elites' if best else 'elites'}{at}" if others else None,
         )
         color = ramp(position, len(speeds)) if len(speeds) > 1 else ACCENT
         panel.plot(

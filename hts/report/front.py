@@ -10,7 +10,7 @@ from hts.report import wording
 from hts.report.data import RunData
 
 FRONT_CAPTION = (
-    "Left: every policy tried in reality, by what its gain over the pretrained policy (diamond) counts as; bars are 95 "
+    "Left: every policy that was tried, by what its gain over the pretrained policy (diamond) counts as; bars are 95 "
     "% intervals (a mean over several speeds has none), crosses fell. Dark: the front, beaten by no other in both at "
     "once; the line is the edge of what it beats. Ringed: the final policy. Right: every candidate by its scores in "
     "simulation above those of the pretrained policy; each iteration has measurement models of its own, so that its "
@@ -18,8 +18,9 @@ FRONT_CAPTION = (
 )
 
 
-def front_part(run: RunData) -> dict[str, Any] | None:
-    """With several objectives: the policies that no other beats in all of them, as figures, words and a table."""
+def front_part(run: RunData, note: str = "") -> dict[str, Any] | None:
+    """With several objectives: the policies that no other beats in all of them, as figures, words and a table.
+    note: as of `style.embedded`."""
     if len(run.objectives) < 2 or not run.front:
         return None
     tested = sum(
@@ -29,7 +30,7 @@ def front_part(run: RunData) -> dict[str, Any] | None:
         "text": front_text(run, tested),
         "speeds": _speeds(run),
         "measured": any(result.get("speeds") for result in run.final.values()),
-        "figures": front_figures(run),
+        "figures": front_figures(run, note),
         "objectives": run.objectives,
         "rows": front_rows(run),
     }
@@ -42,11 +43,11 @@ def front_text(run: RunData, tested: int) -> str:
     if not found:
         fell = any(candidate.get("fell") for one in run.iterations for candidate in one.get("candidates") or ())
         upright = " without falling" if fell else ""
-        none = f"None of the {tested} policies tried in reality gains in any of {names}{upright}"
+        none = f"None of the {tested} policies tried {run.where} gains in any of {names}{upright}"
         return f"{none}: the pretrained policy is the front."
     verb = "is" if len(found) == 1 else "are"
     text = (
-        f"{len(found)} of {tested} policies tried in reality {verb} beaten by no other in {names} together. They are "
+        f"{len(found)} of {tested} policies tried {run.where} {verb} beaten by no other in {names} together. They are "
         "compared by what counts, which an objective may make stricter than its improvement (the smaller of two "
         "savings, say)."
     )
@@ -88,7 +89,7 @@ def front_rows(run: RunData) -> list[dict[str, Any]]:
     return rows
 
 
-def front_figures(run: RunData) -> list[dict[str, str]]:
+def front_figures(run: RunData, note: str = "") -> list[dict[str, str]]:
     import matplotlib
 
     from hts.report import front_figure, style
@@ -102,7 +103,7 @@ def front_figures(run: RunData) -> list[dict[str, str]]:
             file = "front" if len(run.objectives) == 2 else f"front-{pair[0]}-{pair[1]}"
             drawn.append(
                 style.embedded(
-                    drawing, run.folder / "figures", file, f"Front of {pair[0]} and {pair[1]}", FRONT_CAPTION
+                    drawing, run.folder / "figures", file, f"Front of {pair[0]} and {pair[1]}", FRONT_CAPTION, note
                 )
             )
     return drawn

@@ -103,7 +103,7 @@ def _measured(panel: Axes, run: RunData, pair: tuple[str, str], tested: Sequence
     panel.annotate("pretrained", (0, 0), xytext=(6, -10), textcoords="offset points", fontsize=7.5, color=INK)
     panel.set_xlabel(f"{pair[0]}: counts as, {factors[0][1]}")
     panel.set_ylabel(f"{pair[1]}: counts as, {factors[1][1]}")
-    panel.set_title("In reality")
+    panel.set_title(wording.label(run.where))
     panel.margins(0.12)
 
 

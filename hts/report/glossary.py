@@ -14,15 +14,15 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         "95 % interval",
         (
             "How far the improvement would scatter if the seconds of this session were drawn again (contiguous "
-            "stretches of them, because neighbouring seconds are alike). It speaks of this robot on this occasion, not "
-            "of other robots, days or sessions: where sessions differ it is too narrow, and `hts evaluate DIR "
-            "--sessions 4` gives one that holds over them."
+            "stretches of them, because neighbouring seconds are alike). It speaks of this machine, real or simulated, "
+            "on this occasion, not of other machines, days or sessions: where sessions differ it is too narrow, and "
+            "hts evaluate DIR --sessions 4 gives one that holds over them. If it contains 0, no gain is shown."
         ),
     ),
     (
         "Head-to-head",
         (
-            "Both policies on one robot, one after the other in the order A-B-B-A, so that anything that drifts "
+            "Both policies on one machine, one after the other in the order A-B-B-A, so that anything that drifts "
             "steadily, such as charge or heat, adds the same to both and cancels."
         ),
     ),
@@ -98,8 +98,8 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         "Front",
         (
             "With several objectives: the policies tried in reality for which no other is at least as good in all of "
-            "them and better in one, the pretrained policy among them. Compared by what each objective selects by, "
-            "which can be stricter than the improvement that is drawn. Policies that fell are not on it."
+            "them and better in one, the pretrained policy among them. Compared by what each objective selects by "
+            "(counts as), which can be stricter than the improvement. Policies that fell are not on it."
         ),
     ),
     (
@@ -107,6 +107,13 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
         (
             "Measured in one shorter head-to-head each. The largest of several noisy numbers is flattering by nature; "
             "the final head-to-head measures the chosen policy afresh."
+        ),
+    ),
+    (
+        "Predicted improvement",
+        (
+            "What the measurement model promises of a candidate by how it walks in simulation, before it is tried. "
+            "Where it promises much more than is measured, the model was trusted where it had no data."
         ),
     ),
     (
@@ -130,15 +137,17 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
     (
         "Rank correlation",
         (
-            "Agreement between predicted and measured order of the policies, from −1 to 1; it says whether the model "
-            "can tell a better policy from a worse one. Needs at least two policies."
+            "Agreement between predicted and measured order of the policies that were tried in that iteration, the "
+            "pretrained one among them, from −1 to 1 (Spearman): whether the model can tell a better policy from a "
+            "worse one. Where nobody was tried, of the policies whose recordings were held out. Of two or three "
+            "policies it says little."
         ),
     ),
     (
         "Segment by segment",
         (
             "Each point is one second of the final head-to-head: the first quantity that the objective scores, "
-            "relative to the mean of the pretrained policy. Bars are means."
+            "relative to the mean of the pretrained policy. Short lines are means."
         ),
     ),
     (

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 
 def measurement(run: RunData, objective: str) -> Figure | None:
-    """Held-out R² and rank correlation of each iteration; predicted against measured mean per policy, if known."""
+    """Held-out R² and rank correlation of each iteration; predicted against measured mean per policy, if known. None
+    where nothing of it is: one recording alone leaves none to hold out."""
     rows = [
         (int(iteration["index"]), (iteration.get("measurement_models") or {}).get(objective) or {})
         for iteration in run.iterations
@@ -25,8 +26,13 @@ def measurement(run: RunData, objective: str) -> Figure | None:
         return None
     fits = {index: run.fit(index, objective) for index, _ in rows}
     latest = max((index for index in fits if policy_means(fits[index])), default=None)
-    drawing, axes = figure(2.7, 1, 1 if latest is None else 2)
+    known = (value for _, model in rows for value in (model.get("held_out_r2"), model.get("rank_correlation")))
+    if latest is None and all(value is None for value in known):
+        return None
+    drawing, axes = figure(2.95, 1, 1 if latest is None else 2)
     _quality(axes[0, 0], rows, [(index, proxy_r2(fits[index])) for index, _ in rows])
+    if axes[0, 0].get_legend_handles_labels()[0]:  # none where nothing was held out
+        drawing.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3, columnspacing=1.2)
     if latest is not None:
         _predicted(axes[0, 1], latest, fits[latest])
     return drawing
@@ -44,14 +50,14 @@ def proxy_r2(fit: Mapping[str, Any]) -> float | None:
 
 
 def _quality(panel: Axes, rows: list[tuple[int, Mapping[str, Any]]], proxy: list[tuple[int, float | None]]) -> None:
-    for values, name, color, marker in (
-        ([(index, model.get("held_out_r2")) for index, model in rows], "held-out R²", ACCENT, "o"),
-        ([(index, model.get("rank_correlation")) for index, model in rows], "rank correlation", INK, "D"),
-        (proxy, "R² of the analytic stand-in", REFERENCE, "s"),
+    for values, name, color, marker, size in (  # the first ones larger, since numbers may be the same
+        ([(index, model.get("held_out_r2")) for index, model in rows], "held-out R²", ACCENT, "o", 8.0),
+        (proxy, "R² of the analytic stand-in", REFERENCE, "s", 6.0),
+        ([(index, model.get("rank_correlation")) for index, model in rows], "rank correlation", INK, "D", 4.0),
     ):
         found = [(index, value) for index, value in values if value is not None]
         if found:
-            panel.plot(*zip(*found, strict=True), color=color, marker=marker, markersize=5, label=name)
+            panel.plot(*zip(*found, strict=True), color=color, marker=marker, markersize=size, label=name)
     indices = [index for index, _ in rows]
     panel.set_xticks(indices)
     panel.set_xlim(min(indices) - 0.5, max(indices) + 0.5)
@@ -61,8 +67,6 @@ def _quality(panel: Axes, rows: list[tuple[int, Mapping[str, Any]]], proxy: list
     panel.grid(axis="x", visible=False)
     panel.set_xlabel("iteration")
     panel.set_title("On recordings it never saw")
-    if panel.get_legend_handles_labels()[0]:  # none where nothing was held out
-        panel.legend(loc="lower right")
 
 
 def _predicted(panel: Axes, index: int, fit: Mapping[str, Any]) -> None:

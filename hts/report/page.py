@@ -12,7 +12,7 @@ import yaml
 import hts
 from hts.atomic import atomic_write
 from hts.errors import RunError
-from hts.measurement.fit_report import clock_note, session_note
+from hts.measurement.fit_report import clock_note, doubts, session_note
 from hts.report import wording
 from hts.report.data import Json, RunData, read_run
 from hts.report.front import front_part
@@ -31,6 +31,9 @@ SOURCES = {
     "field": "recorded by a person with a robot and imported",
 }
 """Where the measurements of our own worlds come from; the end of a sentence."""
+PRESET_NOTES = {"smoke": " (shows that everything runs: so few steps and seconds are no result)"}
+"""What a stranger has to know of a preset, after its name."""
+MANY = 8  # texts of one key, such as versions of packages; more of them are one line
 PLAIN_VALUE = 160  # characters; longer ones (a diff) are left to provenance.json
 
 
@@ -60,12 +63,14 @@ def contents(run: RunData) -> dict[str, Any]:
     title, text = world_words(run)
     objectives = [_objective(run, name) for name in run.objectives]
     return {
-        "title": f"{wording.label(' and '.join(run.objectives))} on {summary.get('robot', 'a robot')}",
+        "title": f"{wording.label(' and '.join(run.objectives))} on {summary.get('robot', 'a robot')}"
+        + (" in simulated reality" if run.world_simulated else ""),
+        "where": run.where,
         "facts": _facts(run),
         "world_simulated": bool(run.world_simulated),
         "world_title": title,
         "world_text": text,
-        "front": front_part(run),
+        "front": front_part(run, figure_note(run)),
         "objectives": objectives,
         "ending": closing(summary),
         "changed": changes(summary),
@@ -96,13 +101,18 @@ def world_words(run: RunData) -> tuple[str, str]:
     if run.world_simulated:
         source = SOURCES.get(run.world, f"the world '{run.world}', which computes its physics") + identity_words(run)
         return "Simulated reality.", (
-            f"No robot was involved. The measurements come from {source}. They show that the method works there; what "
+            f"No robot was involved. The measurements come from {source}. They say what the method does there; what "
             "a real robot gains only a real robot can tell."
         )
     if run.world_simulated is False:
         source = SOURCES.get(run.world, f"made on a machine, in the world '{run.world}'") + identity_words(run)
         return "A real robot.", f"The measurements were {source}."
     return f"World: {run.world}.", "The measurements come from a world that a plugin offers."
+
+
+def figure_note(run: RunData) -> str:
+    """What a figure says of itself where it is shown without the page."""
+    return f"simulated reality ({run.world}): no robot" if run.world_simulated else ""
 
 
 def identity_words(run: RunData) -> str:
@@ -114,7 +124,7 @@ def identity_words(run: RunData) -> str:
 
 def _facts(run: RunData) -> list[str]:
     summary = run.summary
-    facts = [f"preset {summary['preset']}"] if summary.get("preset") else []
+    facts = [f"preset {summary['preset']}{PRESET_NOTES.get(summary['preset'], '')}"] if summary.get("preset") else []
     facts += [f"engine {summary['engine']}"] if summary.get("engine") else []
     facts += [f"seed {summary['seed']}"] if summary.get("seed") is not None else []
     facts.append(f"{len(run.iterations)} iteration{'' if len(run.iterations) == 1 else 's'}")
@@ -125,7 +135,7 @@ def _facts(run: RunData) -> list[str]:
     if summary.get("sim_steps") is not None:
         facts.append(f"{wording.count(summary['sim_steps'])} steps in simulation")
     if summary.get("real_samples") is not None:
-        facts.append(f"{wording.count(summary['real_samples'])} samples from reality")
+        facts.append(f"{wording.count(summary['real_samples'])} samples {run.where.replace('in ', 'from ', 1)}")
     if falls := summary.get("first_data_falls"):
         facts.append(f"{falls} fall{'' if falls == 1 else 's'} in first data")
     if summary.get("wall_seconds") is not None:
@@ -164,10 +174,12 @@ def _model_lines(run: RunData, name: str) -> list[str]:
     for one in run.iterations:
         index, model = int(one["index"]), (one.get("measurement_models") or {}).get(name) or {}
         fit, tried = run.fit(index, name), model.get("elites_r2")
-        notes = [session_note(fit), clock_note(fit)]
+        drifts = clock_note(fit)
+        others = doubts(fit) if "r2" in (fit.get("held_out") or {}) else ()
+        notes = [session_note(fit), drifts, *(one for one in others if not drifts or drifts not in one)]
         if tried is not None and tried < 0:
             notes.append(f"the policies that were tried are predicted worse than by their mean (R² {tried:.3g})")
-        lines += [f"Iteration {index}: {note}." for note in notes if note]
+        lines += [f"Iteration {index}: {note.removesuffix('.')}." for note in notes if note]
     return lines
 
 
@@ -176,12 +188,29 @@ def _later(run: RunData) -> dict[str, Any] | None:
     if not evaluation.get("objectives"):
         return None
     task = TaskWords.of(evaluation)
+    place = (evaluation.get("world"), evaluation.get("seed")) == (run.world, run.summary.get("seed"))
+    again = place and _same_numbers(run.final, evaluation["objectives"])
     return {
-        "text": f"`hts evaluate`: policy {evaluation.get('policy', 'best')} against pretrained on world "
+        "text": f"policy {evaluation.get('policy', 'best')} against pretrained in world "
         f"{evaluation.get('world', 'unknown')}{' (simulated)' if evaluation.get('world_simulated') else ''}, seed "
-        f"{evaluation.get('seed', 'unknown')}.",
+        f"{evaluation.get('seed', 'unknown')}."
+        + (
+            " World and seed are those of the final, so it is the same walk again and confirms nothing."
+            if again
+            else ""
+        ),
         "objectives": [result_rows(name, result, task) for name, result in evaluation["objectives"].items()],
     }
+
+
+def _same_numbers(final: Json, later: Json) -> bool:
+    """Whether a later comparison gave to the bit what the final had: a world answers the same question alike."""
+    pairs = [
+        (speed["improvement"], ((final.get(name) or {}).get("speeds") or {}).get(key, {}).get("improvement"))
+        for name, result in later.items()
+        for key, speed in result["speeds"].items()
+    ]
+    return bool(pairs) and all(one == other for one, other in pairs)
 
 
 # ---------------------------------------------------------------------------------------------- figures
@@ -206,8 +235,9 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             "distribution",
             "Segment by segment",
             (
-                "Each point is one second of the final head-to-head, relative to the mean of the pretrained policy. "
-                "Short lines: means."
+                "Each point is one second of the final head-to-head, relative to the mean of the pretrained policy, by "
+                "the first quantity that the objective scores, in that quantity's own unit unless it is a ratio. Short "
+                "lines: means."
             ),
             figures.distribution,
         ),
@@ -225,8 +255,8 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             "Sweep",
             (
                 "Left: every candidate by its distance from its anchor (dashed: the bounds c) and its score in "
-                "simulation; rings are elites. Right: what the elites gained in reality, with 95 % intervals; the best "
-                "is in bold."
+                f"simulation; rings are elites. Right: what the elites gained {run.where}, with 95 % intervals; the "
+                "best is in bold."
             ),
             figures.sweep,
         ),
@@ -234,9 +264,9 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             "measurement",
             "Measurement model",
             (
-                "Left: how well the model predicts recordings it was not fitted to, and in which order it puts the "
-                "policies. Right: each point is a policy at one commanded speed; on the line, prediction equals "
-                "measurement."
+                "Left: how well the model predicts recordings it was not fitted to, and how well it orders the "
+                "policies that were tried. Right: each point is a policy of the held-out recordings at one commanded "
+                "speed; on the line, prediction equals measurement."
             ),
             measurement_figure.measurement,
         ),
@@ -248,7 +278,7 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             if drawing is None:
                 continue
             file = name if len(run.objectives) == 1 else f"{name}-{objective}"
-            drawn.append(style.embedded(drawing, run.folder / "figures", file, title, caption))
+            drawn.append(style.embedded(drawing, run.folder / "figures", file, title, caption, figure_note(run)))
     return drawn
 
 
@@ -279,6 +309,7 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
                 "falls": wording.count(candidate.get("falls")),
                 "fell": bool(candidate.get("falls")),
                 "kind": "best" if best else "elite" if candidate.get("elite") else "",
+                "predicted": _predicted(run, candidate) or ["–"],
                 "improvement": [
                     (f"{run.task.point(speed)}: " if several else "")
                     + wording.quantity(result.get("improvement"), run.unit(name))
@@ -290,13 +321,13 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
                     wording.interval(result.get("improvement_ci95"), run.unit(name)) for name, _, result in measured
                 ]
                 or ["–"],
-                "segments": list(dict.fromkeys(wording.count(result.get("segments")) for _, _, result in measured))
-                or ["–"],
+                "segments": _once([wording.count(result.get("segments")) for _, _, result in measured]) or ["–"],
             }
         )
     return {
         "index": iteration["index"],
         "rows": rows,
+        "promises": any(row["predicted"] != ["–"] for row in rows),
         "warnings": iteration.get("warnings") or [],
         "scale": [
             f"Rewards of the task and of {name} spread by {wording.number(found['task_spread'])} and "
@@ -307,12 +338,33 @@ def _iteration(run: RunData, iteration: Json) -> dict[str, Any]:
     }
 
 
+def _predicted(run: RunData, candidate: Json) -> list[str]:
+    """What the measurement models promised of a candidate before it was tried: improvements, slowest speed first."""
+    promised = [
+        (name, speed, speeds[speed])
+        for name, speeds in (candidate.get("predicted") or {}).items()
+        for speed in sorted(speeds, key=float)
+    ]
+    several = len(promised) > len(run.objectives)
+    return [
+        (f"{run.task.point(speed)}: " if several else "") + wording.quantity(one.get("improvement"), run.unit(name))
+        for name, speed, one in promised
+    ]
+
+
+def _once(cells: list[str]) -> list[str]:
+    """One where all are the same, else a line for each."""
+    return cells[:1] if len(set(cells)) == 1 else cells
+
+
 # ------------------------------------------------------------------------------------------- provenance
 
 
 def _flat(value: Any, prefix: str = "") -> Iterable[tuple[str, str]]:
     """(key, text) of a nested JSON object; what is too long for a page is said to be in the file."""
-    if isinstance(value, dict):
+    if isinstance(value, dict) and len(value) > MANY and all(isinstance(item, str) for item in value.values()):
+        yield prefix, ", ".join(f"{key} {item}" for key, item in value.items())
+    elif isinstance(value, dict):
         for key, item in value.items():
             yield from _flat(item, f"{prefix} / {key}" if prefix else str(key).replace("_", " "))
     elif isinstance(value, list) and not any(isinstance(item, dict | list) for item in value):

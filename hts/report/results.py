@@ -14,9 +14,10 @@ def result_rows(name: str, result: Json, task: TaskWords) -> dict[str, Any]:
     """The result tables of one objective: one, or one at held speed and one at equal commands."""
     tables = [
         {
-            **_result_table(result["unit"], part["speeds"], task),
+            **_result_table(result["unit"], part["speeds"], task, result.get("metric_units") or {}),
             "words": words.removeprefix(", "),
             "held": words == HELD,
+            "refused": list((part.get("refused") or {}).values()),
         }
         for part, words in wording.ways(result)
     ]
@@ -29,8 +30,8 @@ def result_rows(name: str, result: Json, task: TaskWords) -> dict[str, Any]:
     }
 
 
-def _result_table(unit: str, speeds: Json, task: TaskWords) -> dict[str, Any]:
-    """Columns and rows of one table."""
+def _result_table(unit: str, speeds: Json, task: TaskWords, units: Json) -> dict[str, Any]:
+    """Columns and rows of one table. units: of metrics, by name."""
     metrics, same = wording.metric_names(speeds)
     rows = []
     for key in sorted(speeds, key=float):
@@ -56,7 +57,7 @@ def _result_table(unit: str, speeds: Json, task: TaskWords) -> dict[str, Any]:
             }
         )
     return {
-        "metrics": [wording.label(metric) for metric in metrics],
+        "metrics": [wording.heading(metric, units) for metric in metrics],
         "improvement": "improvement" + "".join(f" ({wording.label(metric).lower()})" for metric in same),
         "rows": rows,
         "every_second": any(_left_out(speed) for speed in speeds.values()),
@@ -98,7 +99,8 @@ def headline(run: RunData, name: str, result: Json) -> str:
         spread = (
             wording.interval((values[0], values[-1]), unit) if len(values) > 1 else wording.quantity(values[0], unit)
         )
-        text = f"Against the pretrained policy, {policy} improves {name} by {spread}{run.task.everywhere}."
+        where = run.task.at(better) if len(better) == 1 else run.task.everywhere
+        text = f"Against the pretrained policy, {policy} improves {name} by {spread}{where}."
     else:
         neither = "not clearly either" if better or worse else "neither clearly better nor clearly worse"
         parts = [(better, "better"), (worse, "worse"), ([k for k in speeds if k not in better + worse], neither)]

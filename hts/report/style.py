@@ -70,10 +70,14 @@ def save(drawing: Figure, folder: Path, name: str) -> Path:
     return folder / f"{name}.svg"
 
 
-def embedded(drawing: Figure, folder: Path, file: str, title: str, caption: str) -> dict[str, str]:
-    """`save`, and what the page needs to show it: title, caption, alt and the SVG as base64."""
+def embedded(drawing: Figure, folder: Path, file: str, title: str, caption: str, note: str = "") -> dict[str, str]:
+    """`save`, and what the page needs to show it: title, caption, alt and the SVG as base64. note: a line in the
+    figure's corner, which goes with it wherever it is shown."""
+    if note:
+        drawing.suptitle(note, x=0.005, ha="left", fontsize=7, fontweight="normal", color=SOFT)
     data = base64.b64encode(save(drawing, folder, file).read_bytes()).decode()
-    return {"title": title, "caption": caption, "alt": f"{title}. {caption}", "data": data}
+    alt = f"{title}{f', {note}' if note else ''}; described below"  # the caption is read out after it
+    return {"title": title, "caption": caption, "alt": alt, "data": data}
 
 
 def ramp(position: int, count: int) -> str:

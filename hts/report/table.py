@@ -45,7 +45,8 @@ def _print(objectives: Mapping[str, Any], title: str, console: Console | None, t
     console = console or Console()
     for name, result in objectives.items():
         for part, words in wording.ways(result):
-            for table in fitting({"unit": result["unit"], **part}, f"{name}: {title}{words}", console, task):
+            about = {key: result[key] for key in ("unit", "metric_units") if key in result}
+            for table in fitting({**about, **part}, f"{name}: {title}{words}", console, task):
                 console.print(table)
             for line in (part.get("refused") or {}).values():
                 console.print(f"{name}{words}: {line}", style="red", markup=False)
@@ -124,7 +125,7 @@ def _table(
     for column in ("improvement", "95 % interval") if numbers else ():
         table.add_column(column, justify="right", no_wrap=True)
     for column in (
-        *(wording.label(name).lower() for name in metrics),
+        *(_lower(wording.heading(name, result.get("metric_units") or {})) for name in metrics),
         *((task.achieved_column, "falls", "segments") if numbers else ()),
     ):
         longest = max(map(len, column.split()), default=1)
@@ -141,3 +142,8 @@ def _table(
         shown = [wording.metric(name, found.get(name)) for name in metrics]
         table.add_row(task.point(key), *(first if numbers else ()), *shown, *(last if numbers else ()))
     return table
+
+
+def _lower(heading: str) -> str:
+    """With a small first letter; a unit stays as it is."""
+    return heading[:1].lower() + heading[1:]

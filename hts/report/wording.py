@@ -37,6 +37,12 @@ def metric(name: str, value: Number) -> str:
     return quantity(value, PERCENT) if name.endswith(FRACTION_ENDINGS) else number(value)
 
 
+def heading(name: str, units: Mapping[str, str]) -> str:
+    """Of a column of a metric: its name, and its unit where the objective says one."""
+    unit = units.get(name, PERCENT)
+    return label(name) + (f", {unit}" if unit != PERCENT else "")
+
+
 def label(name: str) -> str:
     """cost_of_transport_reduction -> Cost of transport reduction."""
     text = name.replace("_", " ")

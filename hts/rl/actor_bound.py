@@ -15,7 +15,7 @@ from hts.rl.actor import PopulationActor
 from hts.rl.counted import counted
 from hts.rl.given import check_number
 from hts.rl.kl import distribution_kl
-from hts.rl.loss_checks import check_actor, check_not_empty, read_by
+from hts.rl.loss_checks import check_actor, check_not_empty, distribution_of
 
 
 @torch.no_grad()
@@ -34,7 +34,7 @@ def project_actor_to_kl_bound(
     actor: one policy, as `KLConstrainedPPOLoss` takes it; reference: what it was, with the same parameters by name, as
     the loss's `reference` is; tensordict: what both read, of any shape; a recurrent actor's are whole stretches,
     [..., T]; steps that TorchRL's masks leave out do not count; bound: c, nats. Where the KL is of one sampled action,
-    the bound holds as closely as that mean is known: give many states.
+    the bound holds as closely as that mean is known: give many states. Draws no random numbers of the caller's.
 
     Raises TypeError for a population (`project_to_kl_bound` takes it); ValueError, with the actor as it was given, for
     a bound that is not above 0, an empty batch, a reference with other parameters, a KL that is NaN, and one that is
@@ -55,13 +55,15 @@ def project_actor_to_kl_bound(
         raise ValueError(
             f"reference has no {other[0]!r} of the actor's shape; expected what the actor was, a copy of it."
         )
+    devices = {end.device for end in ends.values() if end.device.type == "cuda"}
 
     def place(scale: float) -> float:
         for name, parameter in actor.named_parameters():
             start, end = starts[name], ends[name]
             parameter.copy_(end if scale == 1.0 else start + scale * (end - start))
-        policy = read_by("actor", actor, tensordict.copy(), actor.get_dist)
-        kl = distribution_kl(policy, read_by("reference", reference, tensordict.copy(), reference.get_dist))
+        with torch.random.fork_rng(devices):  # the same draws each time, where one action stands for a KL
+            policy = distribution_of("actor", actor, tensordict.copy())
+            kl = distribution_kl(policy, distribution_of("reference", reference, tensordict.copy()))
         steps = counted(tensordict, kl.shape)
         return float(kl.mean() if steps is None else kl[steps].mean())
 

@@ -10,15 +10,19 @@ from torch.distributions import (
     Categorical,
     ComposeTransform,
     Distribution,
+    Gumbel,
+    HalfNormal,
     Independent,
+    MultivariateNormal,
     OneHotCategorical,
+    Pareto,
     Transform,
     TransformedDistribution,
     constraints,
     kl_divergence,
 )
 
-from hts.rl.possible import support_of
+from hts.rl.possible import beyond_reach, name_of, support_of
 
 LIMITED = (
     constraints.interval,
@@ -27,6 +31,8 @@ LIMITED = (
     constraints.greater_than_eq,
     constraints.less_than,
 )
+FORMULAS = Gumbel, HalfNormal, Pareto
+"""Squashed distributions of which torch knows the KL for any parameters, that of the bijection among them."""
 
 
 def gaussian_kl(
@@ -50,8 +56,8 @@ def distribution_kl(policy: Distribution, reference: Distribution) -> torch.Tens
     was squashed, since a bijection changes no KL. Otherwise ln policy(a) - ln reference(a) at one reparametrised action
     a ~ policy, which has the right mean. Raises NotImplementedError where torch knows neither a formula nor how to take
     such an action (`rsample`), as of mixtures; ValueError for distributions of different actions, of other states, or
-    for a reference of actions within limits (a squashed one) of a policy whose actions have none: that KL is infinite.
-    Of two that both have limits, which may lie on a GPU, the limits are not compared.
+    for a reference of actions within limits (a squashed one) of a policy whose actions have none, or go further: that
+    KL is infinite. Of two that both have limits these are compared on a CPU alone.
     """
     return kl_of(policy, reference, squashed_alike(policy, reference))
 
@@ -62,26 +68,48 @@ def squashed_alike(policy: Distribution, reference: Distribution) -> bool:
     return squashed is not None and other is not None and squashed.transforms == other.transforms
 
 
+def learned(policy: Distribution) -> bool:
+    """Whether a policy is squashed by a bijection that depends on its parameters, so that a gradient step makes another
+    one of it. Where no gradients are kept nothing tells."""
+    squashed = _squashed(policy)
+    return squashed is not None and any(map(_is_learned, squashed.transforms))
+
+
+def _is_learned(transform: Transform) -> bool:
+    if isinstance(transform, ComposeTransform):
+        return any(map(_is_learned, transform.parts))
+    held = vars(transform).values()
+    return any(
+        one.requires_grad if isinstance(one, torch.Tensor) else isinstance(one, Transform) and _is_learned(one)
+        for one in held
+    )
+
+
 def kl_of(policy: Distribution, reference: Distribution, alike: bool) -> torch.Tensor:
     """`distribution_kl`; alike: what `squashed_alike` said of the two."""
     _check_alike(policy, reference)
-    if not torch.compiler.is_compiling():  # which cannot look at what a distribution may do
-        _check_reach(policy, reference)
     first, second = policy, reference
     squashed, other = _squashed(policy), _squashed(reference)
     if alike and squashed is not None and other is not None:
         first, second = squashed.base_dist, other.base_dist
+    if not torch.compiler.is_compiling():  # which cannot look at what a distribution may do
+        _check_reach(first, second)
+    elif not alike and squashed is not None and other is not None and not isinstance(squashed, FORMULAS):
+        return _kl_of_one_action(policy, reference)  # torch would compare the limits first
     choice, other_choice = _categorical(first), _categorical(second)
     try:
         if choice is not None and other_choice is not None:
             divergence = _categorical_kl(choice, other_choice)
         else:
-            divergence = kl_divergence(first, second)
+            known = _uncompiled if isinstance(first, MultivariateNormal) else kl_divergence
+            divergence = known(first, second)
     except NotImplementedError:
-        action = _reparametrised(policy, reference)
-        return policy.log_prob(action) - reference.log_prob(action)
+        return _kl_of_one_action(policy, reference)
     extra = divergence.ndim - len(policy.batch_shape)
     return divergence.sum(tuple(range(-extra, 0))) if extra else divergence
+
+
+_uncompiled = torch.compiler.disable(kl_divergence)  # torch's formula of multivariate normals cannot be traced
 
 
 def _check_alike(policy: Distribution, reference: Distribution) -> None:
@@ -102,25 +130,38 @@ def expands(shape: torch.Size, to: torch.Size) -> bool:
 def _check_reach(policy: Distribution, reference: Distribution) -> None:
     """Raise ValueError where the policy does, with some probability, what the reference never does: a density that
     is clamped at its limits, as a squashed one's, would make a finite number of that."""
-    if _limited(reference) is True and _limited(policy) is False:
-        names = type(policy).__name__, type(reference).__name__
+    infinite = f"KL({name_of(policy)} || {name_of(reference)}) is infinite: the policy's actions"
+    if limited(reference) is True and limited(policy) is False:
         raise ValueError(
-            f"KL({names[0]} || {names[1]}) is infinite: the policy's actions have no limits, its reference's have. "
-            "Expected the same kind of distribution of both."
+            f"{infinite} have no limits, its reference's have. Expected the same kind of distribution of both."
+        )
+    beyond = beyond_reach(policy, reference)
+    if beyond is not None:
+        raise ValueError(
+            f"{infinite} go to {beyond[0]:.4g}, its reference's to {beyond[1]:.4g}. Expected the same limits of both."
         )
 
 
-def _limited(distribution: Distribution) -> bool | None:
+def limited(distribution: Distribution) -> bool | None:
     """Whether the numbers of an action have limits, as far as types tell, for no value is looked at; None: they do
     not."""
     if isinstance(distribution, Independent):
-        return _limited(distribution.base_dist)
+        return limited(distribution.base_dist)
     if isinstance(distribution, TransformedDistribution):  # whose own `support` is that of its last transform alone
-        return True if any(map(_limits, distribution.transforms)) else _limited(distribution.base_dist)
+        return True if any(map(_limits, distribution.transforms)) else limited(distribution.base_dist)
     support = support_of(distribution)
     if support is None:
         return None
     return True if isinstance(support, LIMITED) else False if support is constraints.real else None
+
+
+@torch.no_grad()
+def in_reach(policy: Distribution, action: torch.Tensor, counted: torch.Tensor | None) -> torch.Tensor:
+    """Actions, with others in steps that do not count, of the shape of counted: what stretches are filled up with may
+    be beyond limits, and the gradient of a density that is not finite is NaN, though it counts for nothing."""
+    if counted is None or limited(policy) is not True:
+        return action
+    return torch.where(counted, action, policy.sample())
 
 
 def _limits(transform: Transform) -> bool:
@@ -129,15 +170,16 @@ def _limits(transform: Transform) -> bool:
     return isinstance(transform.codomain, LIMITED)
 
 
-def _reparametrised(policy: Distribution, reference: Distribution) -> torch.Tensor:
+def _kl_of_one_action(policy: Distribution, reference: Distribution) -> torch.Tensor:
     try:
-        return policy.rsample()
+        action = policy.rsample()
     except NotImplementedError as error:
-        names = type(policy).__name__, type(reference).__name__
+        names = name_of(policy), name_of(reference)
         raise NotImplementedError(
             f"torch knows no formula of KL({names[0]} || {names[1]}), and {names[0]} has no rsample, with which one "
             "action would stand for it. Give the policy a distribution that has either, such as TorchRL's TanhNormal."
         ) from error
+    return policy.log_prob(action) - reference.log_prob(action)
 
 
 def _categorical_kl(policy: Categorical, reference: Categorical) -> torch.Tensor:

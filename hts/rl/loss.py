@@ -14,15 +14,15 @@ from tensordict.utils import NestedKey
 from torch import nn
 from torch.distributions import Distribution
 from torchrl.modules import set_recurrent_mode
-from torchrl.modules.distributions.utils import sample_and_log_prob
 from torchrl.objectives.common import LossModule
 from torchrl.objectives.utils import ValueEstimators
 from torchrl.objectives.value import GAE
 
 from hts.rl.actor import PopulationActor
 from hts.rl.counted import counted, marks_in
+from hts.rl.entropy import entropy_of
 from hts.rl.given import OfItsSizes
-from hts.rl.kl import kl_of, squashed_alike
+from hts.rl.kl import in_reach, kl_of, learned, squashed_alike
 from hts.rl.loss_checks import (
     check_action,
     check_actor,
@@ -32,10 +32,13 @@ from hts.rl.loss_checks import (
     check_not_empty,
     check_possible,
     check_reference,
+    check_same,
     check_settings,
+    distribution_of,
     lacks,
     lacks_old_value,
     lacks_value,
+    one_each,
     read_by,
     written_keys,
 )
@@ -111,6 +114,9 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
     first dimension is P candidates, outputs are [P], nothing is reduced over candidates, and c = inf switches single
     ones off. Sum the losses before `backward`: candidates share no parameter. Where the actor is a `PopulationActor` of
     several candidates, or holds one, a float is the bound of each: it stands for [P] times itself.
+
+    Log-probabilities [..., A] are of A agents, which may share an advantage, a value and its target, [..., 1], as in
+    `ClipPPOLoss`; every output is a mean over agents, too.
 
     Steps that TorchRL's masks leave out count in nothing, as in its own losses (`loss_mask_key`): what
     `split_trajectories` or a `SliceSampler` has filled stretches up with, and what `GAE(shifted=True)` marks.
@@ -244,35 +250,39 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         check_action(batch[keys.action], policy, keys.action)
         self._check_finite(batch, keys.action, marks)
         check_possible(batch, keys.action, policy, marks)
-        log_prob = policy.log_prob(batch[keys.action])
+        action = in_reach(policy, batch[keys.action], counted(batch, batch[keys.action].shape, marks))
+        log_prob = policy.log_prob(action)
         self._check_candidates(log_prob.shape)
         steps = counted(batch, log_prob.shape, marks)
         if torch.is_grad_enabled() and not torch.compiler.is_compiling() and not log_prob.requires_grad:
             self._tell_frozen()
-        log_ratio = log_prob - _as(log_prob, batch[keys.sample_log_prob], keys.sample_log_prob)
+        log_ratio = log_prob - one_each(batch, keys.sample_log_prob, log_prob)
         self._check_finite(batch, keys.sample_log_prob, marks)
-        advantage = _as(log_prob, batch[keys.advantage], keys.advantage)
+        advantage = one_each(batch, keys.advantage, log_prob, shared_by=policy)
         if self.normalize_advantage:
-            advantage = self._standardised(advantage, steps)
-        kl = self._kl(policy, batch)
+            advantage = self._standardised(advantage, counted(batch, advantage.shape, marks))
+        with torch.set_grad_enabled(torch.is_grad_enabled() and self._pulls()):
+            kl = self._kl(policy, batch)
         valued = read_by("critic_network", self.critic_network, batch.exclude(keys.value), self.critic_network)
         if valued.get(keys.value, None) is None:
             raise lacks_value(self.critic_network.out_keys, keys.value)
-        value = _as(log_prob, valued[keys.value], keys.value)
-        target = _as(log_prob, batch[keys.value_target], keys.value_target)
+        target = one_each(batch, keys.value_target, log_prob, shared_by=policy)
+        value = one_each(valued, keys.value, log_prob, shared_by=policy)
+        check_same({keys.value_target: target, keys.value: value})
         if self.clip_value is not None and old_value is None:
             raise lacks_old_value(batch, keys.value, self.critic_network.in_keys)
-        old_value = value.detach() if old_value is None else _as(log_prob, old_value, keys.value)
+        old_value = value.detach() if old_value is None else one_each(batch, keys.value, log_prob, shared_by=policy)
+        check_same({keys.value_target: target, keys.value: old_value})
         if self.clip_value is not None:
             self._check_finite(batch, keys.value, marks)
+        error = value_error(value, target, old_value, self.clip_value)
         mean_kl = self._mean(kl, steps)
         objective = self._mean(surrogate(log_ratio, advantage, self.clip_epsilon), steps) + self.multiplier(mean_kl)
         with torch.no_grad():
             clipped = ((log_ratio.exp() - 1.0).abs() > self.clip_epsilon).to(log_ratio.dtype)
         losses = {
             "loss_objective": objective,
-            "loss_critic": self.critic_coeff
-            * self._mean(value_error(value, target, old_value, self.clip_value), steps),
+            "loss_critic": self.critic_coeff * self._mean(error, counted(batch, error.shape, marks)),
             "loss_entropy": self._entropy_loss(policy, log_ratio, steps),
             "kl": mean_kl.detach(),
             "kl_approx": self._mean(-log_ratio.detach(), steps),
@@ -301,17 +311,23 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         return self.multiplier.update(kl)
 
     def _policy_in(self, batch: TensorDictBase) -> Distribution:
-        return read_by("actor_network", self.actor_network, batch, self.actor_network.get_dist)
+        return distribution_of("actor_network", self.actor_network, batch)
 
     @torch.no_grad()
     def _reference_in(self, batch: TensorDictBase) -> Distribution:
-        return read_by("reference", self.reference, batch.copy(), self.reference.get_dist)
+        return distribution_of("reference", self.reference, batch.copy())
+
+    def _pulls(self) -> bool:
+        """Whether the KL's gradient may count. It need not be finite where one sample stands for the KL, and 0 times
+        that is NaN. On a GPU nobody asks alpha, and it may."""
+        alpha = self.multiplier.value
+        return alpha.device.type != "cpu" or torch.compiler.is_compiling() or bool(alpha.any())
 
     def _kl(self, policy: Distribution, batch: TensorDictBase) -> torch.Tensor:
         reference = self._reference_in(batch)
         if self._alike is None or not torch.compiler.is_compiling():  # which cannot compare limits, and takes them to
-            self._alike = squashed_alike(policy, reference)  # be what they were
-        return kl_of(policy, reference, self._alike)
+            self._alike = squashed_alike(policy, reference)  # be what they were, unless they are learned
+        return kl_of(policy, reference, self._alike and not (torch.compiler.is_compiling() and learned(policy)))
 
     def _count(self) -> None:
         """Warn, once, where alpha has not been updated for so long that it may have been forgotten."""
@@ -353,7 +369,7 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
 
     def _entropy_loss(self, policy: Distribution, log_ratio: torch.Tensor, steps: torch.Tensor | None) -> torch.Tensor:
         """-h E[H(pi)]; nothing is computed, or sampled, where h is 0."""
-        entropy = _entropy(policy, log_ratio) if self.entropy_coeff else torch.zeros_like(log_ratio)
+        entropy = entropy_of(policy, log_ratio) if self.entropy_coeff else torch.zeros_like(log_ratio)
         return -self.entropy_coeff * self._mean(entropy, steps)
 
     def _mean(self, x: torch.Tensor, steps: torch.Tensor | None, least: int = 1) -> torch.Tensor:
@@ -369,27 +385,5 @@ class KLConstrainedPPOLoss(OfItsSizes, LossModule):
         return row_standardised(x.reshape(count, -1), None if steps is None else steps.reshape(count, -1)).view(x.shape)
 
 
-def _as(log_prob: torch.Tensor, value: torch.Tensor, key: NestedKey) -> torch.Tensor:
-    """value in the shape of the actions' log-probabilities. Raises ValueError unless it is one number for each of them:
-    what broadcasts would be added to the wrong actions."""
-    if value.numel() != log_prob.numel():
-        raise ValueError(
-            f"{key!r} has the shape {tuple(value.shape)}, the actor's log-probabilities {tuple(log_prob.shape)}: one "
-            "number for each action is expected in both. A distribution that has one for each component, such as "
-            "Normal, becomes one of whole actions by torch's Independent."
-        )
-    return value.reshape(log_prob.shape)
-
-
 ESTIMATED = ("advantage", "value_target", "value", "reward", "done", "terminated")
 """Keys that the value estimator shares with the loss."""
-
-
-def _entropy(policy: torch.distributions.Distribution, like: torch.Tensor) -> torch.Tensor:
-    """Entropy in each state, of the shape of like; by one sample where there is no closed form, of which TorchRL knows
-    the density where a tanh has rounded it to its limit, too: from the action alone it would be any number there."""
-    try:
-        entropy = policy.entropy()
-    except NotImplementedError:
-        entropy = -sample_and_log_prob(policy, reparameterize=True)[1]
-    return entropy.expand(like.shape)

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, TypeVar
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import CompositeDistribution, TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import distributions as tensordict_distributions
 from tensordict.utils import NestedKey
 from torch.distributions import Distribution, Independent
 from torch.nn.parameter import is_lazy
-from torchrl.modules import MaskedOneHotCategorical, OneHotCategorical
+from torchrl.modules import Delta, MaskedOneHotCategorical, OneHotCategorical, TanhDelta
 
 from hts.rl.actor import PopulationActor
 from hts.rl.counted import counted
 from hts.rl.given import check_number
 from hts.rl.kl import expands
-from hts.rl.possible import impossible
+from hts.rl.possible import impossible, name_of, support_of
 
 Read = TypeVar("Read")
+SURE = Delta, TanhDelta, tensordict_distributions.Delta
 
 
 def check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> None:
@@ -34,10 +36,16 @@ def check_actor(actor: TensorDictModuleBase, name: str = "actor_network") -> Non
             f"{name} is a {type(actor).__name__} without get_dist; expected a ProbabilisticActor, a "
             "ProbabilisticTensorDictSequential, or what else has it."
         ) from error
+    with suppress(AttributeError):  # not every actor says it
+        if len(actor.dist_sample_keys) > 1:
+            raise several_actions(name, actor.dist_sample_keys)
     last = actor[-1] if isinstance(actor, TensorDictSequential) else actor  # it is the last module that knows
     with suppress(AttributeError):  # only modules with a distribution have it
-        if last.distribution_class is CompositeDistribution:
-            raise several_actions(name)
+        if last.distribution_class in SURE:
+            raise TypeError(
+                f"{name} has a {last.distribution_class.__name__}, one action in each state, of which there is no "
+                "ratio of probabilities and no KL; expected a distribution that is drawn from, such as TanhNormal."
+            )
     if any(map(is_lazy, actor.parameters())):
         raise ValueError(
             f"{name} has parameters without a shape yet (a lazy layer), of which no reference can be kept. Show it one "
@@ -55,8 +63,11 @@ def written_keys(actor: TensorDictModuleBase) -> dict[str, NestedKey]:
     return found
 
 
-def several_actions(name: str) -> TypeError:
-    return TypeError(f"{name} has several actions (CompositeDistribution); expected one distribution.")
+def several_actions(name: str, actions: Iterable[NestedKey]) -> TypeError:
+    return TypeError(
+        f"{name} has several actions, {', '.join(map(repr, actions))}; expected one. Of numbers that are drawn alike "
+        "torch's Independent makes one action."
+    )
 
 
 def check_critic(critic: TensorDictModuleBase) -> None:
@@ -135,8 +146,8 @@ def check_not_empty(shape: torch.Size) -> None:
 def check_action(action: torch.Tensor, policy: Distribution, key: NestedKey) -> None:
     """Raise ValueError for actions of another shape than the policy's, which torch would broadcast, or speak of
     dimensions, TypeError for a policy of several actions."""
-    if isinstance(policy, CompositeDistribution):  # of a class that its actor did not say
-        raise several_actions("actor_network")
+    if isinstance(policy, CompositeDistribution):  # of an actor that did not say
+        raise several_actions("actor_network", policy.dists)
     own = _action_shape(policy)
     states = action.shape[: action.ndim - len(own)]
     if action.shape != states + own or not expands(policy.batch_shape, states):
@@ -146,10 +157,55 @@ def check_action(action: torch.Tensor, policy: Distribution, key: NestedKey) -> 
         )
 
 
+def one_each(
+    batch: TensorDictBase, key: NestedKey, log_prob: torch.Tensor, shared_by: Distribution | None = None
+) -> torch.Tensor:
+    """What batch has under key, in the shape of the actions' log-probabilities. Raises ValueError unless it is one
+    number for each of them: what broadcasts would be added to the wrong actions.
+
+    shared_by: the policy that gave them. If they are [..., A], of A agents, what is [..., 1] for all of them stays
+    that, as in TorchRL's losses; a policy of single components is none of agents.
+    """
+    value = batch[key]
+    if value.numel() == log_prob.numel():
+        return value.reshape(log_prob.shape)
+    states = value.shape[:-1]
+    shared = value.shape[-1:] == (1,) and states == log_prob.shape[: len(states)] and len(states) >= max(batch.ndim, 1)
+    if shared_by is not None and shared and not _is_of_components(shared_by):
+        return value.reshape(*states, *(1,) * (log_prob.ndim - len(states)))
+    raise ValueError(
+        f"{key!r} has the shape {tuple(value.shape)}, the actor's log-probabilities {tuple(log_prob.shape)}: one "
+        "number for each action is expected in both. A distribution that has one for each component, such as "
+        "Normal, becomes one of whole actions by torch's Independent. What several agents share of a state ends with "
+        "a dimension of 1."
+    )
+
+
+def check_same(values: Mapping[NestedKey, torch.Tensor]) -> None:
+    """Raise ValueError for two entries of another shape, of which one is each agent's and one is shared by them."""
+    (key, value), (other, like) = values.items()
+    if value.shape != like.shape:
+        raise ValueError(
+            f"{other!r} is {tuple(like.shape)}, {key!r} {tuple(value.shape)}; expected as many numbers, one for each "
+            "agent or one that they share."
+        )
+
+
+def _is_of_components(policy: Distribution) -> bool:
+    """Whether each number of an action that is not a choice has a log-probability of its own."""
+    support = support_of(policy)
+    return not _action_shape(policy) and (support is None or not support.is_discrete)
+
+
 def _action_shape(policy: Distribution) -> torch.Size:
-    """Shape of an action. TorchRL's one-hot distributions are Categoricals, and say of themselves what those do: ()."""
+    """Shape of an action. TorchRL's and tensordict's one-hot distributions are Categoricals, and say of themselves what
+    those do: ()."""
+    if isinstance(policy, Independent):
+        return policy.event_shape + _action_shape(policy.base_dist)[len(policy.base_dist.event_shape) :]
     if isinstance(policy, OneHotCategorical | MaskedOneHotCategorical):
         return torch.Size((policy.num_samples,))
+    if isinstance(policy, tensordict_distributions.OneHotCategorical):
+        return policy.logits.shape[-1:]
     return policy.event_shape
 
 
@@ -162,12 +218,19 @@ def check_possible(batch: TensorDictBase, key: NestedKey, policy: Distribution, 
     bad, steps = impossible(policy, action), counted(batch, action.shape, masks)
     if bad is None or not bool((bad if steps is None else bad & steps).any()):
         return
-    bare = policy.base_dist if isinstance(policy, Independent) else policy
     raise ValueError(
         f"{key!r} is {first_bad(action, bad if steps is None else bad & steps)}, which the actor's distribution "
-        f"({type(bare).__name__}) never gives. Expected the actions that the actor wrote, not those of another policy, "
-        "nor in an env's units, which a transform has made of them."
+        f"({name_of(policy)}) never gives. Expected the actions that the actor wrote, not those of another policy, "
+        "or under another mask, nor in an env's units, which a transform has made of them."
     )
+
+
+def distribution_of(name: str, actor: TensorDictModuleBase, batch: TensorDictBase) -> Distribution:
+    """An actor's distribution in the states of a batch, which gets what the actor writes; as `read_by`."""
+    policy = read_by(name, actor, batch, actor.get_dist)
+    if isinstance(policy, CompositeDistribution) and len(policy.dists) == 1:  # as where a module follows the action
+        return next(iter(policy.dists.values()))
+    return policy
 
 
 def read_by(name: str, module: TensorDictModuleBase, batch: TensorDictBase, ask: Callable[[Any], Read]) -> Read:

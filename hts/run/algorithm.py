@@ -24,7 +24,7 @@ from hts.report import write_report
 from hts.report.outcome import nobody_chosen
 from hts.report.table import print_table
 from hts.report.task_words import TaskWords
-from hts.run.belonging import check_confirmed, check_final, check_fitted, check_iteration
+from hts.run.belonging import check_confirmed, check_final, check_fitted, check_iteration, check_summary
 from hts.run.confirming import confirm, finalists
 from hts.run.finals import final
 from hts.run.gate import gate
@@ -164,6 +164,7 @@ def cap_reached(job: Job, iteration: int) -> str:
 def finish(job: Job) -> dict[str, Any]:
     """summary.json, then the report, which reads it."""
     result = job.do("summary", "summary", lambda report: summarise(job))
+    check_summary(job)
     if not (job.folder / "report.html").exists():
         with job.stages.progress.stage("report"):
             write_report(job.folder)

@@ -1,8 +1,8 @@
 """Whether the files of a run's stages belong together: each names candidates that the stages before it know.
 
 One file may be whole by itself (`hts.run.stage_files`) and yet not be of this run, as after somebody edited it or put
-back another one: then it names candidates that no other file knows, or a gate's result is of another policy of that
-name. The file that is at fault is named as a damaged one is.
+back another one: then it names candidates that no other file knows, or it is of another policy of that name, since
+candidates of all runs are called alike. The file that is at fault is named as a damaged one is.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hts.policy_ids import PRETRAINED
+from hts.run.iteration import tuned as tuned_in
 from hts.run.job import Job
 from hts.run.stage_files import gate_is_due
 from hts.run.stages import damaged
@@ -81,7 +82,23 @@ def check_final(job: Job) -> None:
         _check_has(path, job.objectives, found["objectives"])
 
 
-def _check_judged(job: Job, folder: str, known: Collection[str], simulated: Mapping[str, Any]) -> None:
+def check_summary(job: Job) -> None:
+    """Raise RunError for a summary.json of another run: with another seed, other candidates or another final."""
+    found, path = job.read("summary"), _path(job, "summary")
+    said = {"seed": found.get("seed"), "final.policy": (found.get("final") or {}).get("policy")}
+    for key, expected in (("seed", job.config.seed), ("final.policy", job.read("final")["policy"])):
+        if said[key] != expected:
+            raise damaged(path, f"of another run: {key} is {said[key]}, expected {expected}")
+    for index, row in enumerate(found["iterations"]):
+        rows = tuned_in(job, index)["candidates"] if index < job.done_iterations else []
+        trained = {one["id"]: one["kl"] for one in rows}
+        for one in row.get("candidates", ()):
+            name = str(one.get("id"))
+            if name not in trained or one.get("kl") != trained[name]:
+                raise damaged(path, f"of another run: its {name} is none of the candidates of iteration {index:02d}")
+
+
+def _check_judged(job: Job, folder: str, known: Mapping[str, str], simulated: Mapping[str, Any]) -> None:
     """Of finetune.json and simulate.json with other candidates, that one is at fault whose odd candidate has no policy
     file, for the stage that trained them wrote these."""
     tuned, judged = _path(job, f"{folder}/finetune"), _path(job, f"{folder}/simulate")
@@ -92,6 +109,14 @@ def _check_judged(job: Job, folder: str, known: Collection[str], simulated: Mapp
     for key in ("scores", "falls", "tracked"):
         _check_has(judged, known, simulated[key])
         _check(judged, f"its {key} are of", simulated[key], known, "the candidates of finetune.json")
+    hashes = simulated.get("policy_hashes") or known
+    for name, trained in known.items():
+        if hashes.get(name) == trained:
+            continue
+        lies = job.policy_path(name)
+        of_judged = lies.exists() and job.policy(name).card.policy_hash == hashes.get(name)
+        path, other, expected = (tuned, trained, hashes[name]) if of_judged else (judged, hashes.get(name), trained)
+        raise damaged(path, f"of another {name}, policy {str(other)[:12]}, expected {expected[:12]}")
     _check_scores(job, judged, known, simulated)
     _check(judged, "its elites are", simulated["elites"], known, "candidates of finetune.json")
 

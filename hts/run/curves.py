@@ -13,7 +13,8 @@ from hts.training.trainer import BatchStats
 
 
 class Curves:
-    """One curve a number and candidate, over control steps of that candidate, in `folder`.
+    """One curve a number, over control steps of one candidate, in a folder of each candidate's own below `folder`, so
+    that TensorBoard takes candidates as runs and draws them into one chart.
 
     goes_on: a stopped training goes on. What was written beyond the step that it goes on from comes again, so
     TensorBoard is told to forget the first of the two. A context manager: closed at its end, whatever happened.
@@ -21,20 +22,22 @@ class Curves:
 
     def __init__(self, folder: Path, *, goes_on: bool = False) -> None:
         self._folder, self._goes_on = folder, goes_on
-        self._writer: SummaryWriter | None = None
+        self._writers: dict[str, SummaryWriter] = {}
 
     def add(self, stats: BatchStats, members: Sequence[Candidate]) -> None:
         """The numbers of a batch."""
         step = stats.steps // len(members)
-        if self._writer is None:
-            self._writer = SummaryWriter(str(self._folder), purge_step=step if self._goes_on else None)
+        for member in members:
+            if member.id not in self._writers:
+                folder, forget = str(self._folder / member.id), step if self._goes_on else None
+                self._writers[member.id] = SummaryWriter(folder, purge_step=forget)
         for name, values in stats.values.items():
             for member, value in zip(members, values, strict=True):
-                self._writer.add_scalar(f"{name}/{member.id}", value, step)
+                self._writers[member.id].add_scalar(name, value, step)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        if self._writer is not None:
-            self._writer.close()
+        for writer in self._writers.values():
+            writer.close()

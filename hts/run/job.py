@@ -27,7 +27,7 @@ from hts.recordings.recording import Recording
 from hts.recordings.store import Dataset, RecordingStore
 from hts.run.budget import Budget, plan, second_trials
 from hts.run.provenance import collect as collect_provenance
-from hts.run.provenance import config_sha256
+from hts.run.provenance import config_sha256, other_versions
 from hts.run.stage_files import read_stage
 from hts.run.stages import Stages, write_json
 from hts.training.sweep import combinations, is_nearer, own_weights
@@ -86,6 +86,11 @@ class Job:
                 raise RunError(
                     f"{self.folder}: was begun on another machine ({_told(before)}, now {_told(identity)}). "
                     "Put that one back, or begin a new run."
+                )
+            if (other := other_versions(kept)) and not (self.folder / "summary.json").exists():
+                self.stages.progress.say(
+                    f"{self.folder}: was begun with {other}. Stages that are done are of that version, what follows is "
+                    "of this one; install that one again, or begin a new run, for a result of one version."
                 )
         else:
             plugins = {plugin.entry_point: plugin.package for plugin in self.registry.plugins}

@@ -98,6 +98,7 @@ def judge(
     }
     elites = selector.elites(able, job.elites(iteration))
     found = {
+        "policy_hashes": {row["id"]: row["policy_hash"] for row in rows},
         "scores": {c.id: c.score for c in judged},
         "objective_scores": {name: _scores(row) for name, row in results.items()},  # of the pretrained policy too
         "task_rewards": task_rewards,  # likewise, per second

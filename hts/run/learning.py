@@ -169,8 +169,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     pull = felt_pull(job, iteration)
     if pull is not None:
         job.stages.progress.say(f"iteration {iteration:02d}: {pull_line(pull, config.simulation_test.speeds)}")
-    # Steps begin anew with each group of candidates, so what to forget can be told of one group alone.
-    with Curves(curves, goes_on=begun and len(group) <= config.finetune.max_candidates) as log:
+    with Curves(curves, goes_on=begun) as log:
         tuned, steps = finetune_candidates(
             job.robot,
             config.engine,

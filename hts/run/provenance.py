@@ -9,7 +9,7 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
 from shlex import quote
@@ -86,6 +86,20 @@ def check_config(folder: Path, config: RunConfig, registry: Registry, advice: st
             f"{file}: the SHA-256 of its settings is {found[:12]}…, the run was begun with {begun_with[:12]}…. "
             f"{advice or anew}"
         )
+
+
+def other_versions(kept: Mapping[str, Any]) -> str:
+    """In words, which packages that the plugins of a run come from have another version than when it was begun; ""
+    where none has. kept: its provenance.json; what that does not say, or is gone, is passed over."""
+    before, ours = kept.get("packages"), kept.get("plugins")
+    if not isinstance(before, Mapping) or not isinstance(ours, Mapping):
+        return ""
+    now = {name: _version(name) for name in sorted({str(one) for one in ours.values()})}
+    return ", ".join(
+        f"{name} {before[name]} (now {version})"
+        for name, version in now.items()
+        if version is not None and before.get(name) not in (None, version)
+    )
 
 
 def packages(distributions: Iterable[str]) -> dict[str, str]:

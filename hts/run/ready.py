@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hts.channels import Channel
 from hts.config import RunConfig
 from hts.config_loading import check_names, make_model
 from hts.contracts import Objective, Robot, WorldContext, robot_signals
@@ -23,7 +24,8 @@ from hts.guarded import guarded
 from hts.plugins import Registry
 from hts.run.budget import plan
 from hts.run.gate_checks import check_told
-from hts.run.score_check import check_score
+from hts.run.score_check import check_score, gain_of_less
+from hts.run.selector_check import check_selector
 from hts.training.sweep import combinations, own_weights
 
 if TYPE_CHECKING:
@@ -39,9 +41,9 @@ FEW_ENVS = 2  # per candidate: enough to see that an env can be made and stepped
 def check_ready(config: RunConfig, registry: Registry, engine: str | None = None) -> None:
     """Raise the HtsError that a run of this configuration would end in, as far as that can be known before it runs.
 
-    Cheap things first: names and settings, inputs, proxies, λ, scores, measurement models, the policy's file, the world
-    with this robot and these objectives, last an env that takes a step. engine: what `auto` stands for here; None: the
-    env is not made.
+    Cheap things first: names and settings, inputs, proxies, λ, scores, the selector, measurement models, the policy's
+    file, the world with this robot and these objectives, last an env that takes a step. engine: what `auto` stands for
+    here; None: the env is not made.
     """
     from hts.measurement.proxy import try_proxy
 
@@ -61,8 +63,12 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
             f"sweep.weights: {', '.join(objectives)} names no {own}, so there is nothing to train. "
             "Give some: --set sweep.weights.NAME=[0.5,1,5]"
         )
-    for name, objective in objectives.items():
-        check_score(objective, robot, registry.entry("objectives", name).package)
+    check_shared_channels(objectives)
+    compared = {
+        name: check_score(objective, robot, registry.entry("objectives", name).package)
+        for name, objective in objectives.items()
+    }
+    check_selector(registry, config.selection.selector, compared)
     transforms(config, registry)
     pretrained_policy(robot)
     check_world(config, registry)
@@ -72,6 +78,26 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
             from hts.run.gate_trials import check_payload
 
             check_payload(robot, config.gate)
+
+
+def check_shared_channels(objectives: Mapping[str, Objective]) -> None:
+    """Raise ConfigError for two objectives that measure one channel in different units or shapes: a recording has it
+    once."""
+    first: dict[str, tuple[str, Channel]] = {}
+    for name, objective in objectives.items():
+        for channel in objective.real_channels:
+            other, known = first.setdefault(channel.name, (name, channel))
+            if (known.unit, known.shape) == (channel.unit, channel.shape):
+                continue
+            one, two = (
+                one.unit if known.shape == channel.shape else f"{one.unit}, shape {one.shape}"
+                for one in (known, channel)
+            )
+            raise ConfigError(
+                f"Objectives '{other}' and '{name}' both measure '{channel.name}', one in {one}, the other in {two}; a "
+                "recording has it once. Let one of them read it as the other does, or measure another channel, or make "
+                "two runs."
+            )
 
 
 def transforms(config: RunConfig, registry: Registry) -> list[Measured]:
@@ -145,12 +171,30 @@ def _check_reward(name: str, objective: Objective) -> None:
             )
 
 
+def check_sign(name: str, objective: Objective, robot: Robot) -> None:
+    """What pays in training is what counts on the robot. Raise PluginError for a reward that pays for what `compare`
+    calls worse: policies would be trained to be worse, at every λ."""
+    import torch
+
+    from hts.measurement.reward import reward_of
+
+    gain = gain_of_less(objective, robot)
+    less, more = (float(reward_of(name, objective.reward, torch.full((1, 1), given))) for given in (-HALF, HALF))
+    if gain is not None and gain * (less - more) < 0:
+        paid, counts = ("less", "more") if less > more else ("more", "less")
+        raise PluginError(
+            f"Objective '{name}': reward() pays for {paid} of '{objective.target.name}', compare() counts {counts} of "
+            "it as an improvement, so training would work against what is measured. Turn the sign of one of them."
+        )
+
+
 def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
     """The training env of this robot is made, with the rewards in it, and takes a step."""
 
+    robot = registry.make_robot(config.robot.name, config.robot.settings)
     for key in config.objectives:
         _check_reward(key, registry.make_objective(key, config.objectives[key]))
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+        check_sign(key, registry.make_objective(key, config.objectives[key]), robot)
     check_step(config, robot, engine, inputs(transforms(config, registry)), lambda: transforms(config, registry))
 
 

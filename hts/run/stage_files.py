@@ -119,6 +119,7 @@ class GaveUp(Part):
 class Simulate(Part):
     """simulate.json: by candidate."""
 
+    policy_hashes: dict[str, str] | None = Field(None, description="of whom it judged; none: of before they were kept")
     scores: dict[str, Number] = Field(description="mean r_real, 1/s")
     falls: dict[str, int] = Field(description="env instances that fell")
     tracked: dict[str, bool] = Field(description="whether it does its task at every set-point")

@@ -38,7 +38,7 @@ class RacingSettings(Config):
         None, description="whose selection score decides when several run together; none: the first one of the run"
     )
     allow_falls: bool = Field(False, description="may a candidate that fell in reality be the best one")
-    block_seconds: float = Field(15.0, gt=0, description="length of each block of a round, s")
+    block_seconds: float = Field(15.0, ge=1, description="length of each block of a round, s")
     rounds: int = Field(
         4,
         ge=1,

@@ -26,6 +26,7 @@ from hts.recordings.needs import as_declared, check_mapping, in_units_of, levels
 from hts.recordings.recording import Recording
 from hts.worlds import field_holding, field_levels
 from hts.worlds.base import ORDER, file_hash, request_id, round_order, shared_out
+from hts.worlds.field_alike import with_alike_blocks
 from hts.worlds.field_bundle import Order, check_shown, mapping_template, visits, write_bundle
 from hts.worlds.field_commands import check_sent
 from hts.worlds.field_files import LOOK_AGAIN_SECONDS, beside, check_still, log_files, may_be_cut, stamps, whole
@@ -266,6 +267,7 @@ class FieldWorld(World):
         said = [self._described(bundle, order) for order in orders]
         where = [path for _, path in said]
         recordings = field_levels.with_one_level(recordings, list(files), where, self._mapping_path())
+        recordings = with_alike_blocks(recordings, list(files))
         return with_pauses(recordings, files, [mapping for mapping, _ in said])
 
     def _described(self, bundle: Path, order: Order) -> tuple[dict[str, Any], Path]:

@@ -70,3 +70,11 @@ def test_a_misspelt_name_is_answered_with_the_closest():
 def test_the_command_prints_it_as_text_and_as_json(hts):
     assert "settings, --set selection.selector.KEY=VALUE" in hts("plugins", "racing").stdout
     assert json.loads(hts("plugins", "racing", "--json").stdout)[0]["name"] == "racing"
+
+
+def test_a_plugin_that_every_command_waits_for_is_named():
+    from hts.cli.plugins import as_text
+    from hts.plugins import Plugin, Registry
+
+    quick, slow = Plugin("a", "a.plugin", "lab-a", "1.0", 0.1), Plugin("b", "b.plugin", "lab-b", "1.0", 6.04)
+    assert as_text(Registry(plugins=(quick, slow))).startswith("slow\n  lab-b (b): takes 6.0 s to import, which every")

@@ -292,3 +292,16 @@ def test_a_policy_file_of_another_kind_is_refused(run_folder):
 def test_hts_evaluate_twice_with_one_seed_gives_the_same_result(run_folder):
     first = evaluate_run(run_folder, speeds=[0.8], registry=registry())
     assert evaluate_run(run_folder, speeds=[0.8], registry=registry()) == first
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_hts_evaluate_says_where_a_robots_logs_are_those_of_an_earlier_evaluation(run_folder, simulated):
+    said: list[str] = []
+    known = registry()
+    known.make_world("known", {}, None).simulated = simulated  # the registry has one world
+    (run_folder / "policies" / "best.onnx").write_bytes(b"another")
+    for speeds in ([0.8], [0.5, 0.8]):
+        evaluate_run(run_folder, speeds=speeds, registry=known, say=said.append)
+    assert said == []
+    evaluate_run(run_folder, speeds=[0.8], registry=known, say=said.append)
+    assert [str(run_folder / "evaluation") in line for line in said] == ([] if simulated else [True])

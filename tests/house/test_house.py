@@ -214,6 +214,10 @@ def test_a_file_holds_one_idea():
     assert {name: lines for name, lines in lengths.items() if lines > 400} == {}, "find the second idea and move it out"
 
 
+def test_no_scratch_file_lies_in_the_root():
+    assert [path.name for path in REPOSITORY.glob("*.py")] == [], "modules belong into a package"
+
+
 @pytest.mark.parametrize("rule", RULES, ids=lambda rule: rule.__name__)
 def test_the_rules_hold(broken, rule):
     assert not broken[rule], "\n".join(broken[rule])

@@ -15,7 +15,7 @@ WRITES = ("run/summary.py", "run/front.py", "run/passed_over.py", "run/finals.py
 """Sources whose dictionaries are the summary's, but for those of `OTHER`."""
 OTHER = {"recordings", "samples", "speed_tolerance"}
 NAMED = {"metrics", "metrics_ci95", "limits", "worst", "world_identity", "kept_out", "weights", "selection_score"}
-NAMED |= {"proxy_held_out_r2", "proxy_elites", "proxy_rank_correlation", "refused_falls"}
+NAMED |= {"metric_units", "proxy_held_out_r2", "proxy_elites", "proxy_rank_correlation", "refused_falls"}
 """Their keys are names of somebody's own."""
 
 

@@ -42,7 +42,7 @@ def test_a_speed_at_which_nobody_walked_is_missing(plenty):
 
 def test_seconds_at_speeds_beside_the_asked_one_are_summed(plenty):
     """120 s at 0.5 and 120 s at 0.8 of `plenty`; beside them 12 s at 0.78 and 14 s at 1.02 and at 1.05."""
-    more = [known_heat(9, "a", seconds=s, speed=v) for s, v in ((12.0, 0.78), (14.0, 1.02), (14.0, 1.05))]
+    more = [known_heat(n, "a", seconds=s, speed=v) for n, s, v in ((9, 12.0, 0.78), (10, 14.0, 1.02), (11, 14.0, 1.05))]
     assert enough(KnownHeat(), [*plenty, *more], speeds=[0.8, 1.03]).missing == ()
     (missing,) = enough(KnownHeat(), [*plenty, *more], speeds=[1.0]).missing
     assert missing == "record 6 s more at 1: there are 14 s, expected 20"
@@ -149,3 +149,11 @@ def test_a_part_of_a_recording_is_named_by_its_recording(plenty):
     slow = plenty[1].replace(rate_hz=25.0, policy_hash=plenty[0].policy_hash).replace(id="slow")
     with pytest.raises(RecordingError, match=r"Recording slow\[0:\d+\] has 25 Hz, the model is for"):
         enough(KnownHeat(), [plenty[0].replace(id="first"), slow])
+
+
+def test_a_walk_that_is_there_twice_counts_once_and_is_told(plenty):
+    copy = plenty[0].replace(policy_hash="d", notes={"source": "copy.csv"})
+    once, found = enough(KnownHeat(), plenty), enough(KnownHeat(), [*plenty, copy])
+    assert (found.seconds, found.policies, found.r2) == (once.seconds, once.policies, once.r2)
+    (missing,) = found.missing
+    assert "(no source) and" in missing and "(copy.csv) hold the same samples, so one walk counts twice" in missing

@@ -80,7 +80,7 @@ def test_a_log_that_is_shorter_than_its_schedule_is_taken_and_told(
     stated["schedule"]["commands"][0]["seconds"] = 0.22
     (commands / "m.yaml").write_text(yaml.safe_dump(a_mapping(recording=stated)))
     hts_import(commands, a_log(commands))
-    assert capsys.readouterr().err == ""
+    assert "ends before its schedule" not in capsys.readouterr().err
 
 
 def test_import_stores_nothing_if_one_of_the_files_is_refused(commands: Path) -> None:
@@ -296,3 +296,14 @@ def test_what_an_objective_measures_is_real_and_said_so_before_a_log_is_read(com
         import_.command([nowhere], "logger", commands / "m.yaml", to, objective=["plain"])
     with pytest.raises(RecordingError, match="nowhere.csv: cannot be read"):
         import_.command([nowhere], "logger", commands / "m.yaml", to)
+
+
+def test_import_names_the_mapping_that_lies_beside_a_log(commands: Path) -> None:
+    log = a_log(commands)
+    with pytest.raises(ConfigError, match=r"--suggest > M.yaml` begins one\.$"):
+        import_.command([log], "logger", None, commands / "data.zarr")
+    (commands / "mappings").mkdir()
+    beside = commands / "mappings" / f"{log.stem}.yaml"
+    beside.write_text("{}")
+    with pytest.raises(ConfigError, match=rf"log\.csv has one beside it: --mapping {beside}\.$"):
+        import_.command([log], "logger", None, commands / "data.zarr")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hts.channels import Channel
-from hts.errors import ConfigError, RecordingError
+from hts.errors import ConfigError, PluginError, RecordingError
 from hts.recordings.csv_reader import make
 from hts.recordings.logs import (
     check_idle,
@@ -47,6 +47,14 @@ def test_columns_and_a_mapping_are_a_reader(tmp_path, two_joints, mapping):
     np.testing.assert_allclose(recording.values("joint_torque"), np.stack([-steps, steps], 1) / 2)
     np.testing.assert_allclose(recording.values("draw"), 2 + steps / 10, rtol=1e-6)
     assert recording.idle == {"draw": 1.5} and recording.notes["source"] == "walk.jsonl"
+
+
+@pytest.mark.parametrize("given", [[{"t": 0.0}, {"t": 0.02}], None])
+def test_rows_instead_of_columns_are_one_short_line(tmp_path, two_joints, mapping, given):
+    with pytest.raises(PluginError) as refused:
+        recording_from_columns([tmp_path / "walk.jsonl"], mapping, two_joints, lambda path: given)
+    said = str(refused.value)
+    assert f"gives its columns as a {type(given).__name__}, expected a mapping" in said and len(said) < 300
 
 
 def test_such_a_reader_and_ours_for_csv_give_the_same(tmp_path, two_joints, mapping):

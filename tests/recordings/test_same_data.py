@@ -8,7 +8,7 @@ from two_joint_log import a_log, a_mapping
 from walker_recording import a_recording
 
 from hts.cli import import_
-from hts.recordings import RecordingStore
+from hts.recordings import RecordingStore, Series
 from hts.recordings.same_data import Known
 
 LATER = {"repeated_while_moving": "joint_torque from 1.00 to 2.00 s"}
@@ -94,3 +94,34 @@ def test_a_log_that_is_imported_with_another_mass_is_another_recording(import_lo
     import_log({})
     import_log({}, mass_kg=12.0)
     assert len(RecordingStore(tmp_path / "data.zarr").ids()) == 2
+
+
+def test_a_walk_that_is_there_under_another_name_or_with_other_facts_is_found(store):
+    there = store.write(a_recording(notes={"source": "walk.csv"}))
+    known = Known(store)
+    found = (there, "walk.csv", "joint_torque")
+    assert known.walk_of(a_recording(notes={"source": "copy.csv"})) == found
+    assert known.walk_of(a_recording(notes={"source": "walk.csv"}, policy_hash="another")) == found
+    assert known.walk_of(a_recording(notes={"source": "walk.csv"})) is None  # that is itself there
+    assert known.walk_of(a_recording(notes={"source": "walk.csv"}, samples=49)) is None
+
+
+def test_one_that_was_stored_since_is_found_too_and_what_stands_still_is_not(store):
+    known = Known(store)
+    assert known.walk_of(a_recording()) is None
+    known.add("since", a_recording(notes={"source": "walk.csv"}))
+    assert known.walk_of(a_recording(notes={"source": "copy.csv"})) == ("since", "walk.csv", "joint_torque")
+    still = a_recording().channels
+    still = {name: Series(one.channel, one.values * 0 + 1) for name, one in still.items()}
+    known.add("still", a_recording(channels=still))
+    assert known.walk_of(a_recording(channels=still, notes={"source": "copy.csv"})) is None
+
+
+def test_an_import_says_that_the_store_has_the_walk_already(import_log, tmp_path, capsys):
+    import_log({})
+    (there,) = RecordingStore(tmp_path / "data.zarr").ids()
+    assert capsys.readouterr().err == ""
+    import_log({}, mass_kg=12.0)
+    said = capsys.readouterr().err
+    assert said.startswith(f"note: {tmp_path / 'log.csv'}: 'draw' holds the same samples as recording {there} of ")
+    assert f"delete {tmp_path / 'data.zarr' / there} if it is the one that is wrong" in said

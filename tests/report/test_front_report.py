@@ -66,13 +66,13 @@ def test_the_table_is_ordered_by_the_first_objective_and_written_in_each_ones_un
     assert (first["id"], first["weights"], first["bound"], first["best"]) == ("00-00", "1 cost", "∞", False)
     assert first["gains"] == [("20.0 %", "19.0 to 21.0 %", "20.0 %"), ("−1.00 dB", "−1.01 to −0.99 dB", "−1.00 dB")]
     assert (second["weights"], second["best"]) == ("1 cost + 1 level", True)
-    assert front_text(run, 2).startswith("2 of 2 policies tried in reality are beaten by no other")
+    assert front_text(run, 2).startswith("2 of 2 policies tried in world 'unknown' are beaten by no other")
 
 
 def test_a_front_with_the_pretrained_policy_says_that_nobody_gains_in_everything(tmp_path):
     zero = {"cost": 0.0, "level": 0.0}
     run = run_of(tmp_path, {"pretrained": zero, "00-00": {"cost": 0.2, "level": -1.0}}, [A])
-    assert front_text(run, 1).startswith("1 of 1 policies tried in reality is beaten by no other")
+    assert front_text(run, 1).startswith("1 of 1 policies tried in world 'unknown' is beaten by no other")
     assert "None of them gains in everything" in front_text(run, 1)
     assert [row["weights"] for row in front_rows(run)] == ["1 cost", "–"]
     alone = run_of(tmp_path, {"pretrained": zero}, [A])

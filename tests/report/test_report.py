@@ -309,7 +309,8 @@ def test_a_later_evaluation_is_shown_beside_the_run_s_own(tmp_path, words_only):
     result = {"policy": "best", "world": "other", "seed": 3, "objectives": summary["final"]["objectives"]}
     (tmp_path / "evaluation.json").write_text(json.dumps(result))
     write_report(tmp_path)
-    assert "policy best against pretrained on world other, seed 3" in text(tmp_path)
+    assert "policy best against pretrained in world other, seed 3" in text(tmp_path)
+    assert "confirms nothing" not in text(tmp_path)
 
 
 def test_names_from_a_run_cannot_become_markup(tmp_path, words_only):

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from tensordict.nn import NormalParamExtractor, TensorDictModule
 from test_loss_shapes import actor_of, loss_and_batch
 from torch import nn
-from torchrl.modules import ProbabilisticActor, TanhNormal
+from torchrl.modules import ProbabilisticActor, TanhNormal, TruncatedNormal
 
 from hts.rl import (
     KLConstrainedPPOLoss,
@@ -130,3 +130,11 @@ def test_what_differs_in_more_than_parameters_is_told():
     with pytest.raises(ValueError, match="differ in more than parameters, such as a normaliser"):
         project_actor_to_kl_bound(actor, reference, data, 1e-3)
     assert torch.equal(vector(actor), end)
+
+
+def test_a_bound_on_a_sampled_kl_holds_for_the_draws_that_it_was_found_with():
+    loss, data = moved(TruncatedNormal)
+    before = torch.get_rng_state()
+    assert project_actor_to_kl_bound(loss.actor_network, loss.reference, data, 0.05) < 1.0
+    assert torch.equal(torch.get_rng_state(), before)
+    assert 0.9 * 0.05 < float(loss.kl_to_reference(data)) <= 0.05

@@ -6,12 +6,14 @@ import math
 import re
 
 import pytest
+import tensordict.nn as tensordict_nn
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import distributions as D
 from torch import nn
 from torchrl.data import OneHot
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import (
     MaskedCategorical,
     MaskedOneHotCategorical,
@@ -39,6 +41,10 @@ def two_choices(logits):
     return D.Independent(D.Categorical(logits=without_the_third(logits).unflatten(-1, (2, 2))), 1)
 
 
+def two_one_hot_choices(logits):
+    return D.Independent(OneHotCategorical(logits=logits.unflatten(-1, (2, 2))), 1)
+
+
 def loss_and_batch(distribution, choices: int = CHOICES, **how) -> tuple[KLConstrainedPPOLoss, TensorDict]:
     torch.manual_seed(0)
     head = TensorDictModule(nn.Linear(3, choices), ["observation"], ["logits"])
@@ -53,7 +59,7 @@ def loss_and_batch(distribution, choices: int = CHOICES, **how) -> tuple[KLConst
     data = TensorDict({"observation": torch.randn(COUNT, 3)}, [COUNT])
     data["mask"] = torch.arange(choices).expand(COUNT, -1) != 2
     critic = ValueOperator(nn.Linear(3, 1), in_keys=["observation"])
-    with torch.no_grad():
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         critic(actor(data))
     data["action_log_prob"] += 0.3 * torch.randn(COUNT)
     data["advantage"], data["value_target"] = torch.randn(COUNT, 1), torch.randn(COUNT, 1)
@@ -62,7 +68,16 @@ def loss_and_batch(distribution, choices: int = CHOICES, **how) -> tuple[KLConst
 
 @pytest.mark.parametrize(
     "distribution",
-    [D.Categorical, OneHotCategorical, MaskedCategorical, MaskedOneHotCategorical, one_hot_but_one, two_choices],
+    [
+        D.Categorical,
+        OneHotCategorical,
+        tensordict_nn.distributions.OneHotCategorical,
+        MaskedCategorical,
+        MaskedOneHotCategorical,
+        one_hot_but_one,
+        two_choices,
+        two_one_hot_choices,
+    ],
 )
 def test_a_policy_that_chooses_learns_as_in_clip_ppo_and_is_held_to_its_reference(distribution):
     loss, data = loss_and_batch(distribution, kl_bound=1.0)

@@ -9,10 +9,12 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
+from torch.distributions import Independent, Poisson
 from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 
 from hts.rl import KLConstrainedPPOLoss
+from hts.rl.entropy import entropy_of
 
 COUNT, SIGMA = 5000, 0.3
 
@@ -51,3 +53,9 @@ def test_it_is_right_to_the_end_of_the_tanh_and_pulls_as_in_clip_ppo(mean):
     x = mean + SIGMA * torch.randn(COUNT, dtype=torch.float64)
     by_hand = 0.5 + math.log(SIGMA * math.sqrt(2 * math.pi)) + (math.log(4) - 2 * x - 2 * (-2 * x).exp().log1p()).mean()
     assert float(found[0]) == pytest.approx(float(by_hand), abs=0.05)
+
+
+def test_where_neither_a_formula_nor_a_sample_gives_it_that_is_told():
+    counts = Independent(Poisson(torch.ones(4, 2)), 1)
+    with pytest.raises(NotImplementedError, match="^torch knows no entropy of Poisson.*entropy_coeff=0"):
+        entropy_of(counts, torch.zeros(4))

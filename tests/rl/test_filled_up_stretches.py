@@ -9,7 +9,15 @@ import pytest
 import torch
 from tensordict import TensorDict
 from test_loss_shapes import loss_and_batch
+from torch.distributions import (
+    AffineTransform,
+    Beta,
+    Independent,
+    LogNormal,
+    TransformedDistribution,
+)
 from torchrl.collectors.utils import split_trajectories
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
@@ -136,3 +144,19 @@ def test_filling_is_not_paid_and_not_in_the_centre(count):
     torch.testing.assert_close(measured.centring.mean.view(-1), centre)
     expected = torch.where(mask, before + 0.2 * (effort - centre.view(-1, 1, 1)), before)
     torch.testing.assert_close(data["next", "reward"], expected)
+
+
+def from_one_to_four(loc, scale):
+    return Independent(TransformedDistribution(Beta(1 + scale, 1 + loc.exp()), [AffineTransform(1.0, 3.0)]), 1)
+
+
+@pytest.mark.parametrize("kind", [from_one_to_four, lambda loc, scale: Independent(LogNormal(loc, scale), 1)])
+def test_zeros_that_a_policy_never_gives_spoil_no_gradient(kind):
+    loss = loss_and_batch(kl_bound=math.inf, distribution=kind)[0]
+    with set_exploration_type(ExplorationType.RANDOM):
+        data = estimated(loss)
+    assert not data["action"][~data[MASK]].any()
+    weights = list(loss.actor_network.parameters())
+    slopes = torch.autograd.grad(loss(data)["loss_objective"], weights)
+    expected = torch.autograd.grad(loss(data[data[MASK]])["loss_objective"], weights)
+    torch.testing.assert_close(slopes, expected)

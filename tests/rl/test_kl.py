@@ -17,11 +17,19 @@ from torch.distributions import (
     Normal,
     StudentT,
     TransformedDistribution,
+    VonMises,
 )
-from torchrl.modules import IndependentNormal, NormalParamExtractor, ProbabilisticActor, TanhNormal, ValueOperator
+from torchrl.modules import (
+    IndependentNormal,
+    NormalParamExtractor,
+    ProbabilisticActor,
+    TanhNormal,
+    TruncatedNormal,
+    ValueOperator,
+)
 
 from hts.rl import KLConstrainedPPOLoss, gaussian_kl
-from hts.rl.kl import distribution_kl
+from hts.rl.kl import distribution_kl, kl_of
 
 
 def test_squashing_changes_no_kl():
@@ -132,3 +140,58 @@ def test_a_loss_of_actions_within_an_envs_limits_is_compiled_as_a_whole():
     found = torch.compile(loss, backend="eager", fullgraph=True)(data)
     assert float(found["kl"]) > 0.01
     torch.testing.assert_close(found["kl"], expected["kl"])
+
+
+def scaled_by_the_policy(loc, scale):
+    base = Independent(Normal(torch.zeros_like(loc), 1.0), 1)
+    return TransformedDistribution(base, [AffineTransform(loc, scale, event_dim=1)])
+
+
+def test_a_bijection_that_is_learned_has_a_kl_in_compiled_code_too():
+    torch.manual_seed(0)
+    head = TensorDictModule(nn.Sequential(nn.Linear(3, 4), NormalParamExtractor()), ["observation"], ["loc", "scale"])
+    how = {"distribution_class": scaled_by_the_policy, "return_log_prob": True}
+    actor = ProbabilisticActor(head, in_keys=["loc", "scale"], **how)
+    loss = KLConstrainedPPOLoss(actor, ValueOperator(nn.Linear(3, 1), in_keys=["observation"]))
+    sizes = {"observation": 3, "advantage": 1, "value_target": 1}
+    data = TensorDict({name: torch.randn(2000, size) for name, size in sizes.items()}, [2000])
+    with torch.no_grad():
+        loss.critic_network(actor(data))
+    loss(data)  # policy and reference are the same here
+    with torch.no_grad():
+        head.module[0].bias[:2] += 0.3
+    found = torch.compile(loss, backend="eager", fullgraph=True)(data)
+    sigma = loss.reference.get_dist(data).transforms[0].scale
+    assert float(found["kl"]) == pytest.approx(float((0.3 / sigma).square().sum(-1).mean() / 2), rel=0.1)
+
+
+def test_multivariate_normals_have_their_kl_in_compiled_code():
+    def asked(loc):
+        policy, reference = (MultivariateNormal(mean, torch.eye(3)) for mean in (loc, torch.zeros(3)))
+        return kl_of(policy, reference, False) + 1.0
+
+    found = torch.compile(asked, backend="eager")(torch.ones(5, 3))
+    torch.testing.assert_close(found, torch.full((5,), 2.5))
+
+
+@pytest.mark.parametrize("kind", [TanhNormal, TruncatedNormal])
+def test_a_reference_within_narrower_limits_is_none(kind):
+    loc, scale = torch.zeros(4, 2), torch.ones(4, 2)
+    narrow, wide = kind(loc, scale), kind(loc, scale, high=torch.tensor([1.0, 3.0]))
+    with pytest.raises(ValueError, match=r"is infinite: the policy's actions go to 3, its reference's to 1\. Expected"):
+        distribution_kl(wide, narrow)
+    assert torch.isfinite(distribution_kl(narrow, wide)).all()
+
+
+def test_limits_that_are_learned_are_not_compared():
+    def scaled(low, width):
+        return TransformedDistribution(Beta(2 * torch.ones(4, 1), 2.0), [AffineTransform(low, width)])
+
+    low, width = torch.zeros(4, 1, requires_grad=True), torch.ones(4, 1)
+    assert distribution_kl(scaled(low, width), scaled(low.detach(), width)).tolist() == [[0.0]] * 4
+
+
+def test_what_lacks_a_formula_is_called_by_its_own_name():
+    ring = Independent(VonMises(torch.zeros(4, 2), torch.ones(4, 2)), 1)
+    with pytest.raises(NotImplementedError, match=r"^torch knows no formula of KL\(VonMises \|\| VonMises\)"):
+        distribution_kl(ring, ring)

@@ -291,11 +291,12 @@ def test_an_actor_of_which_no_single_distribution_can_be_asked_is_refused():
     actor, critic = networks()
     with pytest.raises(TypeError, match="actor_network is a Linear without get_dist; expected a ProbabilisticActor"):
         KLConstrainedPPOLoss(torch.nn.Linear(2, 2), critic)
-    maps = {"distribution_map": {"turn": torch.distributions.Normal}, "log_prob_key": "action_log_prob"}
+    kinds = {"turn": torch.distributions.Normal, "walk": torch.distributions.Normal}
+    maps = {"distribution_map": kinds, "log_prob_key": "action_log_prob"}
     several = ProbabilisticActor(
         actor[0],
         in_keys=["loc", "scale"],
-        out_keys=["turn"],
+        out_keys=["turn", "walk"],
         distribution_class=CompositeDistribution,
         distribution_kwargs=maps,
     )

@@ -8,7 +8,9 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from test_loss_shapes import actor_of, loss_and_batch
 from torch import nn
-from torchrl.modules import IndependentNormal, NormalParamExtractor, ProbabilisticActor, ValueOperator
+from torch.distributions import Independent, StudentT
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import Delta, IndependentNormal, NormalParamExtractor, ProbabilisticActor, TanhDelta, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
@@ -88,3 +90,27 @@ def test_an_actor_without_gradients_is_told_once_since_the_critic_would_learn_al
     with pytest.warns(UserWarning, match="^No parameter of actor_network asks for gradients"):
         loss(data)
     loss(data)  # warnings are errors here
+
+
+@pytest.mark.parametrize("kind", [Delta, TanhDelta])
+def test_a_policy_that_draws_nothing_is_refused_when_the_loss_is_made(kind):
+    module = TensorDictModule(nn.Linear(3, 2), ["observation"], ["param"])
+    actor = ProbabilisticActor(module, in_keys=["param"], distribution_class=kind, return_log_prob=True)
+    with pytest.raises(TypeError, match=rf"^actor_network has a {kind.__name__}, one action in each state"):
+        KLConstrainedPPOLoss(actor, critic())
+
+
+class Rough(StudentT):
+    """Its actions are a StudentT's, and the gradient through them is NaN."""
+
+    def rsample(self, sample_shape=()):
+        return super().rsample(sample_shape) + (self.loc - self.loc).sqrt()
+
+
+def test_a_kl_that_does_not_pull_spoils_no_gradient():
+    with set_exploration_type(ExplorationType.RANDOM):
+        loss, data = loss_and_batch(distribution=lambda loc, scale: Independent(Rough(4.0, loc, scale), 1))
+    weights = list(loss.actor_network.parameters())
+    for kind in (loss, ClipPPOLoss(loss.actor_network, loss.critic_network, entropy_bonus=False, functional=False)):
+        slopes = torch.autograd.grad(kind(data)["loss_objective"], weights)
+        assert all(bool(slope.isfinite().all()) for slope in slopes)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from hts import api
 from hts.config_loading import load_config, read_config
 from hts.run import provenance
 
@@ -61,3 +62,28 @@ def test_an_environment_inside_somebody_elses_repository_says_nothing_of_that_re
     assert (found["commit"], found["diff"], found["diff_sha256"]) == (None, None, None)
     git("add", "-f", str(copied))  # now it is of that repository
     assert "secret" in provenance.collect(0, "mujoco", {}, diff=True)["diff"]
+
+
+def test_packages_of_another_version_than_a_run_was_begun_with_are_named(monkeypatch):
+    kept = {"packages": {"our-power": "0.1.0", "our-robot": "2.0", "numpy": "1.0", "gone": "1"}}
+    kept["plugins"] = {"power": "our-power", "robot": "our-robot", "new": "our-new", "gone": "gone"}
+    now = {"our-power": "0.2.0", "our-robot": "2.0", "our-new": "1.0", "numpy": "2.0"}
+    monkeypatch.setattr(provenance, "_version", now.get)
+    assert provenance.other_versions(kept) == "our-power 0.1.0 (now 0.2.0)"
+    assert provenance.other_versions({"packages": {"our-power": "0.1.0"}}) == ""
+    now["our-power"] = "0.1.0"
+    assert provenance.other_versions(kept) == ""
+
+
+def test_a_run_that_is_resumed_under_another_version_says_so(broken_run, capfd):
+    path = broken_run / "provenance.json"
+    kept = json.loads(path.read_text())
+    kept |= {"plugins": {"core": "hard-to-sim"}, "packages": {"hard-to-sim": "0.0.1"}}
+    path.write_text(json.dumps(kept))
+    api.resume(broken_run)
+    assert "was begun with" not in "".join(capfd.readouterr())  # it was finished: nothing follows
+    for stage in ("final", "summary"):
+        (broken_run / f"{stage}.json").unlink()
+    api.resume(broken_run)
+    said = " ".join("".join(capfd.readouterr()).split())
+    assert "was begun with hard-to-sim 0.0.1 (now " in said and "of one version" in said

@@ -84,6 +84,25 @@ def test_a_reward_that_cannot_be_computed_is_told(broken):
     assert "no_such_method" in refusal(PluginError, "broken")
 
 
+def test_a_reward_that_pays_for_what_counts_as_worse_is_told(broken):
+    broken("def reward(self, prediction):\n    return prediction")
+    text = refusal(PluginError, "broken")
+    assert text.startswith("Objective 'broken': reward() pays for more of 'fake_level', compare() counts less of it as")
+
+
+def test_two_objectives_that_measure_one_channel_in_two_units_are_told():
+    from hts.channels import Channel
+    from hts.run.ready import check_shared_channels
+    from hts.testing.made_up_recordings import CostObjective
+
+    one, other, third = CostObjective(), CostObjective(), CostObjective()
+    other.also_measured = (Channel("supply", "V"),)
+    third.also_measured = (Channel("supply", "mV"),)
+    check_shared_channels({"one": one, "other": other, "again": other})
+    with pytest.raises(ConfigError, match=r"'other' and 'third' both measure 'supply', one in V, the other in mV;"):
+        check_shared_channels({"one": one, "other": other, "third": third})
+
+
 def test_an_objective_without_an_instrument_has_no_twin(broken):
     broken("instrument = None")
     text = refusal(UnfitWorldError, "broken", "twin")

@@ -114,8 +114,44 @@ def test_a_gate_that_saw_another_policy_of_that_name_is_named(broken_run):
     )
 
 
+def test_judged_candidates_of_another_run_are_laid_to_the_file_that_is_at_fault(broken_run):
+    def another(found):
+        return {**found, "policy_hashes": {name: "0" * 64 for name in found["policy_hashes"]}}
+
+    without(broken_run, f"{FIRST}/gate", f"{FIRST}/test", "final", "summary")
+    path = broken_run / f"{FIRST}/simulate.json"
+    whole = path.read_text()
+    refused(
+        broken_run, changed(broken_run, f"{FIRST}/simulate", another), "of another 00-00, policy 000000000000, expec"
+    )
+    path.write_text(whole)
+
+    def tuned(found):
+        return {**found, "candidates": [{**row, "policy_hash": "1" * 64} for row in found["candidates"]]}
+
+    refused(broken_run, changed(broken_run, f"{FIRST}/finetune", tuned), "of another 00-00, policy 111111111111, expec")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda found: {**found, "seed": 77}, "of another run: seed is 77, expected"),
+        (lambda found: {**found, "final": {**found["final"], "policy": "05-01"}}, "final.policy is 05-01, expected"),
+        (
+            lambda found: {
+                **found,
+                "iterations": [{**found["iterations"][0], "candidates": [{"id": "00-00", "kl": 9.0}]}],
+            },
+            "its 00-00 is none of the candidates of iteration 00",
+        ),
+    ],
+)
+def test_a_summary_of_another_run_is_named(broken_run, change, said):
+    refused(broken_run, changed(broken_run, "summary", change), said)
+
+
 def test_what_an_earlier_version_did_not_write_is_missed_only_where_it_is_needed(small_run, broken_run):
-    added = ("predicted", "task_rewards", "trials")
+    added = ("predicted", "task_rewards", "trials", "policy_hashes")
 
     def earlier(found):
         return {key: one for key, one in found.items() if key not in added}

@@ -87,7 +87,7 @@ def test_a_run_scores_two_channels_and_its_selector_sees_how_candidates_were_mad
 
     (speed,) = run.summary["final"]["objectives"]["energy"]["speeds"].values()
     assert speed["improvement"] == pytest.approx(0.2, abs=1e-5)  # current saves 20 %, voltage is what it was
-    simulated, tested = energy_demo.SEEN[:2], energy_demo.SEEN[2:]
+    _, simulated, tested = energy_demo.SEEN[:4], energy_demo.SEEN[4:6], energy_demo.SEEN[6:]  # made-up ones first
     assert [one.made.weights for one in simulated] == [{"energy": 0.5}, {"energy": 2.0}]
     rows = {row["id"]: row for row in run.summary["iterations"][0]["candidates"]}
     for one in (*simulated, *tested):
@@ -169,3 +169,15 @@ class Half(Energy):
 def hts_objectives(register):
     register("half", lambda settings: Half())
 '''
+
+
+def test_a_score_that_is_not_finite_names_all_channels_that_it_may_have_read(hts_fake_objective):
+    from hts.errors import EvaluationError
+    from hts.evaluation.scoring import scored
+
+    hts_fake_objective.also_measured = (Channel("voltage", "V"),)
+    hts_fake_objective.score = lambda segments: {"power": np.array([1.0, math.nan])}
+    with pytest.raises(
+        EvaluationError, match=r"in 1 of 2 segments of the policy\. Look at channels '.*' and 'voltage'"
+    ):
+        scored(hts_fake_objective, [0, 1], "policy")

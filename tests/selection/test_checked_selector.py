@@ -91,3 +91,25 @@ def test_a_run_ends_in_that_line_before_anybody_walks(tmp_path, monkeypatch):
     with kit_installed(), pytest.raises(PluginError, match=r"Selector 'hierarchical' .*elites\(\) gives 'zz'"):
         tiny_run(tmp_path / "run")
     assert not (tmp_path / "run" / "iterations" / "00" / "test.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (Rounds(4.0, 0), r"rounds\(\) gives most=0, expected a whole number of at least 1"),
+        (Rounds(4.0, 2.5), r"rounds\(\) gives most=2.5"),
+        (Rounds(-4.0, 3), r"rounds\(\) gives block_seconds=-4.0, expected 1 s at least"),
+        (Rounds(0.01, 3), r"rounds\(\) gives block_seconds=0.01, expected 1 s at least"),
+        (Rounds("4", 3), r"rounds\(\) gives block_seconds='4'"),
+        (Rounds(float("nan"), 3), r"rounds\(\) gives block_seconds=nan"),
+    ],
+)
+def test_rounds_that_nobody_can_walk_are_refused(given, said):
+    with pytest.raises(PluginError, match=said):
+        asked(rounds=given).rounds()
+
+
+def test_a_selector_that_sorts_what_it_is_given_sorts_a_copy():
+    given = list(SIMULATED)
+    asked(elites=lambda candidates, count: [candidates.pop().id]).elites(given, 1)
+    assert given == SIMULATED

@@ -7,6 +7,7 @@ which averages sound energy, because a loud second is not made up for by a quiet
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -58,6 +59,16 @@ class Noise(Objective):
     inputs: tuple[str, ...] = ("joint_velocity", "foot_force")
     target = Channel("sound_level", "dB(A)", (), "fast A-weighted level (125 ms) near the robot")
     instrument = "microphone"
+    metric_units = MappingProxyType(
+        {
+            "sound_energy": "1",
+            "sound_per_metre": "s/m",
+            "loud_level": "dB(A)",
+            "mean_level": "dB(A)",
+            "loud_improvement": "dB(A)",
+            "per_metre_improvement": "dB(A)",
+        }
+    )
 
     def __init__(self, settings: NoiseSettings | None = None) -> None:
         self.settings = settings or NoiseSettings()

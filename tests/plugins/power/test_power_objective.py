@@ -218,3 +218,12 @@ def test_the_plugin_offers_what_it_says():
     objective = offered["power"]({})
     assert objective.instrument in offered and objective.measurement_model().name in offered
     assert objective.target.unit == "A"
+
+
+def test_made_up_numbers_before_a_run_are_none_that_power_refuses():
+    from hts.plugins import load
+    from hts.run.score_check import check_score, gain_of_less
+
+    robot, objective = load().make_robot("go1"), load().make_objective("power")
+    assert set(check_score(objective, robot, "hard-to-sim-power").metrics) >= {"gross_reduction"}
+    assert gain_of_less(objective, robot) > 0
