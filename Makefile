@@ -25,8 +25,9 @@ install-dev: .venv/installed-dev
 run: install
 	$(BIN)/hts run --objective power --robot go1
 
+# Tests start many processes: what one of them compiled, the next ones read.
 test: install-dev
-	$(BIN)/python -m pytest -n $(WORKERS)
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n $(WORKERS)
 
 test-rsl-rl: $(RSL_RL)/installed install
 	HTS_PYTHON=$(abspath $(BIN)/python) $(RSL_RL)/bin/python -m pytest integrations/rsl_rl/tests

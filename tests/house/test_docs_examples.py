@@ -139,7 +139,6 @@ class Reader:
             "PIP_DISABLE_PIP_VERSION_CHECK": "1",
             "COLUMNS": "160",
             "NO_COLOR": "1",
-            "PYTHONDONTWRITEBYTECODE": "1",
         }
 
     def follow(self, block: Block) -> None:
