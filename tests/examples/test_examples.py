@@ -23,7 +23,7 @@ def example(name: str) -> ModuleType:
 
 
 def test_algorithm_1_saves_on_the_toy_robot_what_its_simulation_does_not_know(capsys):
-    saving = example("algorithm_1").main(iterations=1, batches=25, pretraining=60)
+    saving = example("algorithm_1").main(iterations=1, batches=25, pretraining=60, seconds=15.0)
     printed = capsys.readouterr().out
     assert saving > 0.05, printed  # the optimum without a bound is 36 %: all effort where the winding is good
     assert "iteration 1: fit R²" in printed and f"best: {saving:.1%} less" in printed
