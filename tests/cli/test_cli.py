@@ -31,14 +31,11 @@ def make_fake(settings):
 
 def make_hopper(settings):
     from dataclasses import replace
-    from hts.testing.examples.robot.robot import SPEC, Tiny
-    hopper = Tiny()
-    hopper.spec = replace(SPEC, name="hopper")
-    return hopper
+    from hts.testing.examples.robot.robot import Tiny
+    return type("Hopper", (Tiny,), {"spec": replace(Tiny.spec, name="hopper")})()
 
 @hookimpl
 def hts_objectives(register): register("fake", make_fake)
-
 @hookimpl
 def hts_robots(register): register("hopper", make_hopper)
 """
