@@ -11,7 +11,7 @@ from walker_recording import a_recording
 import hts.recordings
 from hts.recordings.doubts import DOUBTS, doubts
 from hts.run.job import Job
-from hts.worlds import field_levels, field_pause
+from hts.worlds import field_alike, field_levels, field_pause
 
 SCALE = "0.16 times what kp (target - position) - kd velocity asks for: is it of the motor's side of the gears?"
 
@@ -39,10 +39,11 @@ def test_each_kind_is_told_once_with_the_first_that_has_it():
 
 def test_all_that_an_import_doubts_is_among_them():
     found = set()
-    for name in ("pd_torque", "base_speed", "joint_work", "repeated", "attitude", "axes", "feet"):
+    for name in ("pd_torque", "base_speed", "joint_work", "repeated", "attitude", "axes", "feet", "temperatures"):
         text = (Path(hts.recordings.__file__).parent / f"{name}.py").read_text()
-        found |= set(re.findall(r'return \{\s+"(\w+)": ', text))
-    assert found | {field_levels.NOTE, field_pause.NOTE} == set(DOUBTS)
+        found |= set(re.findall(r'return \{\s*"(\w+)": ', text))
+    paused = {field_pause.NOTE, field_pause.ORDER_NOTE, field_pause.OVERLAP_NOTE}
+    assert found | paused | {field_levels.NOTE, field_alike.NOTE} == set(DOUBTS)
 
 
 def test_a_run_says_them_of_what_it_keeps():

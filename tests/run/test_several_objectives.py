@@ -192,7 +192,7 @@ def test_each_combination_of_weights_goes_on_from_the_policy_that_went_furthest_
 
 def test_the_report_shows_the_front_as_figure_words_and_table(run):
     page = (run / "report.html").read_text()
-    assert "3 of 6 policies tried in reality are beaten by no other in calm and cheap together." in page
+    assert "3 of 6 policies tried in simulated reality are beaten by no other in calm and cheap together." in page
     assert "01-02 (final)" in page and "1 calm + 1 cheap" in page
     assert (run / "figures" / "front.svg").is_file()
 
