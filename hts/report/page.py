@@ -255,8 +255,8 @@ def _figures(run: RunData, objective: str) -> list[dict[str, str]]:
             "Sweep",
             (
                 "Left: every candidate by its distance from its anchor (dashed: the bounds c) and its score in "
-                f"simulation; rings are elites. Right: what the elites gained {run.where}, with 95 % intervals; the "
-                "best is in bold."
+                f"simulation; rings are elites, a white cross fell there. Right: what the elites gained {run.where}, "
+                "with 95 % intervals; the best is in bold."
             ),
             figures.sweep,
         ),
