@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from example_run import write_example_run
+from read_page import SMALL, changed, page, text
 from rich.console import Console
 
 from hts.contracts import Comparison
@@ -21,38 +22,11 @@ from hts.report.data import read_run
 from hts.report.table import print_evaluation, print_table
 from hts.testing.made_up_recordings import CostObjective
 
-SMALL = {"iterations": 1, "bounds": (0.5, float("inf")), "weights": (1.0,), "elites": 2, "block_seconds": 20}
-
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     write_example_run(folder, iterations=2, weights=(0.5, 5.0), bounds=(0.2, 1.0), elites=3, block_seconds=30)
-    write_report(folder)
-    return folder
-
-
-def page(folder: Path) -> str:
-    return (folder / "report.html").read_text(encoding="utf-8")
-
-
-def text(folder: Path) -> str:
-    """The page without tags and styles, white space as single spaces."""
-    body = re.sub(r"<style>.*?</style>", "", page(folder), flags=re.DOTALL)
-    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", body))
-
-
-@pytest.fixture
-def words_only(monkeypatch):
-    """Figures take most of the time; tests of the page's words do without."""
-    monkeypatch.setattr("hts.report.page._figures", lambda run, objective: [])
-
-
-def changed(folder: Path, change) -> Path:
-    """A small run whose summary was changed, reported."""
-    summary = write_example_run(folder, **SMALL)
-    change(summary)
-    (folder / "summary.json").write_text(json.dumps(summary))
     write_report(folder)
     return folder
 
