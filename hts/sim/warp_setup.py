@@ -150,7 +150,7 @@ def put_models(wp: ModuleType, mjw: ModuleType, models: Sequence[mujoco.MjModel]
             values = [_numbers(getattr(original, field.name)) for original in originals]
             if field.name in UNREAD or all(np.array_equal(values[0], value) for value in values[1:]):
                 continue
-            if (getattr(field.type, "shape", None) or (0,))[0] != "*":
+            if not isinstance(field.type, wp.array) or field.type.shape[:1] != ("*",):
                 raise ConfigError(
                     f"The variants of the model differ in '{field.name}', which all worlds of the warp engine share: "
                     f"do not randomise it, {INSTEAD}."

@@ -167,10 +167,6 @@ def objectives_that_see_instruments(package: Path) -> list[str]:
 # ------------------------------------------------------------------------------------------------- the house
 
 
-BEING_REPLACED = {"hts/sim/warp_setup.py"}
-"""Files that may still ask by name; the list only gets shorter."""
-
-
 WHOLE_FOLDERS = {"hts/atomic.py", "hts/recordings/partial.py", "hts/worlds/field_bundle.py", "hts/cli/group.py"}
 """The one place where files are moved; folders written under another name and moved as a whole; help texts."""
 
@@ -189,7 +185,7 @@ RULES: dict[Rule, list[Path]] = {
     writes_in_place: [
         path for path in CORE if NAMES[path] not in WHOLE_FOLDERS and not NAMES[path].startswith("hts/testing/")
     ],
-    asks_by_name: [path for path in CORE if NAMES[path] not in BEING_REPLACED],
+    asks_by_name: CORE,
     reaches_for_an_instrument: [path for path in CORE if set(path.parts) & set(LEARNING)],
 }
 """Rule -> the files for which it holds."""

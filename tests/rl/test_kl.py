@@ -123,19 +123,27 @@ def test_a_reference_within_limits_is_none_of_a_policy_without_any():
     assert torch.isfinite(distribution_kl(several, free)).all() and torch.isfinite(distribution_kl(free, several)).all()
 
 
-@pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")  # torch of TorchRL's tanh
-def test_a_loss_of_actions_within_an_envs_limits_is_compiled_as_a_whole():
+def loss_and_batch(count, distribution, **how) -> tuple[KLConstrainedPPOLoss, TensorDict, torch.Tensor]:
+    """The loss of a small actor that acted in `count` states, its batch, and the bias of the actor's two means and two
+    sigmas."""
     torch.manual_seed(0)
     head = TensorDictModule(nn.Sequential(nn.Linear(3, 4), NormalParamExtractor()), ["observation"], ["loc", "scale"])
-    limits = {"low": torch.tensor([-2.0, 0.0]), "high": torch.tensor([2.0, 3.0])}  # others than -1 and 1
-    how = {"distribution_class": TanhNormal, "distribution_kwargs": limits, "return_log_prob": True}
+    how |= {"distribution_class": distribution, "return_log_prob": True}
     actor = ProbabilisticActor(head, in_keys=["loc", "scale"], **how)
     loss = KLConstrainedPPOLoss(actor, ValueOperator(nn.Linear(3, 1), in_keys=["observation"]))
     sizes = {"observation": 3, "advantage": 1, "value_target": 1}
-    data = TensorDict({name: torch.randn(8, size) for name, size in sizes.items()}, [8])
+    data = TensorDict({name: torch.randn(count, size) for name, size in sizes.items()}, [count])
     with torch.no_grad():
         loss.critic_network(actor(data))
-        head.module[0].bias.add_(0.3)
+    return loss, data, head.module[0].bias
+
+
+@pytest.mark.filterwarnings("ignore:.*should not be instantiated:DeprecationWarning")  # torch of TorchRL's tanh
+def test_a_loss_of_actions_within_an_envs_limits_is_compiled_as_a_whole():
+    limits = {"low": torch.tensor([-2.0, 0.0]), "high": torch.tensor([2.0, 3.0])}  # others than -1 and 1
+    loss, data, bias = loss_and_batch(8, TanhNormal, distribution_kwargs=limits)
+    with torch.no_grad():
+        bias.add_(0.3)
     expected = loss(data)  # once before, as the page says
     found = torch.compile(loss, backend="eager", fullgraph=True)(data)
     assert float(found["kl"]) > 0.01
@@ -148,18 +156,10 @@ def scaled_by_the_policy(loc, scale):
 
 
 def test_a_bijection_that_is_learned_has_a_kl_in_compiled_code_too():
-    torch.manual_seed(0)
-    head = TensorDictModule(nn.Sequential(nn.Linear(3, 4), NormalParamExtractor()), ["observation"], ["loc", "scale"])
-    how = {"distribution_class": scaled_by_the_policy, "return_log_prob": True}
-    actor = ProbabilisticActor(head, in_keys=["loc", "scale"], **how)
-    loss = KLConstrainedPPOLoss(actor, ValueOperator(nn.Linear(3, 1), in_keys=["observation"]))
-    sizes = {"observation": 3, "advantage": 1, "value_target": 1}
-    data = TensorDict({name: torch.randn(2000, size) for name, size in sizes.items()}, [2000])
-    with torch.no_grad():
-        loss.critic_network(actor(data))
+    loss, data, bias = loss_and_batch(2000, scaled_by_the_policy)
     loss(data)  # policy and reference are the same here
     with torch.no_grad():
-        head.module[0].bias[:2] += 0.3
+        bias[:2] += 0.3
     found = torch.compile(loss, backend="eager", fullgraph=True)(data)
     sigma = loss.reference.get_dist(data).transforms[0].scale
     assert float(found["kl"]) == pytest.approx(float((0.3 / sigma).square().sum(-1).mean() / 2), rel=0.1)
