@@ -7,9 +7,19 @@ import math
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from hts.config import TrustRegionConfig
-from hts.run.trust_region import Tried, agreement, by_all, next_scale, scaled, tried_elites
+from hts.run.trust_region import (
+    PRIOR_ELITES,
+    PRIOR_SCATTER,
+    Tried,
+    agreement,
+    by_all,
+    next_scale,
+    scaled,
+    tried_elites,
+)
 
 CONFIG = TrustRegionConfig(enabled=True)
 C = (1.0,)
@@ -162,6 +172,26 @@ def test_elites_are_read_from_a_run():
     assert (second.id, second.measured, second.fell) == ("b", 0.0, True)
     assert (third.id, third.measured, third.fell) == ("c", 0.0, False) and third.predicted == pytest.approx(0.15)
     assert first.active
+
+
+def test_what_an_elite_kept_is_the_mean_over_speeds_and_its_error_that_of_a_mean():
+    candidate = made({"power": 1.0}) | {
+        "predicted": {"power": {"0.5": {"improvement": 0.1}, "0.8": {"improvement": 0.4}}}
+    }
+    real = {"real": {"power": {"0.5": entry(0.2, width=0.03), "0.8": entry(0.3, width=0.04)}}}
+    (tried,) = tried_elites("power", {"a": candidate}, {"a": real})
+    assert (tried.predicted, tried.measured) == pytest.approx((0.25, 0.25))
+    assert tried.half_width == pytest.approx(math.hypot(0.03, 0.04) / 2)
+
+
+def test_the_interval_of_rho_is_as_on_paper():
+    """Two elites of 0.2 and 0.1 that kept 0.12 and 0.09, each with an error of 0.01: rho is 0.7, misses 0.02."""
+    tried = [elite(0.2, 0.12, half=1.96 * 0.01), elite(0.1, 0.09, half=1.96 * 0.01)]
+    degrees = PRIOR_ELITES + 1
+    scatter = (PRIOR_ELITES * PRIOR_SCATTER**2 * (0.2**2 + 0.1**2) + 2 * (0.02**2 + 0.02**2)) / degrees
+    half = scipy.stats.t.ppf(0.975, degrees) * math.sqrt(scatter + 2 * 0.01**2) / 0.3
+    found = agreement(tried)
+    assert found.rho == pytest.approx(0.7) and found.interval == pytest.approx((0.7 - half, 0.7 + half), rel=1e-4)
 
 
 def made(weights, **predicted):
