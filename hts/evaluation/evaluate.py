@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
 from hts.config_base import SEEDS
-from hts.contracts import HoldSpeed, World, WorldContext
+from hts.contracts import HoldSpeed, World
 from hts.errors import ConfigError, EvaluationError, PolicyError, RunError
 from hts.evaluation.asked import Check, asked, complete
 from hts.evaluation.final import (
@@ -27,6 +27,7 @@ from hts.evaluation.held import ask_to_hold, check_held, hold_of
 from hts.evaluation.walked_again import walked_again
 from hts.locks import only_one
 from hts.overrides import Override, parsed
+from hts.parts import objectives_of, robot_of, world_of
 from hts.policy_ids import PRETRAINED
 from hts.task_settings import check_speeds
 
@@ -80,7 +81,7 @@ def evaluate_run(
     others = parsed(overrides)
     config = with_others(folder, world, others, registry)
     laid_over = as_values(others)
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    robot = robot_of(config, registry)
     task = robot.task()
     if isinstance(speeds, str) or not isinstance(speeds, Iterable | None):
         raise ConfigError(f"--speed: expected a list of numbers, found {speeds!r}.")
@@ -99,17 +100,8 @@ def evaluate_run(
     if count < 1:
         raise ConfigError(f"--sessions: expected a whole number from 1 on, found {count}.")
     tested, reference = policy_file(folder, policy or "best"), policy_file(folder, PRETRAINED)
-    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
+    objectives = objectives_of(config, registry)
     place = folder / "evaluation"
-    context = WorldContext(
-        robot=config.robot.name,
-        robot_settings=config.robot.settings,
-        objectives=config.objectives,
-        seed=seed,
-        folder=place,
-        registry=registry,
-        command=command,
-    )
     hold = None if has_held_commands(Path(policy or "best")) else hold_of(config)
     if hold is not None:
         task.check_hold("evaluation.hold_speed")
@@ -117,7 +109,7 @@ def evaluate_run(
     place.mkdir(exist_ok=True)
     busy = f"{folder}: another evaluation of this run is being made. Wait for it, or stop it first."
     with only_one(place / ".lock", busy):
-        where = registry.make_world(config.world.name, config.world.settings, context)
+        where = world_of(config, registry, place, seed=seed, command=command)
         if say is not None and policy in (None, "best") and tested.read_bytes() == reference.read_bytes():
             say(ITSELF)
         held: list[Recording] = []

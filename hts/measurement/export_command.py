@@ -48,6 +48,7 @@ def export_measurement_model(
             )
     else:
         from hts.config_loading import read_config
+        from hts.parts import robot_of
 
         config = read_config(folder / "config.yaml")
         if model not in config.objectives:
@@ -60,7 +61,7 @@ def export_measurement_model(
             )
         path = found[-1]
         if robot is None:
-            robot = registry.make_robot(config.robot.name, config.robot.settings).spec
+            robot = robot_of(config, registry).spec
         notes = files.read_card(path).get("notes") or {}
     objective = registry.make_objective(name, settings)
     names = notes.get("joint_names") if robot is None else list(robot.joint_names)

@@ -32,9 +32,10 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     check_place(Path(out), "--out DIR")
     config = with_engine(config)
     from hts.evaluation.held import not_held_in_training, not_tried
+    from hts.parts import robot_of
     from hts.run.ready import check_ready
 
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    robot = robot_of(config, registry)
     for note in filter(None, (not_held_in_training(config, robot), not_tried(config, robot))):
         print(note, file=sys.stderr)
     if dry_run:

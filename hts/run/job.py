@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig, ScheduleConfig
-from hts.contracts import HoldSpeed, MeasurementModel, Objective, Robot, World, WorldContext
+from hts.contracts import HoldSpeed, MeasurementModel, Robot, World
 from hts.errors import PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.measurement import files
 from hts.measurement.transform import Measured
+from hts.parts import objectives_of, robot_of, world_of
 from hts.places import resume_command
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
@@ -30,7 +31,7 @@ from hts.run.provenance import collect as collect_provenance
 from hts.run.provenance import config_sha256, other_versions
 from hts.run.stage_files import read_stage
 from hts.run.stages import Stages, write_json
-from hts.training.sweep import combinations, is_nearer, own_weights
+from hts.training.sweep import is_nearer, weights_of
 
 HASH = "_sha256"
 
@@ -43,10 +44,8 @@ class Job:
         self.first = PRETRAINED  # the policy that is the best before anything was tried
         self.note: str | None = None  # what must be said beside every result
         self._said: set[str] = set()
-        self.robot: Robot = registry.make_robot(config.robot.name, config.robot.settings)
-        self.objectives: dict[str, Objective] = {
-            name: registry.make_objective(name, settings) for name, settings in config.objectives.items()
-        }
+        self.robot: Robot = robot_of(config, registry)
+        self.objectives = objectives_of(config, registry)
 
     # ------------------------------------------------------------------------------------------------- stages
 
@@ -102,7 +101,7 @@ class Job:
     @cached_property
     def combinations(self) -> list[dict[str, float]]:
         """The λ of the sweep's candidates, one per objective."""
-        return combinations(own_weights(self.objectives, self.config), self.config.sweep.weights)
+        return weights_of(self.objectives, self.config)
 
     def rewards(self, iteration: int) -> list[Measured] | None:
         """What is paid for in training where it is neither models nor proxies; None: it is one of these."""
@@ -210,16 +209,8 @@ class Job:
     @cached_property
     def world(self) -> World:
         """Where policies run "for real"."""
-        context = WorldContext(
-            robot=self.config.robot.name,
-            robot_settings=self.config.robot.settings,
-            objectives=self.config.objectives,
-            seed=self.config.seed,
-            folder=self.folder / "world",
-            registry=self.registry,
-            command=resume_command(self.folder),
-        )
-        world = self.registry.make_world(self.config.world.name, self.config.world.settings, context)
+        command = resume_command(self.folder)
+        world = world_of(self.config, self.registry, self.folder / "world", command=command)
         if self.hold is not None:
             ask_to_hold(world, self.hold)
         return world

@@ -52,6 +52,11 @@ def _own(objective: Objective, config: RunConfig) -> tuple[float, ...]:
     return (config.records_first and objective.proxy_weights) or objective.baseline_weights
 
 
+def weights_of(objectives: Mapping[str, Objective], config: RunConfig) -> list[dict[str, float]]:
+    """The λ of a run's candidates, as `combinations` gives them, with each objective's own. Raises ConfigError."""
+    return combinations(own_weights(objectives, config), config.sweep.weights)
+
+
 def combinations(own: Mapping[str, Sequence[float]], given: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:
     """The λ of each candidate, one per objective, in the order of the objectives. Raises ConfigError if none is left.
 
