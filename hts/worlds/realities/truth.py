@@ -10,17 +10,14 @@ No learning code comes here: `import-linter` keeps it out of hts.worlds, and a r
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from hts import plugins
-from hts.contracts import VELOCITY, HoldSpeed, Instrument, Objective, PhysicsSample
+from hts.contracts import VELOCITY, HoldSpeed, Instrument, Objective
 from hts.errors import ConfigError, EvaluationError, UnfitWorldError
 from hts.evaluation.balance import mean_of_blocks
 from hts.evaluation.final import speed_key
@@ -29,9 +26,9 @@ from hts.evaluation.segments import cut
 from hts.evaluation.sessions import over_sessions
 from hts.recordings.recording import Recording
 from hts.worlds.base import file_hash, request_id, seed_sequence
-from hts.worlds.realities.batch import end_with
+from hts.worlds.realities.workers import worker_processes
 from hts.worlds.twin.dynamics import Dynamics
-from hts.worlds.twin.instruments import instruments_of_reality
+from hts.worlds.twin.instruments import Wrapped, instruments_of_reality
 from hts.worlds.twin.parameters import TwinSettings, resolved_settings
 from hts.worlds.twin.programme import head_to_head
 from hts.worlds.twin.sensors import Sensors
@@ -79,11 +76,12 @@ class Walked:
     pieces: Mapping[str, int]
 
 
-class Exact(Instrument):
+class Exact(Wrapped):
     """An instrument that shows what is, and not what it would measure."""
 
     def __init__(self, name: str, instrument: Instrument) -> None:
-        self._instrument, shown = instrument, set(instrument.exact())
+        super().__init__(instrument)
+        shown = set(instrument.exact())
         if not shown:
             raise UnfitWorldError(
                 f"Instrument '{name}' does not tell its quantity without errors, so nothing can be held against the "
@@ -91,29 +89,11 @@ class Exact(Instrument):
             )
         self.channels = tuple(channel for channel in instrument.channels if channel.name in shown)
 
-    def reset(self, num_worlds: int, rng: np.random.Generator) -> None:
-        self._instrument.reset(num_worlds, rng)
-
-    def step(self, sample: PhysicsSample) -> None:
-        self._instrument.step(sample)
-
-    def advance(self, samples: PhysicsSample) -> None:
-        self._instrument.advance(samples)
-
     def read(self) -> Mapping[str, np.ndarray]:
         return self._instrument.exact()
 
     def idle(self) -> Mapping[str, float]:
         return self._instrument.exact_idle()
-
-    def settle(self) -> None:
-        self._instrument.settle()
-
-    def supply(self) -> np.ndarray | None:
-        return self._instrument.supply()
-
-    def conditions(self) -> Mapping[str, np.ndarray]:
-        return self._instrument.conditions()
 
 
 class TrueSpeed:
@@ -188,8 +168,7 @@ def _grouped(asked: Truth, groups: Sequence[range], processes: int) -> Any:
     if processes == 1 or len(groups) == 1:
         yield from (one_group(asked, group) for group in groups)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, initializer=end_with, initargs=(os.getpid(),)) as pool:
+    with worker_processes(processes) as pool:
         yield from pool.map(one_group, [asked] * len(groups), groups)
 
 
