@@ -13,14 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hts.evaluation.final import (
-    entry_both_ways,
-    entry_of,
-    falls_by_speed,
-    refused_and_fallen,
-    segment_scores,
-    walked_speeds,
-)
+from hts.evaluation.final import entry_and_scores, falls_by_speed
 from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording, robot_samples_of
@@ -146,7 +139,7 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
     """The final of one policy."""
     config, tried = job.config, Tried(name)
     _as_best(job, name)
-    held: list[Recording] = []
+    held: list[Recording] | None = None
     if job.hold is not None:
         job.watch(lambda share: report(share / 2))
         held, again = held_head_to_head(job, "best", job.hold)
@@ -161,15 +154,8 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
     tried.fallen = falls_by_speed(tried.recordings, task)
     try:
         for key, objective in job.objectives.items():
-            if job.hold is not None:
-                both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
-                tried.entries[key], tried.scores[key], refused = both
-                tried.blamed |= blamed(refused)
-                continue
-            results, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
-            tried.entries[key], tried.scores[key] = entry_of(objective, results), segment_scores(results)
-            if refused:
-                tried.entries[key] |= refused_and_fallen(refused, recordings, task)
+            found = entry_and_scores(objective, held, recordings, config.evaluation, seed, task)
+            tried.entries[key], tried.scores[key], refused = found
             tried.blamed |= blamed(refused)
     except NotComparable as error:
         tried.error = error
