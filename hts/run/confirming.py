@@ -7,7 +7,7 @@ are others when its turn comes. The best over both trials goes on; who falls or 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from hts.checked_selector import checked_selector
@@ -15,9 +15,8 @@ from hts.contracts import Selector, TestedCandidate
 from hts.evaluation.across_speeds import mean_comparison
 from hts.recordings.recording import robot_samples_of
 from hts.run.job import Job
+from hts.run.stages import Report
 from hts.run.testing_elites import result_row, tested_before, whole
-
-Report = Callable[[float], None]
 
 
 def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
@@ -76,7 +75,7 @@ def order(selector: Selector, tested: Sequence[TestedCandidate]) -> list[str]:
 
 def tested_so_far(job: Job) -> list[TestedCandidate]:
     """All that reality measured in some iteration and did not refuse; whether they fell is for the selector."""
-    rows = [job.read(f"iterations/{index:02d}/test")["results"] for index in range(job.done_iterations)]
+    rows = [job.read("test", index)["results"] for index in range(job.done_iterations)]
     return [tested_before(job, name) for row in rows for name, found in row.items() if found.get("tested")]
 
 

@@ -9,7 +9,7 @@ here; all that was walked is kept and counted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,9 +20,7 @@ from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import ends_the_run, head_to_head, held_head_to_head
 from hts.run.iteration import gate_note
 from hts.run.job import Job
-from hts.run.stages import write_json
-
-Report = Callable[[float], None]
+from hts.run.stages import Report, write_json
 
 
 @dataclass

@@ -5,7 +5,7 @@ Where some fail the selector is asked again without them, until all that it name
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,16 +17,14 @@ from hts.run.gate_checks import Worst, limits, sentence, told_by, untold_by
 from hts.run.gate_trials import LostPackets, channels_of, commands_of, dynamics, rollout, varied
 from hts.run.job import Job
 from hts.run.judging import fine_tuning, mean_gain, same_policies, selector_of_elites, speeds_predicted
-from hts.run.stages import number
+from hts.run.stages import Report, number
 
-Report = Callable[[float], None]
 FORMAT = 1  # of gate.json
 
 
 def gate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     """The elites of simulate.json, or those behind them."""
-    folder = f"iterations/{iteration:02d}"
-    rows, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
+    rows, simulated = job.read("finetune", iteration)["candidates"], job.read("simulate", iteration)
     return tried(job, iteration, rows, simulated, report, again=bool(job.config.gate.nearer))
 
 

@@ -30,7 +30,7 @@ from hts.run.budget import Budget, plan, second_trials
 from hts.run.provenance import collect as collect_provenance
 from hts.run.provenance import config_sha256, other_versions
 from hts.run.stage_files import read_stage
-from hts.run.stages import Stages, write_json
+from hts.run.stages import Report, Stages, write_json
 from hts.training.sweep import is_nearer, weights_of
 
 HASH = "_sha256"
@@ -49,7 +49,7 @@ class Job:
 
     # ------------------------------------------------------------------------------------------------- stages
 
-    def do(self, name: str, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
+    def do(self, name: str, title: str, work: Callable[[Report], Any]) -> Any:
         """See `Stages.do`."""
         return self.stages.do(name, title, work)
 
@@ -59,9 +59,17 @@ class Job:
             self._said.add(about)
             self.stages.progress.say(line)
 
-    def read(self, name: str) -> Any:
+    def path(self, stage: str, iteration: int | None = None) -> Path:
+        """Where the result of a stage lies; iteration: whose it is, where it is none of the whole run."""
+        return (self.folder if iteration is None else self.iteration_folder(iteration)) / f"{stage}.json"
+
+    def iteration_folder(self, iteration: int) -> Path:
+        """What belongs to one iteration: results of its stages, candidates, models."""
+        return self.folder / "iterations" / f"{iteration:02d}"
+
+    def read(self, stage: str, iteration: int | None = None) -> Any:
         """Result of a finished stage. Raises RunError as `read_stage`."""
-        return read_stage(self.folder / f"{name}.json")
+        return read_stage(self.path(stage, iteration))
 
     def prepare(self) -> None:
         """The pretrained policy and the provenance, before anything is spent."""
@@ -181,9 +189,13 @@ class Job:
             )
         return path
 
+    def model_path(self, iteration: int, objective: str) -> Path:
+        """Where a measurement model lies."""
+        return self.iteration_folder(iteration) / "models" / f"{objective}.safetensors"
+
     def model(self, iteration: int, objective: str) -> MeasurementModel:
         """A measurement model of this run. Raises PolicyError, which says how to get it back, if a file is damaged."""
-        path = model_path(self, iteration, objective)
+        path = self.model_path(iteration, objective)
         try:
             return files.load(path, registry=self.registry)
         except PolicyError as error:
@@ -222,15 +234,14 @@ class Job:
 
     def spent(self, iteration: int) -> int:
         """Real samples before an iteration."""
-        stages = ["collect"] if self.config.records_first else []
-        stages += [f"iterations/{earlier:02d}/test" for earlier in range(iteration)]
-        return sum(self.read(stage)["samples"] for stage in stages)
+        first = self.read("collect")["samples"] if self.config.records_first else 0
+        return first + sum(self.read("test", earlier)["samples"] for earlier in range(iteration))
 
     def elites(self, iteration: int) -> int:
         """How many elites an iteration may test: as the plan says, within what is left of the real samples."""
         if self.config.max_real_samples is None:
             return self.config.selection.elites
-        tried = [len(self.read(f"iterations/{earlier:02d}/test")["elites"]) for earlier in range(iteration)]
+        tried = [len(self.read("test", earlier)["elites"]) for earlier in range(iteration)]
         return self.budget.affordable(tried, self.spent(iteration))
 
     def confirmations(self, iterations: int) -> int:
@@ -246,8 +257,7 @@ class Job:
     @property
     def done_iterations(self) -> int:
         """Iterations whose elites were tested; fewer than planned where the real samples ran out."""
-        names = (self.folder / f"iterations/{index:02d}/test.json" for index in range(self.config.iterations))
-        return sum(path.exists() for path in names)
+        return sum(self.path("test", index).exists() for index in range(self.config.iterations))
 
     @cached_property
     def hold(self) -> HoldSpeed | None:
@@ -305,21 +315,16 @@ class Job:
         """Ids of all recordings made before the fine-tuning of this iteration: D_i."""
         ids = list(self.read("collect")["recordings"])
         for earlier in range(iteration):
-            ids += self.read(f"iterations/{earlier:02d}/test")["recordings"]
+            ids += self.read("test", earlier)["recordings"]
         return ids
 
-    def watch(self, report: Callable[[float], None]) -> None:
+    def watch(self, report: Report) -> None:
         """Let the world report its progress."""
         self.world.on_progress(report)
 
     def close(self) -> None:
         if "world" in self.__dict__:
             self.world.close()
-
-
-def model_path(job: Job, iteration: int, objective: str) -> Path:
-    """Where a measurement model lies."""
-    return job.folder / "iterations" / f"{iteration:02d}" / "models" / f"{objective}.safetensors"
 
 
 def _same_machine(before: Mapping[str, str], now: Mapping[str, str]) -> bool:

@@ -25,8 +25,8 @@ from hts.rl.kl_bound import mean_kl
 from hts.rl.population import Population
 from hts.run.felt_pull import pulled
 from hts.run.job import Job
-from hts.run.learning import Report, inputs, transforms
-from hts.run.stages import number
+from hts.run.learning import inputs, transforms
+from hts.run.stages import Report, number
 from hts.run.task_watch import gave_up, gave_up_line
 from hts.training.finetune import measured_env
 
@@ -36,7 +36,7 @@ NOT_WRITTEN = ("worlds", "pieces", "piece_speed")  # of a trial: what the stage'
 
 def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     """Judge candidates by their mean action in the training simulation; Π_{i+1} <- top K."""
-    tuned = job.read(f"iterations/{iteration:02d}/finetune")
+    tuned = job.read("finetune", iteration)
     return judge(job, iteration, tuned, tuned["candidates"])
 
 

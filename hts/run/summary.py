@@ -24,10 +24,9 @@ def summarise(job: Job) -> dict[str, Any]:
     first = job.read("collect") if config.records_first else {}
     done = job.done_iterations
     for index in range(done):
-        name = f"iterations/{index:02d}"
-        fit = job.read(f"{name}/fit") if learned else {}
+        fit = job.read("fit", index) if learned else {}
         tuned, simulated = iteration.tuned(job, index), iteration.simulated(job, index)
-        tested, gated = job.read(f"{name}/test"), iteration.gated(job, index)
+        tested, gated = job.read("test", index), iteration.gated(job, index)
         steps += tuned["steps"] + simulated["steps"] + (gated["steps"] if gated else 0)
         steps += (tuned.get("pull") or {}).get("steps", 0)  # not in runs from before it was written
         iterations.append(
@@ -40,7 +39,7 @@ def summarise(job: Job) -> dict[str, Any]:
                 },
                 **({"trust_region": tested["trust_region"]} if "trust_region" in tested else {}),
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
-                **({"measured_best": job.read(f"{name}/best")} if config.evaluation.each_iteration else {}),
+                **({"measured_best": job.read("best", index)} if config.evaluation.each_iteration else {}),
                 **_with_gate(_task(tuned, simulated), gated),
                 **({} if (over := passed_over(job, index)) is None else {"passed_over": over}),
                 "candidates": [_candidate(row, simulated, tested, gated) for row in tuned["candidates"]],
@@ -49,7 +48,7 @@ def summarise(job: Job) -> dict[str, Any]:
     again = job.read("confirm") if config.selection.confirm else None
     samples = job.spent(done) + (again["samples"] if again else 0)
     final = job.read("final")
-    checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(done)]
+    checks = [job.read("test", index)["model_checks"] for index in range(done)]
     ranks = (
         {name: pooled_ranks([check[name] for check in checks if name in check]) for name in job.objectives}
         if learned

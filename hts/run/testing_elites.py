@@ -37,10 +37,9 @@ from hts.run.job import Job
 from hts.run.judging import fine_tuning
 from hts.run.learning import bound_scale
 from hts.run.stage_files import Result
-from hts.run.stages import damaged
+from hts.run.stages import Report, damaged
 from hts.run.trust_region import by_all
-
-Report = Callable[[float], None]
+from hts.training.sweep import iteration_of
 
 
 @dataclass
@@ -290,17 +289,12 @@ def result_row(found: CandidateResult) -> dict[str, Any]:
     return row
 
 
-def iteration_of(name: str) -> int:
-    """The iteration that a candidate was trained in: "01-03" -> 1."""
-    return int(name.split("-")[0])
-
-
 def tested_before(job: Job, name: str) -> TestedCandidate:
     """A candidate as it was measured in its own iteration, where nothing refused it."""
-    stage = f"iterations/{iteration_of(name):02d}/test"
-    row = Result.model_validate(job.read(stage)["results"][name])
+    iteration = iteration_of(name)
+    row = Result.model_validate(job.read("test", iteration)["results"][name])
     if row.real is None or row.tested is None:
-        raise damaged(job.folder / f"{stage}.json", f"nothing about what was measured of {name}")
+        raise damaged(job.path("test", iteration), f"nothing about what was measured of {name}")
     comparisons = {}
     for key, score in row.tested.selection_score.items():
         speeds = [Comparison(one.improvement, score, one.metrics) for one in row.real[key].values()]

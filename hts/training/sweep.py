@@ -30,6 +30,11 @@ class Candidate:
     kl_bound: float
 
 
+def iteration_of(candidate: str) -> int:
+    """The iteration that a candidate was trained in: "01-03" -> 1."""
+    return int(candidate.split("-")[0])
+
+
 def nearer_id(candidate: str, share: float) -> str:
     """The id of a candidate at a share of the way from its anchor: 01-03 at a half is 01-03-w50."""
     return f"{candidate}-w{percent(share)}"
