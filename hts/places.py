@@ -85,3 +85,22 @@ def check_place(place: Path, option: str, *, file: bool = False) -> None:
             place_fault(error.errno or 0, option) or f"cannot be written ({error}). Choose another place with {option}"
         )
         raise RunError(f"{place}: {why}.") from error
+
+
+def check_new_folder(folder: Path) -> None:
+    """Raise RunError if something is there already: nothing is ever overwritten."""
+    left = temporary_of(folder / "config.yaml")  # all that a run leaves which was killed before it began
+    if folder.is_dir() and all(entry == left for entry in folder.iterdir()):
+        return
+    if (folder / "config.yaml").exists():
+        raise RunError(
+            f"{folder}: this folder holds a run already. Go on with it: `{resume_command(folder)}`; or start anew in "
+            "another: --out DIR."
+        )
+    if (folder / PRETRAINING).exists():
+        raise RunError(
+            f"{folder}: a pretraining was begun here and is not done. Go on with it: `{resume_command(folder)}`; or "
+            "start anew in another: --out DIR."
+        )
+    if folder.exists():
+        raise RunError(f"{folder}: exists already and is not an empty folder. Choose another one: --out DIR.")

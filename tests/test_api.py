@@ -37,6 +37,15 @@ def test_run_takes_several_objectives(tmp_path, monkeypatch):
     assert api.run(["one", "two"], "any", out=tmp_path / "new") == ("one", "two")
 
 
+def test_run_refuses_a_folder_that_holds_something_before_it_looks_at_anything_else(folder):
+    with pytest.raises(RunError, match="holds a run already"):
+        api.run("anything", "any", out=folder)
+    (folder / "mine").mkdir()
+    (folder / "mine/notes.txt").touch()
+    with pytest.raises(RunError, match="is not an empty folder. Choose another one"):
+        api.run("anything", "any", out=folder / "mine")
+
+
 def test_a_misspelt_setting_raises_what_the_command_line_prints(tmp_path):
     with pytest.raises(ConfigError, match="num_envs"):
         api.run("anything", "any", out=tmp_path, settings={"finetune.num_env": 16})

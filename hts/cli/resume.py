@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from hts import api
 from hts.cli import options
 
 
@@ -23,14 +24,5 @@ def command(folder: options.RunFolder) -> None:
             typer.echo(str(resume_pretraining(folder, tell)))
         return
     existing_run(folder)
-    from hts.config_loading import read_config
-
     with resumable(folder, option=""):
-        if read_config(folder / "config.yaml").reward_source == "oracle":
-            from hts.oracle import resume_oracle
-
-            resume_oracle(folder)
-        else:
-            from hts.run import resume_run
-
-            resume_run(folder)
+        api.resume(folder)
