@@ -85,9 +85,8 @@ def load_config(
     written = written_out(load_mapping_file(file), str(file)) if file else {}
     last = nested(sets, written_out)
     if "preset" in last:
-        raise ConfigError(
-            f"{_texts(sets, 'preset')}: a preset is where the other values start from; say --preset {last['preset']}"
-        )
+        text = next(one.text for one in sets if one.path[0] == "preset")
+        raise ConfigError(f"{text}: a preset is where the other values start from; say --preset {last['preset']}")
     chosen = preset or written.get("preset") or DEFAULT
     if not isinstance(chosen, str) or chosen not in PRESETS:
         raise ConfigError(unknown_name("preset", str(chosen), PRESETS))
@@ -282,10 +281,6 @@ def _whole(values: dict[str, Any], origin: Callable[[Location], str]) -> RunConf
         section_of(RunConfig, {**values, **stand_in}, origin)
         raise ConfigError(missing[0])
     return section_of(RunConfig, values, origin)
-
-
-def _texts(sets: Sequence[Override], key: str) -> str:
-    return next(one.text for one in sets if one.path[0] == key)
 
 
 def _origin(

@@ -137,14 +137,15 @@ class Job:
         path = save_policy(self.policy_path(name), policy)
         return to_onnx(policy, path.with_suffix(".onnx"))
 
-    def save_exploring(self, name: str, share: float) -> Path:
-        """The ONNX file of a policy that adds `share` of its own sigma as noise;
+    def save_exploring(self, share: float) -> Path:
+        """The ONNX file of the pretrained policy that adds `share` of its own sigma as noise;
         another policy to a model, with its own hash."""
-        policy = self.policy(name)
+        policy = self.policy(PRETRAINED)
         std = tuple((policy.tensors["log_std"].exp() * share).tolist())
         own = hashlib.sha256(f"{policy.card.policy_hash}{std}".encode()).hexdigest()
         card = dataclasses.replace(policy.card, exploration_std=std, policy_hash=own)
-        return to_onnx(Policy(policy.tensors, card), self.policy_path(name).with_name(f"{name}-exploring.onnx"))
+        place = self.policy_path(PRETRAINED).with_name(f"{PRETRAINED}-exploring.onnx")
+        return to_onnx(Policy(policy.tensors, card), place)
 
     def policy(self, name: str) -> Policy:
         """Read a policy of this run. Raises PolicyError, which says how to get it back, if a file is damaged."""

@@ -20,7 +20,7 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
     """Roll the pretrained policy out under the schedule: D_0."""
     config = job.config.collection
     job.watch(report)
-    exploring = job.save_exploring(PRETRAINED, config.exploration)
+    exploring = job.save_exploring(config.exploration)
     policies = [job.exported(PRETRAINED)] * config.repeats + [exploring] * config.exploring
     recordings = asked(job.world, "collect", policies, job.schedule)
     if len(recordings) != len(policies):
