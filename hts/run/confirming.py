@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from hts.checked_selector import checked_selector
 from hts.contracts import Selector, TestedCandidate
 from hts.evaluation.across_speeds import mean_comparison
 from hts.recordings.recording import robot_samples_of
@@ -23,7 +22,7 @@ def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
     """Second trials of the best so far and those next to it, as many as `selection.confirm` says and
     `max_real_samples` leaves; nobody's where there are not two. The result's `best` goes to the final.
     """
-    selector, before = selector_of(job), tested_so_far(job)
+    selector, before = job.selector(), tested_so_far(job)
     names = contenders(selector, before, best, job.confirmations(job.done_iterations))
     if len(names) < 2:
         left = [one for one in order(selector, before) if one != best]
@@ -58,14 +57,8 @@ def finalists(job: Job, best: str) -> list[str]:
     if job.config.selection.confirm:
         others = job.read("confirm").get("next", [])  # of a run of before: nobody
     else:
-        others = order(selector_of(job), [one for one in tested_so_far(job) if one.id != best])
+        others = order(job.selector(), [one for one in tested_so_far(job) if one.id != best])
     return [best, *others][: job.config.evaluation.finals]
-
-
-def selector_of(job: Job) -> Selector:
-    """Who chooses in this run."""
-    settings = job.config.selection.selector
-    return checked_selector(job.registry, settings)
 
 
 def order(selector: Selector, tested: Sequence[TestedCandidate]) -> list[str]:

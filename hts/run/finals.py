@@ -75,7 +75,7 @@ def final(job: Job, finalists: Sequence[str], report: Report) -> dict[str, Any]:
         if tried[-1].lost == 0 or (error is not None and error.role == "reference"):  # no policy helps against that
             break
         if number + 1 < len(finalists):
-            job.stages.progress.say(f"{_why(tried[-1])} Next: {finalists[number + 1]}.")
+            job.say(f"{_why(tried[-1])} Next: {finalists[number + 1]}.")
     chosen = min(tried, key=lambda one: one.lost)
     if chosen.error is not None:  # so has everybody's
         for one in tried:

@@ -9,8 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from hts.checked_selector import checked_selector
 from hts.config import RunConfig, ScheduleConfig
-from hts.contracts import HoldSpeed, MeasurementModel, Robot, World
+from hts.contracts import HoldSpeed, MeasurementModel, Robot, Selector, World
 from hts.errors import PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.measurement import files
@@ -53,11 +54,15 @@ class Job:
         """See `Stages.do`."""
         return self.stages.do(name, title, work)
 
+    def say(self, line: str) -> None:
+        """One line to whoever waits for the run."""
+        self.stages.progress.say(line)
+
     def say_once(self, about: str, line: str) -> None:
         """One line of the run, unless one about the same was said since it was begun or resumed."""
         if about not in self._said:
             self._said.add(about)
-            self.stages.progress.say(line)
+            self.say(line)
 
     def path(self, stage: str, iteration: int | None = None) -> Path:
         """Where the result of a stage lies; iteration: whose it is, where it is none of the whole run."""
@@ -95,7 +100,7 @@ class Job:
                     "Put that one back, or begin a new run."
                 )
             if (other := other_versions(kept)) and not (self.folder / "summary.json").exists():
-                self.stages.progress.say(
+                self.say(
                     f"{self.folder}: was begun with {other}. Stages that are done are of that version, what follows is "
                     "of this one; install that one again, or begin a new run, for a result of one version."
                 )
@@ -180,7 +185,7 @@ class Job:
         """
         policy, path, own = self.policy(name), self.onnx_path(name), self.policy_path(name).name
         if not path.exists():
-            self.stages.progress.say(f"{path}: is missing, so it is written again from {own}.")
+            self.say(f"{path}: is missing, so it is written again from {own}.")
             return to_onnx(policy, path)
         other = what_differs(path, policy)
         if other is not None:
@@ -227,6 +232,11 @@ class Job:
         if self.hold is not None:
             ask_to_hold(world, self.hold)
         return world
+
+    def selector(self) -> Selector:
+        """Who names the elites that are tried for real, and the best of those."""
+        capped = self.config.max_real_samples is not None
+        return checked_selector(self.registry, self.config.selection.selector, capped)
 
     @cached_property
     def budget(self) -> Budget:
@@ -282,7 +292,7 @@ class Job:
         Returns their ids. Raises RecordingError as `check_recordings` does, with nothing stored."""
         self.check_recordings(recordings)
         for line in remarks(recordings):
-            self.stages.progress.say(line)
+            self.say(line)
         return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
 
     def recordings(self, ids: Sequence[str]) -> list[Recording]:

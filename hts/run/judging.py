@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hts.checked_selector import checked_selector
-from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, Selector, SimulatedCandidate, Task
+from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, SimulatedCandidate, Task
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds, trial_steps
@@ -85,7 +84,7 @@ def judge(
         )
         for row in rows
     ]
-    selector = selector_of_elites(job)
+    selector = job.selector()
     lenient, alike = is_lenient(job), same_policies(rows)
     able = [
         one
@@ -113,13 +112,8 @@ def judge(
     }
     line = gave_up_line(elites, found, tuned.get("reward_scale") or {}, task.quantity, task.unit)
     if line is not None:
-        job.stages.progress.say(f"iteration {iteration:02d}: {line}")
+        job.say(f"iteration {iteration:02d}: {line}")
     return {**found, "gave_up": {"elites": gave_up(elites, found), "line": line}}
-
-
-def selector_of_elites(job: Job) -> Selector:
-    """Who names those of an iteration that are tried for real."""
-    return checked_selector(job.registry, job.config.selection.selector, job.config.max_real_samples is not None)
 
 
 class Distance:

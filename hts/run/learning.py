@@ -56,9 +56,9 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
         before = job.read("fit", iteration - 1)[name] if iteration else None
         if before is None or not doubts(before):  # once is enough
             for line in doubts(result[name]):
-                job.stages.progress.say(line)
+                job.say(line)
         for line in masked_lines(result[name], before):  # again where new recordings have more of them
-            job.stages.progress.say(line)
+            job.say(line)
     return result
 
 
@@ -168,7 +168,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     key = f"{iteration}/{'/'.join(anchor.card.policy_hash for anchor in anchors.values())}/{config.seed}"
     pull = felt_pull(job, iteration)
     if pull is not None:
-        job.stages.progress.say(f"iteration {iteration:02d}: {pull_line(pull, config.simulation_test.speeds)}")
+        job.say(f"iteration {iteration:02d}: {pull_line(pull, config.simulation_test.speeds)}")
     with Curves(curves, goes_on=begun) as log:
         tuned, steps = finetune_candidates(
             job.robot,
@@ -189,7 +189,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     scale = reward_scale(rows, list(job.objectives))
     held = bool(config.finetune.hold and job.robot.held_at_zero)  # then a large λ cannot buy less of the task
     for line in () if held else scale_lines(scale, rows):
-        job.stages.progress.say(line)
+        job.say(line)
     rows += job.untrained(iteration)
     found = {} if pull is None else {"pull": pull}
     return {"candidates": rows, "steps": steps, "reward_scale": scale, "held": held, **found}

@@ -22,7 +22,7 @@ from hts.policies.files import Policy, make_card
 from hts.run.gate import as_judged, tried
 from hts.run.iteration import gated, judged_after, tried_after
 from hts.run.job import Job
-from hts.run.judging import judge, needed, same_policies, selector_of_elites
+from hts.run.judging import judge, needed, same_policies
 from hts.run.stages import Report
 from hts.training.sweep import is_nearer, nearer_id
 
@@ -57,7 +57,7 @@ def _first(job: Job, iteration: int, rows: Sequence[Mapping[str, Any]]) -> str |
     """Whom the selector would name first of them if nobody had fallen; None if nobody. rows: of finetune.json."""
     simulated, alike = job.read("simulate", iteration), same_policies(rows)
     able = [dataclasses.replace(as_judged(row, simulated), falls=0) for row in rows if row["id"] not in alike]
-    return next(iter(selector_of_elites(job).elites(able, 1)), None)
+    return next(iter(job.selector().elites(able, 1)), None)
 
 
 def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any
         line = (
             f"nobody of this iteration may be tried, so candidates are judged at {told} of the way from their anchors"
         )
-    job.stages.progress.say(f"iteration {iteration:02d}: {line}")
+    job.say(f"iteration {iteration:02d}: {line}")
     tuned = job.read("finetune", iteration)
     yardstick = before["pretrained"]
     rows: list[dict[str, Any]] = []
@@ -105,7 +105,7 @@ def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any
         }
         if found["elites"]:
             passed = f"{' and '.join(found['elites'])} passed the gate, at {percent(share)} % of the way"
-            job.stages.progress.say(f"iteration {iteration:02d}: {passed}")
+            job.say(f"iteration {iteration:02d}: {passed}")
             whole["gate"]["lines"] = [*whole["gate"]["lines"], passed]
             break
     elites = whole["gate"]["elites"]
@@ -124,7 +124,7 @@ def _of_both(
     able += [as_judged(row, whole["simulate"]) for row in rows if row["id"] in whole["gate"]["elites"]]
     trials = {**simulated["trials"], **whole["simulate"]["trials"]}
     able = by_one_measure(able, job.config.simulation_test.min_valid, [*trained, *rows], trials)
-    return selector_of_elites(job).elites(able, job.elites(iteration))
+    return job.selector().elites(able, job.elites(iteration))
 
 
 def by_one_measure(

@@ -31,7 +31,7 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
     ids = job.keep(recordings, 0)
     falls = sum(falls_of(one.role, [one]) for one in recordings)
     if falls:
-        job.stages.progress.say(
+        job.say(
             f"The pretrained policy fell {falls} time{'' if falls == 1 else 's'} in the first data; {config.exploring} "
             f"of {len(policies)} recordings explore (collection.exploration={config.exploration:g})."
         )

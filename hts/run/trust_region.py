@@ -24,7 +24,7 @@ and how many elites this is worth: from runs on the default twin and development
 
 @dataclass(frozen=True)
 class Tried:
-    """An elite as it was tried: improvements in one unit, means over the same speeds; ci95: half width of the measured
+    """An elite as it was tried: improvements in one unit, means over the same speeds; half_width: of the measured
     one's interval; kl and kl_bound, nats; fell: in reality."""
 
     id: str
