@@ -113,7 +113,7 @@ class OracleJob(Job):
         start = start_policy(self.config, self.oracle)
         if start is not None and not self.policy_path(START).exists():
             self.save(START, start)
-        assert self.levels is not None
+        _ = self.levels  # a stage, if it is not done yet
 
     @cached_property
     def levels(self) -> dict[str, Level]:

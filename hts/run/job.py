@@ -78,7 +78,7 @@ class Job:
 
     def prepare(self) -> None:
         """The pretrained policy and the provenance, before anything is spent."""
-        assert self.combinations is not None  # raises ConfigError where there is nothing to learn from
+        _ = self.combinations  # raises ConfigError where there is nothing to learn from
         source = pretrained_file(self.robot)
         begun = (self.folder / "provenance.json").exists()
         kept = self.read("provenance") if begun else {}
