@@ -108,7 +108,7 @@ def fit(
     For example `api.fit("OBJECTIVE", "walks.zarr", "fits/first", {"measurement.epochs": 40})["held_out_r2"]`.
     """
     from hts.measurement.fit_command import FitChecks, fit_store
-    from hts.measurement.splits import SplitRule
+    from hts.measurement.split_rule import SplitRule
     from hts.overrides import Override
 
     overrides = [Override.of(key, value) for key, value in (settings or {}).items()]

@@ -87,6 +87,13 @@ def check_place(place: Path, option: str, *, file: bool = False) -> None:
         raise RunError(f"{place}: {why}.") from error
 
 
+def check_new_file(to: Path) -> None:
+    """Raise RunError unless a file can be made there, which `--to` names, and nothing is there yet."""
+    check_place(to, "--to FILE", file=True)
+    if to.exists():
+        raise RunError(f"{to}: exists already. Choose another file with --to.")
+
+
 def check_new_folder(folder: Path) -> None:
     """Raise RunError if something is there already: nothing is ever overwritten."""
     left = temporary_of(folder / "config.yaml")  # all that a run leaves which was killed before it began

@@ -17,8 +17,8 @@ from hts.evaluation.simulation import trial_steps
 from hts.guarded import guarded
 from hts.parts import objectives_of, robot_of, world_of
 from hts.plugins import Registry
-from hts.run.asked import asked_of
 from hts.run.budget import candidate_counts, plan
+from hts.run.robot_time import asked_of
 from hts.training.sweep import weights_of
 
 STEPS_PER_SECOND = {"mujoco": 4_500.0, "warp": 500_000.0}
