@@ -15,6 +15,11 @@ from hts.run.job import Job
 from hts.run.passed_over import passed_over
 from hts.run.task_watch import scale_lines
 
+OF_THE_GATE = (
+    *("strict", "checks", "untold", "accepted_untold", "limits"),
+    *("proposed", "elites", "kept_out", "first_run", "lines"),
+)
+
 
 def summarise(job: Job) -> dict[str, Any]:
     """The whole run as one JSON object; everything but `wall_seconds` depends on configuration and seed alone."""
@@ -162,19 +167,7 @@ def _with_gate(task: Mapping[str, Any], gated: Mapping[str, Any] | None) -> dict
     """What became of the task, and of the candidates at the gate; nothing of a run without one."""
     if gated is None:
         return dict(task)
-    keys = (
-        "strict",
-        "checks",
-        "untold",
-        "accepted_untold",
-        "limits",
-        "proposed",
-        "elites",
-        "kept_out",
-        "first_run",
-        "lines",
-    )
-    told = {key: gated[key] for key in keys}
+    told = {key: gated[key] for key in OF_THE_GATE}
     refused = [name for name, row in gated["policies"].items() if not row["passed"]]
     return {**task, "warnings": [*task.get("warnings", ()), *gated["lines"]], "gate": {**told, "refused": refused}}
 

@@ -65,6 +65,9 @@ class Truth:
     tolerance: float = 0.1
 
 
+Compared = Callable[[np.ndarray, np.ndarray], Any]
+
+
 @dataclass(frozen=True)
 class Walked:
     """One session at one speed. means: over all pieces; counted: of each role the means of the objective's quantities
@@ -209,15 +212,14 @@ def _entry(objective: Objective, walked: Sequence[Walked], speed: float) -> dict
         return objective.compare(*(dict(zip(names, map(float, one), strict=True)) for one in (policy, reference)))
 
     first, second = (np.array([[one[role][name] for name in names] for one in sessions]) for role in ROLES)
-    whole = compared(first.mean(axis=0), second.mean(axis=0))
-    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, first, second)
+    whole, interval = _over_all(compared, first, second)
 
     def over(role: str, name: str) -> np.ndarray:
         return np.array([one[role][name] for one in sessions])
 
     return {
         "improvement": whole.improvement,
-        "improvement_ci95": list(interval) if interval else None,
+        "improvement_ci95": interval,
         "metrics": dict(whole.metrics),
         "sessions": len(sessions),
         "mean_speed": float(over("policy", "speed").mean()),
@@ -230,20 +232,25 @@ def _entry(objective: Objective, walked: Sequence[Walked], speed: float) -> dict
     }
 
 
-def _counted(compared: Callable[[np.ndarray, np.ndarray], Any], walked: Sequence[Walked]) -> dict[str, Any] | None:
+def _over_all(compared: Compared, policy: np.ndarray, reference: np.ndarray) -> tuple[Any, list[float] | None]:
+    """The comparison of the means of all sessions, (S, Q) each, and the interval of its improvement."""
+    interval = over_sessions(lambda one, other: float(compared(one, other).improvement), policy, reference)
+    return compared(policy.mean(axis=0), reference.mean(axis=0)), list(interval) if interval else None
+
+
+def _counted(compared: Compared, walked: Sequence[Walked]) -> dict[str, Any] | None:
     """Of the pieces that a head-to-head would count, as it takes them: blocks and sessions count alike."""
     both = [one for one in walked if all(one.pieces[role] for role in ROLES)]
     if len(both) < 2:
         return None
     first, second = (np.array([one.counted[role] for one in both]) for role in ROLES)
-    whole = compared(first.mean(axis=0), second.mean(axis=0))
-    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, first, second)
+    whole, interval = _over_all(compared, first, second)
     shares = [
         sum(one.pieces[role] for one in walked) / sum(one.means[role]["pieces"] for one in walked) for role in ROLES
     ]
     return {
         "improvement": whole.improvement,
-        "improvement_ci95": list(interval) if interval else None,
+        "improvement_ci95": interval,
         "valid": shares[0],
         "reference_valid": shares[1],
     }
