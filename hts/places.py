@@ -111,3 +111,19 @@ def check_new_folder(folder: Path) -> None:
         )
     if folder.exists():
         raise RunError(f"{folder}: exists already and is not an empty folder. Choose another one: --out DIR.")
+
+
+def existing_run(folder: Path) -> Path:
+    """The folder itself. Raises RunError where there is no run in it."""
+    if not folder.exists():
+        raise RunError(f"{folder}: there is no such folder. Give the folder that `hts run` named at its end.")
+    policy = folder / PRETRAINED_FILE
+    if not (folder / "config.yaml").is_file() and policy.is_file() and (folder / CURVE).is_file():
+        raise RunError(
+            f"{folder}: holds a finished pretraining and no run, so there is nothing to go on with. Its policy is "
+            f"{policy}: `hts play --policy {policy}` shows it; to start runs from it, let the robot's "
+            "pretrained_policy() name it (some robots have a setting for that: `hts plugins NAME`)."
+        )
+    if not (folder / "config.yaml").is_file():
+        raise RunError(f"{folder}: holds no run (no config.yaml). Give the folder that `hts run` named at its end.")
+    return folder

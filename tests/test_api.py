@@ -56,7 +56,7 @@ def test_resume_goes_on_in_the_folder_and_refuses_one_without_a_run(folder, tmp_
 
     monkeypatch.setattr(hts.run, "resume_run", lambda place: place)
     assert api.resume(str(folder)) == folder
-    with pytest.raises(RunError, match="holds no run"):
+    with pytest.raises(RunError, match="there is no such folder"):
         api.resume(tmp_path / "nothing")
 
 

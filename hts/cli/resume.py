@@ -12,8 +12,7 @@ def command(folder: options.RunFolder) -> None:
     """Go on with a run, or a pretraining, where it stopped; finished stages are not done again, and a finished run
     only shows its result again."""
     from hts.cli.one_line import resumable
-    from hts.cli.run_folder import existing_run
-    from hts.places import PRETRAINING, check_text
+    from hts.places import PRETRAINING, check_text, existing_run
 
     check_text(folder, "Rename it, and resume it then: nothing is lost.")
     if (folder / PRETRAINING).is_file():

@@ -49,11 +49,14 @@ def prepared(config: RunConfig, registry: Registry) -> RunConfig:
 
 def check(config: RunConfig, registry: Registry) -> None:
     """What can be checked before anything is spent, beside names: each mistake is one line."""
-    robot = robot_of(config, registry)
-    oracle = OracleRobot(robot, config.world.settings, config.objectives, registry)
+    oracle = _oracle(config, registry)
     pretrained_policy(oracle)
     start_policy(config, oracle)
     check_world(config, registry)
+
+
+def _oracle(config: RunConfig, registry: Registry) -> OracleRobot:
+    return OracleRobot(robot_of(config, registry), config.world.settings, config.objectives, registry)
 
 
 def start_policy(config: RunConfig, robot: OracleRobot) -> Policy | None:
@@ -79,9 +82,7 @@ def start_policy(config: RunConfig, robot: OracleRobot) -> Policy | None:
 
 def control_steps_per_second(config: RunConfig, registry: Registry) -> float:
     """Of walking on the reality, measured here; learning takes little beside it."""
-    robot = robot_of(config, registry)
-    oracle = OracleRobot(robot, config.world.settings, config.objectives, registry)
-    objectives = objectives_of(config, registry)
+    oracle, objectives = _oracle(config, registry), objectives_of(config, registry)
     begun = time.perf_counter()
     _, steps = levels(
         oracle,
