@@ -17,6 +17,7 @@ from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement.baseline import fit_proxy
 from hts.measurement.proxy import proxy_along
+from hts.measurement.transform import channels_read
 from hts.policies.files import Policy
 from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording
@@ -24,7 +25,7 @@ from hts.rl.kl_bound import mean_kl
 from hts.rl.population import Population
 from hts.run.felt_pull import pulled
 from hts.run.job import Job
-from hts.run.learning import inputs, transforms
+from hts.run.learning import transforms
 from hts.run.stages import Report, number
 from hts.run.task_watch import gave_up, gave_up_line
 from hts.training.finetune import measured_env
@@ -61,7 +62,7 @@ def judge(
     if pull is not None and test.measured_pull:
         env_config = pulled(env_config, tuple(pull["pull"]))
     task = job.robot.task()
-    channels = tuple(dict.fromkeys((*inputs(job, iteration), *task.channels)))
+    channels = tuple(dict.fromkeys((*channels_read(transforms(job, iteration)), *task.channels)))
     bare = job.robot.make_env(
         config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
     )

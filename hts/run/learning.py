@@ -16,7 +16,7 @@ from hts.measurement import files
 from hts.measurement.fit_command import FitResult, fit_and_check
 from hts.measurement.fit_report import doubts, masked_lines
 from hts.measurement.outliers import masked_split
-from hts.measurement.transform import Measured, MeasurementTransform, ProxyTransform
+from hts.measurement.transform import Measured, MeasurementTransform, ProxyTransform, channels_read
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
 from hts.policy_ids import PRETRAINED
@@ -25,7 +25,6 @@ from hts.run.curves import Curves
 from hts.run.felt_pull import felt_pull, pull_line
 from hts.run.front import real_front
 from hts.run.job import Job
-from hts.run.ready import inputs as inputs_of
 from hts.run.stages import Report
 from hts.run.task_watch import reward_scale, scale_lines
 from hts.run.trust_region import scaled
@@ -121,11 +120,6 @@ def transforms(job: Job, iteration: int) -> list[Measured]:
     ]
 
 
-def inputs(job: Job, iteration: int) -> tuple[str, ...]:
-    """Sim channels that the objectives' models read, or whatever else pays."""
-    return inputs_of(transforms(job, iteration))
-
-
 def sweep(job: Job, iteration: int, best: str) -> list[Candidate]:
     """The candidates of an iteration. An anchor "front" becomes, for each combination of λ, the id of a policy."""
 
@@ -177,7 +171,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
             group,
             anchors,
             lambda: transforms(job, iteration),
-            inputs(job, iteration),
+            channels_read(transforms(job, iteration)),
             seed=job.seed("finetune", iteration),
             checkpoint=checkpoint,
             key=key,

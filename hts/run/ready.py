@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -70,7 +70,7 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
         for name, objective in objectives.items()
     }
     check_selector(registry, config.selection.selector, compared)
-    transforms(config, registry)
+    unfitted_rewards(config, registry)
     pretrained_policy(robot)
     check_world(config, registry)
     if engine is not None:
@@ -101,7 +101,7 @@ def check_shared_channels(objectives: Mapping[str, Objective]) -> None:
             )
 
 
-def transforms(config: RunConfig, registry: Registry) -> list[Measured]:
+def unfitted_rewards(config: RunConfig, registry: Registry) -> list[Measured]:
     """The rewards of the run's objectives for an env, from measurement models that are not fitted, or from proxies."""
     from hts.measurement.fitting import check_unfitted
     from hts.measurement.transform import MeasurementTransform, ProxyTransform
@@ -117,11 +117,6 @@ def transforms(config: RunConfig, registry: Registry) -> list[Measured]:
             check_unfitted(model, registry)
             made.append(MeasurementTransform.of(objective, model))
     return made
-
-
-def inputs(seen: Iterable[Measured]) -> tuple[str, ...]:
-    """Sim channels that these read, each once."""
-    return tuple(dict.fromkeys(name for one in seen for name in one.inputs))
 
 
 def pretrained_policy(robot: Robot) -> Policy:
@@ -182,11 +177,14 @@ def check_sign(name: str, objective: Objective, robot: Robot) -> None:
 
 def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
     """The training env of this robot is made, with the rewards in it, and takes a step."""
+    from hts.measurement.transform import channels_read
+
     robot = robot_of(config, registry)
     for name, objective in objectives_of(config, registry).items():
         _check_reward(name, objective)
         check_sign(name, objective, robot)
-    check_step(config, robot, engine, inputs(transforms(config, registry)), lambda: transforms(config, registry))
+    channels = channels_read(unfitted_rewards(config, registry))
+    check_step(config, robot, engine, channels, lambda: [*unfitted_rewards(config, registry)])
 
 
 def check_step(

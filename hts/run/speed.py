@@ -10,7 +10,7 @@ from hts.guarded import guarded
 from hts.parts import objectives_of, robot_of
 from hts.plugins import Registry
 from hts.policy_ids import PRETRAINED
-from hts.run.ready import inputs, pretrained_policy, transforms
+from hts.run.ready import pretrained_policy, unfitted_rewards
 from hts.training.sweep import Candidate, weights_of
 
 BATCHES = 4  # the first one is not timed: it takes memory and fills caches
@@ -24,6 +24,7 @@ def control_steps_per_second(config: RunConfig, registry: Registry) -> float | N
     """
     if config.engine != "mujoco":
         return None
+    from hts.measurement.transform import channels_read
     from hts.training.finetune import finetune
 
     robot = robot_of(config, registry)
@@ -44,8 +45,8 @@ def control_steps_per_second(config: RunConfig, registry: Registry) -> float | N
             short,
             group,
             {PRETRAINED: policy},
-            lambda: transforms(config, registry),
-            inputs(transforms(config, registry)),
+            lambda: unfitted_rewards(config, registry),
+            channels_read(unfitted_rewards(config, registry)),
             seed=config.seed,
             progress=lambda share: ends.append(time.perf_counter()),
         ),
