@@ -135,7 +135,7 @@ def judged(folder: Path, iteration: int) -> Exact:
     begun = time.perf_counter()
     try:
         check_exact(Seeing.of(job.robot, config.world.settings, config.objectives, registry), job.objectives)
-        tuned = job.read(f"iterations/{iteration:02d}/finetune")
+        tuned = job.read("finetune", iteration)
         job.do("collect", "collect real data of the pretrained policy", partial(collect, job))  # not each run does
         _fit_what_is_missing(job, iteration)
         found = judge(job, iteration, tuned, tuned["candidates"])
