@@ -186,7 +186,7 @@ def replay(folder: Path, settings: Json) -> list[Json]:
         job = Job(config, copy, load(), stages)
         selector = job.registry.make_selector("racing", settings)
         for index in range(config.iterations):
-            test, rounds = job.read(f"iterations/{index:02d}/test"), selector.rounds()
+            test, rounds = job.read("test", index), selector.rounds()
             assert rounds is not None
             raced = in_rounds(job, test["elites"], selector, rounds, lambda share: None)
             assert raced is not None

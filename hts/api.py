@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hts.errors import RunError
+from hts.overrides import Override
+from hts.places import PRETRAINING, existing_run, resume_command
 
 if TYPE_CHECKING:
     from hts.config import RunConfig
@@ -46,12 +48,11 @@ def run(
     A run that was interrupted goes on with `resume(folder)`.
     """
     from hts.config_loading import load_config
-    from hts.overrides import Override
     from hts.plugins import load as load_plugins
     from hts.run import start_run
 
     names = [objectives] if isinstance(objectives, str) else list(objectives)
-    overrides = [Override.of(key, value) for key, value in (settings or {}).items()]
+    overrides = _overrides(settings)
     registry = load_plugins()
     resolved = load_config(
         preset=preset,
@@ -73,13 +74,12 @@ def resume(folder: Path | str) -> Path:
     For example `api.resume("runs/first")`.
     """
     from hts.config_loading import read_config
-    from hts.places import PRETRAINING
 
     if (Path(folder) / PRETRAINING).is_file():
         from hts.training.pretrain import resume_pretraining
 
         return resume_pretraining(Path(folder))
-    place = _run_folder(folder)
+    place = existing_run(Path(folder))
     if read_config(place / "config.yaml").reward_source == "oracle":
         from hts.oracle import resume_oracle
 
@@ -108,10 +108,9 @@ def fit(
     For example `api.fit("OBJECTIVE", "walks.zarr", "fits/first", {"measurement.epochs": 40})["held_out_r2"]`.
     """
     from hts.measurement.fit_command import FitChecks, fit_store
-    from hts.measurement.splits import SplitRule
-    from hts.overrides import Override
+    from hts.measurement.split_rule import SplitRule
 
-    overrides = [Override.of(key, value) for key, value in (settings or {}).items()]
+    overrides = _overrides(settings)
     checks = FitChecks(
         test=None if test is None else Path(test),
         split=None if split is None else SplitRule.parsed(split),
@@ -142,11 +141,10 @@ def evaluate(
     """
     from hts.config_loading import read_config
     from hts.evaluation.evaluate import evaluate_run
-    from hts.overrides import Override
     from hts.plugins import load as load_plugins
     from hts.run.provenance import TO_EVALUATE, check_config
 
-    run_folder, registry = _run_folder(folder), load_plugins()
+    run_folder, registry = existing_run(Path(folder)), load_plugins()
     check_config(run_folder, read_config(run_folder / "config.yaml"), registry, TO_EVALUATE)
     return evaluate_run(
         run_folder,
@@ -156,7 +154,7 @@ def evaluate(
         seed=seed,
         registry=registry,
         sessions=sessions,
-        overrides=[Override.of(key, value) for key, value in (settings or {}).items()],
+        overrides=_overrides(settings),
         say=lambda line: print(line, file=sys.stderr),
     )
 
@@ -198,9 +196,8 @@ def load(folder: Path | str) -> Run:
     For example `api.load("runs/first").policy("best").card.policy_hash`.
     """
     from hts.config_loading import read_config
-    from hts.places import resume_command
 
-    place = _run_folder(folder)
+    place = existing_run(Path(folder))
     summary = place / "summary.json"
     try:
         found = json.loads(summary.read_text(encoding="utf-8")) if summary.exists() else None
@@ -211,8 +208,5 @@ def load(folder: Path | str) -> Run:
     return Run(place, read_config(place / "config.yaml"), found)
 
 
-def _run_folder(folder: Path | str) -> Path:
-    place = Path(folder)
-    if not (place / "config.yaml").is_file():
-        raise RunError(f"{place}: holds no run (no config.yaml). Give the folder of a run.")
-    return place
+def _overrides(settings: Mapping[str, Any] | None) -> list[Override]:
+    return [Override.of(key, value) for key, value in (settings or {}).items()]

@@ -18,14 +18,15 @@ from pydantic import ValidationError
 
 from hts.checked_selector import checked_selector
 from hts.config import Config, Named, RunConfig
-from hts.contracts import MODEL, ModelContext, WorldContext, chosen_model, own_settings, physics_steps_of, robot_signals
+from hts.contracts import MODEL, chosen_model, own_settings
 from hts.engines import check_engine
-from hts.errors import ConfigError, PluginError, unknown_name
+from hts.errors import ConfigError, unknown_name
 from hts.explain import Location, dotted, explain
 from hts.guarded import guarded
 from hts.layers import in_full as written_out
 from hts.layers import laid, plain
 from hts.overrides import Override, check_has_keys, nested, parsed
+from hts.parts import make_model, objectives_of, robot_of, world_of
 from hts.presets import (
     ASKS_OBJECTIVES,
     BASELINES,
@@ -40,7 +41,6 @@ from hts.task_settings import check_simulated, check_task, task_layer
 from hts.yaml_text import load_mapping_file
 
 if TYPE_CHECKING:
-    from hts.contracts import MeasurementModel, Objective, Robot
     from hts.plugins import Registry
 
 Section = TypeVar("Section", bound=Config)
@@ -85,9 +85,8 @@ def load_config(
     written = written_out(load_mapping_file(file), str(file)) if file else {}
     last = nested(sets, written_out)
     if "preset" in last:
-        raise ConfigError(
-            f"{_texts(sets, 'preset')}: a preset is where the other values start from; say --preset {last['preset']}"
-        )
+        text = next(one.text for one in sets if one.path[0] == "preset")
+        raise ConfigError(f"{text}: a preset is where the other values start from; say --preset {last['preset']}")
     chosen = preset or written.get("preset") or DEFAULT
     if not isinstance(chosen, str) or chosen not in PRESETS:
         raise ConfigError(unknown_name("preset", str(chosen), PRESETS))
@@ -231,22 +230,12 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     check_engine(config.engine)
     if config.executor not in EXECUTORS:
         raise ConfigError(unknown_name("executor", config.executor, EXECUTORS))
-    for name, settings in config.objectives.items():
-        registry.make_objective(name, settings)
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    objectives, robot = objectives_of(config, registry), robot_of(config, registry)
     check_simulated(robot)
     check_task(config, robot)
     checked_selector(registry, config.selection.selector).check(list(config.objectives))
     with tempfile.TemporaryDirectory() as nowhere:
-        context = WorldContext(
-            robot=config.robot.name,
-            robot_settings=config.robot.settings,
-            objectives=config.objectives,
-            seed=config.seed,
-            folder=Path(nowhere),
-            registry=registry,
-        )
-        registry.make_world(config.world.name, config.world.settings, context).close()
+        world_of(config, registry, Path(nowhere)).close()
     instruments = config.world.settings.get("instruments", {})
     for name, settings in instruments.items() if isinstance(instruments, Mapping) else ():
         registry.make_instrument(name, settings, robot)
@@ -254,24 +243,10 @@ def check_names(config: RunConfig, registry: Registry) -> None:
     if strangers:
         raise ConfigError("sweep.weights: " + unknown_name("objective of this run", strangers[0], config.objectives))
     if config.fits_models:
-        for name, settings in config.objectives.items():
-            objective = registry.make_objective(name, settings)
+        for name, objective in objectives.items():
             what = f"Objective '{name}' (from {registry.entry('objectives', name).package}): measurement_model()"
             guarded(what, objective.measurement_model)
-            make_model(registry, objective, settings, robot)
-
-
-def make_model(registry: Registry, objective: Objective, settings: Mapping[str, Any], robot: Robot) -> MeasurementModel:
-    """The measurement model of an objective for the robot's channels, not fitted yet. Raises ConfigError."""
-    own = objective.measurement_model()
-    if not isinstance(own, Named):
-        raise PluginError(
-            f"Objective '{objective.name}': measurement_model() gives {own!r}, expected hts.config.Named, such as "
-            "Named(name='lstm')."
-        )
-    choice, signals = chosen_model(objective, settings), robot_signals(objective, robot)
-    context = ModelContext(signals, own, physics_steps=physics_steps_of(robot))
-    return registry.make_measurement_model(choice.name, choice.settings, context)
+            make_model(registry, objective, config.objectives[name], robot)
 
 
 def _objectives(
@@ -306,10 +281,6 @@ def _whole(values: dict[str, Any], origin: Callable[[Location], str]) -> RunConf
         section_of(RunConfig, {**values, **stand_in}, origin)
         raise ConfigError(missing[0])
     return section_of(RunConfig, values, origin)
-
-
-def _texts(sets: Sequence[Override], key: str) -> str:
-    return next(one.text for one in sets if one.path[0] == key)
 
 
 def _origin(

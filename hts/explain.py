@@ -176,10 +176,10 @@ def dotted(location: Location) -> str:
     return ".".join(str(part) for part in location)
 
 
-def shortened(value: Any, limit: int = 60) -> str:
-    """The value as Python writes it, on one line, cut off after `limit` characters."""
+def shortened(value: Any) -> str:
+    """The value as Python writes it, on one line, cut off after 60 characters."""
     text = " ".join(repr(value).split())
-    return text if len(text) <= limit else text[:limit] + "…"
+    return text if len(text) <= 60 else text[:60] + "…"
 
 
 def validated_model(error: ValidationError) -> type[BaseModel] | None:

@@ -85,3 +85,45 @@ def check_place(place: Path, option: str, *, file: bool = False) -> None:
             place_fault(error.errno or 0, option) or f"cannot be written ({error}). Choose another place with {option}"
         )
         raise RunError(f"{place}: {why}.") from error
+
+
+def check_new_file(to: Path) -> None:
+    """Raise RunError unless a file can be made there, which `--to` names, and nothing is there yet."""
+    check_place(to, "--to FILE", file=True)
+    if to.exists():
+        raise RunError(f"{to}: exists already. Choose another file with --to.")
+
+
+def check_new_folder(folder: Path) -> None:
+    """Raise RunError if something is there already: nothing is ever overwritten."""
+    left = temporary_of(folder / "config.yaml")  # all that a run leaves which was killed before it began
+    if folder.is_dir() and all(entry == left for entry in folder.iterdir()):
+        return
+    if (folder / "config.yaml").exists():
+        raise RunError(
+            f"{folder}: this folder holds a run already. Go on with it: `{resume_command(folder)}`; or start anew in "
+            "another: --out DIR."
+        )
+    if (folder / PRETRAINING).exists():
+        raise RunError(
+            f"{folder}: a pretraining was begun here and is not done. Go on with it: `{resume_command(folder)}`; or "
+            "start anew in another: --out DIR."
+        )
+    if folder.exists():
+        raise RunError(f"{folder}: exists already and is not an empty folder. Choose another one: --out DIR.")
+
+
+def existing_run(folder: Path) -> Path:
+    """The folder itself. Raises RunError where there is no run in it."""
+    if not folder.exists():
+        raise RunError(f"{folder}: there is no such folder. Give the folder that `hts run` named at its end.")
+    policy = folder / PRETRAINED_FILE
+    if not (folder / "config.yaml").is_file() and policy.is_file() and (folder / CURVE).is_file():
+        raise RunError(
+            f"{folder}: holds a finished pretraining and no run, so there is nothing to go on with. Its policy is "
+            f"{policy}: `hts play --policy {policy}` shows it; to start runs from it, let the robot's "
+            "pretrained_policy() name it (some robots have a setting for that: `hts plugins NAME`)."
+        )
+    if not (folder / "config.yaml").is_file():
+        raise RunError(f"{folder}: holds no run (no config.yaml). Give the folder that `hts run` named at its end.")
+    return folder

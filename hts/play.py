@@ -81,12 +81,13 @@ def play(
 def _of_a_run(folder: Path, policy: str | Path, robot: str | None, speed: float) -> Walk:
     from hts.config_loading import read_config
     from hts.evaluation.evaluate import policy_file
+    from hts.parts import robot_of
     from hts.plugins import load
 
     config = read_config(folder / "config.yaml")
     if robot not in (None, config.robot.name):
         raise ConfigError(f"--robot {robot}: the robot of {folder} is '{config.robot.name}'. Leave it out.")
-    return Walk(load().make_robot(config.robot.name, config.robot.settings), policy_file(folder, policy), speed)
+    return Walk(robot_of(config, load()), policy_file(folder, policy), speed)
 
 
 def _of_a_file(policy: str | Path, robot: str | None, speed: float) -> Walk:

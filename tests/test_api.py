@@ -37,6 +37,15 @@ def test_run_takes_several_objectives(tmp_path, monkeypatch):
     assert api.run(["one", "two"], "any", out=tmp_path / "new") == ("one", "two")
 
 
+def test_run_refuses_a_folder_that_holds_something_before_it_looks_at_anything_else(folder):
+    with pytest.raises(RunError, match="holds a run already"):
+        api.run("anything", "any", out=folder)
+    (folder / "mine").mkdir()
+    (folder / "mine/notes.txt").touch()
+    with pytest.raises(RunError, match="is not an empty folder. Choose another one"):
+        api.run("anything", "any", out=folder / "mine")
+
+
 def test_a_misspelt_setting_raises_what_the_command_line_prints(tmp_path):
     with pytest.raises(ConfigError, match="num_envs"):
         api.run("anything", "any", out=tmp_path, settings={"finetune.num_env": 16})
@@ -47,7 +56,7 @@ def test_resume_goes_on_in_the_folder_and_refuses_one_without_a_run(folder, tmp_
 
     monkeypatch.setattr(hts.run, "resume_run", lambda place: place)
     assert api.resume(str(folder)) == folder
-    with pytest.raises(RunError, match="holds no run"):
+    with pytest.raises(RunError, match="there is no such folder"):
         api.resume(tmp_path / "nothing")
 
 

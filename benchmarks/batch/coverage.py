@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,8 +27,8 @@ from hts.evaluation.head_to_head import HeadToHead
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.policies.deploy import DeployedPolicy
 from hts.recordings.recording import Recording
-from hts.worlds.realities.batch import end_with
 from hts.worlds.realities.truth import Truth, truth
+from hts.worlds.realities.workers import worker_processes
 
 
 @dataclass(frozen=True)
@@ -159,8 +158,7 @@ def run_coverage(
     say(f"{len(works)} lines: {len(works) - len(waiting)} are there, {len(waiting)} to make, {workers} at once")
     begun, failed, total, done = time.monotonic(), 0, len(waiting), 0
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that are started now: one core each
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=end_with, initargs=(os.getpid(),)) as pool:
+    with worker_processes(workers) as pool:
         running: dict[Future[CoverageLine], Work] = {}
         while waiting or running:
             late = stop_after is not None and time.monotonic() - begun > stop_after

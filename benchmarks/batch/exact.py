@@ -33,7 +33,6 @@ from hts.errors import ConfigError, RunError
 from hts.evaluation.final import speed_key
 from hts.measurement import files
 from hts.oracle.in_simulation import SimulatedOracleJob
-from hts.run.job import model_path
 from hts.run.judging import judge
 from hts.run.learning import fit_one
 from hts.run.progress import Progress
@@ -136,7 +135,7 @@ def judged(folder: Path, iteration: int) -> Exact:
     begun = time.perf_counter()
     try:
         check_exact(Seeing.of(job.robot, config.world.settings, config.objectives, registry), job.objectives)
-        tuned = job.read(f"iterations/{iteration:02d}/finetune")
+        tuned = job.read("finetune", iteration)
         job.do("collect", "collect real data of the pretrained policy", partial(collect, job))  # not each run does
         _fit_what_is_missing(job, iteration)
         found = judge(job, iteration, tuned, tuned["candidates"])
@@ -176,7 +175,7 @@ def _fit_what_is_missing(job: SimulatedOracleJob, iteration: int) -> None:
     """A run that is paid by a formula has no models; the exact measurement takes the scale of one."""
     recordings = job.recordings(job.known(iteration))
     for name in job.objectives:
-        path = model_path(job, iteration, name)
+        path = job.model_path(iteration, name)
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             files.save(fit_one(job, name, recordings).model, path, {"iteration": iteration})

@@ -29,7 +29,7 @@ def command(
 ) -> None:
     """Head-to-head against the pretrained policy, written to DIR/evaluation.json."""
     from hts.cli.printable import printable
-    from hts.cli.run_folder import existing_run
+    from hts.places import existing_run
 
     existing_run(folder)
     from hts.config_loading import read_config

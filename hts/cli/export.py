@@ -44,7 +44,8 @@ def command(
     A measurement model, for rsl_rl, mjlab and Isaac Lab: hts export DIR --measurement-model OBJECTIVE
     --to model.safetensors.
     """
-    from hts.cli.run_folder import existing_run, run_or_policy_file
+    from hts.cli.run_folder import run_or_policy_file
+    from hts.places import existing_run
 
     if measurement_model is not None:
         for given, option in ((policy is not None, "--policy"), (held_speed, "--held-speed")):

@@ -52,7 +52,7 @@ def command(
     from hts.cli.printable import printable
     from hts.measurement.fit_command import FitChecks, fit_store
     from hts.measurement.fit_report import cautions, doubts, session_note, summary_line, table
-    from hts.measurement.splits import SplitRule
+    from hts.measurement.split_rule import SplitRule
     from hts.measurement.wanted import Wanted
 
     checks = FitChecks(

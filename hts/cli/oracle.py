@@ -44,7 +44,7 @@ def command(
     """What was possible on a twin, for who sees inside: fine-tuning on the reality itself, or only paid by its
     instruments. No method."""
     from hts.cli.one_line import resumable
-    from hts.cli.run import default_folder, refuse_existing
+    from hts.cli.run import default_folder
     from hts.config_loading import load_config
     from hts.overrides import Override
     from hts.plugins import load
@@ -66,10 +66,8 @@ def command(
         registry=registry,
         option_names=options.NAMES,
     )
-    folder = out or default_folder(resolved)
-    if not dry_run:
-        refuse_existing(folder)
     from hts.oracle import start_oracle
 
+    folder = out or default_folder(resolved)
     with resumable(None if dry_run else folder):
         start_oracle(resolved, folder, dry_run=dry_run, registry=registry)

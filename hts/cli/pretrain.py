@@ -21,18 +21,17 @@ def command(
     """Train the policy to start from on the task's own reward: minutes on a GPU, hours without. Stopped, it goes on
     with `hts resume`."""
     from hts.cli.one_line import resumable
-    from hts.cli.run import refuse_existing
     from hts.config import PretrainConfig
     from hts.config_loading import load_section
     from hts.engines import check_engine
-    from hts.places import PRETRAINING, check_place
+    from hts.places import PRETRAINING, check_new_folder, check_place
     from hts.plugins import load
 
     given = {key: value for key, value in (("engine", engine), ("seed", seed)) if value is not None}
     settings = load_section(PretrainConfig, config, given, set_ or (), options.NAMES)
     check_engine(settings.engine)
     machine = load().make_robot(robot)
-    refuse_existing(out)
+    check_new_folder(out)
     check_place(out, "--out DIR")  # before the hours that its policy takes
     from hts.sim.selection import select_engine
     from hts.training.pretrain import pretrain_policy

@@ -12,7 +12,7 @@ from hts.errors import ConfigError, PluginError, RunError
 
 def command(folder: options.RunFolder) -> None:
     """Write report.html and figures/ from what the run folder holds."""
-    from hts.cli.run_folder import existing_run
+    from hts.places import existing_run
 
     existing_run(folder)
     from hts.report import write_report

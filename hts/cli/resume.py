@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from hts import api
 from hts.cli import options
 
 
@@ -11,8 +12,7 @@ def command(folder: options.RunFolder) -> None:
     """Go on with a run, or a pretraining, where it stopped; finished stages are not done again, and a finished run
     only shows its result again."""
     from hts.cli.one_line import resumable
-    from hts.cli.run_folder import existing_run
-    from hts.places import PRETRAINING, check_text
+    from hts.places import PRETRAINING, check_text, existing_run
 
     check_text(folder, "Rename it, and resume it then: nothing is lost.")
     if (folder / PRETRAINING).is_file():
@@ -23,14 +23,5 @@ def command(folder: options.RunFolder) -> None:
             typer.echo(str(resume_pretraining(folder, tell)))
         return
     existing_run(folder)
-    from hts.config_loading import read_config
-
     with resumable(folder, option=""):
-        if read_config(folder / "config.yaml").reward_source == "oracle":
-            from hts.oracle import resume_oracle
-
-            resume_oracle(folder)
-        else:
-            from hts.run import resume_run
-
-            resume_run(folder)
+        api.resume(folder)

@@ -49,16 +49,11 @@ def command(
 
 
 def start(config: RunConfig, registry: Registry, out: Path | None, dry_run: bool) -> None:
-    """Check everything that can be checked for nothing, then run into a folder of its own."""
+    """Run into a folder of its own."""
     from hts.cli.one_line import resumable
-    from hts.config_loading import check_names
-
-    check_names(config, registry)
-    folder = out or default_folder(config)
-    if not dry_run:
-        refuse_existing(folder)
     from hts.run import start_run
 
+    folder = out or default_folder(config)
     with resumable(None if dry_run else folder):
         start_run(config, folder, dry_run=dry_run, registry=registry)
 
@@ -70,26 +65,3 @@ def default_folder(config: RunConfig) -> Path:
     if config.reward_source != "model":
         parts.insert(2, f"{config.reward_source}-reward" if config.records_first else config.reward_source)
     return Path("runs") / "-".join(parts)
-
-
-def refuse_existing(folder: Path) -> None:
-    """Raises RunError if something is there already: nothing is ever overwritten."""
-    from hts.atomic import temporary_of
-    from hts.errors import RunError
-    from hts.places import PRETRAINING, resume_command
-
-    left = temporary_of(folder / "config.yaml")  # all that a run leaves which was killed before it began
-    if folder.is_dir() and all(entry == left for entry in folder.iterdir()):
-        return
-    if (folder / "config.yaml").exists():
-        raise RunError(
-            f"{folder}: this folder holds a run already. Go on with it: `{resume_command(folder)}`; or start anew in "
-            "another: --out DIR."
-        )
-    if (folder / PRETRAINING).exists():
-        raise RunError(
-            f"{folder}: a pretraining was begun here and is not done. Go on with it: `{resume_command(folder)}`; or "
-            "start anew in another: --out DIR."
-        )
-    if folder.exists():
-        raise RunError(f"{folder}: exists already and is not an empty folder. Choose another one: --out DIR.")

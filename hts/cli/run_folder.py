@@ -1,27 +1,11 @@
-"""Is this a run folder?"""
+"""Of a run, or without one: which policy a command is about."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from hts.errors import ConfigError, RunError
-from hts.places import CURVE, PRETRAINED_FILE
-
-
-def existing_run(folder: Path) -> Path:
-    """The folder itself. Raises RunError where there is no run in it."""
-    if not folder.exists():
-        raise RunError(f"{folder}: there is no such folder. Give the folder that `hts run` named at its end.")
-    policy = folder / PRETRAINED_FILE
-    if not (folder / "config.yaml").is_file() and policy.is_file() and (folder / CURVE).is_file():
-        raise RunError(
-            f"{folder}: holds a finished pretraining and no run, so there is nothing to go on with. Its policy is "
-            f"{policy}: `hts play --policy {policy}` shows it; to start runs from it, let the robot's "
-            "pretrained_policy() name it (some robots have a setting for that: `hts plugins NAME`)."
-        )
-    if not (folder / "config.yaml").is_file():
-        raise RunError(f"{folder}: holds no run (no config.yaml). Give the folder that `hts run` named at its end.")
-    return folder
+from hts.errors import ConfigError
+from hts.places import existing_run
 
 
 def run_or_policy_file(folder: Path | None, policy: str | None) -> str:

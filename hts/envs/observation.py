@@ -21,6 +21,11 @@ def observation_layout(num_joints: int) -> list[dict[str, int | str]]:
     return [{"name": name, "size": sizes.get(name, num_joints)} for name in OBSERVATION]
 
 
+def observation_size(num_joints: int) -> int:
+    """How many numbers that is."""
+    return sum(int(part["size"]) for part in observation_layout(num_joints))
+
+
 def critic_observation_size(num_joints: int, num_feet: int) -> int:
     """What the critic sees: the observation without noise, trunk velocity (3), height and foot contacts."""
-    return 9 + 3 * num_joints + 4 + num_feet
+    return observation_size(num_joints) + 4 + num_feet

@@ -15,9 +15,10 @@ from hts.config import EnvConfig
 from hts.contracts import RobotSpec
 from hts.envs.commands import DRAWS, Commands, WalksAsTold
 from hts.envs.constants import delays_and_offsets
+from hts.envs.disturbances import DRAWS as DISTURBANCE_DRAWS
 from hts.envs.disturbances import Disturbances
 from hts.envs.episodes import time_outs
-from hts.envs.observation import NOISE, critic_observation_size, observation_layout
+from hts.envs.observation import NOISE, critic_observation_size, observation_layout, observation_size
 from hts.envs.physics_steps import SUBSTEPS, in_physics_steps
 from hts.envs.pose import trunk_frame, yaw_of
 from hts.envs.rewards import RewardInputs, resolve_weights, soft_range, stacked, total
@@ -96,15 +97,19 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.breakdowns = zeros(shape, device=device)  # of the physics, since the env was made
         self._substep = torch.arange(spec.substeps, device=device).view(-1, 1, 1, 1)
         noise = [
-            torch.full((int(part["size"]),), NOISE.get(str(part["name"]), 0.0)) for part in observation_layout(joints)
+            torch.full((int(part["size"]),), NOISE.get(str(part["name"]), 0.0)) for part in self.observation_layout
         ]
         self._noise = torch.cat(noise).to(device) * config.observation_noise
         self._twice_noise = 2 * self._noise
         self._noisy = bool(self._noise.any())
         self._down = torch.tensor((0.0, 0.0, -1.0), device=device).expand(*shape, 3)
-        self._fixed_draws = DRAWS + 3 + 2 + 6 + joints + 1
-        self._observation = zeros(*shape, 9 + 3 * joints, device=device)
-        self._critic_observation = zeros(*shape, 9 + 3 * joints + 4 + feet, device=device)
+        # Which of a step's uniform numbers are whose. The two in between are nobody's: a seed gives what it gave.
+        self._command_draws, start = slice(0, DRAWS), DRAWS + DISTURBANCE_DRAWS + 2
+        self._disturbance_draws = slice(DRAWS, DRAWS + DISTURBANCE_DRAWS)
+        self._start_draws = slice(start, start + 6 + joints + 1)
+        self._noise_draws = slice(self._start_draws.stop, None)
+        self._observation = zeros(*shape, observation_size(joints), device=device)
+        self._critic_observation = zeros(*shape, critic_observation_size(joints, feet), device=device)
         self._make_specs(joints, feet)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -136,7 +141,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
 
         channels = {name: unbounded(*channel.shape) for name, channel in self.channel_specs.items()}
         self.observation_spec = Composite(
-            observation=unbounded(9 + 3 * joints),
+            observation=unbounded(observation_size(joints)),
             critic_observation=unbounded(critic_observation_size(joints, feet)),
             **({"channels": Composite(channels, shape=shape, device=device)} if channels else {}),
             shape=shape,
@@ -180,7 +185,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
     def _after_physics(self, action: torch.Tensor) -> RewardInputs:
         """Count the step, push some robots, and read what has become of all."""
         self.steps = self.steps + 1
-        self.disturbances.act(self._draws[..., DRAWS : DRAWS + 3])
+        self.disturbances.act(self._draws[..., self._disturbance_draws])
         seen = self._read(action)
         broken = self.engine.diverged.view(self.shape2)
         if any_or_tracing(broken):
@@ -193,8 +198,8 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.action, self.last_joint_velocity = seen.action, seen.joint_velocity
         terminated, truncated = seen.fell, (self.steps >= self.time_out) & ~seen.fell
         self.falls = self.falls + terminated
-        self.commands.advance(self._draws[..., :DRAWS], self._yaw, seen.velocity[..., 0])
-        self._observe(self._draws[..., self._fixed_draws :])
+        self.commands.advance(self._draws[..., self._command_draws], self._yaw, seen.velocity[..., 0])
+        self._observe(self._draws[..., self._noise_draws])
         if seen.broken is not None:  # it has fallen: its episode ends there, and none of its numbers is used
             broken = seen.broken.unsqueeze(-1)
             self._observation = self._observation.masked_fill(broken, 0.0)
@@ -207,7 +212,9 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
 
     def _draw(self) -> torch.Tensor:
         """The uniform numbers of a step [P, N, ...]."""
-        return self.random.uniform(self.shape2[1], self._fixed_draws + (self._noise.numel() if self._noisy else 0))
+        return self.random.uniform(
+            self.shape2[1], self._noise_draws.start + (self._noise.numel() if self._noisy else 0)
+        )
 
     def channel_values(self) -> dict[str, torch.Tensor]:
         """The channels asked for, now; zeros where the physics broke and left numbers that are none."""
@@ -229,7 +236,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         if "_draws" not in vars(self):
             self._draws = self._draw()
         joints = self.robot_spec.num_joints
-        draws = self._draws[..., DRAWS + 5 : self._fixed_draws]
+        draws = self._draws[..., self._start_draws]
         velocity, scale, yaw = draws[..., :6] - 0.5, 0.9 + 0.2 * draws[..., 6 : 6 + joints], draws[..., -1]
         qpos = torch.zeros(*self.shape2, 7 + joints, device=self.device)
         qpos[..., 2] = self.robot_spec.base_height + 0.02
@@ -253,10 +260,10 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.engine.sensordata.masked_fill_(gone.reshape(-1, 1), 0.0)  # sensors are read from the first step on
         old, old_critic = self._observation, self._critic_observation
         self._read_engine()
-        self.commands.resample(mask, self._draws[..., :DRAWS], self._yaw)
+        self.commands.resample(mask, self._draws[..., self._command_draws], self._yaw)
         self.commands.steer(self._yaw)
         self._contact = self._sensors[..., self._touch] > 1.0
-        self._observe(self._draws[..., self._fixed_draws :])
+        self._observe(self._draws[..., self._noise_draws])
         self._observation = torch.where(keep, old, self._observation)
         self._critic_observation = torch.where(keep, old_critic, self._critic_observation)
 

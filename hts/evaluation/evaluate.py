@@ -11,26 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from hts.atomic import atomic_write
 from hts.config_base import SEEDS
-from hts.contracts import HoldSpeed, World, WorldContext
+from hts.contracts import HoldSpeed, Robot, World
 from hts.errors import ConfigError, EvaluationError, PolicyError, RunError
 from hts.evaluation.asked import Check, asked, complete
-from hts.evaluation.final import (
-    entry_both_ways,
-    entry_of,
-    refused_and_fallen,
-    segment_scores,
-    speeds_missed,
-    task_entry,
-    walked_speeds,
-)
+from hts.evaluation.final import entry_and_scores, speeds_missed, task_entry
 from hts.evaluation.held import ask_to_hold, check_held, hold_of
 from hts.evaluation.walked_again import walked_again
 from hts.locks import only_one
 from hts.overrides import Override, parsed
+from hts.parts import objectives_of, robot_of, world_of
 from hts.policy_ids import PRETRAINED
 from hts.task_settings import check_speeds
 
 if TYPE_CHECKING:
+    from hts.config import RunConfig
     from hts.plugins import Registry
     from hts.recordings.recording import Recording
 
@@ -80,16 +74,9 @@ def evaluate_run(
     others = parsed(overrides)
     config = with_others(folder, world, others, registry)
     laid_over = as_values(others)
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    robot = robot_of(config, registry)
     task = robot.task()
-    if isinstance(speeds, str) or not isinstance(speeds, Iterable | None):
-        raise ConfigError(f"--speed: expected a list of numbers, found {speeds!r}.")
-    given = () if speeds is None else tuple(speeds)
-    task.check(given, "--speed")
-    check_speeds(given or config.evaluation.speeds, robot, "--speed" if given else "evaluation.speeds")
-    twice = next((speed for speed in given if given.count(speed) > 1), None)
-    if twice is not None:
-        raise ConfigError(f"--speed: {twice:g} is there twice; ask for each once. --sessions 2 walks all of them anew.")
+    given = _given_speeds(speeds, config, robot)
     command = command_of(folder, given, policy, world, seed, sessions, as_options(laid_over))
     speeds = given or tuple(config.evaluation.speeds)
     seed = config.seed if seed is None else seed
@@ -99,17 +86,8 @@ def evaluate_run(
     if count < 1:
         raise ConfigError(f"--sessions: expected a whole number from 1 on, found {count}.")
     tested, reference = policy_file(folder, policy or "best"), policy_file(folder, PRETRAINED)
-    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
+    objectives = objectives_of(config, registry)
     place = folder / "evaluation"
-    context = WorldContext(
-        robot=config.robot.name,
-        robot_settings=config.robot.settings,
-        objectives=config.objectives,
-        seed=seed,
-        folder=place,
-        registry=registry,
-        command=command,
-    )
     hold = None if has_held_commands(Path(policy or "best")) else hold_of(config)
     if hold is not None:
         task.check_hold("evaluation.hold_speed")
@@ -117,11 +95,9 @@ def evaluate_run(
     place.mkdir(exist_ok=True)
     busy = f"{folder}: another evaluation of this run is being made. Wait for it, or stop it first."
     with only_one(place / ".lock", busy):
-        where = registry.make_world(config.world.name, config.world.settings, context)
+        where = world_of(config, registry, place, seed=seed, command=command)
         if say is not None and policy in (None, "best") and tested.read_bytes() == reference.read_bytes():
             say(ITSELF)
-        held: list[Recording] = []
-        vain: list[Recording] = []
 
         def missed(recordings: Sequence[Recording]) -> list[float]:
             return speeds_missed(next(iter(objectives.values())), recordings, config.evaluation, seed, task)
@@ -130,18 +106,15 @@ def evaluate_run(
             check_recorded(objectives.values(), recordings)
             check_judged_by(recordings, robot)
 
-        def ask(hold: HoldSpeed, asked: Sequence[float]) -> list[Recording]:
-            ask_to_hold(where, hold)
-            return in_sessions(where, tested, reference, asked, count, check)
+        def walk(speeds: Sequence[float]) -> list[Recording]:
+            return in_sessions(where, tested, reference, speeds, count, check)
 
         try:
-            if hold is not None:
-                held, vain = walked_again(ask(hold, speeds), hold, config.evaluation.trims_again, missed, ask)
-                ask_to_hold(where, None)
-            recordings = in_sessions(where, tested, reference, speeds, count, check)
+            held, vain = _held(where, hold, config.evaluation.trims_again, speeds, walk, missed)
+            recordings = walk(speeds)
         finally:
             where.close()
-        walked = [*held, *vain, *recordings]
+        walked = [*(held or ()), *vain, *recordings]
         if say is not None:
             for line in remarks(walked):
                 say(line)
@@ -152,14 +125,8 @@ def evaluate_run(
             say(AS_BEFORE.format(count=len(ids), folder=place))
         entries, segments = {}, {}
         for name, objective in objectives.items():
-            if hold is not None:
-                both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
-                entries[name], segments[name], _ = both
-            else:
-                found, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
-                entries[name], segments[name] = entry_of(objective, found), segment_scores(found)
-                if refused:
-                    entries[name] |= refused_and_fallen(refused, recordings, task)
+            found = entry_and_scores(objective, held, recordings, config.evaluation, seed, task)
+            entries[name], segments[name], _ = found
         result = {
             "world": config.world.name,
             "world_simulated": where.simulated,
@@ -175,6 +142,41 @@ def evaluate_run(
         }
         _write(folder / RESULT, result)
     return result
+
+
+def _given_speeds(speeds: Sequence[float] | None, config: RunConfig, robot: Robot) -> tuple[float, ...]:
+    """Those that were asked for, none where the configuration says which. Raises ConfigError for what is no speed."""
+    if isinstance(speeds, str) or not isinstance(speeds, Iterable | None):
+        raise ConfigError(f"--speed: expected a list of numbers, found {speeds!r}.")
+    given = () if speeds is None else tuple(speeds)
+    robot.task().check(given, "--speed")
+    check_speeds(given or config.evaluation.speeds, robot, "--speed" if given else "evaluation.speeds")
+    twice = next((speed for speed in given if given.count(speed) > 1), None)
+    if twice is not None:
+        raise ConfigError(f"--speed: {twice:g} is there twice; ask for each once. --sessions 2 walks all of them anew.")
+    return given
+
+
+def _held(
+    world: World,
+    hold: HoldSpeed | None,
+    again: int,
+    speeds: Sequence[float],
+    walk: Callable[[Sequence[float]], list[Recording]],
+    missed: Callable[[Sequence[Recording]], list[float]],
+) -> tuple[list[Recording] | None, list[Recording]]:
+    """What was walked with the speed held, None where it is not, and in vain, see `walked_again`. Afterwards the world
+    holds none."""
+    if hold is None:
+        return None, []
+
+    def ask(hold: HoldSpeed, speeds: Sequence[float]) -> list[Recording]:
+        ask_to_hold(world, hold)
+        return walk(speeds)
+
+    found = walked_again(ask(hold, speeds), hold, again, missed, ask)
+    ask_to_hold(world, None)
+    return found
 
 
 def command_of(

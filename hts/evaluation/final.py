@@ -111,6 +111,22 @@ def entry_both_ways(
     return entry, segment_scores(results or beside), refusals
 
 
+def entry_and_scores(
+    objective: Objective,
+    held: Sequence[Recording] | None,
+    open_loop: Sequence[Recording],
+    config: EvaluationConfig,
+    seed: int,
+    task: Task,
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, NotComparable]]:
+    """As `entry_both_ways`; held: None where no speed was held, so that all there is was walked at equal commands."""
+    if held is not None:
+        return entry_both_ways(objective, held, open_loop, config, seed, task)
+    results, refusals = walked_speeds(objective, open_loop, config, seed, task)
+    refused = refused_and_fallen(refusals, open_loop, task) if refusals else {}
+    return entry_of(objective, results) | refused, segment_scores(results), refusals
+
+
 def refused_and_fallen(
     refused: Mapping[str, NotComparable], recordings: Sequence[Recording], task: Task
 ) -> dict[str, Any]:

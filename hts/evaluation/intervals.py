@@ -18,6 +18,8 @@ from hts.quantiles import normal_quantile, student_quantile
 MAX_BIAS = 0.1  # batches so long that their means lose at most this share of the variance to their neighbours
 MIN_BATCH = 5  # segments
 MIN_BATCHES = 3  # per block
+LEVEL = 0.95
+STEP = 0.01  # of the way from the mean to a segment: a derivative
 
 Means = Sequence[np.ndarray]
 
@@ -28,7 +30,6 @@ def interval(
     reference: Sequence[np.ndarray],
     resamples: int = 2000,
     seed: int = 0,
-    level: float = 0.95,
 ) -> tuple[float, float] | None:
     """Interval of `statistic(policy mean, reference mean)`, each mean of shape (Q,), that of the means of blocks.
 
@@ -54,8 +55,8 @@ def interval(
     values = np.array([statistic(p, r) for p, r in zip(drawn[0], drawn[1], strict=True)])
     if not np.isfinite(values).all():
         return None
-    low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
-    quantile = (1 + level) / 2
+    quantile = (1 + LEVEL) / 2
+    low, high = np.quantile(values, [1 - quantile, quantile])
     stretch = student_quantile(quantile, degrees) / normal_quantile(quantile)
     stretch *= np.sqrt(_variance_ratio(batches, correlation))
     return (float(point + (low - point) * stretch), float(point + (high - point) * stretch))
@@ -95,15 +96,14 @@ def _linearised(
     groups: tuple[Sequence[np.ndarray], Sequence[np.ndarray]],
     means: list[np.ndarray],
     point: float,
-    step: float = 0.01,
 ) -> list[np.ndarray]:
     """What each segment does to the statistic, one series (segments,) per block: its correlation is what matters."""
     policy = [
-        np.array([statistic(means[0] + step * (row - means[0]), means[1]) - point for row in block])
+        np.array([statistic(means[0] + STEP * (row - means[0]), means[1]) - point for row in block])
         for block in groups[0]
     ]
     reference = [
-        np.array([statistic(means[0], means[1] + step * (row - means[1])) - point for row in block])
+        np.array([statistic(means[0], means[1] + STEP * (row - means[1])) - point for row in block])
         for block in groups[1]
     ]
     return policy + reference

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 FALLEN_GRAVITY_Z = -0.5  # projected gravity z of an upright trunk is -1; -0.5 is a tilt of 60 degrees
 MISSING = 0.03  # share of a piece's samples, by the recording's own clock; one sample where that is less
+SETTLE_SECONDS = 2.0  # of a recording and of every command: walking is not steady yet
+SEGMENT_SECONDS = 1.0  # of a piece
 BEFORE_FALL_SECONDS = 1.0  # a stumble starts before the trunk has tilted
 LYING_SECONDS = 0.5  # who collapses without tilting has lain for so long before a world counts it as a fall
 FELL_AT = "fell_at"  # note of a recording: when it was seen to have fallen, s after its first sample, with commas
@@ -108,16 +110,14 @@ class Segments:
 def cut(
     recordings: Sequence[Recording],
     speed_tolerance: float = 0.1,
-    settle_seconds: float = 2.0,
-    segment_seconds: float = 1.0,
     task: Task = VELOCITY,
 ) -> Segments:
-    """Cut recordings into pieces that do not overlap, and keep the valid ones.
+    """Cut recordings into pieces of SEGMENT_SECONDS that do not overlap, and keep the valid ones.
 
-    The first `settle_seconds` of a recording and of every command are dropped and not counted (a world that knows
+    The first SETTLE_SECONDS of a recording and of every command are dropped and not counted (a world that knows
     better says so in the recording's note `unsteady_seconds`). A piece is valid if
     the task was done in it (see `Task.done`), no more than one sample or `MISSING` of them are missing in it, and it is
-    not near a fall (from 1 s before the trunk tilts over to settle_seconds after it stands again; of one that did not
+    not near a fall (from 1 s before the trunk tilts over to SETTLE_SECONDS after it stands again; of one that did not
     tilt it see `_near_falls`).
     Raises RecordingError if rates differ or a channel that the task is judged by is missing.
     """
@@ -127,7 +127,7 @@ def cut(
             f"Recordings with rates of {', '.join(f'{rate:g}' for rate in rates)} Hz cannot be cut together: "
             "resample them to one rate when importing."
         )
-    samples = round(rates[0] * segment_seconds) if rates else 0
+    samples = round(rates[0] * SEGMENT_SECONDS) if rates else 0
     spare = max(1.5, MISSING * samples)  # clocks jitter
     columns: list[tuple[int, int, float, float, int]] = []
     blocks: dict[tuple[str, int], int] = {}
@@ -135,7 +135,7 @@ def cut(
     total = falls = gaps = 0
     for index, recording in enumerate(recordings):
         block = blocks.setdefault((recording.session, recording.block), len(blocks))
-        settle = noted_seconds(recording, "unsteady_seconds", settle_seconds)
+        settle = noted_seconds(recording, "unsteady_seconds", SETTLE_SECONDS)
         near_fall, count = _near_falls(recording, settle)
         falls += count
         achieved = _achieved(recording, task)

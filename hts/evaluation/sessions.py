@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hts.evaluation.balance import Balance
-from hts.evaluation.intervals import interval
+from hts.evaluation.intervals import LEVEL, interval
 from hts.quantiles import student_quantile
 
 Statistic = Callable[[np.ndarray, np.ndarray], float]
@@ -31,9 +31,8 @@ def interval_of(
     balance: Balance,
     policy: np.ndarray,
     reference: np.ndarray,
-    resamples: int = 2000,
+    resamples: int,
     seed: int = 0,
-    level: float = 0.95,
 ) -> tuple[float, float] | None:
     """Interval of `statistic(policy mean, reference mean)`, each mean of shape (Q,), as `balance.means` makes them.
 
@@ -42,16 +41,14 @@ def interval_of(
     comparison of a draw is no finite number.
     """
     if balance.sessions:
-        return over_sessions(statistic, *balance.session_means(policy, reference), level)
+        return over_sessions(statistic, *balance.session_means(policy, reference))
     blocks = [
         [table[rows] for rows in role[0]] for role, table in ((balance.policy, policy), (balance.reference, reference))
     ]
-    return interval(statistic, blocks[0], blocks[1], resamples, seed, level)
+    return interval(statistic, blocks[0], blocks[1], resamples, seed)
 
 
-def over_sessions(
-    statistic: Statistic, policy: np.ndarray, reference: np.ndarray, level: float = 0.95
-) -> tuple[float, float] | None:
+def over_sessions(statistic: Statistic, policy: np.ndarray, reference: np.ndarray) -> tuple[float, float] | None:
     """Tukey's interval; policy, reference: means of each session, (S, Q), of two sessions at least. None where the
     comparison without one of them is no finite number."""
     count = len(policy)
@@ -65,5 +62,5 @@ def over_sessions(
     if not np.isfinite(without).all():
         return None
     pseudo = count * whole - (count - 1) * without
-    half = float(student_quantile((1 + level) / 2, count - 1) * pseudo.std(ddof=1) / np.sqrt(count))
+    half = float(student_quantile((1 + LEVEL) / 2, count - 1) * pseudo.std(ddof=1) / np.sqrt(count))
     return whole - half, whole + half

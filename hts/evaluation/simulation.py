@@ -102,7 +102,8 @@ def simulate(
         task.check_hold("simulation_test.hold_speed")
     act = PopulationActor(population, None)
     shape, per_segment = env.batch_size, round(1.0 / env.dt)
-    commanded = torch.tensor(speeds, device=env.device)[torch.arange(shape[1], device=env.device) % len(speeds)]
+    at = torch.arange(shape[1], device=env.device) % len(speeds)  # which speed each instance walks at
+    commanded = torch.tensor(speeds, device=env.device)[at]
     if hold is None:
         state, sent = env.reset(), commanded.expand(shape)
         fallen = torch.zeros(shape, dtype=torch.bool, device=env.device)
@@ -135,42 +136,67 @@ def simulate(
         if "measured" in after.keys():  # noqa: SIM118
             for name, value in after["measured"].items():
                 predicted.setdefault(name, []).append(value.squeeze(-1))
-    pieces = torch.stack(segments)  # (S, P, N)
-    good = torch.as_tensor(task.done(pieces, commanded, tolerance), device=env.device).float().mean(0)
-    mean_speed = pieces.mean(0)
-    whole = {
-        name: torch.stack(steps[: len(pieces) * per_segment]).unflatten(0, (len(pieces), per_segment)).cpu()
-        for name, steps in predicted.items()
-    }  # (S, n, P, N)
-    results = []
-    for candidate in range(shape[0]):
-        row = []
-        for index, speed in enumerate(speeds):
-            worlds = torch.arange(shape[1], device=env.device) % len(speeds) == index
-            stood = worlds & ~fallen[candidate]
-            some = bool(stood.any())
-            row.append(
-                SimulatedTrial(
-                    speed=float(speed),
-                    worlds=int(worlds.sum()),
-                    falls=int((worlds & fallen[candidate]).sum()),
-                    mean_speed=float(mean_speed[candidate][stood].mean()) if some else float("nan"),
-                    valid=float(good[candidate][worlds].mean()),
-                    rewards={
-                        name: float((total[candidate][stood] / counted).mean()) if some else float("-inf")
-                        for name, total in sums.items()
-                    },
-                    task_reward=float(task_sum[candidate][stood].mean()) / (counted * env.dt) if some else math.nan,
-                    pieces={
-                        name: values[:, :, candidate, stood.cpu()].permute(0, 2, 1).flatten(0, 1).numpy()
-                        for name, values in whole.items()
-                    },
-                    piece_speed=pieces[:, candidate, stood].flatten().cpu().numpy(),
-                    commanded=float(sent[candidate][stood].mean()) if some else float("nan"),
-                )
-            )
-        results.append(row)
-    return results
+    pieces = torch.stack(segments)
+    walked = _Walked(
+        sent,
+        fallen,
+        pieces,
+        good=torch.as_tensor(task.done(pieces, commanded, tolerance), device=env.device).float().mean(0),
+        rewards={name: total / counted for name, total in sums.items()},
+        task_reward=task_sum,
+        seconds=counted * env.dt,
+        predicted={name: _in_pieces(steps, len(pieces), per_segment) for name, steps in predicted.items()},
+    )
+    return [
+        [walked.trial(member, float(speed), at == index) for index, speed in enumerate(speeds)]
+        for member in range(shape[0])
+    ]
+
+
+@dataclass(frozen=True)
+class _Walked:
+    """What all policies did in all env instances. sent: commands [P, N], m/s; fallen [P, N]; pieces: mean of what was
+    achieved in each second (S, P, N); good: share of those in which the task was done [P, N]; rewards: mean r_real per
+    second [P, N] by objective; task_reward: sum of the task's own [P, N]; seconds: that were judged; predicted: by
+    target, (S, n, P, N), see `SimulatedTrial.pieces`."""
+
+    sent: torch.Tensor
+    fallen: torch.Tensor
+    pieces: torch.Tensor
+    good: torch.Tensor
+    rewards: dict[str, torch.Tensor]
+    task_reward: torch.Tensor
+    seconds: float
+    predicted: dict[str, torch.Tensor]
+
+    def trial(self, member: int, speed: float, worlds: torch.Tensor) -> SimulatedTrial:
+        """Of one policy in these env instances, [N], which walk at the same speed."""
+        fallen = self.fallen[member]
+        stood = worlds & ~fallen
+        some = bool(stood.any())
+        return SimulatedTrial(
+            speed=speed,
+            worlds=int(worlds.sum()),
+            falls=int((worlds & fallen).sum()),
+            mean_speed=float(self.pieces.mean(0)[member][stood].mean()) if some else float("nan"),
+            valid=float(self.good[member][worlds].mean()),
+            rewards={
+                name: float(each[member][stood].mean()) if some else float("-inf")
+                for name, each in self.rewards.items()
+            },
+            task_reward=float(self.task_reward[member][stood].mean()) / self.seconds if some else math.nan,
+            pieces={
+                name: values[:, :, member, stood.cpu()].permute(0, 2, 1).flatten(0, 1).numpy()
+                for name, values in self.predicted.items()
+            },
+            piece_speed=self.pieces[:, member, stood].flatten().cpu().numpy(),
+            commanded=float(self.sent[member][stood].mean()) if some else float("nan"),
+        )
+
+
+def _in_pieces(steps: Sequence[torch.Tensor], pieces: int, length: int) -> torch.Tensor:
+    """Numbers of each step [P, N] as (pieces, length, P, N); what is left at the end is in none."""
+    return torch.stack([*steps[: pieces * length]]).unflatten(0, (pieces, length)).cpu()
 
 
 def _achieved(task: Task, after: TensorDictBase, shape: torch.Size) -> torch.Tensor:

@@ -20,7 +20,7 @@ from hts.measurement.outliers import masked_split
 if TYPE_CHECKING:
     from hts.contracts import Objective, RobotSpec, Settings
     from hts.contracts.measurement_model import Progress
-    from hts.measurement.splits import Split
+    from hts.measurement.split_rule import Split
     from hts.plugins import Registry
     from hts.recordings.recording import Recording
 

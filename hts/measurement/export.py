@@ -22,9 +22,9 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from hts.atomic import atomic_write
-from hts.channels import Channel
 from hts.contracts import MeasurementModel, Objective
 from hts.errors import ConfigError, RunError
+from hts.measurement.files import written
 from hts.measurement.operations import Recorded
 from hts.measurement.pessimism import pessimistic_reward
 from hts.measurement.transform import MeasurementTransform
@@ -73,8 +73,8 @@ def export_model(
         "version": VERSION,
         "model": model.name or type(model).__name__,
         "objective": objective.name,
-        "inputs": [_written(channel) for channel in channels],
-        "target": _written(model.signals.target),
+        "inputs": [written(channel) for channel in channels],
+        "target": written(model.signals.target),
         "rate_hz": model.signals.rate_hz,
         "joint_names": None if joint_names is None else list(joint_names),
         "target_mean": float(model.target_mean),
@@ -191,7 +191,3 @@ def _initial_state(model: MeasurementModel) -> Tensor:
             "back to it, as the contract of a model says. It cannot be written to a file of operations."
         )
     return initial[0].clone()
-
-
-def _written(channel: Channel) -> dict[str, Any]:
-    return {"name": channel.name, "unit": channel.unit, "shape": list(channel.shape)}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from hts.errors import ConfigError, PolicyError, RunError, unknown_name
 from hts.measurement import files
-from hts.places import check_place, resume_command
+from hts.places import check_new_file, resume_command
 
 if TYPE_CHECKING:
     from hts.contracts import RobotSpec
@@ -29,9 +29,7 @@ def export_measurement_model(
     registry = registry or plugins.load()
     if to.suffix != ".safetensors":
         raise ConfigError(f"--to {to}: a measurement model is written as .safetensors. Name the file so.")
-    check_place(to, "--to FILE", file=True)
-    if to.exists():
-        raise RunError(f"{to}: exists already. Choose another file with --to.")
+    check_new_file(to)
     if folder is None:
         path = Path(model)
         if path.suffix != ".safetensors" or not path.is_file():
@@ -48,6 +46,7 @@ def export_measurement_model(
             )
     else:
         from hts.config_loading import read_config
+        from hts.parts import robot_of
 
         config = read_config(folder / "config.yaml")
         if model not in config.objectives:
@@ -60,7 +59,7 @@ def export_measurement_model(
             )
         path = found[-1]
         if robot is None:
-            robot = registry.make_robot(config.robot.name, config.robot.settings).spec
+            robot = robot_of(config, registry).spec
         notes = files.read_card(path).get("notes") or {}
     objective = registry.make_objective(name, settings)
     names = notes.get("joint_names") if robot is None else list(robot.joint_names)

@@ -50,8 +50,8 @@ def save(model: MeasurementModel, path: Path, notes: Mapping[str, Any] | None = 
         "model": model.name,
         "settings": dict(model.settings),
         "signals": {
-            "inputs": [_written(channel) for channel in model.signals.inputs],
-            "target": _written(model.signals.target),
+            "inputs": [written(channel) for channel in model.signals.inputs],
+            "target": written(model.signals.target),
             "rate_hz": model.signals.rate_hz,
             "units_known": model.signals.units_known,
         },
@@ -187,7 +187,8 @@ def _unreadable(path: Path, reason: str) -> PolicyError:
     return PolicyError(f"{path}: not a measurement model this version can read ({' '.join(reason.split())}). Fit anew.")
 
 
-def _written(channel: Channel) -> dict[str, Any]:
+def written(channel: Channel) -> dict[str, Any]:
+    """Name, unit and shape, as JSON holds them."""
     return {"name": channel.name, "unit": channel.unit, "shape": list(channel.shape)}
 
 

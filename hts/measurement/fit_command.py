@@ -34,7 +34,7 @@ from hts.measurement.physics_steps import NEEDED
 from hts.measurement.proxy import proxy_along
 from hts.measurement.shared import Shared, shared_samples, told_of_copies, without_shared
 from hts.measurement.split import of_fitted_sessions, split
-from hts.measurement.splits import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
+from hts.measurement.split_rule import AUTOMATIC, TEST_STORE, Split, SplitRule, split_by
 from hts.measurement.wanted import Wanted, without_objective
 from hts.overrides import Override, nested, parsed
 from hts.places import check_place

@@ -73,6 +73,11 @@ class Measured(DeferrableTransform):
         raise SimulationError(f"{type(self).__name__} works inside an env only: its memory belongs to env instances.")
 
 
+def channels_read(rewards: Iterable[Measured]) -> tuple[str, ...]:
+    """Sim channels that these read, each once."""
+    return tuple(dict.fromkeys(name for one in rewards for name in one.inputs))
+
+
 class MeasurementTransform(Measured):
     """Predicts the objective's target in every env instance at every step, and turns it into r_real.
 

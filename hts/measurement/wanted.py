@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from hts.config import Named
+from hts.contracts import Comparison, Objective
 from hts.errors import ConfigError, RecordingError, unknown_name
-from hts.measurement.plain import Plain
 
 if TYPE_CHECKING:
+    import numpy as np
+    from torch import Tensor
+
+    from hts.channels import Channel
+    from hts.evaluation.segments import Segments
     from hts.recordings.store import RecordingStore
 
 
@@ -29,6 +36,33 @@ class Wanted:
         if objective is None and not self.inputs:
             raise ConfigError(f"--target {self.target}: say what to predict it from, --input CHANNEL for each channel.")
         return objective if objective is not None else str(self.target)
+
+
+class Plain(Objective):
+    """Predict `target` from `inputs`; called by the target's name. It has no score, so nothing can be run for it."""
+
+    unit = "1"
+
+    def __init__(self, target: Channel, inputs: Sequence[str]) -> None:
+        self.name, self.target, self.inputs = target.name, target, tuple(inputs)
+
+    def measurement_model(self) -> Named:
+        return Named(name="linear")
+
+    def reward(self, prediction: Tensor) -> Tensor:
+        return -prediction
+
+    def score(self, segments: Segments) -> Mapping[str, np.ndarray]:
+        raise self._unscored()
+
+    def compare(self, policy: Mapping[str, float], reference: Mapping[str, float]) -> Comparison:
+        raise self._unscored()
+
+    def _unscored(self) -> ConfigError:
+        return ConfigError(
+            f"'{self.name}' was named as a target alone, so nothing says what counts as better. `hts new objective` "
+            "writes an objective that does."
+        )
 
 
 def without_objective(store: RecordingStore, wanted: Wanted) -> Plain:

@@ -13,7 +13,7 @@ from hts.config import RunConfig
 from hts.config_loading import check_names, read_config
 from hts.errors import ConfigError
 from hts.oracle import in_simulation, on_reality
-from hts.places import check_place
+from hts.places import check_new_folder, check_place
 from hts.plugins import Registry, load
 from hts.run import make_folder
 from hts.run.algorithm import run
@@ -25,6 +25,8 @@ def start_oracle(config: RunConfig, folder: Path, *, dry_run: bool = False, regi
     """An oracle into the new folder; returns it. Raises what `hts.run.start_run` raises, and ConfigError for a world
     that is not simulated here: only a twin can be looked into."""
     registry = registry or load()
+    if not dry_run:
+        check_new_folder(Path(folder))
     check_place(Path(folder), "--out DIR")
     kind = in_simulation if sees_only_the_reward(config) else on_reality
     config = kind.prepared(config, registry)

@@ -11,8 +11,8 @@ from typing import Any
 from torchrl.envs.transforms import Transform
 
 from hts.config import RunConfig
-from hts.config_loading import make_model
 from hts.measurement.transform import Measured
+from hts.parts import make_model, objectives_of, robot_of
 from hts.plugins import Registry
 from hts.run.job import Job
 from hts.run.ready import check_ready, check_step
@@ -52,10 +52,10 @@ def prepared(config: RunConfig, registry: Registry) -> RunConfig:
 
 def check(config: RunConfig, registry: Registry) -> None:
     """What can be checked before anything is spent, beside names: each mistake is one line."""
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    robot = robot_of(config, registry)
     check_walks_by_velocity(robot)
     seeing = Seeing.of(robot, config.world.settings, config.objectives, registry)
-    objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
+    objectives = objectives_of(config, registry)
     check_exact(seeing, objectives)
     check_ready(config, registry, config.engine)
 

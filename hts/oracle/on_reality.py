@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from hts.config import RunConfig
 from hts.errors import PolicyError
 from hts.measurement.transform import Measured
+from hts.parts import objectives_of, robot_of
 from hts.plugins import Registry
 from hts.policy_ids import PRETRAINED
 from hts.run.job import Job
@@ -38,7 +39,7 @@ MOST_ENVS = 32  # that say what the truth is like
 
 def prepared(config: RunConfig, registry: Registry) -> RunConfig:
     """The configuration as it is written: with the λ that it will take, the start's whole path and the real engine."""
-    objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
+    objectives = objectives_of(config, registry)
     own = own_weights(objectives, config)
     weights = {name: tuple(round(share * max(own[name]), 6) for share in FACTORS) for name in objectives if own[name]}
     sweep = config.sweep.model_copy(update={"weights": {**weights, **config.sweep.weights}})
@@ -48,11 +49,14 @@ def prepared(config: RunConfig, registry: Registry) -> RunConfig:
 
 def check(config: RunConfig, registry: Registry) -> None:
     """What can be checked before anything is spent, beside names: each mistake is one line."""
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
-    oracle = OracleRobot(robot, config.world.settings, config.objectives, registry)
+    oracle = _oracle(config, registry)
     pretrained_policy(oracle)
     start_policy(config, oracle)
     check_world(config, registry)
+
+
+def _oracle(config: RunConfig, registry: Registry) -> OracleRobot:
+    return OracleRobot(robot_of(config, registry), config.world.settings, config.objectives, registry)
 
 
 def start_policy(config: RunConfig, robot: OracleRobot) -> Policy | None:
@@ -78,9 +82,7 @@ def start_policy(config: RunConfig, robot: OracleRobot) -> Policy | None:
 
 def control_steps_per_second(config: RunConfig, registry: Registry) -> float:
     """Of walking on the reality, measured here; learning takes little beside it."""
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
-    oracle = OracleRobot(robot, config.world.settings, config.objectives, registry)
-    objectives = {name: registry.make_objective(name, given) for name, given in config.objectives.items()}
+    oracle, objectives = _oracle(config, registry), objectives_of(config, registry)
     begun = time.perf_counter()
     _, steps = levels(
         oracle,
@@ -112,7 +114,7 @@ class OracleJob(Job):
         start = start_policy(self.config, self.oracle)
         if start is not None and not self.policy_path(START).exists():
             self.save(START, start)
-        assert self.levels is not None
+        _ = self.levels  # a stage, if it is not done yet
 
     @cached_property
     def levels(self) -> dict[str, Level]:

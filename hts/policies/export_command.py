@@ -10,7 +10,7 @@ from pathlib import Path
 from hts.atomic import atomic_write
 from hts.contracts import RobotSpec
 from hts.errors import ConfigError, PolicyError, RunError, unknown_name
-from hts.places import check_place
+from hts.places import check_new_file
 
 
 def export_policy(
@@ -37,9 +37,7 @@ def export_policy(
         raise ConfigError(
             "--held-speed: a policy file has no final. Name the run's folder: hts export DIR --held-speed"
         )
-    check_place(to, "--to FILE", file=True)
-    if to.exists():
-        raise RunError(f"{to}: exists already. Choose another file with --to.")
+    check_new_file(to)
     if folder is None or Path(policy).suffix == ".safetensors":
         path = given_file(policy, (".safetensors",))
     else:

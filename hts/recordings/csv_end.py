@@ -23,6 +23,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hts.recordings.encoding import escaped
+
 if TYPE_CHECKING:
     from hts.recordings.csv_reader import CsvMapping
 
@@ -68,8 +70,7 @@ def of_last_line(
     names: of the columns; wanted: those that are read; missing: what stands for a number that is not there.
     """
     cells = _cells(line.text, log)
-    shown = line.text[:SHOWN] + ("…" if len(line.text) > SHOWN else "")
-    shown = "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in shown)
+    shown = escaped(line.text[:SHOWN] + ("…" if len(line.text) > SHOWN else ""))
     cut = (f"line {line.number}, the last one, cut off as by a logger that is killed ('{shown}')", True)
     if len(cells) < len(names):
         return cut

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, BinaryIO
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
 from hts.recordings.csv_end import Unended, of_last_line, unended_line
-from hts.recordings.encoding import in_place, not_plain, not_utf8
-from hts.recordings.table import AGAIN, ColumnName, Table, no_column, whole_rows
+from hts.recordings.encoding import escaped, in_place, not_plain, not_utf8
+from hts.recordings.table import AGAIN, ColumnName, Table, cannot_be_read, no_column, row_of_data, whole_rows
 
 if TYPE_CHECKING:
     from hts.recordings.csv_reader import CsvMapping
@@ -68,7 +68,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
             text = _until(file, end if cut else None)
             table = csv.read_csv(text, read_options=reading, parse_options=parsing, convert_options=converting)
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
+        raise cannot_be_read(path, error) from error
     except RecordingError as error:  # a column that is not there: perhaps since nothing of it could be read
         raise (RecordingError(f"{path}: {why}") if (why := not_plain(path)) else error) from error
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
@@ -107,7 +107,7 @@ def _line_number(path: Path, log: CsvMapping, index: int) -> int | None:
 def _line(path: Path, log: CsvMapping, index: int) -> str:
     """Where a row of data is, in words. index: from 0."""
     number = _line_number(path, log, index)
-    return f"row {index + 1} of the data" if number is None else f"line {number} of the file"
+    return row_of_data(index) if number is None else f"line {number} of the file"
 
 
 def _what_is_wrong(path: Path, log: CsvMapping, names: Sequence[str], what: str) -> str:
@@ -124,9 +124,9 @@ def _what_is_wrong(path: Path, log: CsvMapping, names: Sequence[str], what: str)
     if row := re.search(r"Row #(\d+)", what):
         index = int(row[1]) - 1 - _before(log)
         number = _line_number(path, log, index) if index >= 0 else int(row[1])
-        place = f"row {index + 1} of the data" if number is None else f"line {number} of the file"
+        place = row_of_data(index) if number is None else f"line {number} of the file"
         what = what[: row.start()] + place + what[row.end() :]
-    shown = "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in what[:300])
+    shown = escaped(what[:300])
     if number is not None and number > _before(log) + 1 and _cut_off(path, number, what):
         return (
             f"line {number}, the last one, is cut off, as a logger leaves it that is killed ({shown}). Leave it out: "

@@ -27,6 +27,11 @@ TEXT = (frozenset(range(0x20, 0x100)) | frozenset(b"\t\r\n\f")) - {0x7F}
 """Bytes that a line of text in a one-byte encoding is made of."""
 
 
+def escaped(text: str) -> str:
+    """Part of a file for a message: what a terminal would obey, or not show, written as Python escapes it."""
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
+
+
 def not_plain(path: Path) -> str:
     """What to say of a file that is packed, or whose characters have two bytes or four; "" for others."""
     try:

@@ -15,6 +15,7 @@ from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow
 from hts.recordings.encoding import not_plain, not_utf8
 from hts.recordings.messages import fields_of, messages, topics
+from hts.recordings.table import cannot_be_read
 
 MOST_ROWS = 5000
 MOST_LINE = 1 << 20
@@ -41,7 +42,7 @@ def glance(path: Path) -> Glance:
     try:
         return _reader_of(path)(path)
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
+        raise cannot_be_read(path, error) from error
     except (ValueError, LookupError, csv.Error) as error:
         if isinstance(error, UnicodeDecodeError) and (why := not_utf8(path)):
             raise RecordingError(f"{path}: {why}") from error
@@ -167,14 +168,11 @@ def _npz(path: Path) -> Glance:
 
 
 def _lerobot(path: Path) -> Glance:
-    from hts.recordings.lerobot_reader import names_of, read_info
+    from hts.recordings.lerobot_reader import data_files, names_of, read_info
 
     info = read_info(path)
-    files = sorted((path / "data").glob("chunk-*/file-*.parquet"))
-    if not files:
-        raise RecordingError(f"{path}: no data/chunk-*/file-*.parquet in this dataset. Copy the whole folder.")
     found: dict[str, np.ndarray] = {}
-    for name, values in _parquet(files[0]).columns.items():
+    for name, values in _parquet(data_files(path)[0]).columns.items():
         names = names_of(info["features"].get(name))
         if values.ndim == 2 and len(names) == values.shape[1]:
             found |= {f"{name}[{one}]": values[:, at] for at, one in enumerate(names)}

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from hts.errors import RecordingError, unknown_name
 from hts.recordings.mapping import LabelsMapping
+from hts.recordings.table import cannot_be_read
 
 MOST_BYTES = 1 << 20
 
@@ -31,7 +32,7 @@ def read_labels(path: Path, labels: LabelsMapping) -> list[Label]:
             raise RecordingError(f"{path}: {path.stat().st_size} bytes of labels, expected at most {MOST_BYTES}.")
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
+        raise cannot_be_read(path, error) from error
     except UnicodeDecodeError as error:
         raise RecordingError(f"{path}: labels that are no text ({error.reason}). Write them as UTF-8.") from error
     rows = csv.DictReader(text.splitlines())

@@ -53,11 +53,8 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LerobotMapping) ->
     """Stamps and wanted features of all episodes. Raises RecordingError naming folder and feature."""
     info = read_info(path)
     plain = {column: _numbered(path, str(column), info["features"]) for column in wanted}
-    files = sorted((path / "data").glob("chunk-*/file-*.parquet"))
-    if not files:
-        raise RecordingError(f"{path}: no data/chunk-*/file-*.parquet in this dataset. Copy the whole folder.")
     tables: list[Table] = []
-    for file in files:
+    for file in data_files(path):
         tables.append(read_parquet(file, tuple(plain.values()), log))
         if sum(len(table.stamps) for table in tables) * (len(wanted) + 1) > MOST_NUMBERS:
             raise RecordingError(
@@ -74,6 +71,14 @@ def _whole_frames(stamps: np.ndarray, rate_hz: float) -> np.ndarray:
     """Seconds of whole frames, where stamps are those but for being float32; others as they are."""
     frames = np.round(stamps * rate_hz)
     return frames / rate_hz if np.all(np.abs(stamps * rate_hz - frames) < NEARLY_A_FRAME) else stamps
+
+
+def data_files(path: Path) -> list[Path]:
+    """The Parquet files of a dataset, in order. Raises RecordingError where there is none."""
+    files = sorted((path / "data").glob("chunk-*/file-*.parquet"))
+    if not files:
+        raise RecordingError(f"{path}: no data/chunk-*/file-*.parquet in this dataset. Copy the whole folder.")
+    return files
 
 
 def read_info(path: Path) -> dict[str, Any]:

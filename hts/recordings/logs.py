@@ -60,7 +60,7 @@ from hts.recordings.sources import Source, Tables, assign, check_clocks, read_ta
 from hts.recordings.stated_channels import check_channels
 from hts.recordings.still_joints import check_still_joints
 from hts.recordings.stretches import Stretch, stretches
-from hts.recordings.table import ColumnName, Table, table_of
+from hts.recordings.table import ColumnName, Table, cannot_be_read, table_of
 from hts.recordings.targets import check_targets
 from hts.recordings.temperatures import temperature_notes
 from hts.recordings.told_turn import check_told_turn
@@ -365,7 +365,7 @@ def _reading(columns_of: Callable[[Path], Columns]) -> Callable[[Path, Sequence[
         except HtsError:
             raise
         except OSError as error:
-            raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
+            raise cannot_be_read(path, error) from error
         except (ValueError, LookupError, TypeError, EOFError) as error:
             what = " ".join(f"{type(error).__name__}: {error}".split())
             raise RecordingError(

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hts.errors import RecordingError, unknown_name
+from hts.recordings.table import cannot_be_read
 
 MOST_RECORD = 1 << 28
 """Bytes of one record or unpacked part of a file; writers make parts of about a megabyte."""
@@ -61,33 +62,33 @@ def messages(path: Path, topic: str, definitions: Mapping[str, str]) -> Iterator
     RecordingError naming file, topic and what to do for whatever cannot be read.
     """
     needs_mcap(path)
-    try:
+    with _whole(path):
         for file in _files(path):
             yield from _decoded(file, topic, definitions)
-    except RecordingError:
-        raise
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
-    except (RecursionError, Exception) as error:  # the libraries know some twenty ways to stumble over a broken file
-        what = " ".join(f"{type(error).__name__}: {error}".split())
-        raise RecordingError(f"{path}: not a whole file of messages ({what:.160}). Copy it again.") from error
 
 
 def topics(path: Path) -> dict[str, str]:
     """Topic -> message type of everything in a file or bag. Raises RecordingError as `messages`."""
     needs_mcap(path)
     found: dict[str, str] = {}
-    try:
+    with _whole(path):
         for file in _files(path):
             found |= _sqlite_topics(file) if _is(file, SQLITE) else _mcap_topics(file)
+    return found
+
+
+@contextlib.contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Whatever is wrong with the file that is read inside is a RecordingError."""
+    try:
+        yield
     except RecordingError:
         raise
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
-    except (RecursionError, Exception) as error:
+        raise cannot_be_read(path, error) from error
+    except (RecursionError, Exception) as error:  # the libraries know some twenty ways to stumble over a broken file
         what = " ".join(f"{type(error).__name__}: {error}".split())
         raise RecordingError(f"{path}: not a whole file of messages ({what:.160}). Copy it again.") from error
-    return found
 
 
 def _files(path: Path) -> list[Path]:

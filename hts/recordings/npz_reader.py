@@ -18,7 +18,7 @@ import numpy as np
 
 from hts.errors import RecordingError
 from hts.recordings.logs import LogMapping, Table, table_of
-from hts.recordings.table import ColumnName, no_column
+from hts.recordings.table import ColumnName, cannot_be_read, no_column
 from hts.recordings.table_reader import TableReader
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
                 name: read_array(path, name, file, members[name]) for name in {name for name, _ in places.values()}
             }
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.") from error
+        raise cannot_be_read(path, error) from error
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
         what = " ".join(str(error).split()) or type(error).__name__
         raise RecordingError(f"{path}: not a whole NPZ file ({what:.160}). Copy it again.") from error

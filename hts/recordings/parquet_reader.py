@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
 from hts.recordings.logs import LogMapping, Table
-from hts.recordings.table import ColumnName, no_column, whole_rows
+from hts.recordings.table import ColumnName, cannot_be_read, no_column, whole_rows
 from hts.recordings.table_reader import TableReader
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
             table = file.read(columns=sorted({name for name, _ in found.values()}), use_threads=False)
     except (pa.ArrowException, OSError) as error:
         if isinstance(error, OSError) and error.errno is not None:  # pyarrow raises OSError for damaged files, too
-            raise RecordingError(f"{path}: cannot be read ({error.strerror}). Correct the path.") from error
+            raise cannot_be_read(path, error) from error
         what = " ".join(str(error).split())
         raise RecordingError(f"{path}: not a whole Parquet file ({what:.200}). Copy it again.") from error
     if len(set(names)) != len(names):

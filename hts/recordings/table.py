@@ -39,6 +39,11 @@ class Table:
         return Table(self.path, self.stamps[kept], columns, self.empty_rows, note, self.last_line_dropped)
 
 
+def cannot_be_read(path: Path, error: OSError) -> RecordingError:
+    """What to raise for a file that the system does not give."""
+    return RecordingError(f"{path}: cannot be read ({error.strerror or error}). Correct the path.")
+
+
 def row_of_data(index: int) -> str:
     """What messages call a row of a file that has no lines: its number, from 1. index: from 0."""
     return f"row {index + 1} of the data"

@@ -22,19 +22,22 @@ def start_run(config: RunConfig, out: Path, *, dry_run: bool = False, registry: 
     once (`hts.run.ready`), before anything is written.
     """
     from hts.config_loading import check_names
-    from hts.places import check_place
+    from hts.places import check_new_folder, check_place
     from hts.plugins import load
     from hts.whole_paths import with_whole_paths
 
     registry = registry or load()
+    if not dry_run:
+        check_new_folder(Path(out))
     refuse_oracle(config)
     check_names(config, registry)
     check_place(Path(out), "--out DIR")
     config = with_engine(config)
     from hts.evaluation.held import not_held_in_training, not_tried
+    from hts.parts import robot_of
     from hts.run.ready import check_ready
 
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    robot = robot_of(config, registry)
     for note in filter(None, (not_held_in_training(config, robot), not_tried(config, robot))):
         print(note, file=sys.stderr)
     if dry_run:
@@ -119,13 +122,10 @@ def with_engine(config: RunConfig) -> RunConfig:
 
 def make_folder(config: RunConfig, out: Path) -> None:
     """The folder with its config.yaml, which is all that `resume_run` needs."""
-    from hts.atomic import atomic_write, temporary_of
+    from hts.atomic import atomic_write
     from hts.config_loading import dump_config
-    from hts.errors import RunError
-    from hts.places import resume_command
+    from hts.places import check_new_folder
 
-    left = temporary_of(out / "config.yaml")  # all that a run leaves which was killed before it began
-    if out.exists() and any(entry != left for entry in out.iterdir()):
-        raise RunError(f"{out}: is not empty. Go on with `{resume_command(out)}`, or choose another --out.")
+    check_new_folder(out)  # again: somebody else may have begun there since
     out.mkdir(parents=True, exist_ok=True)  # before the file, so that an error names the folder that was asked for
     atomic_write(out / "config.yaml", dump_config(config))

@@ -89,7 +89,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
     for i in range(config.iterations):
         name = f"iterations/{i:02d}"
         if not goes_on(job, i):
-            job.stages.progress.say(cap_reached(job, i))
+            job.say(cap_reached(job, i))
             job.stages.progress.skip(stages_per_iteration(config) * (config.iterations - i))
             break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder
@@ -117,7 +117,7 @@ def algorithm_1(job: Job) -> dict[str, Any]:
             rows = [tested["results"][one] for one in tested["elites"]]
             task = TaskWords(**task_entry(job.robot.task()))
             why = nobody_chosen(rows, task, gate_refused(job, i), passed_over(job, i))
-            job.stages.progress.say(f"{about}: {why}")
+            job.say(f"{about}: {why}")
         best = tested["best_so_far"]
         if config.evaluation.each_iteration:
             job.do(f"{name}/best", f"{about}: measure the best so far", partial(best_so_far, job, i, best))

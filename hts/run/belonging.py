@@ -24,39 +24,37 @@ JUDGED = ("objective_scores", "task_rewards", "predicted", "trials")
 
 def check_fitted(job: Job, iteration: int) -> None:
     """Raise RunError for a fit.json that lacks an objective of the run."""
-    name = f"iterations/{iteration:02d}/fit"
-    _check_has(_path(job, name), job.objectives, job.read(name))
+    _check_has(job.path("fit", iteration), job.objectives, job.read("fit", iteration))
 
 
 def check_iteration(job: Job, iteration: int) -> None:
     """Raise RunError for a file of an iteration's stages, as far as they are done, that does not belong to the others.
     Its candidates are trained and judged."""
-    folder = f"iterations/{iteration:02d}"
-    rows, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
+    rows, simulated = job.read("finetune", iteration)["candidates"], job.read("simulate", iteration)
     known = {row["id"]: str(row["policy_hash"]) for row in rows}
-    _check_judged(job, folder, known, simulated)
-    tested = _path(job, f"{folder}/test")
-    gate_is_next = gate_is_due(job.config, job.folder / folder)
+    _check_judged(job, iteration, known, simulated)
+    tested = job.path("test", iteration)
+    gate_is_next = gate_is_due(job.config, job.iteration_folder(iteration))
     if gate_is_next or not tested.exists():  # else nobody reads them any more, and a run of before has not all of them
         trusts = job.config.sweep.trust_region.enabled
         _check_has(
-            _path(job, f"{folder}/simulate"), JUDGED if gate_is_next else ("predicted",) if trusts else (), simulated
+            job.path("simulate", iteration), JUDGED if gate_is_next else ("predicted",) if trusts else (), simulated
         )
-    if _path(job, f"{folder}/gate").exists():
-        _check_gate(_path(job, f"{folder}/gate"), job.read(f"{folder}/gate"), known)
-    nearer = _path(job, f"{folder}/nearer")
+    if job.path("gate", iteration).exists():
+        _check_gate(job.path("gate", iteration), job.read("gate", iteration), known)
+    nearer = job.path("nearer", iteration)
     if nearer.exists():
-        found = job.read(f"{folder}/nearer")
+        found = job.read("nearer", iteration)
         closer = {row["id"]: str(row["policy_hash"]) for row in found["candidates"]}
         _check_has(nearer, closer, found["simulate"]["scores"])
         _check_scores(job, nearer, closer, found["simulate"])
         _check(nearer, "it judged", found["simulate"]["scores"], closer, "its candidates")
         _check_gate(nearer, found["gate"], closer)
-        passed = [*job.read(f"{folder}/gate")["elites"], *found["gate"]["elites"]]
+        passed = [*job.read("gate", iteration)["elites"], *found["gate"]["elites"]]
         _check(nearer, "it lets pass", found.get("elites", ()), passed, "those that passed a gate")
         known |= closer
     if tested.exists():
-        found = job.read(f"{folder}/test")
+        found = job.read("test", iteration)
         best = [] if found["best"] is None else [found["best"]]
         tried = [name for name in found["results"] if nearer.exists() or not is_nearer(name)]  # else they come again
         _check(tested, "it tried", tried, known, "candidates of this iteration")
@@ -69,14 +67,14 @@ def check_confirmed(job: Job) -> None:
     """Raise RunError for a confirm.json that names a policy which no iteration tried."""
     found = job.read("confirm")
     named = [found["best"], *found["tried"], *found["results"], *found.get("next", ())]
-    _check(_path(job, "confirm"), "it names", named, _tested(job, job.done_iterations), "policies that were tried")
-    _check_has(_path(job, "confirm"), found["tried"], found["results"])
-    check_results(_path(job, "confirm"), found["results"], job.objectives)
+    _check(job.path("confirm"), "it names", named, _tested(job, job.done_iterations), "policies that were tried")
+    _check_has(job.path("confirm"), found["tried"], found["results"])
+    check_results(job.path("confirm"), found["results"], job.objectives)
 
 
 def check_final(job: Job) -> None:
     """Raise RunError for a final.json of a policy that no iteration tried, or that lacks an objective of the run."""
-    found, path = job.read("final"), _path(job, "final")
+    found, path = job.read("final"), job.path("final")
     _check(path, "it is of", [found["policy"]], _tested(job, job.done_iterations), "a policy that was tried")
     if found["objectives"]:  # else the policy to start from stays
         _check_has(path, job.objectives, found["objectives"])
@@ -84,7 +82,7 @@ def check_final(job: Job) -> None:
 
 def check_summary(job: Job) -> None:
     """Raise RunError for a summary.json of another run: with another seed, other candidates or another final."""
-    found, path = job.read("summary"), _path(job, "summary")
+    found, path = job.read("summary"), job.path("summary")
     said = {"seed": found.get("seed"), "final.policy": (found.get("final") or {}).get("policy")}
     for key, expected in (("seed", job.config.seed), ("final.policy", job.read("final")["policy"])):
         if said[key] != expected:
@@ -98,10 +96,10 @@ def check_summary(job: Job) -> None:
                 raise damaged(path, f"of another run: its {name} is none of the candidates of iteration {index:02d}")
 
 
-def _check_judged(job: Job, folder: str, known: Mapping[str, str], simulated: Mapping[str, Any]) -> None:
+def _check_judged(job: Job, iteration: int, known: Mapping[str, str], simulated: Mapping[str, Any]) -> None:
     """Of finetune.json and simulate.json with other candidates, that one is at fault whose odd candidate has no policy
     file, for the stage that trained them wrote these."""
-    tuned, judged = _path(job, f"{folder}/finetune"), _path(job, f"{folder}/simulate")
+    tuned, judged = job.path("finetune", iteration), job.path("simulate", iteration)
     scores = simulated["scores"]
     odd = [name for name in known if name not in scores]
     if any(not job.policy_path(name).exists() for name in odd):
@@ -151,7 +149,7 @@ def _check_gate(path: Path, gate: Mapping[str, Any], known: Mapping[str, str]) -
 
 def _tested(job: Job, iterations: int) -> set[str]:
     """Policies that have a trial in the first so many iterations, and those that need none."""
-    tried = (job.read(f"iterations/{index:02d}/test")["results"] for index in range(iterations))
+    tried = (job.read("test", index)["results"] for index in range(iterations))
     return {job.first, PRETRAINED, *(name for results in tried for name in results)}
 
 
@@ -168,7 +166,3 @@ def _check_has(path: Path, wanted: Iterable[str], found: Collection[str], of: st
     missing = sorted(name for name in wanted if name not in found)
     if missing:
         raise damaged(path, f"nothing about {', '.join(missing)}{of and f' of {of}'}")
-
-
-def _path(job: Job, stage: str) -> Path:
-    return job.folder / f"{stage}.json"

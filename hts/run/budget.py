@@ -18,8 +18,9 @@ from hts.checked_selector import checked_selector
 from hts.config import RunConfig, ScheduleConfig
 from hts.contracts import World
 from hts.errors import ConfigError
+from hts.parts import objectives_of, robot_of
 from hts.plugins import Registry
-from hts.training.sweep import candidates, combinations, own_weights
+from hts.training.sweep import candidates, weights_of
 
 LEAST_SHARE = 0.5
 """Of the first data that are configured: with fewer there is nothing to trust in what a model promises."""
@@ -59,8 +60,7 @@ class Budget:
 
 def candidate_counts(config: RunConfig, registry: Registry) -> list[int]:
     """How many candidates each iteration trains, if every anchor is another policy from the second on."""
-    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
-    weights = combinations(own_weights(objectives, config), config.sweep.weights)
+    weights = weights_of(objectives_of(config, registry), config)
     counts = []
     for iteration in range(config.iterations):
         hashes: dict[str, str] = {anchor: anchor if iteration else "one" for anchor in config.sweep.anchors}
@@ -84,7 +84,7 @@ def seconds_per_elite(config: RunConfig, world: World) -> float:
 def plan(config: RunConfig, registry: Registry, world: World) -> Budget:
     """The plan of a run. Raises ConfigError for a cap that one recording and one test do not fit in, or with a
     selector that tests in rounds, whose time nobody knows before."""
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    robot = robot_of(config, registry)
     rate, most, schedule = robot.spec.control_rate_hz, config.max_real_samples, config.collection.schedule
     seconds = seconds_per_elite(config, world)
     each = math.ceil(rate * max(ALLOWANCE * seconds, seconds + LEAST_ALLOWANCE))

@@ -7,24 +7,22 @@ are others when its turn comes. The best over both trials goes on; who falls or 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from hts.checked_selector import checked_selector
 from hts.contracts import Selector, TestedCandidate
 from hts.evaluation.across_speeds import mean_comparison
 from hts.recordings.recording import robot_samples_of
 from hts.run.job import Job
+from hts.run.stages import Report
 from hts.run.testing_elites import result_row, tested_before, whole
-
-Report = Callable[[float], None]
 
 
 def confirm(job: Job, best: str, report: Report) -> dict[str, Any]:
     """Second trials of the best so far and those next to it, as many as `selection.confirm` says and
     `max_real_samples` leaves; nobody's where there are not two. The result's `best` goes to the final.
     """
-    selector, before = selector_of(job), tested_so_far(job)
+    selector, before = job.selector(), tested_so_far(job)
     names = contenders(selector, before, best, job.confirmations(job.done_iterations))
     if len(names) < 2:
         left = [one for one in order(selector, before) if one != best]
@@ -59,14 +57,8 @@ def finalists(job: Job, best: str) -> list[str]:
     if job.config.selection.confirm:
         others = job.read("confirm").get("next", [])  # of a run of before: nobody
     else:
-        others = order(selector_of(job), [one for one in tested_so_far(job) if one.id != best])
+        others = order(job.selector(), [one for one in tested_so_far(job) if one.id != best])
     return [best, *others][: job.config.evaluation.finals]
-
-
-def selector_of(job: Job) -> Selector:
-    """Who chooses in this run."""
-    settings = job.config.selection.selector
-    return checked_selector(job.registry, settings)
 
 
 def order(selector: Selector, tested: Sequence[TestedCandidate]) -> list[str]:
@@ -76,7 +68,7 @@ def order(selector: Selector, tested: Sequence[TestedCandidate]) -> list[str]:
 
 def tested_so_far(job: Job) -> list[TestedCandidate]:
     """All that reality measured in some iteration and did not refuse; whether they fell is for the selector."""
-    rows = [job.read(f"iterations/{index:02d}/test")["results"] for index in range(job.done_iterations)]
+    rows = [job.read("test", index)["results"] for index in range(job.done_iterations)]
     return [tested_before(job, name) for row in rows for name, found in row.items() if found.get("tested")]
 
 

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from hts.config import RunConfig
-from hts.contracts import WorldContext
 from hts.errors import ConfigError
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.evaluation.simulation import trial_steps
 from hts.guarded import guarded
+from hts.parts import objectives_of, robot_of, world_of
 from hts.plugins import Registry
-from hts.run.asked import asked_of
 from hts.run.budget import candidate_counts, plan
-from hts.training.sweep import combinations, own_weights
+from hts.run.robot_time import asked_of
+from hts.training.sweep import weights_of
 
 STEPS_PER_SECOND = {"mujoco": 4_500.0, "warp": 500_000.0}
 """Control steps per second from collection to update, where nobody measured them (`hts.run.speed` does on a CPU):
@@ -49,14 +49,11 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     """
     rate = steps_per_second or STEPS_PER_SECOND.get(config.engine, STEPS_PER_SECOND["mujoco"])
     assumed = {"warp": "an H200", "mujoco": "two cores"}.get(config.engine, "two cores")
-    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
-    weights = combinations(own_weights(objectives, config), config.sweep.weights)
+    objectives = objectives_of(config, registry)
+    robot = robot_of(config, registry)
+    weights = weights_of(objectives, config)
     nowhere = Path(tempfile.gettempdir()) / "hts-dry-run"  # a name only: worlds write with their first request
-    context = WorldContext(
-        config.robot.name, config.robot.settings, config.objectives, config.seed, folder=nowhere, registry=registry
-    )
-    world = registry.make_world(config.world.name, config.world.settings, context)
+    world = world_of(config, registry, nowhere)
     hold = hold_of(config)
     ask_to_hold(world, hold)
     budget = plan(config, registry, world)

@@ -50,7 +50,7 @@ def felt_pull(job: Job, iteration: int) -> dict[str, Any] | None:
     test = job.config.simulation_test
     if not (test.measured_pull or job.config.finetune.measured_pull) or not test.hold_speed:
         return None
-    ids = [name for earlier in range(iteration) for name in job.read(f"iterations/{earlier:02d}/test")["recordings"]]
+    ids = [name for earlier in range(iteration) for name in job.read("test", earlier)["recordings"]]
     references = [recording for recording in job.recordings(ids) if recording.role == "reference"]
     measured = wandering.measured(references, job.robot.task())
     if not any(speed in measured for speed in test.speeds):

@@ -9,27 +9,18 @@ here; all that was walked is kept and counted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hts.evaluation.final import (
-    entry_both_ways,
-    entry_of,
-    falls_by_speed,
-    refused_and_fallen,
-    segment_scores,
-    walked_speeds,
-)
+from hts.evaluation.final import entry_and_scores, falls_by_speed
 from hts.evaluation.held import NotComparable, ask_to_hold
 from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import ends_the_run, head_to_head, held_head_to_head
 from hts.run.iteration import gate_note
 from hts.run.job import Job
-from hts.run.stages import write_json
-
-Report = Callable[[float], None]
+from hts.run.stages import Report, write_json
 
 
 @dataclass
@@ -84,7 +75,7 @@ def final(job: Job, finalists: Sequence[str], report: Report) -> dict[str, Any]:
         if tried[-1].lost == 0 or (error is not None and error.role == "reference"):  # no policy helps against that
             break
         if number + 1 < len(finalists):
-            job.stages.progress.say(f"{_why(tried[-1])} Next: {finalists[number + 1]}.")
+            job.say(f"{_why(tried[-1])} Next: {finalists[number + 1]}.")
     chosen = min(tried, key=lambda one: one.lost)
     if chosen.error is not None:  # so has everybody's
         for one in tried:
@@ -146,7 +137,7 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
     """The final of one policy."""
     config, tried = job.config, Tried(name)
     _as_best(job, name)
-    held: list[Recording] = []
+    held: list[Recording] | None = None
     if job.hold is not None:
         job.watch(lambda share: report(share / 2))
         held, again = held_head_to_head(job, "best", job.hold)
@@ -161,15 +152,8 @@ def _final_of(job: Job, name: str, report: Report) -> Tried:
     tried.fallen = falls_by_speed(tried.recordings, task)
     try:
         for key, objective in job.objectives.items():
-            if job.hold is not None:
-                both = entry_both_ways(objective, held, recordings, config.evaluation, seed, task)
-                tried.entries[key], tried.scores[key], refused = both
-                tried.blamed |= blamed(refused)
-                continue
-            results, refused = walked_speeds(objective, recordings, config.evaluation, seed, task)
-            tried.entries[key], tried.scores[key] = entry_of(objective, results), segment_scores(results)
-            if refused:
-                tried.entries[key] |= refused_and_fallen(refused, recordings, task)
+            found = entry_and_scores(objective, held, recordings, config.evaluation, seed, task)
+            tried.entries[key], tried.scores[key], refused = found
             tried.blamed |= blamed(refused)
     except NotComparable as error:
         tried.error = error

@@ -30,7 +30,7 @@ def tested_policies(job: Job, iterations: int) -> list[Measured]:
     """All that were tested in the first so many iterations, did not fall, and have a score in every objective."""
     found = []
     for index in range(iterations):
-        for name, row in job.read(f"iterations/{index:02d}/test")["results"].items():
+        for name, row in job.read("test", index)["results"].items():
             tested = row.get("tested")
             if not tested or tested["fell"]:
                 continue

@@ -5,7 +5,7 @@ Where some fail the selector is asked again without them, until all that it name
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,17 +16,15 @@ from hts.rl.population import Population
 from hts.run.gate_checks import Worst, limits, sentence, told_by, untold_by
 from hts.run.gate_trials import LostPackets, channels_of, commands_of, dynamics, rollout, varied
 from hts.run.job import Job
-from hts.run.judging import fine_tuning, mean_gain, same_policies, selector_of_elites, speeds_predicted
-from hts.run.stages import number
+from hts.run.judging import fine_tuning, mean_gain, same_policies, speeds_predicted
+from hts.run.stages import Report, number
 
-Report = Callable[[float], None]
 FORMAT = 1  # of gate.json
 
 
 def gate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     """The elites of simulate.json, or those behind them."""
-    folder = f"iterations/{iteration:02d}"
-    rows, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
+    rows, simulated = job.read("finetune", iteration)["candidates"], job.read("simulate", iteration)
     return tried(job, iteration, rows, simulated, report, again=bool(job.config.gate.nearer))
 
 
@@ -58,7 +56,7 @@ def tried(
     if not strict and (fell := [name for name in elites if name in kept_out or not rows[name]["passed"]]):
         lines.append(f"a machine would not get {', '.join(fell)}; this world is simulated, so they are tried")
     for line in lines:
-        job.stages.progress.say(f"iteration {iteration:02d}: {line}")
+        job.say(f"iteration {iteration:02d}: {line}")
     for name, row in rows.items():
         job.note_gate(name, {"instances": trials.instances, "set_points": list(trials.set_points), **row})
     _note_others(job, candidates, simulated, kept_out, set(rows))
@@ -97,7 +95,7 @@ def _passing(
     """Who is tried for real, and the row of each that the gate looked at. Where the gate is strict and refuses one, the
     selector chooses anew among those that are left, until all whom it chooses have passed; else those that were
     proposed go, whatever is seen."""
-    selector = selector_of_elites(job)
+    selector = job.selector()
     strict, chosen, rows = job.gate_is_strict, list(proposed), dict[str, dict[str, Any]]()
     while waiting := [name for name in chosen if name not in rows]:
         rows |= trials.of(waiting)

@@ -45,9 +45,7 @@ def head_to_head(job: Job, policy: str, speeds: Sequence[float] = ()) -> list[Re
         found = asked(job.world, "head_to_head_sessions", *pair, speeds, config.sessions)
         if found is not None:
             return complete(job.world, "head_to_head_sessions", found, speeds, job.check_recordings)
-        job.stages.progress.say(
-            f"World '{job.config.world.name}' makes a head-to-head once: one session, not {config.sessions}."
-        )
+        job.say(f"World '{job.config.world.name}' makes a head-to-head once: one session, not {config.sessions}.")
     found = asked(job.world, "head_to_head", *pair, speeds)
     return complete(job.world, "head_to_head", found, speeds, job.check_recordings)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from hts.policy_ids import PRETRAINED
 from hts.run.job import Job
+from hts.training.sweep import iteration_of
 
 CANDIDATES = ("scores", "objective_scores", "task_rewards", "falls", "tracked", "trials", "predicted")
 """What simulate.json holds for each candidate."""
@@ -17,17 +18,17 @@ CANDIDATES = ("scores", "objective_scores", "task_rewards", "falls", "tracked", 
 
 def tuned(job: Job, iteration: int) -> dict[str, Any]:
     """finetune.json, with the candidates of nearer.json behind its own."""
-    found, nearer = _stage(job, iteration, "finetune"), nearer_of(job, iteration)
+    found, nearer = job.read("finetune", iteration), nearer_of(job, iteration)
     return {**found, "candidates": [*found["candidates"], *nearer["candidates"]]} if nearer else found
 
 
 def simulated(job: Job, iteration: int) -> dict[str, Any]:
     """simulate.json, with the candidates of nearer.json and the elites among them."""
-    found, nearer = _stage(job, iteration, "simulate"), nearer_of(job, iteration)
+    found, nearer = job.read("simulate", iteration), nearer_of(job, iteration)
     if nearer is None:
         return found
     whole = judged_after(found, nearer["simulate"])
-    if not _stage(job, iteration, "gate")["elites"]:
+    if not job.read("gate", iteration)["elites"]:
         return whole
     left = [found.get("gave_up") or {}, nearer["simulate"]["gave_up"]]
     gave_up = {
@@ -46,9 +47,9 @@ def judged_after(found: Mapping[str, Any], added: Mapping[str, Any]) -> dict[str
 
 def gated(job: Job, iteration: int) -> dict[str, Any] | None:
     """gate.json, with the candidates of nearer.json and who of all is tried; None of a run without a gate."""
-    if not _is_done(job, iteration, "gate"):
+    if not job.path("gate", iteration).exists():
         return None
-    found, nearer = _stage(job, iteration, "gate"), nearer_of(job, iteration)
+    found, nearer = job.read("gate", iteration), nearer_of(job, iteration)
     if nearer is None:
         return found
     whole = tried_after(found, nearer["gate"])
@@ -74,7 +75,7 @@ def tried_after(found: Mapping[str, Any], added: Mapping[str, Any]) -> dict[str,
 
 def nearer_of(job: Job, iteration: int) -> dict[str, Any] | None:
     """nearer.json; None where it was not needed."""
-    return _stage(job, iteration, "nearer") if _is_done(job, iteration, "nearer") else None
+    return job.read("nearer", iteration) if job.path("nearer", iteration).exists() else None
 
 
 def elites_of(job: Job, iteration: int) -> list[str]:
@@ -93,16 +94,8 @@ def gate_note(job: Job, name: str) -> dict[str, Any] | None:
     not try it. name: of the run."""
     if name in (PRETRAINED, "best"):
         return None
-    found = gated(job, int(name.split("-")[0]))
+    found = gated(job, iteration_of(name))
     row = None if found is None else found["policies"].get(name)
     if found is None or row is None:
         return None
     return {**{key: found[key] for key in ("instances", "set_points") if key in found}, **row}
-
-
-def _is_done(job: Job, iteration: int, stage: str) -> bool:
-    return (job.folder / f"iterations/{iteration:02d}/{stage}.json").exists()
-
-
-def _stage(job: Job, iteration: int, stage: str) -> dict[str, Any]:
-    return dict(job.read(f"iterations/{iteration:02d}/{stage}"))

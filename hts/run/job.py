@@ -9,12 +9,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from hts.checked_selector import checked_selector
 from hts.config import RunConfig, ScheduleConfig
-from hts.contracts import HoldSpeed, MeasurementModel, Objective, Robot, World, WorldContext
+from hts.contracts import HoldSpeed, MeasurementModel, Robot, Selector, World
 from hts.errors import PolicyError, RecordingError, RunError
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.measurement import files
 from hts.measurement.transform import Measured
+from hts.parts import objectives_of, robot_of, world_of
 from hts.places import resume_command
 from hts.plugins import Registry
 from hts.policies.export import to_onnx
@@ -29,8 +31,8 @@ from hts.run.budget import Budget, plan, second_trials
 from hts.run.provenance import collect as collect_provenance
 from hts.run.provenance import config_sha256, other_versions
 from hts.run.stage_files import read_stage
-from hts.run.stages import Stages, write_json
-from hts.training.sweep import combinations, is_nearer, own_weights
+from hts.run.stages import Report, Stages, write_json
+from hts.training.sweep import is_nearer, weights_of
 
 HASH = "_sha256"
 
@@ -43,30 +45,40 @@ class Job:
         self.first = PRETRAINED  # the policy that is the best before anything was tried
         self.note: str | None = None  # what must be said beside every result
         self._said: set[str] = set()
-        self.robot: Robot = registry.make_robot(config.robot.name, config.robot.settings)
-        self.objectives: dict[str, Objective] = {
-            name: registry.make_objective(name, settings) for name, settings in config.objectives.items()
-        }
+        self.robot: Robot = robot_of(config, registry)
+        self.objectives = objectives_of(config, registry)
 
     # ------------------------------------------------------------------------------------------------- stages
 
-    def do(self, name: str, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
+    def do(self, name: str, title: str, work: Callable[[Report], Any]) -> Any:
         """See `Stages.do`."""
         return self.stages.do(name, title, work)
+
+    def say(self, line: str) -> None:
+        """One line to whoever waits for the run."""
+        self.stages.progress.say(line)
 
     def say_once(self, about: str, line: str) -> None:
         """One line of the run, unless one about the same was said since it was begun or resumed."""
         if about not in self._said:
             self._said.add(about)
-            self.stages.progress.say(line)
+            self.say(line)
 
-    def read(self, name: str) -> Any:
+    def path(self, stage: str, iteration: int | None = None) -> Path:
+        """Where the result of a stage lies; iteration: whose it is, where it is none of the whole run."""
+        return (self.folder if iteration is None else self.iteration_folder(iteration)) / f"{stage}.json"
+
+    def iteration_folder(self, iteration: int) -> Path:
+        """What belongs to one iteration: results of its stages, candidates, models."""
+        return self.folder / "iterations" / f"{iteration:02d}"
+
+    def read(self, stage: str, iteration: int | None = None) -> Any:
         """Result of a finished stage. Raises RunError as `read_stage`."""
-        return read_stage(self.folder / f"{name}.json")
+        return read_stage(self.path(stage, iteration))
 
     def prepare(self) -> None:
         """The pretrained policy and the provenance, before anything is spent."""
-        assert self.combinations is not None  # raises ConfigError where there is nothing to learn from
+        _ = self.combinations  # raises ConfigError where there is nothing to learn from
         source = pretrained_file(self.robot)
         begun = (self.folder / "provenance.json").exists()
         kept = self.read("provenance") if begun else {}
@@ -88,7 +100,7 @@ class Job:
                     "Put that one back, or begin a new run."
                 )
             if (other := other_versions(kept)) and not (self.folder / "summary.json").exists():
-                self.stages.progress.say(
+                self.say(
                     f"{self.folder}: was begun with {other}. Stages that are done are of that version, what follows is "
                     "of this one; install that one again, or begin a new run, for a result of one version."
                 )
@@ -102,7 +114,7 @@ class Job:
     @cached_property
     def combinations(self) -> list[dict[str, float]]:
         """The λ of the sweep's candidates, one per objective."""
-        return combinations(own_weights(self.objectives, self.config), self.config.sweep.weights)
+        return weights_of(self.objectives, self.config)
 
     def rewards(self, iteration: int) -> list[Measured] | None:
         """What is paid for in training where it is neither models nor proxies; None: it is one of these."""
@@ -130,14 +142,15 @@ class Job:
         path = save_policy(self.policy_path(name), policy)
         return to_onnx(policy, path.with_suffix(".onnx"))
 
-    def save_exploring(self, name: str, share: float) -> Path:
-        """The ONNX file of a policy that adds `share` of its own sigma as noise;
+    def save_exploring(self, share: float) -> Path:
+        """The ONNX file of the pretrained policy that adds `share` of its own sigma as noise;
         another policy to a model, with its own hash."""
-        policy = self.policy(name)
+        policy = self.policy(PRETRAINED)
         std = tuple((policy.tensors["log_std"].exp() * share).tolist())
         own = hashlib.sha256(f"{policy.card.policy_hash}{std}".encode()).hexdigest()
         card = dataclasses.replace(policy.card, exploration_std=std, policy_hash=own)
-        return to_onnx(Policy(policy.tensors, card), self.policy_path(name).with_name(f"{name}-exploring.onnx"))
+        place = self.policy_path(PRETRAINED).with_name(f"{PRETRAINED}-exploring.onnx")
+        return to_onnx(Policy(policy.tensors, card), place)
 
     def policy(self, name: str) -> Policy:
         """Read a policy of this run. Raises PolicyError, which says how to get it back, if a file is damaged."""
@@ -172,7 +185,7 @@ class Job:
         """
         policy, path, own = self.policy(name), self.onnx_path(name), self.policy_path(name).name
         if not path.exists():
-            self.stages.progress.say(f"{path}: is missing, so it is written again from {own}.")
+            self.say(f"{path}: is missing, so it is written again from {own}.")
             return to_onnx(policy, path)
         other = what_differs(path, policy)
         if other is not None:
@@ -182,9 +195,13 @@ class Job:
             )
         return path
 
+    def model_path(self, iteration: int, objective: str) -> Path:
+        """Where a measurement model lies."""
+        return self.iteration_folder(iteration) / "models" / f"{objective}.safetensors"
+
     def model(self, iteration: int, objective: str) -> MeasurementModel:
         """A measurement model of this run. Raises PolicyError, which says how to get it back, if a file is damaged."""
-        path = model_path(self, iteration, objective)
+        path = self.model_path(iteration, objective)
         try:
             return files.load(path, registry=self.registry)
         except PolicyError as error:
@@ -210,19 +227,16 @@ class Job:
     @cached_property
     def world(self) -> World:
         """Where policies run "for real"."""
-        context = WorldContext(
-            robot=self.config.robot.name,
-            robot_settings=self.config.robot.settings,
-            objectives=self.config.objectives,
-            seed=self.config.seed,
-            folder=self.folder / "world",
-            registry=self.registry,
-            command=resume_command(self.folder),
-        )
-        world = self.registry.make_world(self.config.world.name, self.config.world.settings, context)
+        command = resume_command(self.folder)
+        world = world_of(self.config, self.registry, self.folder / "world", command=command)
         if self.hold is not None:
             ask_to_hold(world, self.hold)
         return world
+
+    def selector(self) -> Selector:
+        """Who names the elites that are tried for real, and the best of those."""
+        capped = self.config.max_real_samples is not None
+        return checked_selector(self.registry, self.config.selection.selector, capped)
 
     @cached_property
     def budget(self) -> Budget:
@@ -231,15 +245,14 @@ class Job:
 
     def spent(self, iteration: int) -> int:
         """Real samples before an iteration."""
-        stages = ["collect"] if self.config.records_first else []
-        stages += [f"iterations/{earlier:02d}/test" for earlier in range(iteration)]
-        return sum(self.read(stage)["samples"] for stage in stages)
+        first = self.read("collect")["samples"] if self.config.records_first else 0
+        return first + sum(self.read("test", earlier)["samples"] for earlier in range(iteration))
 
     def elites(self, iteration: int) -> int:
         """How many elites an iteration may test: as the plan says, within what is left of the real samples."""
         if self.config.max_real_samples is None:
             return self.config.selection.elites
-        tried = [len(self.read(f"iterations/{earlier:02d}/test")["elites"]) for earlier in range(iteration)]
+        tried = [len(self.read("test", earlier)["elites"]) for earlier in range(iteration)]
         return self.budget.affordable(tried, self.spent(iteration))
 
     def confirmations(self, iterations: int) -> int:
@@ -255,8 +268,7 @@ class Job:
     @property
     def done_iterations(self) -> int:
         """Iterations whose elites were tested; fewer than planned where the real samples ran out."""
-        names = (self.folder / f"iterations/{index:02d}/test.json" for index in range(self.config.iterations))
-        return sum(path.exists() for path in names)
+        return sum(self.path("test", index).exists() for index in range(self.config.iterations))
 
     @cached_property
     def hold(self) -> HoldSpeed | None:
@@ -280,7 +292,7 @@ class Job:
         Returns their ids. Raises RecordingError as `check_recordings` does, with nothing stored."""
         self.check_recordings(recordings)
         for line in remarks(recordings):
-            self.stages.progress.say(line)
+            self.say(line)
         return [self.store.write(recording.replace(iteration=iteration)) for recording in recordings]
 
     def recordings(self, ids: Sequence[str]) -> list[Recording]:
@@ -314,21 +326,16 @@ class Job:
         """Ids of all recordings made before the fine-tuning of this iteration: D_i."""
         ids = list(self.read("collect")["recordings"])
         for earlier in range(iteration):
-            ids += self.read(f"iterations/{earlier:02d}/test")["recordings"]
+            ids += self.read("test", earlier)["recordings"]
         return ids
 
-    def watch(self, report: Callable[[float], None]) -> None:
+    def watch(self, report: Report) -> None:
         """Let the world report its progress."""
         self.world.on_progress(report)
 
     def close(self) -> None:
         if "world" in self.__dict__:
             self.world.close()
-
-
-def model_path(job: Job, iteration: int, objective: str) -> Path:
-    """Where a measurement model lies."""
-    return job.folder / "iterations" / f"{iteration:02d}" / "models" / f"{objective}.safetensors"
 
 
 def _same_machine(before: Mapping[str, str], now: Mapping[str, str]) -> bool:

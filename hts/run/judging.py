@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from hts.checked_selector import checked_selector
-from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, Selector, SimulatedCandidate, Task
+from hts.contracts import VELOCITY, FineTuning, HoldSpeed, Objective, SimulatedCandidate, Task
 from hts.evaluation.final import speed_key
 from hts.evaluation.predicted import pieces, predicted_comparison
 from hts.evaluation.simulation import SimulatedTrial, test_config, trial_seconds, trial_steps
 from hts.evaluation.simulation import simulate as trials
 from hts.measurement.baseline import fit_proxy
 from hts.measurement.proxy import proxy_along
+from hts.measurement.transform import channels_read
 from hts.policies.files import Policy
 from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording
@@ -25,8 +25,8 @@ from hts.rl.kl_bound import mean_kl
 from hts.rl.population import Population
 from hts.run.felt_pull import pulled
 from hts.run.job import Job
-from hts.run.learning import Report, inputs, transforms
-from hts.run.stages import number
+from hts.run.learning import transforms
+from hts.run.stages import Report, number
 from hts.run.task_watch import gave_up, gave_up_line
 from hts.training.finetune import measured_env
 
@@ -36,7 +36,7 @@ NOT_WRITTEN = ("worlds", "pieces", "piece_speed")  # of a trial: what the stage'
 
 def simulate(job: Job, iteration: int, report: Report) -> dict[str, Any]:
     """Judge candidates by their mean action in the training simulation; Π_{i+1} <- top K."""
-    tuned = job.read(f"iterations/{iteration:02d}/finetune")
+    tuned = job.read("finetune", iteration)
     return judge(job, iteration, tuned, tuned["candidates"])
 
 
@@ -62,7 +62,7 @@ def judge(
     if pull is not None and test.measured_pull:
         env_config = pulled(env_config, tuple(pull["pull"]))
     task = job.robot.task()
-    channels = tuple(dict.fromkeys((*inputs(job, iteration), *task.channels)))
+    channels = tuple(dict.fromkeys((*channels_read(transforms(job, iteration)), *task.channels)))
     bare = job.robot.make_env(
         config.engine, len(names), worlds, env_config, channels=channels, seeds=[seed] * len(names)
     )
@@ -85,7 +85,7 @@ def judge(
         )
         for row in rows
     ]
-    selector = selector_of_elites(job)
+    selector = job.selector()
     lenient, alike = is_lenient(job), same_policies(rows)
     able = [
         one
@@ -113,13 +113,8 @@ def judge(
     }
     line = gave_up_line(elites, found, tuned.get("reward_scale") or {}, task.quantity, task.unit)
     if line is not None:
-        job.stages.progress.say(f"iteration {iteration:02d}: {line}")
+        job.say(f"iteration {iteration:02d}: {line}")
     return {**found, "gave_up": {"elites": gave_up(elites, found), "line": line}}
-
-
-def selector_of_elites(job: Job) -> Selector:
-    """Who names those of an iteration that are tried for real."""
-    return checked_selector(job.registry, job.config.selection.selector, job.config.max_real_samples is not None)
 
 
 class Distance:

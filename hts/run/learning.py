@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from hts.measurement import files
 from hts.measurement.fit_command import FitResult, fit_and_check
 from hts.measurement.fit_report import doubts, masked_lines
 from hts.measurement.outliers import masked_split
-from hts.measurement.transform import Measured, MeasurementTransform, ProxyTransform
+from hts.measurement.transform import Measured, MeasurementTransform, ProxyTransform, channels_read
 from hts.policies.files import Policy, make_card
 from hts.policies.proof import inherited
 from hts.policy_ids import PRETRAINED
@@ -24,15 +24,14 @@ from hts.recordings import Recording
 from hts.run.curves import Curves
 from hts.run.felt_pull import felt_pull, pull_line
 from hts.run.front import real_front
-from hts.run.job import Job, model_path
-from hts.run.ready import inputs as inputs_of
+from hts.run.job import Job
+from hts.run.stages import Report
 from hts.run.task_watch import reward_scale, scale_lines
 from hts.run.trust_region import scaled
 from hts.selection.fronts import towards
+from hts.training.finetune import Finetuned
 from hts.training.finetune import finetune as finetune_candidates
 from hts.training.sweep import FRONT, Candidate, candidates, combinations
-
-Report = Callable[[float], None]
 
 
 def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
@@ -49,16 +48,16 @@ def fit(job: Job, iteration: int, report: Report) -> dict[str, Any]:
 
         fitted = fit_one(job, name, recordings, keep=keep, progress=share)
         notes = {"dataset": dataset.sha256, "iteration": iteration}
-        files.save(fitted.model, model_path(job, iteration, name), notes)
+        files.save(fitted.model, job.model_path(iteration, name), notes)
         result[name] = {**fitted.report, "dataset": dataset.sha256, "recordings": list(dataset.ids)}
         if asks_weights(job, iteration, name):
             result[name]["weights"] = own_weights_of(objective, fitted.model, recordings)
-        before = job.read(f"iterations/{iteration - 1:02d}/fit")[name] if iteration else None
+        before = job.read("fit", iteration - 1)[name] if iteration else None
         if before is None or not doubts(before):  # once is enough
             for line in doubts(result[name]):
-                job.stages.progress.say(line)
+                job.say(line)
         for line in masked_lines(result[name], before):  # again where new recordings have more of them
-            job.stages.progress.say(line)
+            job.say(line)
     return result
 
 
@@ -80,7 +79,7 @@ def asks_weights(job: Job, iteration: int, name: str) -> bool:
     run that an earlier version began without."""
     if not job.config.fits_models or job.config.sweep.weights.get(name):
         return False
-    return iteration == 0 or "weights" in job.read(f"iterations/{iteration - 1:02d}/fit")[name]
+    return iteration == 0 or "weights" in job.read("fit", iteration - 1)[name]
 
 
 def own_weights_of(objective: Objective, model: MeasurementModel, recordings: Sequence[Recording]) -> list[float]:
@@ -104,7 +103,7 @@ def combinations_of(job: Job, iteration: int) -> list[dict[str, float]]:
     not asked those that need no model."""
     if not job.config.fits_models:
         return job.combinations
-    fits = job.read(f"iterations/{iteration:02d}/fit")
+    fits = job.read("fit", iteration)
     own = {name: fits[name].get("weights", objective.weights) for name, objective in job.objectives.items()}
     return combinations(own, job.config.sweep.weights)
 
@@ -119,11 +118,6 @@ def transforms(job: Job, iteration: int) -> list[Measured]:
     return [
         MeasurementTransform.of(objective, job.model(iteration, name)) for name, objective in job.objectives.items()
     ]
-
-
-def inputs(job: Job, iteration: int) -> tuple[str, ...]:
-    """Sim channels that the objectives' models read, or whatever else pays."""
-    return inputs_of(transforms(job, iteration))
 
 
 def sweep(job: Job, iteration: int, best: str) -> list[Candidate]:
@@ -150,7 +144,7 @@ def bound_scale(job: Job, iteration: int) -> float:
     """Factor on the finite KL bounds of an iteration, as the tests of the one before it left it."""
     if iteration == 0:
         return 1.0
-    return float((job.read(f"iterations/{iteration - 1:02d}/test").get("trust_region") or {}).get("scale", 1.0))
+    return float((job.read("test", iteration - 1).get("trust_region") or {}).get("scale", 1.0))
 
 
 def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
@@ -159,7 +153,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     group = sweep(job, iteration, best)
     behind = {"best": best}
     anchors = {name: job.anchor(behind.get(name, name)) for name in ("best", *sorted({one.anchor for one in group}))}
-    checkpoint = job.folder / "iterations" / f"{iteration:02d}" / "checkpoint"
+    checkpoint = job.iteration_folder(iteration) / "checkpoint"
     checkpoint.parent.mkdir(parents=True, exist_ok=True)
     begun = any(checkpoint.parent.glob(f"{checkpoint.name}-*"))
     curves = job.folder / "log" / f"iteration-{iteration:02d}"
@@ -168,7 +162,7 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
     key = f"{iteration}/{'/'.join(anchor.card.policy_hash for anchor in anchors.values())}/{config.seed}"
     pull = felt_pull(job, iteration)
     if pull is not None:
-        job.stages.progress.say(f"iteration {iteration:02d}: {pull_line(pull, config.simulation_test.speeds)}")
+        job.say(f"iteration {iteration:02d}: {pull_line(pull, config.simulation_test.speeds)}")
     with Curves(curves, goes_on=begun) as log:
         tuned, steps = finetune_candidates(
             job.robot,
@@ -177,52 +171,52 @@ def finetune(job: Job, iteration: int, best: str, report: Report) -> dict[str, A
             group,
             anchors,
             lambda: transforms(job, iteration),
-            inputs(job, iteration),
+            channels_read(transforms(job, iteration)),
             seed=job.seed("finetune", iteration),
             checkpoint=checkpoint,
             key=key,
             progress=report,
             log=log.add,
         )
-    rows = []
-    for one in tuned:
-        c, anchor = one.candidate, anchors[one.candidate.anchor]
-        made = {
-            "anchor": anchor.card.policy_hash,
-            "weights": dict(c.weights),
-            "kl_bound": str(c.kl_bound),
-            "kl": one.kl,
-            "iteration": iteration,
-            **({"prices": dict(one.prices)} if one.prices else {}),
-            **inherited(anchor.card.made),
-        }
-        card = make_card(
-            job.robot.spec, one.tensors, [dict(part) for part in anchor.card.observation], anchor.card.sizes(), **made
-        )
-        job.save(c.id, Policy(one.tensors, card))
-        rows.append(
-            {
-                "id": c.id,
-                "anchor": c.anchor,
-                "weights": dict(c.weights),
-                "kl_bound": c.kl_bound,
-                "kl": one.kl,
-                "std": one.std,
-                "anchor_std": one.anchor_std,
-                "stopped": one.stopped,
-                **({"share": one.share} if one.share < 1.0 else {}),
-                "policy_hash": card.policy_hash,
-                "curve": one.history[:: max(1, len(one.history) // 50)],
-            }
-        )
+    rows = [_saved(job, iteration, one, anchors[one.candidate.anchor]) for one in tuned]
     _remove_checkpoints(checkpoint)
     scale = reward_scale(rows, list(job.objectives))
     held = bool(config.finetune.hold and job.robot.held_at_zero)  # then a large λ cannot buy less of the task
     for line in () if held else scale_lines(scale, rows):
-        job.stages.progress.say(line)
+        job.say(line)
     rows += job.untrained(iteration)
     found = {} if pull is None else {"pull": pull}
     return {"candidates": rows, "steps": steps, "reward_scale": scale, "held": held, **found}
+
+
+def _saved(job: Job, iteration: int, tuned: Finetuned, anchor: Policy) -> dict[str, Any]:
+    """A candidate after training: written, and its row of finetune.json."""
+    candidate = tuned.candidate
+    made = {
+        "anchor": anchor.card.policy_hash,
+        "weights": dict(candidate.weights),
+        "kl_bound": str(candidate.kl_bound),
+        "kl": tuned.kl,
+        "iteration": iteration,
+        **({"prices": dict(tuned.prices)} if tuned.prices else {}),
+        **inherited(anchor.card.made),
+    }
+    layout = [dict(part) for part in anchor.card.observation]
+    card = make_card(job.robot.spec, tuned.tensors, layout, anchor.card.sizes(), **made)
+    job.save(candidate.id, Policy(tuned.tensors, card))
+    return {
+        "id": candidate.id,
+        "anchor": candidate.anchor,
+        "weights": dict(candidate.weights),
+        "kl_bound": candidate.kl_bound,
+        "kl": tuned.kl,
+        "std": tuned.std,
+        "anchor_std": tuned.anchor_std,
+        "stopped": tuned.stopped,
+        **({"share": tuned.share} if tuned.share < 1.0 else {}),
+        "policy_hash": card.policy_hash,
+        "curve": tuned.history[:: max(1, len(tuned.history) // 50)],
+    }
 
 
 def _trained_in(config: FinetuneConfig, pull: Mapping[str, Any] | None) -> FinetuneConfig:

@@ -10,7 +10,7 @@ beyond its KL bound is brought back along the same line (`hts.rl.kl_bound.projec
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -22,10 +22,9 @@ from hts.policies.files import Policy, make_card
 from hts.run.gate import as_judged, tried
 from hts.run.iteration import gated, judged_after, tried_after
 from hts.run.job import Job
-from hts.run.judging import judge, needed, same_policies, selector_of_elites
+from hts.run.judging import judge, needed, same_policies
+from hts.run.stages import Report
 from hts.training.sweep import is_nearer, nearer_id
-
-Report = Callable[[float], None]
 
 
 def may_go_nearer(config: RunConfig) -> bool:
@@ -36,11 +35,10 @@ def may_go_nearer(config: RunConfig) -> bool:
 def is_due(job: Job, iteration: int) -> bool:
     """Whether an iteration has this stage and lacks its result: nobody may be tried, or not the first, though somebody
     was trained to the end. Of an iteration that was tested already: whether somebody of this stage was."""
-    folder = job.folder / f"iterations/{iteration:02d}"
-    if (folder / "nearer.json").exists():
+    if job.path("nearer", iteration).exists():
         return False
-    if (folder / "test.json").exists():  # its result was deleted since, or a run of before never had one
-        return any(is_nearer(name) for name in job.read(f"iterations/{iteration:02d}/test")["elites"])
+    if job.path("test", iteration).exists():  # its result was deleted since, or a run of before never had one
+        return any(is_nearer(name) for name in job.read("test", iteration)["elites"])
     found, rows = gated(job, iteration), _trained(job, iteration)
     if found is None or not found["strict"] or not rows:
         return False
@@ -57,9 +55,9 @@ def barred_by(gated: Mapping[str, Any]) -> set[str]:
 
 def _first(job: Job, iteration: int, rows: Sequence[Mapping[str, Any]]) -> str | None:
     """Whom the selector would name first of them if nobody had fallen; None if nobody. rows: of finetune.json."""
-    simulated, alike = job.read(f"iterations/{iteration:02d}/simulate"), same_policies(rows)
+    simulated, alike = job.read("simulate", iteration), same_policies(rows)
     able = [dataclasses.replace(as_judged(row, simulated), falls=0) for row in rows if row["id"] not in alike]
-    return next(iter(selector_of_elites(job).elites(able, 1)), None)
+    return next(iter(job.selector().elites(able, 1)), None)
 
 
 def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
@@ -82,8 +80,8 @@ def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any
         line = (
             f"nobody of this iteration may be tried, so candidates are judged at {told} of the way from their anchors"
         )
-    job.stages.progress.say(f"iteration {iteration:02d}: {line}")
-    tuned = job.read(f"iterations/{iteration:02d}/finetune")
+    job.say(f"iteration {iteration:02d}: {line}")
+    tuned = job.read("finetune", iteration)
     yardstick = before["pretrained"]
     rows: list[dict[str, Any]] = []
     whole: dict[str, Any] = {}
@@ -107,7 +105,7 @@ def nearer(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any
         }
         if found["elites"]:
             passed = f"{' and '.join(found['elites'])} passed the gate, at {percent(share)} % of the way"
-            job.stages.progress.say(f"iteration {iteration:02d}: {passed}")
+            job.say(f"iteration {iteration:02d}: {passed}")
             whole["gate"]["lines"] = [*whole["gate"]["lines"], passed]
             break
     elites = whole["gate"]["elites"]
@@ -121,13 +119,12 @@ def _of_both(
 ) -> list[str]:
     """Whom the selector names of those that passed as they were trained and of those that pass closer to their anchors,
     the latter in rows and whole, as `nearer` returns them. All were judged in the same worlds."""
-    folder = f"iterations/{iteration:02d}"
-    trained, simulated = job.read(f"{folder}/finetune")["candidates"], job.read(f"{folder}/simulate")
+    trained, simulated = job.read("finetune", iteration)["candidates"], job.read("simulate", iteration)
     able = [as_judged(row, simulated) for row in trained if row["id"] in passed]
     able += [as_judged(row, whole["simulate"]) for row in rows if row["id"] in whole["gate"]["elites"]]
     trials = {**simulated["trials"], **whole["simulate"]["trials"]}
     able = by_one_measure(able, job.config.simulation_test.min_valid, [*trained, *rows], trials)
-    return selector_of_elites(job).elites(able, job.elites(iteration))
+    return job.selector().elites(able, job.elites(iteration))
 
 
 def by_one_measure(
@@ -147,7 +144,7 @@ def by_one_measure(
 def _trained(job: Job, iteration: int) -> list[dict[str, Any]]:
     """Rows of finetune.json that a training ended with; not those that were there before it."""
     before = {row["id"] for row in job.untrained(iteration)}
-    rows = job.read(f"iterations/{iteration:02d}/finetune")["candidates"]
+    rows = job.read("finetune", iteration)["candidates"]
     return [row for row in rows if row["stopped"] is None and row["id"] not in before]
 
 

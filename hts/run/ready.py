@@ -8,25 +8,26 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hts.channels import Channel
 from hts.config import RunConfig
-from hts.config_loading import check_names, make_model
-from hts.contracts import Objective, Robot, WorldContext, robot_signals
+from hts.config_loading import check_names
+from hts.contracts import Objective, Robot, robot_signals
 from hts.contracts.spec_faults import fault_of_step
 from hts.errors import ConfigError, PluginError
 from hts.evaluation.held import ask_to_hold, check_hold, hold_of
 from hts.guarded import guarded
+from hts.parts import make_model, objectives_of, robot_of, world_of
 from hts.plugins import Registry
 from hts.run.budget import plan
 from hts.run.gate_checks import check_told
 from hts.run.score_check import check_score, gain_of_less
 from hts.run.selector_check import check_selector
-from hts.training.sweep import combinations, own_weights
+from hts.training.sweep import weights_of
 
 if TYPE_CHECKING:
     from torchrl.envs.transforms import Transform
@@ -48,8 +49,8 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
     from hts.measurement.proxy import try_proxy
 
     check_names(config, registry)
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
-    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
+    robot = robot_of(config, registry)
+    objectives = objectives_of(config, registry)
     for objective in objectives.values():
         signals = robot_signals(objective, robot)  # raises for an input that the robot does not give
         if not try_proxy(objective, signals.inputs) and config.reward_source == "proxy":
@@ -58,7 +59,7 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
                 "`proxy` and `baseline_weights`; `hts run` needs neither."
             )
     own = "λ for its proxy" if config.reward_source == "proxy" else "λ of its own"
-    if not combinations(own_weights(objectives, config), config.sweep.weights):
+    if not weights_of(objectives, config):
         raise ConfigError(
             f"sweep.weights: {', '.join(objectives)} names no {own}, so there is nothing to train. "
             "Give some: --set sweep.weights.NAME=[0.5,1,5]"
@@ -69,7 +70,7 @@ def check_ready(config: RunConfig, registry: Registry, engine: str | None = None
         for name, objective in objectives.items()
     }
     check_selector(registry, config.selection.selector, compared)
-    transforms(config, registry)
+    unfitted_rewards(config, registry)
     pretrained_policy(robot)
     check_world(config, registry)
     if engine is not None:
@@ -100,28 +101,22 @@ def check_shared_channels(objectives: Mapping[str, Objective]) -> None:
             )
 
 
-def transforms(config: RunConfig, registry: Registry) -> list[Measured]:
+def unfitted_rewards(config: RunConfig, registry: Registry) -> list[Measured]:
     """The rewards of the run's objectives for an env, from measurement models that are not fitted, or from proxies."""
     from hts.measurement.fitting import check_unfitted
     from hts.measurement.transform import MeasurementTransform, ProxyTransform
 
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
+    robot = robot_of(config, registry)
     made: list[Measured] = []
-    for name, settings in config.objectives.items():
-        objective = registry.make_objective(name, settings)
+    for name, objective in objectives_of(config, registry).items():
         what = f"Measurement model of objective '{name}'"
         if config.reward_source == "proxy":
             made.append(ProxyTransform(objective))
         else:
-            model = guarded(what, partial(make_model, registry, objective, settings, robot))
+            model = guarded(what, partial(make_model, registry, objective, config.objectives[name], robot))
             check_unfitted(model, registry)
             made.append(MeasurementTransform.of(objective, model))
     return made
-
-
-def inputs(seen: Iterable[Measured]) -> tuple[str, ...]:
-    """Sim channels that these read, each once."""
-    return tuple(dict.fromkeys(name for one in seen for name in one.inputs))
 
 
 def pretrained_policy(robot: Robot) -> Policy:
@@ -136,21 +131,13 @@ def check_world(config: RunConfig, registry: Registry) -> None:
     raises, ConfigError for a speed that cannot be held."""
     check_hold(config)
     with tempfile.TemporaryDirectory(prefix="hts-ready-") as nowhere:
-        context = WorldContext(
-            robot=config.robot.name,
-            robot_settings=config.robot.settings,
-            objectives=config.objectives,
-            seed=config.seed,
-            folder=Path(nowhere),
-            registry=registry,
-        )
-        world = registry.make_world(config.world.name, config.world.settings, context)
+        world = world_of(config, registry, Path(nowhere))
         try:
             ask_to_hold(world, hold_of(config))
             if config.max_real_samples is not None:
                 plan(config, registry, world)  # raises for a cap that nothing fits in
             guarded(f"World '{config.world.name}': check()", world.check)
-            check_told(config, registry.make_robot(config.robot.name, config.robot.settings), world)
+            check_told(config, robot_of(config, registry), world)
         finally:
             world.close()
 
@@ -190,12 +177,14 @@ def check_sign(name: str, objective: Objective, robot: Robot) -> None:
 
 def _check_env(config: RunConfig, registry: Registry, engine: str) -> None:
     """The training env of this robot is made, with the rewards in it, and takes a step."""
+    from hts.measurement.transform import channels_read
 
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
-    for key in config.objectives:
-        _check_reward(key, registry.make_objective(key, config.objectives[key]))
-        check_sign(key, registry.make_objective(key, config.objectives[key]), robot)
-    check_step(config, robot, engine, inputs(transforms(config, registry)), lambda: transforms(config, registry))
+    robot = robot_of(config, registry)
+    for name, objective in objectives_of(config, registry).items():
+        _check_reward(name, objective)
+        check_sign(name, objective, robot)
+    channels = channels_read(unfitted_rewards(config, registry))
+    check_step(config, robot, engine, channels, lambda: [*unfitted_rewards(config, registry)])
 
 
 def check_step(

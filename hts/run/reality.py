@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from hts.errors import PluginError
@@ -14,15 +13,14 @@ from hts.policy_ids import PRETRAINED
 from hts.recordings.recording import Recording, robot_samples_of
 from hts.run.head_to_head import head_to_head, held_head_to_head
 from hts.run.job import Job
-
-Report = Callable[[float], None]
+from hts.run.stages import Report
 
 
 def collect(job: Job, report: Report) -> dict[str, Any]:
     """Roll the pretrained policy out under the schedule: D_0."""
     config = job.config.collection
     job.watch(report)
-    exploring = job.save_exploring(PRETRAINED, config.exploration)
+    exploring = job.save_exploring(config.exploration)
     policies = [job.exported(PRETRAINED)] * config.repeats + [exploring] * config.exploring
     recordings = asked(job.world, "collect", policies, job.schedule)
     if len(recordings) != len(policies):
@@ -33,7 +31,7 @@ def collect(job: Job, report: Report) -> dict[str, Any]:
     ids = job.keep(recordings, 0)
     falls = sum(falls_of(one.role, [one]) for one in recordings)
     if falls:
-        job.stages.progress.say(
+        job.say(
             f"The pretrained policy fell {falls} time{'' if falls == 1 else 's'} in the first data; {config.exploring} "
             f"of {len(policies)} recordings explore (collection.exploration={config.exploration:g})."
         )
@@ -46,7 +44,7 @@ def best_so_far(job: Job, iteration: int, best: str, report: Report) -> dict[str
     if best == PRETRAINED:
         return {"policy": best, "objectives": {}, "uncounted": 0}
     if iteration > 0:
-        before = job.read(f"iterations/{iteration - 1:02d}/best")
+        before = job.read("best", iteration - 1)
         if before["policy"] == best:
             return {**before, "uncounted": 0}
     job.watch(report)

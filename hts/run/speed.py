@@ -7,10 +7,11 @@ from itertools import islice
 
 from hts.config import RunConfig
 from hts.guarded import guarded
+from hts.parts import objectives_of, robot_of
 from hts.plugins import Registry
 from hts.policy_ids import PRETRAINED
-from hts.run.ready import inputs, pretrained_policy, transforms
-from hts.training.sweep import Candidate, combinations, own_weights
+from hts.run.ready import pretrained_policy, unfitted_rewards
+from hts.training.sweep import Candidate, weights_of
 
 BATCHES = 4  # the first one is not timed: it takes memory and fills caches
 SAMPLES = 9_000  # of a batch at most, control steps: a second on two cores
@@ -23,14 +24,14 @@ def control_steps_per_second(config: RunConfig, registry: Registry) -> float | N
     """
     if config.engine != "mujoco":
         return None
+    from hts.measurement.transform import channels_read
     from hts.training.finetune import finetune
 
-    robot = registry.make_robot(config.robot.name, config.robot.settings)
-    objectives = {name: registry.make_objective(name, settings) for name, settings in config.objectives.items()}
+    robot = robot_of(config, registry)
     policy = pretrained_policy(robot)
     tune, horizon = config.finetune, config.finetune.ppo.horizon
     envs = max(1, min(tune.num_envs, SAMPLES // horizon))
-    weights = combinations(own_weights(objectives, config), config.sweep.weights)
+    weights = weights_of(objectives_of(config, registry), config)
     most = max(1, min(tune.max_candidates, SAMPLES // (horizon * envs)))
     pairs = islice(((one, bound) for one in weights for bound in config.sweep.kl_bounds), most)
     group = [Candidate(f"dry-{i}", PRETRAINED, one, bound) for i, (one, bound) in enumerate(pairs)]
@@ -44,8 +45,8 @@ def control_steps_per_second(config: RunConfig, registry: Registry) -> float | N
             short,
             group,
             {PRETRAINED: policy},
-            lambda: transforms(config, registry),
-            inputs(transforms(config, registry)),
+            lambda: unfitted_rewards(config, registry),
+            channels_read(unfitted_rewards(config, registry)),
             seed=config.seed,
             progress=lambda share: ends.append(time.perf_counter()),
         ),

@@ -24,6 +24,9 @@ LAST = ("summary.json", "report.html")
 """What a run writes last."""
 UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 
+Report = Callable[[float], None]
+"""Takes the share of a stage that is done, 0 to 1."""
+
 ENDED_EARLY = "iterations.json"
 """In a run's folder where real samples ended the iterations before the last one: {"done", "of"}."""
 
@@ -89,8 +92,8 @@ class Stages:
             raise RunError(f"{folder}: another process is working in it. Wait for it, or stop it first.")
         self._files = [entry.name for entry in folder.iterdir() if entry.is_file()]
 
-    def do(self, name: str, title: str, work: Callable[[Callable[[float], None]], Any]) -> Any:
-        """Result of a stage: from `name`.json if it is done, else of work(report share done), stored there.
+    def do(self, name: str, title: str, work: Callable[[Report], Any]) -> Any:
+        """Result of a stage: from `name`.json if it is done, else of work(report), stored there.
 
         What `work` leaves behind beside its result must be harmless to write twice.
         """

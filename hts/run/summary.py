@@ -15,6 +15,11 @@ from hts.run.job import Job
 from hts.run.passed_over import passed_over
 from hts.run.task_watch import scale_lines
 
+OF_THE_GATE = (
+    *("strict", "checks", "untold", "accepted_untold", "limits"),
+    *("proposed", "elites", "kept_out", "first_run", "lines"),
+)
+
 
 def summarise(job: Job) -> dict[str, Any]:
     """The whole run as one JSON object; everything but `wall_seconds` depends on configuration and seed alone."""
@@ -24,10 +29,9 @@ def summarise(job: Job) -> dict[str, Any]:
     first = job.read("collect") if config.records_first else {}
     done = job.done_iterations
     for index in range(done):
-        name = f"iterations/{index:02d}"
-        fit = job.read(f"{name}/fit") if learned else {}
+        fit = job.read("fit", index) if learned else {}
         tuned, simulated = iteration.tuned(job, index), iteration.simulated(job, index)
-        tested, gated = job.read(f"{name}/test"), iteration.gated(job, index)
+        tested, gated = job.read("test", index), iteration.gated(job, index)
         steps += tuned["steps"] + simulated["steps"] + (gated["steps"] if gated else 0)
         steps += (tuned.get("pull") or {}).get("steps", 0)  # not in runs from before it was written
         iterations.append(
@@ -40,7 +44,7 @@ def summarise(job: Job) -> dict[str, Any]:
                 },
                 **({"trust_region": tested["trust_region"]} if "trust_region" in tested else {}),
                 "pretrained_sim_scores": (simulated.get("objective_scores") or {}).get(PRETRAINED, {}),
-                **({"measured_best": job.read(f"{name}/best")} if config.evaluation.each_iteration else {}),
+                **({"measured_best": job.read("best", index)} if config.evaluation.each_iteration else {}),
                 **_with_gate(_task(tuned, simulated), gated),
                 **({} if (over := passed_over(job, index)) is None else {"passed_over": over}),
                 "candidates": [_candidate(row, simulated, tested, gated) for row in tuned["candidates"]],
@@ -49,7 +53,7 @@ def summarise(job: Job) -> dict[str, Any]:
     again = job.read("confirm") if config.selection.confirm else None
     samples = job.spent(done) + (again["samples"] if again else 0)
     final = job.read("final")
-    checks = [job.read(f"iterations/{index:02d}/test")["model_checks"] for index in range(done)]
+    checks = [job.read("test", index)["model_checks"] for index in range(done)]
     ranks = (
         {name: pooled_ranks([check[name] for check in checks if name in check]) for name in job.objectives}
         if learned
@@ -163,19 +167,7 @@ def _with_gate(task: Mapping[str, Any], gated: Mapping[str, Any] | None) -> dict
     """What became of the task, and of the candidates at the gate; nothing of a run without one."""
     if gated is None:
         return dict(task)
-    keys = (
-        "strict",
-        "checks",
-        "untold",
-        "accepted_untold",
-        "limits",
-        "proposed",
-        "elites",
-        "kept_out",
-        "first_run",
-        "lines",
-    )
-    told = {key: gated[key] for key in keys}
+    told = {key: gated[key] for key in OF_THE_GATE}
     refused = [name for name, row in gated["policies"].items() if not row["passed"]]
     return {**task, "warnings": [*task.get("warnings", ()), *gated["lines"]], "gate": {**told, "refused": refused}}
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from hts.checked_selector import checked_selector
 from hts.config import EvaluationConfig
 from hts.contracts import (
     Comparison,
@@ -37,10 +36,9 @@ from hts.run.job import Job
 from hts.run.judging import fine_tuning
 from hts.run.learning import bound_scale
 from hts.run.stage_files import Result
-from hts.run.stages import damaged
+from hts.run.stages import Report, damaged
 from hts.run.trust_region import by_all
-
-Report = Callable[[float], None]
+from hts.training.sweep import iteration_of
 
 
 @dataclass
@@ -74,14 +72,13 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     Raises TooFewSegments as `check_reference` does.
     """
     elites = elites_of(job, iteration)
-    settings = job.config.selection.selector
-    selector = checked_selector(job.registry, settings)
+    selector = job.selector()
     rounds = selector.rounds()
     tests = in_rounds(job, elites, selector, rounds, report) if rounds is not None and elites else None
     if tests is None:  # this selector, or this world, knows no rounds
         tests = whole(job, elites, job.config.selection.tested_speeds, job.spent(iteration), report)
     else:
-        check_reference(tests, job.world, job.stages.progress.say)
+        check_reference(tests, job.world, job.say)
     ids = job.keep(tests.recorded, iteration + 1)
     _tell_drifts(job, tests.recorded)
     tested = tests.for_best(selector)
@@ -118,7 +115,7 @@ def whole(
     vain = _again(job, of, spent, before)
     recorded = [recording for session in of.values() for recording in session] + vain
     tests = Tests(of, recorded, {elite: _result(job, elite, recordings) for elite, recordings in of.items()})
-    check_reference(tests, job.world, job.stages.progress.say)
+    check_reference(tests, job.world, job.say)
     return tests
 
 
@@ -149,7 +146,7 @@ def _head_to_heads(job: Job, elites: Sequence[str], speeds: Sequence[float]) -> 
         if sessions is not None:
             return complete_each(job.world, call, sessions, len(policies), speeds, job.check_recordings)
         world = job.config.world.name
-        job.stages.progress.say(f"World '{world}' knows whole head-to-heads only: {one_for_each(job.robot.task())}")
+        job.say(f"World '{world}' knows whole head-to-heads only: {one_for_each(job.robot.task())}")
     found = asked(job.world, "head_to_heads", policies, reference, speeds)
     return complete_each(job.world, "head_to_heads", found, len(policies), speeds, job.check_recordings)
 
@@ -214,7 +211,7 @@ def in_rounds(job: Job, elites: Sequence[str], selector: Selector, rounds: Round
     tests = race(elites, selector, rounds, ask, judge, split)
     if tests is None:
         world = job.config.world.name
-        job.stages.progress.say(f"World '{world}' knows no rounds: each elite gets a whole head-to-head.")
+        job.say(f"World '{world}' knows no rounds: each elite gets a whole head-to-head.")
     return tests
 
 
@@ -290,17 +287,12 @@ def result_row(found: CandidateResult) -> dict[str, Any]:
     return row
 
 
-def iteration_of(name: str) -> int:
-    """The iteration that a candidate was trained in: "01-03" -> 1."""
-    return int(name.split("-")[0])
-
-
 def tested_before(job: Job, name: str) -> TestedCandidate:
     """A candidate as it was measured in its own iteration, where nothing refused it."""
-    stage = f"iterations/{iteration_of(name):02d}/test"
-    row = Result.model_validate(job.read(stage)["results"][name])
+    iteration = iteration_of(name)
+    row = Result.model_validate(job.read("test", iteration)["results"][name])
     if row.real is None or row.tested is None:
-        raise damaged(job.folder / f"{stage}.json", f"nothing about what was measured of {name}")
+        raise damaged(job.path("test", iteration), f"nothing about what was measured of {name}")
     comparisons = {}
     for key, score in row.tested.selection_score.items():
         speeds = [Comparison(one.improvement, score, one.metrics) for one in row.real[key].values()]
@@ -350,7 +342,7 @@ def _check_models(job: Job, iteration: int, ids: list[str]) -> dict[str, Any]:
     for name, objective in job.objectives.items():
         r2 = found[name]["r2"]
         if r2 is not None and r2 < 0:
-            job.stages.progress.say(
+            job.say(
                 f"'{objective.target.name}' of the policies that were tried is predicted worse than by its mean (R² "
                 f"{r2:.3g}), so what the model promises of candidates tells little. Is it more than the inputs of the "
                 "last second decide, as a temperature is? (docs/measurement.md)"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,13 +15,18 @@ from hts.contracts import Comparison, Selector, Settings, SimulatedCandidate, Te
 from hts.errors import ConfigError, unknown_name
 
 
-class HierarchicalSettings(Config):
-    """Settings of `hierarchical`."""
+class BestSettings(Config):
+    """How the best is chosen, by `hierarchical` and by `racing`."""
 
     objective: str | None = Field(
         None, description="whose selection score decides when several run together; none: the first one of the run"
     )
     allow_falls: bool = Field(False, description="may a candidate that fell in reality be the best one")
+
+
+class HierarchicalSettings(BestSettings):
+    """Settings of `hierarchical`."""
+
     each_bound: bool = Field(
         False, description="the best of each KL bound is an elite, before any second one: what a trust region judges by"
     )
@@ -61,7 +66,7 @@ class Hierarchical(Selector):
         self.settings = settings
 
     def check(self, objectives: Sequence[str]) -> None:
-        self._deciding(dict.fromkeys(objectives))
+        self._deciding(objectives)
 
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
         """Ids of the `count` best, best first. A score that is not a number ranks last of all.
@@ -119,12 +124,17 @@ class Hierarchical(Selector):
     def _comparison(self, candidate: TestedCandidate) -> Comparison:
         return candidate.comparisons[self._deciding(candidate.comparisons)]
 
-    def _deciding(self, objectives: Mapping[str, Any]) -> str:
-        """The objective named in the settings, by default the first of the run."""
-        name = self.settings.objective or next(iter(objectives))
-        if name not in objectives:
-            raise ConfigError("Selector 'hierarchical': " + unknown_name("objective", name, objectives))
-        return name
+    def _deciding(self, objectives: Iterable[str]) -> str:
+        return deciding("hierarchical", self.settings, objectives)
+
+
+def deciding(selector: str, settings: BestSettings, objectives: Iterable[str]) -> str:
+    """The objective named in the settings, by default the first of these."""
+    known = list(objectives)
+    name = settings.objective or known[0]
+    if name not in known:
+        raise ConfigError(f"Selector '{selector}': " + unknown_name("objective", name, known))
+    return name
 
 
 def _bound(candidate: SimulatedCandidate) -> float:

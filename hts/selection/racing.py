@@ -9,13 +9,12 @@ Mansour 2006, JMLR 7:1079). `docs/evaluation.md` has the derivation.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from hts.config import Config
 from hts.contracts import (
     Comparison,
     RacedCandidate,
@@ -25,19 +24,15 @@ from hts.contracts import (
     SimulatedCandidate,
     TestedCandidate,
 )
-from hts.errors import ConfigError, PluginError, unknown_name
+from hts.errors import PluginError
 from hts.quantiles import student_quantile
 from hts.selection import anytime
-from hts.selection.hierarchical import Hierarchical, HierarchicalSettings
+from hts.selection.hierarchical import BestSettings, Hierarchical, HierarchicalSettings, deciding
 
 
-class RacingSettings(Config):
+class RacingSettings(BestSettings):
     """Settings of `racing`."""
 
-    objective: str | None = Field(
-        None, description="whose selection score decides when several run together; none: the first one of the run"
-    )
-    allow_falls: bool = Field(False, description="may a candidate that fell in reality be the best one")
     block_seconds: float = Field(15.0, ge=1, description="length of each block of a round, s")
     rounds: int = Field(
         4,
@@ -73,7 +68,7 @@ class Racing(Selector):
         )
 
     def check(self, objectives: Sequence[str]) -> None:
-        self._deciding(dict.fromkeys(objectives))
+        deciding("racing", self.settings, objectives)
 
     def elites(self, candidates: Sequence[SimulatedCandidate], count: int) -> list[str]:
         """As `hierarchical`."""
@@ -123,14 +118,8 @@ class Racing(Selector):
         """Selection score of a half by the objective that decides; NaN for one that could not be compared."""
         if half is None:
             return math.nan
-        comparison: Comparison = half[self._deciding(half)]
+        comparison: Comparison = half[deciding("racing", self.settings, half)]
         return comparison.selection_score
-
-    def _deciding(self, objectives: Mapping[str, Any]) -> str:
-        name = self.settings.objective or next(iter(objectives))
-        if name not in objectives:
-            raise ConfigError("Selector 'racing': " + unknown_name("objective", name, objectives))
-        return name
 
 
 def of_rounds(table: np.ndarray) -> np.ndarray:

@@ -30,6 +30,11 @@ class Candidate:
     kl_bound: float
 
 
+def iteration_of(candidate: str) -> int:
+    """The iteration that a candidate was trained in: "01-03" -> 1."""
+    return int(candidate.split("-")[0])
+
+
 def nearer_id(candidate: str, share: float) -> str:
     """The id of a candidate at a share of the way from its anchor: 01-03 at a half is 01-03-w50."""
     return f"{candidate}-w{percent(share)}"
@@ -50,6 +55,11 @@ def _own(objective: Objective, config: RunConfig) -> tuple[float, ...]:
     if config.reward_source != "proxy":
         return objective.weights
     return (config.records_first and objective.proxy_weights) or objective.baseline_weights
+
+
+def weights_of(objectives: Mapping[str, Objective], config: RunConfig) -> list[dict[str, float]]:
+    """The λ of a run's candidates, as `combinations` gives them, with each objective's own. Raises ConfigError."""
+    return combinations(own_weights(objectives, config), config.sweep.weights)
 
 
 def combinations(own: Mapping[str, Sequence[float]], given: Mapping[str, Sequence[float]]) -> list[dict[str, float]]:

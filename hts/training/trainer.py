@@ -52,8 +52,7 @@ class _Learning:
 
 def update_settings(config: PPOConfig) -> UpdateSettings:
     """As much of the configuration as gradient steps want."""
-    names = UpdateSettings.__dataclass_fields__
-    return UpdateSettings(**{name: getattr(config, name) for name in names})
+    return UpdateSettings(**config.model_dump(include={*UpdateSettings.__dataclass_fields__}))
 
 
 class PopulationTrainer:

@@ -213,7 +213,7 @@ class FieldWorld(World):
         session: str,
         first: int,
     ) -> list[Order]:
-        """Blocks of one session; held: who has not walked in it is trimmed first."""
+        """Blocks of one session, in order; where the speed is held, who has not walked in it yet is trimmed first."""
         schedule = self._robot.task().schedule(speed, float(seconds))
         seen, orders = set[tuple[Path, bool]](), []
         for block, walker in enumerate(zip(walkers, is_reference, strict=True)):

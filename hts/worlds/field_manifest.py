@@ -64,8 +64,9 @@ class Trained:
 
 @dataclass(frozen=True)
 class Frozen:
-    """For how long a sensor may repeat its last number while the robot moves, s; 0: for ever. seen: one that policies
-    observe, three times what a walking quadruped showed; real: one that only the robot has, while a row is recorded."""
+    """For how long a sensor may repeat its last number while the robot moves, s; 0: for ever. seen_seconds: one that
+    policies observe, three times what a walking quadruped showed; real_seconds: one that only the robot has, while a
+    row is recorded."""
 
     seen_seconds: float = 0.1
     real_seconds: float = LONGEST_SECONDS

@@ -91,7 +91,7 @@ def _check_stranger(
         size = moves(recording) if "joint_target" in recording.channels else 0.0
         if size < MOVING or recording.fell or loaded[path].card.exploration_std:
             continue
-        off = differences(loaded[path], recording, LATE)
+        off = differences(loaded[path], recording)
         if off is not None:
             nearest = min(off, key=lambda one: float(np.median(one)))
             rows[number] = _Row(float(np.median(nearest)), float(np.quantile(nearest, 0.25)), size)
@@ -114,12 +114,12 @@ def _check_stranger(
 def distance(policy: DeployedPolicy, recording: Recording) -> float | None:
     """How far a log's joint targets are from those that the policy asks for in its place, rad, root mean square; None
     where the log does not show it. The state that a target came from is in its row, or up to three rows before."""
-    off = differences(policy, recording, LATE)
+    off = differences(policy, recording)
     return None if off is None else min(float(np.sqrt(np.mean(one**2))) for one in off)
 
 
-def differences(policy: DeployedPolicy, recording: Recording, late: range) -> list[np.ndarray] | None:
-    """The same in each sample, (T,), root mean square over joints; one for each of the rows `late` by which the state
+def differences(policy: DeployedPolicy, recording: Recording) -> list[np.ndarray] | None:
+    """The same in each sample, (T,), root mean square over joints; one for each of the rows LATE by which the state
     may be logged before the target. Samples whose past is not in the log are left out. None as `distance`."""
     card = policy.card
     held = {name: np.asarray(series.values, np.float64) for name, series in recording.channels.items()}
@@ -139,8 +139,8 @@ def differences(policy: DeployedPolicy, recording: Recording, late: range) -> li
     sizes = {str(part["name"]): int(part["size"]) for part in card.observation}
     if any(name not in held or held[name].shape[1:] != (size,) for name, size in sizes.items()):
         return None
-    first, found = card.history + late[-1], []
-    for offset in late:
+    first, found = card.history + LATE[-1], []
+    for offset in LATE:
         seen = {
             name: held[name] if name in ("last_action", "command") else np.roll(held[name], offset, axis=0)
             for name in sizes

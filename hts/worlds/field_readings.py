@@ -23,7 +23,7 @@ import numpy as np
 from hts.errors import RecordingError
 from hts.policies.deploy import DeployedPolicy
 from hts.recordings.recording import Recording, Series
-from hts.worlds.field_ran import AGREES, LATE, MOVING, differences, moves
+from hts.worlds.field_ran import AGREES, MOVING, differences, moves
 
 OFF = 0.02
 """Of how much the targets move: a log that is off by less is its policy's."""
@@ -190,7 +190,7 @@ def _columns(order: Sequence[int], factors: Sequence[float] | None = None) -> Ch
 
 def _nearest(policy: DeployedPolicy, recording: Recording) -> np.ndarray | None:
     """By how much the log's targets are off in each sample, (T,), rad, for the best of the delays `LATE`."""
-    off = differences(policy, recording, LATE)
+    off = differences(policy, recording)
     return None if off is None else min(off, key=lambda one: float(np.median(one)))
 
 

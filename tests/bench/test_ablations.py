@@ -10,9 +10,10 @@ import pytest
 from batch.methods import METHODS, jobs_of
 
 from hts.config import RunConfig
-from hts.config_loading import load_config, make_model
+from hts.config_loading import load_config
 from hts.errors import ConfigError
 from hts.evaluation.held import hold_of
+from hts.parts import make_model
 from hts.plugins import load
 from hts.run.trust_region import Tried, next_scale, scaled
 

@@ -16,7 +16,7 @@ from hts.measurement.baseline import WINDOWS_SECONDS, fit_best, stand_ins
 from hts.measurement.fit_command import FitChecks
 from hts.measurement.fit_report import cautions, doubts, table
 from hts.measurement.split import named_part
-from hts.measurement.splits import SplitRule
+from hts.measurement.split_rule import SplitRule
 from hts.measurement.wanted import Wanted
 from hts.recordings.recording import Series
 from hts.recordings.store import RecordingStore

@@ -50,7 +50,7 @@ def test_a_run_says_them_of_what_it_keeps():
     said: list[str] = []
     job = SimpleNamespace(
         check_recordings=lambda recordings: None,
-        stages=SimpleNamespace(progress=SimpleNamespace(say=said.append)),
+        say=said.append,
         store=SimpleNamespace(write=lambda recording: "id"),
     )
     Job.keep(job, [doubtful("00.csv", joint_torque_scale=SCALE)], 0)

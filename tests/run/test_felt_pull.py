@@ -26,7 +26,7 @@ def job(test=TEST, trained=False):
     walked = [SimpleNamespace(role="reference"), SimpleNamespace(role="policy")]
     return SimpleNamespace(
         config=config,
-        read=lambda name: {"recordings": [name]},
+        read=lambda stage, iteration: {"recordings": [f"{stage} {iteration}"]},
         recordings=lambda ids: walked if ids else [],
         robot=SimpleNamespace(task=lambda: VELOCITY, spec=SimpleNamespace(control_rate_hz=50.0)),
     )

@@ -12,7 +12,6 @@ from hts.errors import EvaluationError
 from hts.evaluation import final as judging
 from hts.evaluation.held import NotComparable
 from hts.report.outcome import closing, finals_before
-from hts.run import finals
 from hts.run.finals import Tried
 from hts.testing.known_world import KnownWorld
 from hts.worlds.base import file_hash
@@ -137,7 +136,7 @@ def test_where_nobody_keeps_any_speed_the_policy_to_start_from_stays_and_what_wa
 
 def test_a_reference_that_cannot_be_judged_ends_the_run_in_one_line(ended, tmp_path, losing, monkeypatch):
     losing[0][:] = [[0.5, 0.8]] * 3
-    judge = finals.walked_speeds
+    judge = judging.walked_speeds
 
     def blaming_the_reference(*args):
         try:
@@ -145,7 +144,7 @@ def test_a_reference_that_cannot_be_judged_ends_the_run_in_one_line(ended, tmp_p
         except NotComparable as error:
             raise NotComparable(str(error), "reference") from error
 
-    monkeypatch.setattr(finals, "walked_speeds", blaming_the_reference)
+    monkeypatch.setattr(judging, "walked_speeds", blaming_the_reference)
     with pytest.raises(EvaluationError, match="segments of the policy are valid"):
         ended(tmp_path)
     assert len(losing[1]) == 1
@@ -177,7 +176,7 @@ def _slower(series):
 
 def test_a_final_that_can_be_judged_counts_whatever_a_later_reference_does(ended, tmp_path, losing, monkeypatch):
     losing[0][:] = [[0.5], [0.5, 0.8]]
-    judge = finals.walked_speeds
+    judge = judging.walked_speeds
 
     def blaming_the_reference(*args):
         try:
@@ -185,7 +184,7 @@ def test_a_final_that_can_be_judged_counts_whatever_a_later_reference_does(ended
         except NotComparable as error:
             raise NotComparable(str(error), "reference") from error
 
-    monkeypatch.setattr(finals, "walked_speeds", blaming_the_reference)
+    monkeypatch.setattr(judging, "walked_speeds", blaming_the_reference)
     run, order, final = ended(tmp_path)
     assert final["policy"] == order[0] and [one["policy"] for one in final["given_up"]] == [order[1]]
     assert list(run.summary["final"]["objectives"]["fake"]["refused"]) == ["0.5"]

@@ -166,8 +166,8 @@ def test_what_was_there_before_the_training_is_not_brought_nearer(monkeypatch):
         def untrained(self, iteration):
             return [{"id": "00-start"}]
 
-        def read(self, name):
-            assert name == "iterations/00/finetune"
+        def read(self, stage, iteration):
+            assert (stage, iteration) == ("finetune", 0)
             return {"candidates": [{"id": name, "stopped": why} for name, why in rows.items()]}
 
     rows = {"00-00": None, "00-01": "NaN at step 3", "00-start": None}

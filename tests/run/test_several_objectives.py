@@ -255,9 +255,9 @@ def test_a_fall_in_reality_keeps_a_policy_off_the_front(two_objectives, run):
     class Told(Job):
         """A finished run in which the compromise of the second iteration fell."""
 
-        def read(self, name):
-            result = super().read(name)
-            if name == "iterations/01/test":
+        def read(self, stage, iteration=None):
+            result = super().read(stage, iteration)
+            if (stage, iteration) == ("test", 1):
                 result["results"]["01-02"]["tested"]["fell"] = True
             return result
 

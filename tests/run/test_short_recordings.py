@@ -69,7 +69,7 @@ def test_a_run_says_it_once_of_all_that_it_keeps_of_a_visit():
     said: list[str] = []
     job = SimpleNamespace(
         check_recordings=lambda recordings: None,
-        stages=SimpleNamespace(progress=SimpleNamespace(say=said.append)),
+        say=said.append,
         store=SimpleNamespace(write=lambda recording: recording.notes["source"]),
     )
     assert Job.keep(job, [walked(80.0, 80.0), walked(73.5, 80.0, "01.csv")], 1) == ["00.csv", "01.csv"]

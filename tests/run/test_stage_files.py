@@ -317,7 +317,9 @@ def test_a_best_policy_that_was_not_measured_is_named(tmp_path, missing):
     row = {**TRIED["results"]["00-00"], missing: None}
     path = tmp_path / "iterations/00/test.json"
     found = {**TRIED, "results": {"00-00": row}}
-    job = SimpleNamespace(folder=tmp_path, read=lambda stage: found, objectives={"fake": None})
+    job = SimpleNamespace(
+        path=lambda stage, iteration: path, read=lambda stage, iteration: found, objectives={"fake": None}
+    )
     with pytest.raises(RunError, match=rf"^{path}: damaged \(nothing about what was measured of 00-00\)"):
         testing_elites.tested_before(job, "00-00")
 

@@ -261,7 +261,7 @@ def test_draws_go_on_where_they_stopped(tmp_path, in_one_process):
 
 def test_killed_draws_leave_no_process_behind():
     worker = (
-        "import os, time; from hts.worlds.realities.batch import end_with; "
+        "import os, time; from hts.worlds.realities.workers import end_with; "
         "end_with(os.getppid()); print(os.getpid(), flush=True); time.sleep(60)"
     )
     code = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {worker!r}])"

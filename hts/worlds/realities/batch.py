@@ -9,13 +9,9 @@ The result follows from seed and count alone: draws are looked at in the order o
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
 import tempfile
-import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,10 +29,10 @@ from hts.worlds.realities.check import Verdict, check
 from hts.worlds.realities.draw import Draw, draw
 from hts.worlds.realities.folder import LINES, begun, only_one
 from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
+from hts.worlds.realities.workers import worker_processes
 from hts.worlds.twin.parameters import MACHINE, TwinSettings
 from hts.worlds.twin.reality import Reality, read
 
-PARENT_SECONDS = 1.0  # between two looks whether the parent is there
 AHEAD = 2  # draws in work per process: one that takes long does not hold up the others
 
 Told = Callable[[Mapping[str, Any], str], None]
@@ -174,30 +170,14 @@ def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None 
 def _in_order(asked: Asked, first: int, processes: int) -> Iterator[tuple[dict[str, Any], str]]:
     """Draws from `first` on, without end, in the order of the index."""
     number = processes or available()
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(number, mp_context=context, initializer=end_with, initargs=(os.getpid(),)) as pool:
+    with worker_processes(number) as pool:
         waiting: list[Future[tuple[dict[str, Any], str]]] = []
         index = first
-        try:
-            while True:
-                while len(waiting) < AHEAD * number:
-                    waiting.append(pool.submit(one_draw, asked, index))
-                    index += 1
-                yield waiting.pop(0).result()
-        finally:
-            for future in waiting:
-                future.cancel()
-
-
-def end_with(parent: int) -> None:
-    """This process ends when its parent does, even if that is killed in the midst of a draw."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(PARENT_SECONDS)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+        while True:
+            while len(waiting) < AHEAD * number:
+                waiting.append(pool.submit(one_draw, asked, index))
+                index += 1
+            yield waiting.pop(0).result()
 
 
 def _check_files(files: list[Path]) -> None:

@@ -40,7 +40,7 @@ class Draw:
 
 def draw(parameters: Sequence[Drawn], seed: str, index: int) -> Draw:
     """The draw of that index."""
-    on = [name for name in switches(list(parameters)) if _random(seed, index, f"switch {name}").random() < PROBABILITY]
+    on = [name for name in switches(list(parameters)) if rng_of(seed, index, f"switch {name}").random() < PROBABILITY]
     values: dict[str, Any] = {}
     for one in parameters:
         if one.switch is None or one.switch in on:
@@ -49,7 +49,7 @@ def draw(parameters: Sequence[Drawn], seed: str, index: int) -> Draw:
 
 
 def _value(one: Drawn, seed: str, index: int) -> Any:
-    rng = _random(seed, index, one.key)
+    rng = rng_of(seed, index, one.key)
     if one.boolean:
         return True
     if one.whole:
@@ -57,7 +57,7 @@ def _value(one: Drawn, seed: str, index: int) -> Any:
     if one.counts is None:
         return number(one, rng.random())
     group = one.key.rpartition(".")[0]
-    count = int(_random(seed, index, f"count {group}").integers(*one.counts, endpoint=True))
+    count = int(rng_of(seed, index, f"count {group}").integers(*one.counts, endpoint=True))
     several = [number(one, share) for share in rng.random(count)]
     return sorted(several) if one.ascending else several
 
@@ -68,6 +68,7 @@ def number(one: Drawn, share: float) -> float:
     return min(max(float(f"{value:.{DIGITS}g}"), one.low), one.high)
 
 
-def _random(seed: str, index: int, what: str) -> np.random.Generator:
-    words = hashlib.sha256(f"{seed}\n{index}\n{what}".encode()).digest()
+def rng_of(seed: str, *what: object) -> np.random.Generator:
+    """Random numbers for one purpose, from the seed of all draws; another one's share none with them."""
+    words = hashlib.sha256("\n".join(map(str, (seed, *what))).encode()).digest()
     return np.random.default_rng(np.frombuffer(words, dtype="<u4").tolist())

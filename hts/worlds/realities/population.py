@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +26,15 @@ from hts.contracts import Instrument
 from hts.cores import available
 from hts.errors import RunError
 from hts.worlds.realities import sampler
-from hts.worlds.realities.batch import end_with, parameters_of
+from hts.worlds.realities.batch import parameters_of
+from hts.worlds.realities.draw import rng_of
 from hts.worlds.realities.folder import LINES, begun, damaged, only_one, rows_of
 from hts.worlds.realities.like import Likeness
 from hts.worlds.realities.misfit import free_distance, measured_of, misfit
 from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
 from hts.worlds.realities.sampler import Found, Particle
 from hts.worlds.realities.space import Space
+from hts.worlds.realities.workers import worker_processes
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.reality import Reality
 
@@ -119,7 +119,7 @@ def one_task(asked: Asked, task: Task, within: float) -> Particle:
 
 def done(asked: Asked, task: Task, within: float, on: Machines) -> Particle:
     """What becomes of the place."""
-    rng = _random(asked.seed, f"place {task.place} of {task.generation}")
+    rng = rng_of(asked.seed, "population", f"place {task.place} of {task.generation}")
     if task.begin is None or task.bound is None:
         return sampler.first(on.space, on.free, within, on.simulate, rng)
     return sampler.walk(on.space, task.begin, task.bound, within, task.step, asked.steps, on.free, on.simulate, rng)
@@ -128,15 +128,8 @@ def done(asked: Asked, task: Task, within: float, on: Machines) -> Particle:
 def side_by_side(asked: Asked, tasks: Sequence[Task], processes: int, within: float = 1.0) -> Iterator[Particle]:
     """Particles of the tasks, in their order."""
     number = min(processes or available(), len(tasks))
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(number, mp_context=context, initializer=end_with, initargs=(os.getpid(),)) as pool:
-        waiting = [pool.submit(one_task, asked, task, within) for task in tasks]
-        try:
-            for future in waiting:
-                yield future.result()
-        finally:
-            for future in waiting:
-                future.cancel()
+    with worker_processes(number) as pool:
+        yield from pool.map(partial(one_task, asked, within=within), tasks)
 
 
 def draw_like(
@@ -215,7 +208,7 @@ def _next(
     distances = [one.found.distance for one in last.population]
     bound = rest[0]["bound"] if rest else sampler.next_bound(distances, within)
     step = sampler.next_step(last.step, last.population) if last.bound is not None else last.step
-    begins = sampler.ancestors(distances, bound, _random(asked.seed, f"ancestors of {last.number + 1}"))
+    begins = sampler.ancestors(distances, bound, rng_of(asked.seed, "population", f"ancestors of {last.number + 1}"))
     return [Task(last.number + 1, place, last.population[at], bound, step) for place, at in enumerate(begins)]
 
 
@@ -223,7 +216,7 @@ def _written(asked: Asked, folder: Path, last: Generation) -> list[Path]:
     """The realities' files, and then kept.jsonl, which says that they are all there."""
     registry = plugins.load()
     space = Space(drawn_parameters(registry))
-    weights = sampler.chosen(sampler.copies(last.population), asked.count, _random(asked.seed, "chosen"))
+    weights = sampler.chosen(sampler.copies(last.population), asked.count, rng_of(asked.seed, "population", "chosen"))
     files, rows = [], []
     for number, (place, weight) in enumerate(sorted(weights.items())):
         one = last.population[place]
@@ -259,11 +252,6 @@ def kept_of(folder: Path) -> list[dict[str, Any]]:
 def weights_of(folder: Path) -> dict[str, float]:
     """Name of a reality -> its weight; empty for a folder of draws that all weigh the same."""
     return {row["reality"]: float(row["weight"]) for row in kept_of(folder)}
-
-
-def _random(seed: str, what: str) -> np.random.Generator:
-    words = hashlib.sha256(f"{seed}\npopulation\n{what}".encode()).digest()
-    return np.random.default_rng(np.frombuffer(words, dtype="<u4").tolist())
 
 
 def _said(line: Mapping[str, Any], done: int, size: int, spent: int, budget: int | None) -> str:

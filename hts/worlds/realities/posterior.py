@@ -74,11 +74,7 @@ def text(parameters: Sequence[Drawn], names: Sequence[str], lines: Lines, most: 
     rows = [f"{kept} of {len(lines)} draws kept ({kept / max(len(lines), 1):.1%}).", ""]
     rows += ["| ended by | draws |", "|---|---|"]
     rows += [f"| {reason} | {number} |" for reason, number in reasons(lines).most_common()]
-    rows += ["", f"The {min(most, len(moved))} of {len(moved)} parameters that moved most:", ""]
-    rows += ["| parameter | range: 25, 50, 75 % | kept: 25, 50, 75 % | z |", "|---|---|---|---|"]
-    for one in moved[:most]:
-        before, after = (", ".join(f"{value:.3g}" for value in three) for three in (one.prior, one.posterior))
-        rows.append(f"| `{one.key}` | {before} | {after} | {one.z:+.1f} |")
+    rows += table_of(moved, most)
     on = switches_kept(lines, names)
     rows += [
         "",
@@ -87,6 +83,16 @@ def text(parameters: Sequence[Drawn], names: Sequence[str], lines: Lines, most: 
         *(f"| `{name}` | {on[name]} of {kept} |" for name in on),
     ]
     return "\n".join(rows)
+
+
+def table_of(moved: Sequence[Narrowed], most: int) -> list[str]:
+    """Lines of markdown. moved: the most moved first; most: how many are shown."""
+    rows = ["", f"The {min(most, len(moved))} of {len(moved)} parameters that moved most:", ""]
+    rows += ["| parameter | range: 25, 50, 75 % | kept: 25, 50, 75 % | z |", "|---|---|---|---|"]
+    for one in moved[:most]:
+        before, after = (", ".join(f"{value:.3g}" for value in three) for three in (one.prior, one.posterior))
+        rows.append(f"| `{one.key}` | {before} | {after} | {one.z:+.1f} |")
+    return rows
 
 
 def _share(one: Drawn, values: np.ndarray) -> np.ndarray:

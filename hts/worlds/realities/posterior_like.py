@@ -14,7 +14,7 @@ from hts.worlds.realities.folder import LINES, draws_of
 from hts.worlds.realities.like import Likeness
 from hts.worlds.realities.misfit import in_tolerances
 from hts.worlds.realities.population import Generation, generations_of, kept_of
-from hts.worlds.realities.posterior import Narrowed
+from hts.worlds.realities.posterior import Narrowed, table_of
 from hts.worlds.realities.ranges import Drawn
 from hts.worlds.realities.space import Space
 
@@ -53,11 +53,7 @@ def text(parameters: Sequence[Drawn], folder: Path, most: int = 12) -> str:
     weights = sampler.copies(last.population)
     moved = narrowed(parameters, last, weights)
     rows = [accepted(folder), "", *_generations(generations), "", *_figures(like, generations[0], last)]
-    rows += ["", f"The {min(most, len(moved))} of {len(moved)} parameters that moved most:", ""]
-    rows += ["| parameter | range: 25, 50, 75 % | kept: 25, 50, 75 % | z |", "|---|---|---|---|"]
-    for one in moved[:most]:
-        before, after = (", ".join(f"{value:.3g}" for value in three) for three in (one.prior, one.posterior))
-        rows.append(f"| `{one.key}` | {before} | {after} | {one.z:+.1f} |")
+    rows += table_of(moved, most)
     space = Space(parameters)
     draws = {index: space.draw(last.population[index].point) for index in weights}
     rows += ["", "| structure | on, of all | on, of the kept |", "|---|---|---|"]

@@ -10,17 +10,14 @@ No learning code comes here: `import-linter` keeps it out of hts.worlds, and a r
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from hts import plugins
-from hts.contracts import VELOCITY, HoldSpeed, Instrument, Objective, PhysicsSample
+from hts.contracts import VELOCITY, HoldSpeed, Instrument, Objective
 from hts.errors import ConfigError, EvaluationError, UnfitWorldError
 from hts.evaluation.balance import mean_of_blocks
 from hts.evaluation.final import speed_key
@@ -29,9 +26,9 @@ from hts.evaluation.segments import cut
 from hts.evaluation.sessions import over_sessions
 from hts.recordings.recording import Recording
 from hts.worlds.base import file_hash, request_id, seed_sequence
-from hts.worlds.realities.batch import end_with
+from hts.worlds.realities.workers import worker_processes
 from hts.worlds.twin.dynamics import Dynamics
-from hts.worlds.twin.instruments import instruments_of_reality
+from hts.worlds.twin.instruments import Wrapped, instruments_of_reality
 from hts.worlds.twin.parameters import TwinSettings, resolved_settings
 from hts.worlds.twin.programme import head_to_head
 from hts.worlds.twin.sensors import Sensors
@@ -68,6 +65,9 @@ class Truth:
     tolerance: float = 0.1
 
 
+Compared = Callable[[np.ndarray, np.ndarray], Any]
+
+
 @dataclass(frozen=True)
 class Walked:
     """One session at one speed. means: over all pieces; counted: of each role the means of the objective's quantities
@@ -79,11 +79,12 @@ class Walked:
     pieces: Mapping[str, int]
 
 
-class Exact(Instrument):
+class Exact(Wrapped):
     """An instrument that shows what is, and not what it would measure."""
 
     def __init__(self, name: str, instrument: Instrument) -> None:
-        self._instrument, shown = instrument, set(instrument.exact())
+        super().__init__(instrument)
+        shown = set(instrument.exact())
         if not shown:
             raise UnfitWorldError(
                 f"Instrument '{name}' does not tell its quantity without errors, so nothing can be held against the "
@@ -91,29 +92,11 @@ class Exact(Instrument):
             )
         self.channels = tuple(channel for channel in instrument.channels if channel.name in shown)
 
-    def reset(self, num_worlds: int, rng: np.random.Generator) -> None:
-        self._instrument.reset(num_worlds, rng)
-
-    def step(self, sample: PhysicsSample) -> None:
-        self._instrument.step(sample)
-
-    def advance(self, samples: PhysicsSample) -> None:
-        self._instrument.advance(samples)
-
     def read(self) -> Mapping[str, np.ndarray]:
         return self._instrument.exact()
 
     def idle(self) -> Mapping[str, float]:
         return self._instrument.exact_idle()
-
-    def settle(self) -> None:
-        self._instrument.settle()
-
-    def supply(self) -> np.ndarray | None:
-        return self._instrument.supply()
-
-    def conditions(self) -> Mapping[str, np.ndarray]:
-        return self._instrument.conditions()
 
 
 class TrueSpeed:
@@ -188,8 +171,7 @@ def _grouped(asked: Truth, groups: Sequence[range], processes: int) -> Any:
     if processes == 1 or len(groups) == 1:
         yield from (one_group(asked, group) for group in groups)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, initializer=end_with, initargs=(os.getpid(),)) as pool:
+    with worker_processes(processes) as pool:
         yield from pool.map(one_group, [asked] * len(groups), groups)
 
 
@@ -230,15 +212,14 @@ def _entry(objective: Objective, walked: Sequence[Walked], speed: float) -> dict
         return objective.compare(*(dict(zip(names, map(float, one), strict=True)) for one in (policy, reference)))
 
     first, second = (np.array([[one[role][name] for name in names] for one in sessions]) for role in ROLES)
-    whole = compared(first.mean(axis=0), second.mean(axis=0))
-    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, first, second)
+    whole, interval = _over_all(compared, first, second)
 
     def over(role: str, name: str) -> np.ndarray:
         return np.array([one[role][name] for one in sessions])
 
     return {
         "improvement": whole.improvement,
-        "improvement_ci95": list(interval) if interval else None,
+        "improvement_ci95": interval,
         "metrics": dict(whole.metrics),
         "sessions": len(sessions),
         "mean_speed": float(over("policy", "speed").mean()),
@@ -251,20 +232,25 @@ def _entry(objective: Objective, walked: Sequence[Walked], speed: float) -> dict
     }
 
 
-def _counted(compared: Callable[[np.ndarray, np.ndarray], Any], walked: Sequence[Walked]) -> dict[str, Any] | None:
+def _over_all(compared: Compared, policy: np.ndarray, reference: np.ndarray) -> tuple[Any, list[float] | None]:
+    """The comparison of the means of all sessions, (S, Q) each, and the interval of its improvement."""
+    interval = over_sessions(lambda one, other: float(compared(one, other).improvement), policy, reference)
+    return compared(policy.mean(axis=0), reference.mean(axis=0)), list(interval) if interval else None
+
+
+def _counted(compared: Compared, walked: Sequence[Walked]) -> dict[str, Any] | None:
     """Of the pieces that a head-to-head would count, as it takes them: blocks and sessions count alike."""
     both = [one for one in walked if all(one.pieces[role] for role in ROLES)]
     if len(both) < 2:
         return None
     first, second = (np.array([one.counted[role] for one in both]) for role in ROLES)
-    whole = compared(first.mean(axis=0), second.mean(axis=0))
-    interval = over_sessions(lambda policy, reference: compared(policy, reference).improvement, first, second)
+    whole, interval = _over_all(compared, first, second)
     shares = [
         sum(one.pieces[role] for one in walked) / sum(one.means[role]["pieces"] for one in walked) for role in ROLES
     ]
     return {
         "improvement": whole.improvement,
-        "improvement_ci95": list(interval) if interval else None,
+        "improvement_ci95": interval,
         "valid": shares[0],
         "reference_valid": shares[1],
     }

@@ -163,10 +163,8 @@ def _check_reading(name: str, instrument: Instrument, robot: Robot, worlds: int)
             )
 
 
-class Unread(Instrument):
-    """An instrument that goes on simulating its part of the machine, and that nobody reads."""
-
-    channels = ()
+class Wrapped(Instrument):
+    """An instrument that goes on simulating its part of the machine, and shows something else."""
 
     def __init__(self, instrument: Instrument) -> None:
         self._instrument = instrument
@@ -180,13 +178,6 @@ class Unread(Instrument):
     def advance(self, samples: PhysicsSample) -> None:
         self._instrument.advance(samples)
 
-    def read(self) -> Mapping[str, np.ndarray]:
-        self._instrument.read()  # works through the steps so far
-        return {}
-
-    def idle(self) -> Mapping[str, float]:
-        return {}
-
     def settle(self) -> None:
         self._instrument.settle()
 
@@ -195,3 +186,16 @@ class Unread(Instrument):
 
     def conditions(self) -> Mapping[str, np.ndarray]:
         return self._instrument.conditions()
+
+
+class Unread(Wrapped):
+    """One that nobody reads."""
+
+    channels = ()
+
+    def read(self) -> Mapping[str, np.ndarray]:
+        self._instrument.read()  # works through the steps so far
+        return {}
+
+    def idle(self) -> Mapping[str, float]:
+        return {}

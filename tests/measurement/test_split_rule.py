@@ -7,7 +7,7 @@ from hts.config import Command, ScheduleConfig
 from hts.errors import ConfigError, RecordingError
 from hts.measurement.scoring import commanded_speed
 from hts.measurement.split import named_part, of_fitted_sessions
-from hts.measurement.splits import SplitRule, split_by
+from hts.measurement.split_rule import SplitRule, split_by
 from hts.testing.known_signals import known_heat
 
 

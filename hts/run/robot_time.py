@@ -14,6 +14,7 @@ from hts.config import RunConfig
 from hts.contracts import HoldSpeed, Requests, Rounds, World
 from hts.evaluation.held import ask_to_hold, hold_of
 from hts.evaluation.walked_again import LONGEST
+from hts.parts import robot_of
 from hts.plugins import Registry
 from hts.run.budget import Budget, second_trials, seconds_per_elite
 
@@ -72,7 +73,7 @@ def asked_of(config: RunConfig, registry: Registry, world: World, budget: Budget
         more["for trials that did not find their commands (selection.trims_again)"] = whole * times
         most += whole * _again(trial, hold, times)
     if config.max_real_samples is not None:  # what is walked again has to fit, too
-        rate = registry.make_robot(config.robot.name, config.robot.settings).spec.control_rate_hz
+        rate = robot_of(config, registry).spec.control_rate_hz
         most = max(least, min(most, config.max_real_samples / rate))
 
     evaluation, both = config.evaluation, 1 if hold is None else 2
