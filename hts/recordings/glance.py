@@ -61,6 +61,7 @@ def _reader_of(path: Path) -> Callable[[Path], Glance]:
         b"PK\x03\x04": _npz,
         b"\x89MCAP": _ros,
         b"SQLite format 3": _ros,
+        b"#ROSBAG V": _ros,
     }
     return next((reader for magic, reader in known.items() if begin.startswith(magic)), _csv)
 
