@@ -7,6 +7,7 @@ name stands at the same place of the message's own `name`, as in a JointState.
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -53,7 +54,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Tab
     getters = {column: _getter(str(column)) for column in wanted}
     stamp = _stamp(str(time))
     stamps: list[int | float] = []
-    values: dict[ColumnName, list[float]] = {column: [] for column in wanted}
+    values = {column: array("d") for column in wanted}
     for count, message in enumerate(messages(path, topic, load_definitions(log.definitions))):
         if count * (len(wanted) + 1) > MOST_NUMBERS:
             raise RecordingError(f"{path}: topic '{topic}' has more than {count} messages. Cut the bag first.")
@@ -70,7 +71,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Tab
             ) from error
     if not stamps:
         raise no_topic(path, topic)
-    columns: dict[ColumnName, Any] = {column: np.array(listed) for column, listed in values.items()}
+    columns: dict[ColumnName, Any] = {column: np.array(numbers) for column, numbers in values.items()}
     return table_of(
         path, time, log.time.unit, wanted, {**columns, time: np.array(stamps)}, log.runs.column if log.runs else None
     )

@@ -122,7 +122,9 @@ def whole_rows(
             f"{_shown(kept[at], unit)}, then {_shown(kept[at + 1], unit)}. {_put_back(kept[at] - kept[at + 1], unit)}"
             "Sort or repair the log, or name another time column."
         )
-    return Table(path, kept, {column: values[rows] for column, values in columns.items()}, len(there) - len(rows))
+    if len(rows) < len(there):
+        columns = {column: values[rows] for column, values in columns.items()}
+    return Table(path, kept, columns, len(there) - len(rows))
 
 
 def _shown(stamp: np.generic, unit: str) -> str:
