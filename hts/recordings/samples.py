@@ -22,6 +22,8 @@ MOST_SAMPLES = 50_000_000
 OLDEST = 3.0
 # s: and no longer, unless somebody says so. Seconds read in another unit look like a gauge that is read once a minute.
 OLDEST_SECONDS = 3.0
+# Of a channel's samples so many may be straight lines across gaps: a log that loses a row in four has fewer.
+MOST_DRAWN = 1 / 3
 SLACK = 1e-6
 """Sample periods by which an instant may miss a stamp and still be at it."""
 
@@ -131,8 +133,8 @@ def common_grid(
 
     gauges: names of channels that only the real robot has, and control_rate_hz: of the robot's policy, Hz; both for
     what messages advise. Raises RecordingError for channels that share no stretch, a gap longer than `max_gap_seconds`
-    (of those that are `held`: longer than a reading is), a log slower than `rate_hz` (samples cannot be invented) or so
-    much faster that the unit of its stamps must be wrong.
+    (of those that are `held`: longer than a reading is), more than a third of the samples in shorter gaps, a log slower
+    than `rate_hz` (samples cannot be invented) or so much faster that the unit of its stamps must be wrong.
     """
     start = max(one.times[0] for one in samples.values())
     end = min(one.end for one in samples.values())
@@ -176,7 +178,19 @@ def common_grid(
     if count < 2:
         where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
         raise RecordingError(f"{where}: the channels share no stretch of time. Check the time column and its unit.")
-    return np.minimum(start + np.arange(count) / rate_hz, end)
+    grid = np.minimum(start + np.arange(count) / rate_hz, end)
+    for name, one in samples.items():
+        drawn = interpolated(one, grid, rate_hz) if one.oldest is None else 0
+        if drawn > MOST_DRAWN * count:
+            steps = np.diff(one.times)
+            what_to_do = _slow(name, 1.0 / float(steps.max()), name in gauges, control_rate_hz)
+            raise RecordingError(
+                f"{one.where}: {drawn} of {count} samples of '{name}' would lie on straight lines across gaps between "
+                f"its stamps, which are {1000 / one.rate_hz:.3g} ms apart at the median and {1000 * steps.mean():.3g} "
+                "ms in the mean. Stamps of receipt come in bursts: name those of when it was measured (time.column). "
+                f"Else {what_to_do}."
+            )
+    return grid
 
 
 def _slow(name: str, rate: float, gauge: bool, control_rate_hz: float | None) -> str:

@@ -133,6 +133,18 @@ def test_irregular_times_come_to_an_even_grid_where_all_have_data():
     np.testing.assert_allclose(resampled(late, grid, 10.0, "mean")[:, 0], [2.5, 10.0, 19.5 - 0.5 * 0.0], atol=0.6)
 
 
+def test_stamps_that_come_in_bursts_are_not_stretched_to_straight_lines():
+    """As where each packet is stamped when it arrives: four rows at once every 80 ms, of a log of 50 Hz."""
+    steps = np.arange(200)
+    measured = steps / 50
+    received = 0.08 * (steps // 4) + 0.0001 * (steps % 4)
+    common_grid({"a": samples_of("a", measured, np.sin(steps), "log.csv")}, 50.0)
+    lost = measured[steps % 5 != 3]
+    common_grid({"a": samples_of("a", lost, lost, "log.csv")}, 50.0)
+    with pytest.raises(RecordingError, match=r"147 of 197 samples of 'a'.*0.1 ms apart at the median and 19.7 ms in"):
+        common_grid({"a": samples_of("a", received, np.sin(steps), "log.csv")}, 50.0)
+
+
 def test_instants_within_a_gap_are_counted_and_noted(tmp_path, two_joints, mapping):
     times = np.delete(np.arange(20) * 0.02, [5, 6, 11])  # 0.10, 0.12 and 0.22 s are lost
     gappy = samples_of("a", times, times, "log")
