@@ -187,6 +187,10 @@ def test_the_fullest_topic_of_a_bag_is_taken(tmp_path, two_joints):
     assert (given["reader"], given["topic"]) == ("ros", "/joint_states")
     assert given["time"] == {"column": "log_time", "unit": "ns"}
     assert given["channels"]["joint_torque"]["columns"] == "effort[{joint}]"
+    from hts.recordings.ros_reader import make
+
+    recording = make({}).read([tmp_path / "a.mcap"], given, two_joints)  # the messages have the knee first
+    np.testing.assert_allclose(recording.values("joint_torque")[:, 0], np.arange(40) / 10, atol=1e-6)
 
 
 @pytest.mark.parametrize("content", [b"", bytes(range(256)) * 20, b"hello\n", b"PK\x03\x04xx", b"PAR1 and no more"])
