@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,31 @@ def test_the_lag_is_found_to_a_sample(read, late):
     assert found.low <= found.seconds <= found.high <= found.low + 0.04
     assert found.r2 > 0.9 and (late == 0 or found.r2 - found.r2_at_zero > 0.1)
     assert f"{late / 50:.3g} s" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("late", "expected"), [(-17, "-0.34 s.*it shows what comes.*two clocks"), (60, "1 s is the longest that is tried")]
+)
+def test_a_gauge_that_is_early_or_later_than_is_tried_is_not_told_another_lag(mapping, two_joints, late, expected):
+    """The hip moves slowly, so that a lag of 1 s explains something of one of 1.2 s."""
+    random = np.random.default_rng(0)
+    hip = np.convolve(random.normal(size=3000), np.ones(30) / 5, "same")
+    columns = {"t": 20 * np.arange(2800), "H_tau": hip[100:2900], "K_tau": hip[100:2900] / 3}
+    columns["amps"] = 2 + np.abs(hip[100 - late : 2900 - late])
+    found = gauge_lag(
+        [recording_from_columns([Path("log")], mapping, two_joints, lambda path: columns)], "draw", ["joint_torque"]
+    )
+    assert found is not None and re.search(expected, str(found))
+
+
+def test_a_steady_gait_is_not_early_one_stride_before(mapping, two_joints):
+    step = np.arange(1500)
+    hip = 5 * np.sin(2 * np.pi * step / 25) + 0.01 * np.random.default_rng(0).normal(size=1500)
+    columns = {"t": 20 * step, "H_tau": hip, "K_tau": hip / 3, "amps": 2 + np.abs(np.roll(hip, 5))}
+    found = gauge_lag(
+        [recording_from_columns([Path("log")], mapping, two_joints, lambda path: columns)], "draw", ["joint_torque"]
+    )
+    assert found is not None and found.low >= 0
 
 
 def test_standing_still_tells_no_lag(read):
