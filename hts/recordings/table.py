@@ -119,8 +119,8 @@ def whole_rows(
         at = int(back[0])
         raise RecordingError(
             f"{path}: time does not increase in {place(int(rows[at + 1]))}: column '{time}' reads "
-            f"{_shown(kept[at], unit)}, then {_shown(kept[at + 1], unit)}. {_put_back(kept[at] - kept[at + 1], unit)}"
-            "Sort or repair the log, or name another time column."
+            f"{_shown(kept[at], unit)}, then {_shown(kept[at + 1], unit)}. {_mended(kept[at] - kept[at + 1], unit)}, "
+            "or name another time column."
         )
     if len(rows) < len(there):
         columns = {column: values[rows] for column, values in columns.items()}
@@ -134,14 +134,19 @@ def _shown(stamp: np.generic, unit: str) -> str:
     return str(np.datetime64(int(stamp), "ns")).rstrip("0").rstrip(".").replace("T", " ")
 
 
-def _put_back(step: np.generic, unit: str) -> str:
-    """What to say of dates that go back by an hour, to within a minute."""
-    if unit != DATES or abs(int(step) * 1e-9 - 3600) > 60:
-        return ""
-    return (
-        "That is an hour: local time was probably put back there (the end of daylight saving). Log in UTC, or add an "
-        "hour from there on. "
-    )
+def _mended(step: np.generic, unit: str) -> str:
+    """What to do about stamps that go back by so much, in their unit; those of dates are in ns."""
+    if step == 0:
+        return (
+            "Two rows share a stamp: take out the one that is a copy, or write stamps with more digits (float32 has "
+            "seven)"
+        )
+    if unit == DATES and abs(int(step) * 1e-9 - 3600) < 60:
+        return (
+            "That is an hour: local time was probably put back there (the end of daylight saving). Log in UTC, or add "
+            "an hour from there on"
+        )
+    return "Sort rows that are out of order; where the clock was set back, cut the log there, since sorting mixes them"
 
 
 def no_column(name: str, names: Sequence[str]) -> str:
