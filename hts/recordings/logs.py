@@ -56,7 +56,7 @@ from hts.recordings.plausible import check_idle, check_limits
 from hts.recordings.recording import Recording, Series
 from hts.recordings.repeated import repeated_notes
 from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
-from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
+from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, received_apart, source_of
 from hts.recordings.stated_channels import check_channels
 from hts.recordings.still_joints import check_still_joints
 from hts.recordings.stretches import Stretch, stretches
@@ -165,6 +165,8 @@ def recordings_from_tables(
         raise
     clocks = check_clocks(tables, log)
     notes = {"clocks": f"taken as one: {clocks}"} if clocks else {}
+    if apart := received_apart(tables):
+        notes["received"] = apart
     times = _times(tables, log)
     if log.join is not None:
         times, offset = joined(times, tables, log, columns)

@@ -22,7 +22,8 @@ AGAIN = "Copy the log again if not all of it came over, or record it again."
 class Table:
     """stamps: (rows,) as in the file, increasing, integers kept exact; columns: (rows,) float64, NaN where empty;
     empty_rows: how many were left out because nothing but their time was in them; last_line: what is to be noted of a
-    last line of the file that has no end; last_line_dropped: whether it was left out, or kept."""
+    last line of the file that has no end; last_line_dropped: whether it was left out, or kept; received_after: s by
+    which its recorder's clock was past the stamps when rows were received, the median; None where nobody noted it."""
 
     path: Path
     stamps: np.ndarray
@@ -30,6 +31,7 @@ class Table:
     empty_rows: int
     last_line: str = ""
     last_line_dropped: bool = False
+    received_after: float | None = None
 
     def rows(self, kept: np.ndarray) -> Table:
         """The same with some of the rows. kept: (rows,) bool, or their numbers."""

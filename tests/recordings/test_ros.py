@@ -64,6 +64,20 @@ def test_a_stamp_in_the_message_keeps_its_nanoseconds(tmp_path, made, bag_mappin
 
 
 @needs_ros
+@pytest.mark.parametrize(("late", "told"), [(0, None), (200_000_000, "/joint_states +0.000 s, /bms +0.205 s after")])
+def test_stamps_of_two_clocks_are_told_by_when_they_were_received(tmp_path, made, bag_mapping, two_joints, late, told):
+    kind, text, content = made.TOPICS["/joint_states"]
+    topics = {"/joint_states": (kind, text, content), "/bms": (kind, text, lambda step: made.joint_state(step, late))}
+    bag_mapping["time"]["column"] = "header.stamp"
+    draw = {"columns": "effort[hip]", "unit": "A", "offset": 2, "idle": 1.9, "topic": "/bms"}
+    torque = {**bag_mapping["channels"]["joint_torque"], "topic": "/joint_states"}
+    bag_mapping["channels"] = {"joint_torque": torque, "draw": draw}
+    log = made.mcap(tmp_path / "walk.mcap", topics=topics)
+    note = make({}).read([log], bag_mapping, two_joints).notes.get("received")
+    assert note is None if told is None else note.startswith(told)
+
+
+@needs_ros
 def test_a_bag_in_sqlite_gives_the_same_also_as_a_folder(tmp_path, made, bag_mapping, two_joints):
     bag = tmp_path / "bag"
     bag.mkdir()
