@@ -218,6 +218,15 @@ def test_a_machine_that_gives_current_back_while_it_idles_is_counted_the_other_w
     check_idle(warm, {"warmth": -1.9}, "log")
 
 
+@pytest.mark.parametrize("unit", ["A", "mA", "W"])
+def test_whatever_is_drawn_is_counted_the_other_way_where_it_is_negative(unit):
+    for level, expected in ((-3.0, "say sign: -1 and idle: 3"), (0.0, "say sign: -1; if")):
+        with pytest.raises(RecordingError, match=expected):
+            check_idle(walking(-6.0, unit), {"draw": level}, "log")
+    check_idle(walking(0.0, unit), {"draw": 0.0}, "log")  # noise about nothing
+    check_idle(walking(-6.0, unit, speed=0.5), {"draw": 0.0}, "log")  # it stands, and a sensor has an offset
+
+
 def warmth(median: float, unit: str = "degC") -> dict[str, Series]:
     return {"warmth": Series(Channel("warmth", unit), np.array([median - 1, median, median + 1]))}
 
