@@ -166,7 +166,7 @@ def common_grid(
             said = one.empty_between(one.times[longest], one.times[longest + 1]) or one.columns
             raise RecordingError(
                 f"{one.where}: '{name}'{f' ({said})' if said else ''} has nothing for {widths[longest]:.3g} s, "
-                f"from {one.times[longest]:.3f} s on; {_until(one, max_gap_seconds, rate_hz)}"
+                f"from {one.times[longest]:.3f} s on; {_until(one, max_gap_seconds, rate_hz, widths[longest])}"
             )
     if (end - start) * rate_hz > MOST_SAMPLES:
         where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
@@ -186,9 +186,9 @@ def common_grid(
             what_to_do = _slow(name, 1.0 / float(steps.max()), name in gauges, control_rate_hz)
             raise RecordingError(
                 f"{one.where}: {drawn} of {count} samples of '{name}' would lie on straight lines across gaps between "
-                f"its stamps, which are {1000 / one.rate_hz:.3g} ms apart at the median and {1000 * steps.mean():.3g} "
-                "ms in the mean. Stamps of receipt come in bursts: name those of when it was measured (time.column). "
-                f"Else {what_to_do}."
+                f"its stamps, which are {1 / one.rate_hz:.3g} s apart at the median and {steps.max():.3g} s "
+                "at most. Stamps of receipt come in bursts: name those of when it was measured (time.column). "
+                f"Else cut the log at its gaps, or {what_to_do}."
             )
     return grid
 
@@ -207,12 +207,13 @@ def _slow(name: str, rate: float, gauge: bool, control_rate_hz: float | None) ->
     return f"set rate_hz to {rate:.4g} or less"
 
 
-def _until(one: Samples, max_gap_seconds: float, rate_hz: float) -> str:
-    """How long a gap may be, and what to do with a longer one."""
+def _until(one: Samples, max_gap_seconds: float, rate_hz: float, found: float) -> str:
+    """How long a gap may be, and what to do with one that is longer, `found` s."""
     if one.oldest is None:
+        runs = ", make two recordings of it (runs: {gap_seconds: 1})" if found > 1 else ""
         return (
-            f"gaps up to {max_gap_seconds:g} s are filled. Cut the log there, or raise max_gap_seconds if that is "
-            "harmless."
+            f"gaps up to {max_gap_seconds:g} s are filled. Cut the log there{runs}, or raise max_gap_seconds if that "
+            "is harmless."
         )
     unit = " If it is faster than that, correct time.unit." if TOO_SLOW * one.rate_hz < rate_hz else ""
     return (
