@@ -29,6 +29,7 @@ from hts.errors import ConfigError, HtsError, PluginError, RecordingError
 from hts.recordings.attitude import still_notes
 from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
+from hts.recordings.blank import without_blanks
 from hts.recordings.commanded import until_the_end
 from hts.recordings.factors import as_one, common_factor, common_offset, of_joints
 from hts.recordings.feet import foot_notes
@@ -167,6 +168,9 @@ def recordings_from_tables(
     notes = {"clocks": f"taken as one: {clocks}"} if clocks else {}
     if apart := received_apart(tables):
         notes["received"] = apart
+    tables, blank = without_blanks(tables, log, columns)
+    if blank:
+        notes["blank_rows_dropped"] = f"{blank} in which all joints are 0"
     times = _times(tables, log)
     if log.join is not None:
         times, offset = joined(times, tables, log, columns)
