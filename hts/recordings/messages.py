@@ -296,7 +296,8 @@ def _sqlite(path: Path, topic: str) -> Iterator[_Raw]:
                 raise RecordingError(
                     f"{path}: topic '{topic}' holds messages in '{form}', expected cdr, as ROS 2 does."
                 )
-            rows = base.execute("SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY timestamp", (number,))
+            # Not by their stamps: that would mix two stretches where the recorder's clock was set back.
+            rows = base.execute("SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY id", (number,))
             encoding, text = texts.get(kind, ("ros2msg", b""))
             for stamp, data in rows:
                 yield _Raw(int(stamp), int(stamp), bytes(data), kind, encoding, text)

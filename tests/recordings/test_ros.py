@@ -90,6 +90,17 @@ def test_a_bag_in_sqlite_gives_the_same_also_as_a_folder(tmp_path, made, bag_map
 
 
 @needs_ros
+def test_messages_of_a_recorder_whose_clock_was_set_back_are_not_mixed(tmp_path, made, bag_mapping, two_joints):
+    path = made.sqlite(tmp_path / "bag.db3")
+    base = sqlite3.connect(path)
+    base.execute("UPDATE messages SET timestamp = timestamp - 110000000 WHERE (id - 1) % 40 >= 20")  # each topic has 40
+    base.commit()
+    base.close()
+    with pytest.raises(RecordingError, match="time does not increase.*where the clock was set back, cut the log"):
+        make({}).read([path], bag_mapping, two_joints)
+
+
+@needs_ros
 def test_definitions_may_come_from_a_file_where_the_bag_has_none(tmp_path, made, bag_mapping, two_joints):
     old = made.sqlite(tmp_path / "old.db3", definitions=False)
     with pytest.raises(RecordingError, match="of type sensor_msgs/msg/JointState, whose definition is not in the file"):
