@@ -56,14 +56,14 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Tab
     getters = {column: _getter(str(column)) for column in wanted}
     stamp = _stamp(str(time))
     stamps: list[int | float] = []
-    after = array("d")
+    received = array("d")
     values = {column: array("d") for column in wanted}
     for count, message in enumerate(messages(path, topic, load_definitions(log.definitions))):
         if count * (len(wanted) + 1) > MOST_NUMBERS:
             raise RecordingError(f"{path}: topic '{topic}' has more than {count} messages. Cut the bag first.")
         try:
             stamps.append(stamp(message))
-            after.append(message.log_time * SECONDS["ns"] - stamps[-1] * SECONDS[log.time.unit])
+            received.append(message.log_time * SECONDS["ns"])
             for column, get in getters.items():
                 values[column].append(float(get(message.content)))
         except (LookupError, TypeError, ValueError, OverflowError) as error:
@@ -79,7 +79,8 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Tab
     table = table_of(
         path, time, log.time.unit, wanted, {**columns, time: np.array(stamps)}, log.runs.column if log.runs else None
     )
-    return replace(table, received_after=float(np.median(after)))
+    after = np.array(received) - np.array(stamps, dtype=np.float64) * SECONDS[log.time.unit]
+    return replace(table, received_after=float(np.nanmedian(after)))
 
 
 def load_definitions(name: str | None) -> dict[str, str]:

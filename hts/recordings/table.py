@@ -177,7 +177,7 @@ def _stamps(path: Path, time: ColumnName, unit: str, values: np.ndarray) -> tupl
         there = ~np.isnat(values)
         return values[there].astype("datetime64[ns]").astype(np.int64), there
     if values.ndim != 1 or values.dtype.kind not in "iufO" or unit == DATES:
-        raise not_a_time(path, time, unit, values.flat[0] if values.size else "")
+        raise not_a_time(path, time, unit, str(values.flat[0]) if values.size else "")
     if values.dtype.kind in "iu":
         return values, np.ones(len(values), dtype=np.bool_)
     if values.dtype.kind == "O":

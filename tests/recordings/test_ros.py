@@ -125,6 +125,7 @@ def test_definitions_may_come_from_a_file_where_the_bag_has_none(tmp_path, made,
             "could not convert string",
         ),
         ({"time": {"column": "header.stamps", "unit": "ns"}}, "there is no field 'stamps'"),
+        ({"time": {"column": "header.frame_id", "unit": "s"}}, "does not hold numbers .it begins with 'base'"),
     ],
 )
 def test_a_field_that_is_not_there_is_one_line(tmp_path, made, bag_mapping, two_joints, changes, expected):
