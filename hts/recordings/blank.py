@@ -43,10 +43,11 @@ def _blank(table: Table, source: Source, log: LogMapping, columns: Mapping[str, 
     if POSITION not in names or len(names) < 2:
         return blank
     zero = np.logical_and.reduce([table.columns[column] == 0 for name in names for column in columns[name]])
-    if not zero.any() or zero.all():
-        return blank
     far = np.fmax.reduce([np.abs(table.columns[column]) for column in columns[POSITION]])
-    least = JUMP * np.nanmedian(far[~zero])
+    elsewhere = far[~zero & np.isfinite(far)]
+    if not zero.any() or not len(elsewhere):
+        return blank
+    least = JUMP * np.median(elsewhere)
     for first, end in runs_of(zero):
         beside = [far[at] for at in (first - 1, end) if 0 <= at < len(far)]
         blank[first:end] = min(beside) > least
