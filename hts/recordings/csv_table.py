@@ -201,6 +201,7 @@ def _other_delimiter(path: Path, log: CsvMapping) -> str:
     except OSError:
         return ""
     other = max(DELIMITERS, key=first.count)
+    other = other if other in first else " "
     if log.delimiter in first or not 0 < first.count(other) == second.count(other):
         return ""
     shown = "\\t" if other == "\t" else other

@@ -77,6 +77,7 @@ def _csv(path: Path) -> Glance:
     if not lines:
         raise RecordingError(f"{path}: empty. Expected a log.")
     delimiter = max(",;\t", key=lambda one: _steadiness(lines[:50], one))
+    delimiter = delimiter if _steadiness(lines[:50], delimiter) else " "
     rows = [row for row in csv.reader(lines, delimiter=delimiter) if row]
     width = max(len(row) for row in rows[: max(len(rows) // 2, 1) + 20])
     preamble = next((count for count, row in enumerate(rows) if len(row) == width), 0)

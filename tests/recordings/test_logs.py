@@ -357,6 +357,7 @@ def test_a_spreadsheets_csv_is_read(tmp_path, two_joints, mapping):
     [
         ("t,H_tau,K_tau,amps\nms,N*m,N*m,A\n0,1,2,3\n20,1,2,4\n", ",", "say units_row: true"),
         ("t;H_tau;K_tau;amps\n0;1,5;2;3\n20;1,5;2;4\n", ";", 'say decimal: ","'),
+        ("t H_tau K_tau amps\n0 1 2 3\n20 1 2 4\n", ",", 'say delimiter: " "'),
         ("made by me\nt,H_tau,K_tau,amps\n0,1,2,3\n20,1,2,4\n", ",", "say preamble: "),
         ("t,H_tau,K_tau,amps\n2026-03-01 12:00:00,1,2,3\n2026-03-01 12:00:01,1,2,4\n", ",", "say unit: iso"),
     ],

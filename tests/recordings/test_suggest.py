@@ -179,6 +179,13 @@ def test_arrays_of_an_npz_and_lists_of_a_parquet_are_understood(tmp_path, two_jo
     assert make({}).read([tmp_path / "log.parquet"], given, two_joints).num_samples == 60
 
 
+def test_a_table_with_spaces_between_columns_is_one(tmp_path, two_joints):
+    """As np.savetxt writes it."""
+    np.savetxt(tmp_path / "log.txt", np.stack([STEPS / 50, STEPS, STEPS], 1))
+    given = yaml.safe_load(suggested_mapping(tmp_path / "log.txt", two_joints))
+    assert (given["delimiter"], given["header"], given["time"]) == (" ", False, {"column": 0, "unit": "s"})
+
+
 @pytest.mark.skipif(importlib.util.find_spec("mcap_ros2") is None, reason="the extra hard-to-sim[ros] is not installed")
 def test_the_fullest_topic_of_a_bag_is_taken(tmp_path, two_joints):
     import bags
