@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,6 +48,12 @@ def show_enough(
         late = gauge_lag(recordings, made.target.name, made.inputs)
     except RecordingError:  # too short to tell
         late = None
+    if late is not None and late.seconds < 0:
+        early = (
+            f"'{found.target}' is early by {-late.seconds:.3g} s, so its stamps and those of the joints are probably of "
+            "two clocks: import it again with stamps of one"
+        )
+        found = replace(found, missing=(*found.missing, early))
     if as_json:
         known = {**found.as_json(), "enough": not found.missing, "lag": None if late is None else asdict(late)}
         return [json.dumps(known, indent=2)], not found.missing
