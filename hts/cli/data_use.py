@@ -40,7 +40,7 @@ def show_enough(
     """The verdict, and whether nothing is missing."""
     from hts.errors import RecordingError
     from hts.measurement.enough import enough
-    from hts.recordings.lag import gauge_lag
+    from hts.recordings.lag import EARLY_SECONDS, gauge_lag
 
     made, recordings = _usable(store, objective, wanted)
     found = enough(made, recordings, speeds)
@@ -48,10 +48,10 @@ def show_enough(
         late = gauge_lag(recordings, made.target.name, made.inputs)
     except RecordingError:  # too short to tell
         late = None
-    if late is not None and late.seconds < 0:
+    if late is not None and late.seconds < -EARLY_SECONDS:
         early = (
-            f"'{found.target}' is early by {-late.seconds:.3g} s, so its stamps and those of the joints are probably of "
-            "two clocks: import it again with stamps of one"
+            f"'{found.target}' is early by {-late.seconds:.3g} s: the joints are stamped late, or by another clock; "
+            "import both again with stamps of one"
         )
         found = replace(found, missing=(*found.missing, early))
     if as_json:

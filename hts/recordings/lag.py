@@ -21,6 +21,8 @@ LEAST_R2 = 0.1
 """Below it the joints do not explain the gauge, so no lag can be told."""
 NEARLY = 0.02
 """Lags whose R² is within so much of the best one's are as good."""
+EARLY_SECONDS = 0.05
+"""Filtered velocities are late by a sample or two, and make a gauge early by so much at most."""
 CLEARLY = 0.1
 """By so much of its R² a lag of less than nothing must be better than all others."""
 RIDGE = 1e-3
@@ -41,7 +43,7 @@ class Lag:
         found = f"{self.seconds:.3g} s ({self.low:.3g} to {self.high:.3g} s fit as well)"
         found = f"{found}, R² {self.r2:.2f}, without a lag {self.r2_at_zero:.2f}"
         if self.seconds < 0:
-            return f"{found}: it shows what comes, so its stamps and those of the joints are probably of two clocks"
+            return f"{found}: it shows what comes, so the joints are stamped late, or by another clock than it is"
         if self.high >= LONGEST_SECONDS:
             return f"{found}; it may be later still, {LONGEST_SECONDS:g} s is the longest that is tried"
         return found
