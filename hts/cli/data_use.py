@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,7 +40,7 @@ def show_enough(
     """The verdict, and whether nothing is missing."""
     from hts.errors import RecordingError
     from hts.measurement.enough import enough
-    from hts.recordings.lag import gauge_lag
+    from hts.recordings.lag import EARLY_SECONDS, gauge_lag
 
     made, recordings = _usable(store, objective, wanted)
     found = enough(made, recordings, speeds)
@@ -48,6 +48,12 @@ def show_enough(
         late = gauge_lag(recordings, made.target.name, made.inputs)
     except RecordingError:  # too short to tell
         late = None
+    if late is not None and late.seconds < -EARLY_SECONDS:
+        early = (
+            f"'{found.target}' is early by {-late.seconds:.3g} s: the joints are stamped late, or by another clock; "
+            "import both again with stamps of one"
+        )
+        found = replace(found, missing=(*found.missing, early))
     if as_json:
         known = {**found.as_json(), "enough": not found.missing, "lag": None if late is None else asdict(late)}
         return [json.dumps(known, indent=2)], not found.missing

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -25,12 +26,13 @@ def stamps_of(path: Path, time: ColumnName, unit: str, column: Any) -> tuple[np.
     """
     import pyarrow as pa
 
+    column = _dates(column) if unit == DATES else column
     there = ~np.asarray(column.is_null().to_numpy(), dtype=np.bool_)
     present = column.drop_null()
     kind, dates = column.type, pa.types.is_timestamp(column.type)
     numbers = pa.types.is_integer(kind) or pa.types.is_floating(kind)
     if (len(present) and dates != (unit == DATES)) or not (dates or numbers or not len(present)):
-        odd = None if unit == DATES else _no_number(present)
+        odd = _odd(present, unit)
         raise not_a_time(path, time, unit, *((_first(present),) if odd is None else (odd, "in a later row")))
     if dates:
         present = present.cast(pa.timestamp("ns", tz=kind.tz)).cast(pa.int64())
@@ -51,16 +53,31 @@ def numbers_of(path: Path, column: ColumnName, chunked: Any) -> np.ndarray:
     return np.asarray(chunked.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
 
 
-def _no_number(column: Any) -> str | None:
-    """The first text in it that is no number, where a number stands before it; None elsewhere."""
+def _dates(column: Any) -> Any:
+    """A column, or a scalar, of dates that are written as text, as dates; any other as it is."""
+    import pyarrow as pa
+
+    if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+        for zone in (None, "UTC"):  # the first takes dates without a zone only, the second those with one
+            with suppress(pa.ArrowInvalid):
+                return column.cast(pa.timestamp("ns", zone))
+    return column
+
+
+def _odd(column: Any, unit: str) -> str | None:
+    """The first text in it that is no such stamp as stand before it; None where the first is none, or nothing is text.
+
+    unit: of the stamps.
+    """
     import pyarrow as pa
 
     if not (pa.types.is_string(column.type) or pa.types.is_large_string(column.type)):
         return None
-    for at, text in enumerate(column.to_pylist()):
+    kind = _dates(column[0]).type if unit == DATES else pa.float64()
+    for at, text in enumerate(column if kind != column.type else ()):
         try:
-            float(text)
-        except ValueError:
+            text.cast(kind)
+        except pa.ArrowInvalid:
             return str(text) if at else None
     return None
 

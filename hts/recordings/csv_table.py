@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
@@ -53,20 +53,30 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
             names = opened.schema.names
         time_name = _column(path, time, names, log)
         by_column = {column: _column(path, column, names, log) for column in wanted}
-        # Stamps are left to pyarrow, which tells integers from others: that keeps nanoseconds exact.
-        types = {name: pa.float64() for name in by_column.values() if name != time_name}
-        converting = csv.ConvertOptions(
-            include_columns=list(dict.fromkeys([time_name, *by_column.values()])),
-            column_types=types,
-            null_values=MISSING,
-            strings_can_be_null=True,
-            decimal_point=log.decimal,
-        )
+        columns_read = list(dict.fromkeys([time_name, *by_column.values()]))
+
+        def read(how: Callable[..., Any], end: Unended | None, **kinds: Any) -> Any:
+            converting = csv.ConvertOptions(
+                include_columns=columns_read,
+                column_types={name: pa.float64() for name in columns_read if name != time_name} | kinds,
+                null_values=MISSING,
+                strings_can_be_null=True,
+                decimal_point=log.decimal,
+            )
+            with path.open("rb") as file:
+                text = _until(file, end)
+                return how(text, read_options=reading, parse_options=parsing, convert_options=converting)
+
         if end is not None:
             note, cut = of_last_line(end, log, names, {time_name, *by_column.values()}, MISSING)
-        with path.open("rb") as file:
-            text = _until(file, end if cut else None)
-            table = csv.read_csv(text, read_options=reading, parse_options=parsing, convert_options=converting)
+        # Stamps are left to pyarrow, which tells integers from others: that keeps nanoseconds exact. What they are is
+        # taken from the first ones, since else it keeps the text of the whole file until it knows; later ones may be
+        # of another kind.
+        try:
+            kind = read(csv.open_csv, end).schema.field(time_name).type
+            table = read(csv.read_csv, end if cut else None, **{time_name: kind})
+        except pa.ArrowInvalid:
+            table = read(csv.read_csv, end if cut else None)
     except OSError as error:
         raise cannot_be_read(path, error) from error
     except RecordingError as error:  # a column that is not there: perhaps since nothing of it could be read
@@ -80,9 +90,25 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: CsvMapping) -> Tab
     return replace(rows, last_line=note, last_line_dropped=cut)
 
 
-def _until(file: BinaryIO, end: Unended | None) -> BinaryIO:
+class _Beginning(io.RawIOBase):
+    """So many bytes of a file, as a file: of a log of gigabytes there need not be a copy without its last line."""
+
+    def __init__(self, file: BinaryIO, size: int) -> None:
+        self._file, self._left = file, size
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        data = self._file.read(min(len(buffer), self._left))
+        buffer[: len(data)] = data
+        self._left -= len(data)
+        return len(data)
+
+
+def _until(file: BinaryIO, end: Unended | None) -> BinaryIO | io.RawIOBase:
     """The file, or what is in it before its last line."""
-    return file if end is None else io.BytesIO(file.read(end.size))
+    return file if end is None else _Beginning(file, end.size)
 
 
 def _before(log: CsvMapping) -> int:
@@ -175,6 +201,7 @@ def _other_delimiter(path: Path, log: CsvMapping) -> str:
     except OSError:
         return ""
     other = max(DELIMITERS, key=first.count)
+    other = other if other in first else " "
     if log.delimiter in first or not 0 < first.count(other) == second.count(other):
         return ""
     shown = "\\t" if other == "\t" else other

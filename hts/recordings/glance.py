@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
@@ -19,6 +20,8 @@ from hts.recordings.table import cannot_be_read
 
 MOST_ROWS = 5000
 MOST_LINE = 1 << 20
+NAMED = re.compile(r"[^\[\].\d][^\[\].]{0,99}")
+"""A name of an entry that a mapping may use in its place: `position[left_knee]`."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ def _reader_of(path: Path) -> Callable[[Path], Glance]:
         b"PK\x03\x04": _npz,
         b"\x89MCAP": _ros,
         b"SQLite format 3": _ros,
+        b"#ROSBAG V": _ros,
     }
     return next((reader for magic, reader in known.items() if begin.startswith(magic)), _csv)
 
@@ -74,6 +78,7 @@ def _csv(path: Path) -> Glance:
     if not lines:
         raise RecordingError(f"{path}: empty. Expected a log.")
     delimiter = max(",;\t", key=lambda one: _steadiness(lines[:50], one))
+    delimiter = delimiter if _steadiness(lines[:50], delimiter) else " "
     rows = [row for row in csv.reader(lines, delimiter=delimiter) if row]
     width = max(len(row) for row in rows[: max(len(rows) // 2, 1) + 20])
     preamble = next((count for count, row in enumerate(rows) if len(row) == width), 0)
@@ -204,8 +209,11 @@ def _ros(path: Path) -> Glance:
 
 
 def _leaves(content: Any, prefix: str = "") -> dict[str, float]:
-    """Every number in a message, by its path."""
+    """Every number in a message, by its path; entries of lists by name where the message has as many, as a JointState
+    has, since their order is the sender's."""
     found: dict[str, float] = {}
+    given = content.name if "name" in fields_of(content) and isinstance(content.name, list) else []
+    names = given if all(NAMED.fullmatch(str(one)) for one in given) else []
     for name in fields_of(content):
         value = getattr(content, name)
         path = f"{prefix}{name}"
@@ -214,7 +222,7 @@ def _leaves(content: Any, prefix: str = "") -> dict[str, float]:
         elif isinstance(value, (list, bytes, tuple)) and len(value) <= 64:
             for at, one in enumerate(value):
                 if isinstance(one, (bool, int, float)):
-                    found[f"{path}[{at}]"] = float(one)
+                    found[f"{path}[{names[at] if len(names) == len(value) else at}]"] = float(one)
                 elif not isinstance(one, str):
                     found |= _leaves(one, f"{path}[{at}].")
         elif not isinstance(value, (str, bytes)):

@@ -2,7 +2,8 @@
 
 The gauge is explained, by least squares, from what the joints do (every input, its size, its square, and products of
 inputs of one shape such as torque times velocity), shifted by each lag in turn. The lag that explains most is the
-estimate; lags that explain nearly as much are its interval.
+estimate; lags that explain nearly as much are its interval. No gauge shows what is still to come: where that explains
+it clearly better than any lag, its stamps and those of the joints are of two clocks, and the lag is negative.
 """
 
 from __future__ import annotations
@@ -20,12 +21,17 @@ LEAST_R2 = 0.1
 """Below it the joints do not explain the gauge, so no lag can be told."""
 NEARLY = 0.02
 """Lags whose R² is within so much of the best one's are as good."""
+EARLY_SECONDS = 0.05
+"""Filtered velocities are late by a sample or two, and make a gauge early by so much at most."""
+CLEARLY = 0.1
+"""By so much of its R² a lag of less than nothing must be better than all others."""
 RIDGE = 1e-3
 
 
 @dataclass(frozen=True)
 class Lag:
-    """seconds: how late the gauge is; low, high: lags that explain it as well; r2: there; r2_at_zero: without a lag."""
+    """seconds: how late the gauge is, below 0 for one that is early; low, high: lags that explain it as well; r2:
+    there; r2_at_zero: without a lag."""
 
     seconds: float
     low: float
@@ -35,7 +41,12 @@ class Lag:
 
     def __str__(self) -> str:
         found = f"{self.seconds:.3g} s ({self.low:.3g} to {self.high:.3g} s fit as well)"
-        return f"{found}, R² {self.r2:.2f}, without a lag {self.r2_at_zero:.2f}"
+        found = f"{found}, R² {self.r2:.2f}, without a lag {self.r2_at_zero:.2f}"
+        if self.seconds < 0:
+            return f"{found}: it shows what comes, so the joints are stamped late, or by another clock than it is"
+        if self.high >= LONGEST_SECONDS:
+            return f"{found}; it may be later still, {LONGEST_SECONDS:g} s is the longest that is tried"
+        return found
 
 
 def gauge_lag(recordings: Sequence[Recording], gauge: str, inputs: Sequence[str]) -> Lag | None:
@@ -67,12 +78,16 @@ def gauge_lag(recordings: Sequence[Recording], gauge: str, inputs: Sequence[str]
             f"No recording lasts {5 * LONGEST_SECONDS:g} s, which a lag of up to {LONGEST_SECONDS:g} s takes to be "
             "seen."
         )
-    scores = np.array([_explained(features, targets, lag, longest) for lag in range(longest + 1)])
-    best = int(np.argmax(scores))
-    if not scores[best] >= LEAST_R2:
+    lags = np.arange(-longest, longest + 1)
+    scores = np.array([_explained(features, targets, lag, longest) for lag in lags.tolist()])
+    most, late = float(scores.max()), float(scores[longest:].max())
+    if late >= (1 - CLEARLY) * most:  # a steady gait looks alike one stride earlier
+        lags, scores, most = lags[longest:], scores[longest:], late
+    if not most >= LEAST_R2:
         return None
-    near = np.flatnonzero(scores >= scores[best] - NEARLY * max(scores[best], LEAST_R2))
-    return Lag(best / rate, near[0] / rate, near[-1] / rate, float(scores[best]), float(scores[0]))
+    near = lags[scores >= most - NEARLY * most]
+    at_zero = float(scores[lags == 0][0])
+    return Lag(int(lags[np.argmax(scores)]) / rate, int(near[0]) / rate, int(near[-1]) / rate, most, at_zero)
 
 
 def _features(recording: Recording, inputs: Sequence[str]) -> np.ndarray:
@@ -88,9 +103,10 @@ def _features(recording: Recording, inputs: Sequence[str]) -> np.ndarray:
 
 
 def _explained(features: list[np.ndarray], targets: list[np.ndarray], lag: int, longest: int) -> float:
-    """R² of the gauge at t given features at t - lag, over the same samples for every lag; (T - longest) of each."""
-    x = np.concatenate([one[longest - lag : len(one) - lag] for one in features])
-    y = np.concatenate([one[longest:] for one in targets])
+    """R² of the gauge at t given features at t - lag, over the same samples for every lag from -longest to longest;
+    (T - 2 longest) of each."""
+    x = np.concatenate([one[longest - lag : len(one) - longest - lag] for one in features])
+    y = np.concatenate([one[longest : len(one) - longest] for one in targets])
     spread = x.std(0)
     x = (x - x.mean(0)) / np.where(spread > 0, spread, 1.0)
     y = y - y.mean()

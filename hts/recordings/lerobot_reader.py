@@ -60,6 +60,12 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LerobotMapping) ->
             raise RecordingError(
                 f"{path}: more than {MOST_NUMBERS:.3g} numbers. Split the dataset, or name less channels."
             )
+    frames, expected = sum(len(table.stamps) + table.empty_rows for table in tables), info.get("total_frames")
+    if isinstance(expected, int) and frames < expected and (log.runs is None or log.runs.take is None):
+        raise RecordingError(
+            f"{path}: {frames} frames in data/, meta/info.json says {expected}: files are missing. Copy the whole "
+            "folder, or name the episodes that are there whole, such as runs: {column: episode_index, take: [0]}."
+        )
     columns = {column: np.concatenate([table.columns[name] for table in tables]) for column, name in plain.items()}
     stamps = np.concatenate([np.asarray(table.stamps, dtype=np.float64) for table in tables])
     if log.time == LerobotMapping.model_fields["time"].default:

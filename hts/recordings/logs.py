@@ -29,6 +29,7 @@ from hts.errors import ConfigError, HtsError, PluginError, RecordingError
 from hts.recordings.attitude import still_notes
 from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
+from hts.recordings.blank import without_blanks
 from hts.recordings.commanded import until_the_end
 from hts.recordings.factors import as_one, common_factor, common_offset, of_joints
 from hts.recordings.feet import foot_notes
@@ -56,7 +57,7 @@ from hts.recordings.plausible import check_idle, check_limits
 from hts.recordings.recording import Recording, Series
 from hts.recordings.repeated import repeated_notes
 from hts.recordings.samples import Samples, common_grid, held, interpolated, listed, resampled, samples_of
-from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, source_of
+from hts.recordings.sources import Source, Tables, assign, check_clocks, read_tables, received_apart, source_of
 from hts.recordings.stated_channels import check_channels
 from hts.recordings.still_joints import check_still_joints
 from hts.recordings.stretches import Stretch, stretches
@@ -165,6 +166,11 @@ def recordings_from_tables(
         raise
     clocks = check_clocks(tables, log)
     notes = {"clocks": f"taken as one: {clocks}"} if clocks else {}
+    if apart := received_apart(tables):
+        notes["received"] = apart
+    tables, blank = without_blanks(tables, log, columns)
+    if blank:
+        notes["blank_rows_dropped"] = f"{blank} in which all joints are 0"
     times = _times(tables, log)
     if log.join is not None:
         times, offset = joined(times, tables, log, columns)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import re
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
@@ -16,11 +17,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hts.errors import RecordingError, unknown_name
-from hts.recordings.table import cannot_be_read
+from hts.recordings.table import AGAIN, cannot_be_read
 
 MOST_RECORD = 1 << 28
 """Bytes of one record or unpacked part of a file; writers make parts of about a megabyte."""
 MCAP, SQLITE = b"\x89MCAP", b"SQLite format 3\x00"
+ROS1, ZSTD = b"#ROSBAG V", b"\x28\xb5\x2f\xfd"
+LISTED = re.compile(r"""^ *- +["']?(?!path:)(\S.*\.(?:mcap|db3))(?:\.zstd)?["']? *$""", re.MULTILINE)
+"""Of the metadata of a bag: a file of it, unpacked."""
 NEEDED = ("mcap", "mcap_ros2")
 
 
@@ -92,14 +96,26 @@ def _whole(path: Path) -> Iterator[None]:
 
 
 def _files(path: Path) -> list[Path]:
-    """The storage files of a bag's folder, in their order; the file itself where it is one."""
+    """The storage files of a bag's folder, in their order; the file itself where it is one. Raises RecordingError where
+    there are fewer than its recorder says, or some are packed: what is left would look like the whole recording."""
     if not path.is_dir():
         return [path]
     files = sorted((one for one in path.iterdir() if one.suffix in (".mcap", ".db3")), key=_number)
-    packed = [one.name for one in path.iterdir() if one.name.endswith((".mcap.zstd", ".db3.zstd"))]
+    packed = sorted(one.name for one in path.iterdir() if one.name.endswith((".mcap.zstd", ".db3.zstd")))
+    for name in packed:
+        if not (path / name.removesuffix(".zstd")).exists():
+            raise RecordingError(f"{path}: part of this bag is packed. Unpack {name} first (`zstd -d`).")
+    about = path / "metadata.yaml"
+    text = about.read_text(encoding="utf-8", errors="replace") if about.exists() else ""
+    listed = {Path(name).name for name in LISTED.findall(text)}
+    if len(files) < len(listed):  # as many under other names were renamed
+        lacking = min(listed - {one.name for one in files}, key=lambda name: _number(Path(name)))
+        raise RecordingError(
+            f"{path}: metadata.yaml lists {lacking}, which is not in this folder. Copy it too, or name a single file "
+            "of the bag if only that part is wanted."
+        )
     if not files:
-        hint = f"Unpack {packed[0]} first (`zstd -d`)." if packed else "Name the folder that holds them."
-        raise RecordingError(f"{path}: no .mcap or .db3 file in this folder. {hint}")
+        raise RecordingError(f"{path}: no .mcap or .db3 file in this folder. Name the folder that holds them.")
     return files
 
 
@@ -107,6 +123,16 @@ def _number(path: Path) -> tuple[int, str]:
     """Recorders number the files of a bag: _0, _1, …, _10."""
     last = path.stem.rpartition("_")[2]
     return (int(last) if last.isdecimal() and len(last) < 10 else 0, path.name)
+
+
+def _other_file(path: Path) -> RecordingError:
+    """The error for a file that holds no messages that can be read here."""
+    what = "neither an MCAP file nor a ROS 2 bag. Name a .mcap, a .db3 or the bag's folder."
+    if _is(path, ROS1):
+        what = "a bag of ROS 1, expected one of ROS 2. Convert it: `rosbags-convert` (pip install rosbags)."
+    elif path.stat().st_size == 0:
+        what = f"nothing stands in it (0 bytes). {AGAIN}"
+    return RecordingError(f"{path}: {what}")
 
 
 def _is(path: Path, magic: bytes) -> bool:
@@ -120,9 +146,16 @@ def _decoded(path: Path, topic: str, definitions: Mapping[str, str]) -> Iterator
     elif _is(path, MCAP):
         raws = _mcap(path, topic)
     else:
-        raise RecordingError(f"{path}: neither an MCAP file nor a ROS 2 bag. Name a .mcap, a .db3 or the bag's folder.")
+        raise _other_file(path)
     decoders: dict[tuple[str, bytes], Callable[[bytes], Any]] = {}
     for raw in raws:
+        if raw.data[:1] != b"\0":  # as every message in CDR begins; decoded all the same it would give other numbers
+            packed = "is packed by itself (zstd)" if raw.data.startswith(ZSTD) else "is no CDR"
+            raise RecordingError(
+                f"{path}: topic '{topic}': a message {packed}, it begins with the bytes {raw.data[:4].hex(' ')}. "
+                "Expected plain ones: write the bag again without compression (`ros2 bag convert`, compression_mode: "
+                "none)."
+            )
         key = (raw.kind, raw.definition)
         if key not in decoders:
             decoders[key] = _decoder(path, topic, raw, definitions)
@@ -182,7 +215,7 @@ def _mcap_topics(path: Path) -> dict[str, str]:
     from mcap.records import Channel, Schema
 
     if not _is(path, MCAP):
-        raise RecordingError(f"{path}: neither an MCAP file nor a ROS 2 bag. Name a .mcap, a .db3 or the bag's folder.")
+        raise _other_file(path)
     schemas, found = {0: ""}, {}
     for record in _mcap_records(path):
         if isinstance(record, Schema):
@@ -263,7 +296,8 @@ def _sqlite(path: Path, topic: str) -> Iterator[_Raw]:
                 raise RecordingError(
                     f"{path}: topic '{topic}' holds messages in '{form}', expected cdr, as ROS 2 does."
                 )
-            rows = base.execute("SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY timestamp", (number,))
+            # Not by their stamps: that would mix two stretches where the recorder's clock was set back.
+            rows = base.execute("SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY id", (number,))
             encoding, text = texts.get(kind, ("ros2msg", b""))
             for stamp, data in rows:
                 yield _Raw(int(stamp), int(stamp), bytes(data), kind, encoding, text)

@@ -72,30 +72,32 @@ def check_limits(
 def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where: str) -> None:
     """Raise RecordingError for a real channel that its idle level shows to have another sign or unit.
 
-    idle: name -> level with electronics on and motors idle, in the channel's unit; 0 says nothing. where: begins the
-    message. The median is compared: of the other sign it was counted the other way, a hundred times larger or smaller
-    it is in another unit. Of a temperature, in degC, the difference says it, and nothing says a sign.
-    Amperes of which both are negative were counted the other way too: a machine that idles draws
-    some, and gives none back. What is drawn, in A or W, may not lie below its idle level nearly always while the joints
-    move, as `joint_velocity` in `channels` shows; a voltage may.
+    idle: name -> level with electronics on and motors idle, in the channel's unit; 0 says nothing of a unit. where:
+    begins the message. The median is compared: of the other sign it was counted the other way, a hundred times larger
+    or smaller it is in another unit. Of a temperature, in degC, the difference says it, and nothing says a sign.
+    What is drawn, in A or W, was counted the other way too where both are negative, or where it lies below a level of 0
+    nearly always while the joints move, as `joint_velocity` in `channels` shows: a machine that idles draws some, and
+    gives none back. Below a level that is not 0 the level is wrong; a voltage may lie there.
     """
     for name, level in idle.items():
         series = channels[name]
         unit, median = series.channel.unit, float(np.median(series.values))
-        by_ratio = not units.is_temperature(unit)
-        if series.channel.may_be_constant or (level == 0 and by_ratio):
+        by_ratio, draws = not units.is_temperature(unit), _draws(unit)
+        if series.channel.may_be_constant or (level == 0 and by_ratio and not draws):
             continue
-        ratio = median / level if by_ratio else 1.0
+        ratio = median / level if by_ratio and level != 0 else 1.0
         hint = ""
         if not by_ratio and abs(median - level) > IDLE_APART:
             hint = "One of them is probably in another unit (K are no degC): correct unit or offset, or the idle level"
-        elif unit == "A" and level < 0 and median < 0:
+        elif draws and level < 0 and median < 0:
             hint = f"Both probably count the other way: say sign: -1 and idle: {-level:g}"
         elif ratio < -1 / IDLE_FACTOR:
             hint = "The log probably counts the other way: say sign: -1"
         elif abs(ratio) > IDLE_FACTOR or abs(ratio) < 1 / IDLE_FACTOR:
             hint = "One of them is probably in another unit (mA are no A): correct unit or scale, or the idle level"
-        elif level > 0 and _draws(unit) and (below := _below_idle(series, level, channels)):
+        elif draws and level == 0 and _below_idle(series, level, channels):
+            hint = "The log probably counts the other way: say sign: -1"
+        elif draws and level > 0 and (below := _below_idle(series, level, channels)):
             hint = (
                 f"While the joints move {below:.0%} of its samples lie below that, but a machine that moves draws more "
                 "than one that idles: measure the idle level again (electronics on, motors idle; standing is not idle)"

@@ -7,7 +7,9 @@ name stands at the same place of the message's own `name`, as in a JointState.
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +19,7 @@ from pydantic import Field
 
 from hts.errors import ConfigError, RecordingError
 from hts.recordings.logs import LogMapping, Table, table_of
+from hts.recordings.mapping import SECONDS
 from hts.recordings.messages import Message, fields_of, messages, no_topic
 from hts.recordings.table import ColumnName
 from hts.recordings.table_reader import TableReader
@@ -53,12 +56,14 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Tab
     getters = {column: _getter(str(column)) for column in wanted}
     stamp = _stamp(str(time))
     stamps: list[int | float] = []
-    values: dict[ColumnName, list[float]] = {column: [] for column in wanted}
+    received = array("d")
+    values = {column: array("d") for column in wanted}
     for count, message in enumerate(messages(path, topic, load_definitions(log.definitions))):
         if count * (len(wanted) + 1) > MOST_NUMBERS:
             raise RecordingError(f"{path}: topic '{topic}' has more than {count} messages. Cut the bag first.")
         try:
             stamps.append(stamp(message))
+            received.append(message.log_time * SECONDS["ns"])
             for column, get in getters.items():
                 values[column].append(float(get(message.content)))
         except (LookupError, TypeError, ValueError, OverflowError) as error:
@@ -70,10 +75,12 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Tab
             ) from error
     if not stamps:
         raise no_topic(path, topic)
-    columns: dict[ColumnName, Any] = {column: np.array(listed) for column, listed in values.items()}
-    return table_of(
+    columns: dict[ColumnName, Any] = {column: np.array(numbers) for column, numbers in values.items()}
+    table = table_of(
         path, time, log.time.unit, wanted, {**columns, time: np.array(stamps)}, log.runs.column if log.runs else None
     )
+    after = np.array(received) - np.array(stamps, dtype=np.float64) * SECONDS[log.time.unit]
+    return replace(table, received_after=float(np.nanmedian(after)))
 
 
 def load_definitions(name: str | None) -> dict[str, str]:

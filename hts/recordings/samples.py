@@ -22,6 +22,8 @@ MOST_SAMPLES = 50_000_000
 OLDEST = 3.0
 # s: and no longer, unless somebody says so. Seconds read in another unit look like a gauge that is read once a minute.
 OLDEST_SECONDS = 3.0
+# Of a channel's samples so many may be straight lines across gaps: a log that loses a row in four has fewer.
+MOST_DRAWN = 1 / 3
 SLACK = 1e-6
 """Sample periods by which an instant may miss a stamp and still be at it."""
 
@@ -131,8 +133,8 @@ def common_grid(
 
     gauges: names of channels that only the real robot has, and control_rate_hz: of the robot's policy, Hz; both for
     what messages advise. Raises RecordingError for channels that share no stretch, a gap longer than `max_gap_seconds`
-    (of those that are `held`: longer than a reading is), a log slower than `rate_hz` (samples cannot be invented) or so
-    much faster that the unit of its stamps must be wrong.
+    (of those that are `held`: longer than a reading is), more than a third of the samples in shorter gaps, a log slower
+    than `rate_hz` (samples cannot be invented) or so much faster that the unit of its stamps must be wrong.
     """
     start = max(one.times[0] for one in samples.values())
     end = min(one.end for one in samples.values())
@@ -164,7 +166,7 @@ def common_grid(
             said = one.empty_between(one.times[longest], one.times[longest + 1]) or one.columns
             raise RecordingError(
                 f"{one.where}: '{name}'{f' ({said})' if said else ''} has nothing for {widths[longest]:.3g} s, "
-                f"from {one.times[longest]:.3f} s on; {_until(one, max_gap_seconds, rate_hz)}"
+                f"from {one.times[longest]:.3f} s on; {_until(one, max_gap_seconds, rate_hz, widths[longest])}"
             )
     if (end - start) * rate_hz > MOST_SAMPLES:
         where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
@@ -176,7 +178,19 @@ def common_grid(
     if count < 2:
         where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
         raise RecordingError(f"{where}: the channels share no stretch of time. Check the time column and its unit.")
-    return np.minimum(start + np.arange(count) / rate_hz, end)
+    grid = np.minimum(start + np.arange(count) / rate_hz, end)
+    for name, one in samples.items():
+        drawn = interpolated(one, grid, rate_hz) if one.oldest is None else 0
+        if drawn > MOST_DRAWN * count:
+            steps = np.diff(one.times)
+            what_to_do = _slow(name, 1.0 / float(steps.max()), name in gauges, control_rate_hz)
+            raise RecordingError(
+                f"{one.where}: {drawn} of {count} samples of '{name}' would lie on straight lines across gaps between "
+                f"its stamps, which are {1 / one.rate_hz:.3g} s apart at the median and {steps.max():.3g} s "
+                "at most. Stamps of receipt come in bursts: name those of when it was measured (time.column). "
+                f"Else cut the log at its gaps, or {what_to_do}."
+            )
+    return grid
 
 
 def _slow(name: str, rate: float, gauge: bool, control_rate_hz: float | None) -> str:
@@ -193,12 +207,13 @@ def _slow(name: str, rate: float, gauge: bool, control_rate_hz: float | None) ->
     return f"set rate_hz to {rate:.4g} or less"
 
 
-def _until(one: Samples, max_gap_seconds: float, rate_hz: float) -> str:
-    """How long a gap may be, and what to do with a longer one."""
+def _until(one: Samples, max_gap_seconds: float, rate_hz: float, found: float) -> str:
+    """How long a gap may be, and what to do with one that is longer, `found` s."""
     if one.oldest is None:
+        runs = ", make two recordings of it (runs: {gap_seconds: 1})" if found > 1 else ""
         return (
-            f"gaps up to {max_gap_seconds:g} s are filled. Cut the log there, or raise max_gap_seconds if that is "
-            "harmless."
+            f"gaps up to {max_gap_seconds:g} s are filled. Cut the log there{runs}, or raise max_gap_seconds if that "
+            "is harmless."
         )
     unit = " If it is faster than that, correct time.unit." if TOO_SLOW * one.rate_hz < rate_hz else ""
     return (

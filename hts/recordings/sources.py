@@ -23,6 +23,9 @@ class Source(NamedTuple):
 
 Tables = dict[Source, Table]
 
+RECEIVED_APART = 0.1
+"""s by which topics may differ in how long after their stamps they are received: what reading and sending takes."""
+
 
 def source_of(one: ChannelMapping) -> Source:
     """Where a channel's columns are."""
@@ -92,6 +95,17 @@ def check_clocks(tables: Tables, log: LogMapping) -> str:
             f"{advice} If it is one clock, say one_clock: true."
         )
     return told
+
+
+def received_apart(tables: Tables) -> str:
+    """A note where topics were received at other times after what their stamps say: not all of them count one clock,
+    or one is stamped when it was measured and another when it was sent on; "" elsewhere."""
+    after = {source.topic or "the mapping's topic": one.received_after for source, one in tables.items()}
+    known = {topic: seconds for topic, seconds in after.items() if seconds is not None}
+    if not known or max(known.values()) - min(known.values()) < RECEIVED_APART:
+        return ""
+    told = ", ".join(f"{topic} {seconds:+.3f} s" for topic, seconds in known.items())
+    return f"{told} after their stamps: are they of one clock? `hts data lag` tells; log_time is one for all"
 
 
 def _spans(tables: Tables, log: LogMapping) -> dict[str, tuple[float, float]]:

@@ -22,7 +22,8 @@ AGAIN = "Copy the log again if not all of it came over, or record it again."
 class Table:
     """stamps: (rows,) as in the file, increasing, integers kept exact; columns: (rows,) float64, NaN where empty;
     empty_rows: how many were left out because nothing but their time was in them; last_line: what is to be noted of a
-    last line of the file that has no end; last_line_dropped: whether it was left out, or kept."""
+    last line of the file that has no end; last_line_dropped: whether it was left out, or kept; received_after: s by
+    which its recorder's clock was past the stamps when rows were received, the median; None where nobody noted it."""
 
     path: Path
     stamps: np.ndarray
@@ -30,6 +31,7 @@ class Table:
     empty_rows: int
     last_line: str = ""
     last_line_dropped: bool = False
+    received_after: float | None = None
 
     def rows(self, kept: np.ndarray) -> Table:
         """The same with some of the rows. kept: (rows,) bool, or their numbers."""
@@ -124,10 +126,12 @@ def whole_rows(
         at = int(back[0])
         raise RecordingError(
             f"{path}: time does not increase in {place(int(rows[at + 1]))}: column '{time}' reads "
-            f"{_shown(kept[at], unit)}, then {_shown(kept[at + 1], unit)}. {_put_back(kept[at] - kept[at + 1], unit)}"
-            "Sort or repair the log, or name another time column."
+            f"{_shown(kept[at], unit)}, then {_shown(kept[at + 1], unit)}. {_mended(kept[at] - kept[at + 1], unit)}, "
+            "or name another time column."
         )
-    return Table(path, kept, {column: values[rows] for column, values in columns.items()}, len(there) - len(rows))
+    if len(rows) < len(there):
+        columns = {column: values[rows] for column, values in columns.items()}
+    return Table(path, kept, columns, len(there) - len(rows))
 
 
 def _shown(stamp: np.generic, unit: str) -> str:
@@ -137,14 +141,19 @@ def _shown(stamp: np.generic, unit: str) -> str:
     return str(np.datetime64(int(stamp), "ns")).rstrip("0").rstrip(".").replace("T", " ")
 
 
-def _put_back(step: np.generic, unit: str) -> str:
-    """What to say of dates that go back by an hour, to within a minute."""
-    if unit != DATES or abs(int(step) * 1e-9 - 3600) > 60:
-        return ""
-    return (
-        "That is an hour: local time was probably put back there (the end of daylight saving). Log in UTC, or add an "
-        "hour from there on. "
-    )
+def _mended(step: np.generic, unit: str) -> str:
+    """What to do about stamps that go back by so much, in their unit; those of dates are in ns."""
+    if step == 0:
+        return (
+            "Two rows share a stamp: take out the one that is a copy, or write stamps with more digits (float32 has "
+            "seven)"
+        )
+    if unit == DATES and abs(int(step) * 1e-9 - 3600) < 60:
+        return (
+            "That is an hour: local time was probably put back there (the end of daylight saving). Log in UTC, or add "
+            "an hour from there on"
+        )
+    return "Sort rows that are out of order; where the clock was set back, cut the log there, since sorting mixes them"
 
 
 def no_column(name: str, names: Sequence[str]) -> str:
@@ -173,7 +182,7 @@ def _stamps(path: Path, time: ColumnName, unit: str, values: np.ndarray) -> tupl
         there = ~np.isnat(values)
         return values[there].astype("datetime64[ns]").astype(np.int64), there
     if values.ndim != 1 or values.dtype.kind not in "iufO" or unit == DATES:
-        raise not_a_time(path, time, unit, values.flat[0] if values.size else "")
+        raise not_a_time(path, time, unit, str(values.flat[0]) if values.size else "")
     if values.dtype.kind in "iu":
         return values, np.ones(len(values), dtype=np.bool_)
     if values.dtype.kind == "O":

@@ -24,9 +24,9 @@ string frame_id
 GAUGE = "float32 amps\nuint8 percent\n"
 
 
-def joint_state(step: int) -> dict[str, Any]:
-    """Knee before hip; effort step/10 of the hip, minus that of the knee."""
-    stamp = START + 20_000_000 * step
+def joint_state(step: int, late_ns: int = 0) -> dict[str, Any]:
+    """Knee before hip; effort step/10 of the hip, minus that of the knee; stamped by a clock that is late."""
+    stamp = START + 20_000_000 * step - late_ns
     return {
         "header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": "base"},
         "name": ["knee", "hip"],
@@ -46,16 +46,19 @@ TOPICS = {
 }
 
 
-def mcap(path: Path, steps: np.ndarray = STEPS, compression: str = "ZSTD") -> Path:
+def mcap(
+    path: Path, steps: np.ndarray = STEPS, compression: str = "ZSTD", topics: dict[str, Any] | None = None
+) -> Path:
     """Both topics, the gauge 5 ms after the joints."""
     from mcap.writer import CompressionType
     from mcap_ros2.writer import Writer
 
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType[compression])
-        kinds = {topic: writer.register_msgdef(kind, text) for topic, (kind, text, _) in TOPICS.items()}
+        topics = topics or TOPICS
+        kinds = {topic: writer.register_msgdef(kind, text) for topic, (kind, text, _) in topics.items()}
         for step in steps.tolist():
-            for delay, (topic, (_, _, content)) in enumerate(TOPICS.items()):
+            for delay, (topic, (_, _, content)) in enumerate(topics.items()):
                 when = START + 20_000_000 * step + 5_000_000 * delay
                 writer.write_message(topic, kinds[topic], content(step), log_time=when, publish_time=when)
         writer.finish()

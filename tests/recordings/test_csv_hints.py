@@ -160,3 +160,14 @@ def test_dates_that_go_back_are_shown_as_dates_and_an_hour_is_daylight_saving(tm
     then = "02:00:00" if told else "02:50:00"
     assert f"line 52 of the file: column 't' reads 2025-10-26 02:59:59.98, then 2025-10-26 {then}. " in said
     assert ("daylight saving" in said) == told
+
+
+@pytest.mark.parametrize(
+    ("stamps", "told"),
+    [
+        ([0, 20, 20, 40], "Two rows share a stamp: take out the one that is a copy, or write stamps with more digits"),
+        ([0, 20, 40, 10, 30], "where the clock was set back, cut the log there, since sorting mixes them"),
+    ],
+)
+def test_stamps_that_do_not_increase_are_not_just_to_be_sorted(tmp_path, stamps, told):
+    assert told in refusal(written(tmp_path, "t,K_tau,H_tau,amps\n" + "".join(f"{one},1,2,-2000\n" for one in stamps)))

@@ -113,6 +113,16 @@ def damaged(folder, kind):
         (folder / "data/chunk-000/file-000.parquet").write_bytes(b"PAR1")
 
 
+def test_a_set_of_which_a_file_is_missing_is_not_taken_for_the_whole(dataset, set_mapping, two_joints):
+    """As where not all of it was downloaded; episodes that are whole may be named."""
+    info = json.loads((dataset / "meta/info.json").read_text())
+    (dataset / "meta/info.json").write_text(json.dumps({**info, "total_frames": 180}))
+    with pytest.raises(RecordingError, match="120 frames in data/, meta/info.json says 180: files are missing"):
+        make({}).read_all([dataset], set_mapping, two_joints)
+    set_mapping["runs"] = {"column": "episode_index", "take": [1]}
+    assert len(make({}).read_all([dataset], set_mapping, two_joints)) == 1
+
+
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [

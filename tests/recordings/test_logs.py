@@ -133,6 +133,25 @@ def test_irregular_times_come_to_an_even_grid_where_all_have_data():
     np.testing.assert_allclose(resampled(late, grid, 10.0, "mean")[:, 0], [2.5, 10.0, 19.5 - 0.5 * 0.0], atol=0.6)
 
 
+def test_stamps_that_come_in_bursts_are_not_stretched_to_straight_lines():
+    """As where each packet is stamped when it arrives: four rows at once every 80 ms, of a log of 50 Hz."""
+    steps = np.arange(200)
+    measured = steps / 50
+    received = 0.08 * (steps // 4) + 0.0001 * (steps % 4)
+    common_grid({"a": samples_of("a", measured, np.sin(steps), "log.csv")}, 50.0)
+    lost = measured[steps % 5 != 3]
+    common_grid({"a": samples_of("a", lost, lost, "log.csv")}, 50.0)
+    with pytest.raises(
+        RecordingError, match=r"147 of 197 samples of 'a'.*0.0001 s apart at the median and 0.0797 s at most"
+    ):
+        common_grid({"a": samples_of("a", received, np.sin(steps), "log.csv")}, 50.0)
+    swapped = measured + 90.0 * (steps > 99)  # the battery, say
+    with pytest.raises(RecordingError, match=r"nothing for 90 s.*two recordings of it \(runs: {gap_seconds: 1}\)"):
+        common_grid({"a": samples_of("a", swapped, np.sin(steps), "log.csv")}, 50.0)
+    with pytest.raises(RecordingError, match="4500 of 4700 samples.*90 s at most"):
+        common_grid({"a": samples_of("a", swapped, np.sin(steps), "log.csv")}, 50.0, 120.0)
+
+
 def test_instants_within_a_gap_are_counted_and_noted(tmp_path, two_joints, mapping):
     times = np.delete(np.arange(20) * 0.02, [5, 6, 11])  # 0.10, 0.12 and 0.22 s are lost
     gappy = samples_of("a", times, times, "log")
@@ -204,6 +223,15 @@ def test_a_machine_that_gives_current_back_while_it_idles_is_counted_the_other_w
         check_idle(current(-6.0), {"draw": -1.9}, "log")
     warm = {"warmth": Series(Channel("warmth", "degC"), np.array([-6.0, -5.0, -4.0]))}
     check_idle(warm, {"warmth": -1.9}, "log")
+
+
+@pytest.mark.parametrize("unit", ["A", "mA", "W"])
+def test_whatever_is_drawn_is_counted_the_other_way_where_it_is_negative(unit):
+    for level, expected in ((-3.0, "say sign: -1 and idle: 3"), (0.0, "say sign: -1; if")):
+        with pytest.raises(RecordingError, match=expected):
+            check_idle(walking(-6.0, unit), {"draw": level}, "log")
+    check_idle(walking(0.0, unit), {"draw": 0.0}, "log")  # noise about nothing
+    check_idle(walking(-6.0, unit, speed=0.5), {"draw": 0.0}, "log")  # it stands, and a sensor has an offset
 
 
 def warmth(median: float, unit: str = "degC") -> dict[str, Series]:
@@ -329,6 +357,7 @@ def test_a_spreadsheets_csv_is_read(tmp_path, two_joints, mapping):
     [
         ("t,H_tau,K_tau,amps\nms,N*m,N*m,A\n0,1,2,3\n20,1,2,4\n", ",", "say units_row: true"),
         ("t;H_tau;K_tau;amps\n0;1,5;2;3\n20;1,5;2;4\n", ";", 'say decimal: ","'),
+        ("t H_tau K_tau amps\n0 1 2 3\n20 1 2 4\n", ",", 'say delimiter: " "'),
         ("made by me\nt,H_tau,K_tau,amps\n0,1,2,3\n20,1,2,4\n", ",", "say preamble: "),
         ("t,H_tau,K_tau,amps\n2026-03-01 12:00:00,1,2,3\n2026-03-01 12:00:01,1,2,4\n", ",", "say unit: iso"),
     ],

@@ -72,6 +72,19 @@ def test_stamps_may_be_dates_and_keep_their_nanoseconds(read, columns):
         read(columns)
 
 
+@pytest.mark.parametrize("zone", ["", "Z", "+01:00"])
+@pytest.mark.parametrize("kind", [pa.string(), pa.large_string()])
+def test_stamps_may_be_dates_written_as_text(read, columns, kind, zone):
+    """As a table of Python's isoformat() has them: without a fraction where it is 0."""
+    text = [f"2026-03-01T12:00:00{f'.{20 * step:03d}' if step else ''}{zone}" for step in STEPS.tolist()]
+    columns["t"] = pa.array(text, kind)
+    recording = read(columns, time={"column": "t", "unit": "iso"})
+    np.testing.assert_allclose(recording.values("draw"), 2 + STEPS / 10, atol=1e-6)
+    columns["t"] = pa.array([*text[:-1], "noon"], kind)
+    with pytest.raises(RecordingError, match="does not hold dates and times.*in a later row 'noon'"):
+        read(columns, time={"column": "t", "unit": "iso"})
+
+
 def test_nothing_in_a_cell_is_a_gap_and_noted(read, columns):
     columns["amps"] = pa.array([None if i == 7 else 2 + i / 10 for i in STEPS])
     columns["K_tau"] = pa.array([float("nan") if i == 3 else i / 2 for i in STEPS])

@@ -10,6 +10,7 @@ import pytest
 
 from hts.errors import ConfigError, RecordingError
 from hts.recordings import messages as messages_module
+from hts.recordings.glance import glance
 from hts.recordings.messages import messages, topics
 from hts.recordings.ros_reader import load_definitions, make
 
@@ -63,6 +64,20 @@ def test_a_stamp_in_the_message_keeps_its_nanoseconds(tmp_path, made, bag_mappin
 
 
 @needs_ros
+@pytest.mark.parametrize(("late", "told"), [(0, None), (200_000_000, "/joint_states +0.000 s, /bms +0.205 s after")])
+def test_stamps_of_two_clocks_are_told_by_when_they_were_received(tmp_path, made, bag_mapping, two_joints, late, told):
+    kind, text, content = made.TOPICS["/joint_states"]
+    topics = {"/joint_states": (kind, text, content), "/bms": (kind, text, lambda step: made.joint_state(step, late))}
+    bag_mapping["time"]["column"] = "header.stamp"
+    draw = {"columns": "effort[hip]", "unit": "A", "offset": 2, "idle": 1.9, "topic": "/bms"}
+    torque = {**bag_mapping["channels"]["joint_torque"], "topic": "/joint_states"}
+    bag_mapping["channels"] = {"joint_torque": torque, "draw": draw}
+    log = made.mcap(tmp_path / "walk.mcap", topics=topics)
+    note = make({}).read([log], bag_mapping, two_joints).notes.get("received")
+    assert note is None if told is None else note.startswith(told)
+
+
+@needs_ros
 def test_a_bag_in_sqlite_gives_the_same_also_as_a_folder(tmp_path, made, bag_mapping, two_joints):
     bag = tmp_path / "bag"
     bag.mkdir()
@@ -72,6 +87,17 @@ def test_a_bag_in_sqlite_gives_the_same_also_as_a_folder(tmp_path, made, bag_map
         np.testing.assert_allclose(recording.values("joint_torque")[:, 1], -STEPS / 10, atol=1e-6)
         np.testing.assert_allclose(recording.values("draw"), 2 + STEPS / 100, atol=1e-6)
     assert topics(bag) == {"/joint_states": "sensor_msgs/msg/JointState", "/gauge": "lab/msg/Gauge"}
+
+
+@needs_ros
+def test_messages_of_a_recorder_whose_clock_was_set_back_are_not_mixed(tmp_path, made, bag_mapping, two_joints):
+    path = made.sqlite(tmp_path / "bag.db3")
+    base = sqlite3.connect(path)
+    base.execute("UPDATE messages SET timestamp = timestamp - 110000000 WHERE (id - 1) % 40 >= 20")  # each topic has 40
+    base.commit()
+    base.close()
+    with pytest.raises(RecordingError, match="time does not increase.*where the clock was set back, cut the log"):
+        make({}).read([path], bag_mapping, two_joints)
 
 
 @needs_ros
@@ -99,6 +125,7 @@ def test_definitions_may_come_from_a_file_where_the_bag_has_none(tmp_path, made,
             "could not convert string",
         ),
         ({"time": {"column": "header.stamps", "unit": "ns"}}, "there is no field 'stamps'"),
+        ({"time": {"column": "header.frame_id", "unit": "s"}}, "does not hold numbers .it begins with 'base'"),
     ],
 )
 def test_a_field_that_is_not_there_is_one_line(tmp_path, made, bag_mapping, two_joints, changes, expected):
@@ -145,12 +172,55 @@ def test_a_database_cannot_run_code_and_is_not_written(tmp_path, made):
     assert path.read_bytes() == before
 
 
-@pytest.mark.parametrize("content", [b"", b"nothing of the kind", b"#ROSBAG V2.0\n"])
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", "nothing stands in it"),
+        (b"nothing of the kind", "neither an MCAP file nor a ROS 2 bag"),
+        (b"#ROSBAG V2.0\n", "a bag of ROS 1.*rosbags-convert"),
+    ],
+)
 @needs_ros
-def test_a_file_that_is_neither_is_refused(tmp_path, content):
+def test_a_file_that_is_neither_is_refused(tmp_path, content, expected):
     (tmp_path / "a.mcap").write_bytes(content)
-    with pytest.raises(RecordingError, match="a.mcap: neither an MCAP file nor a ROS 2 bag"):
-        list(messages(tmp_path / "a.mcap", "/x", {}))
+    for look in (topics, glance, lambda path: list(messages(path, "/x", {}))):
+        if content.startswith(b"#") or look is not glance:  # what begins otherwise may be a table
+            with pytest.raises(RecordingError, match=f"a.mcap: {expected}"):
+                look(tmp_path / "a.mcap")
+
+
+@needs_ros
+@pytest.mark.parametrize("key", ["    - bag_{}.mcap.zstd", "    - bag/bag_{}.mcap", "    - path: bag_{}.mcap"])
+def test_a_bag_of_which_a_part_is_missing_or_packed_is_not_taken_for_the_whole(tmp_path, made, key):
+    parts = [made.mcap(tmp_path / f"bag_{number}.mcap", STEPS[20 * number :][:20]) for number in range(2)]
+    listed = "\n".join(("    - bag_{}.mcap" if "path" in key else key).format(number) for number in range(2))
+    files = "\n".join(key.format(number) for number in range(2)) if "path" in key else ""
+    about = tmp_path / "metadata.yaml"
+    about.write_text(f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}\n  files:\n{files}\n")
+    assert len(list(messages(tmp_path, "/gauge", {}))) == 40
+    parts[0].rename(tmp_path / "morning_0.mcap")
+    assert len(list(messages(tmp_path, "/gauge", {}))) == 40
+    (tmp_path / "morning_0.mcap").unlink()
+    with pytest.raises(RecordingError, match="metadata.yaml lists bag_0.mcap, which is not in this folder"):
+        list(messages(tmp_path, "/gauge", {}))
+    about.unlink()
+    (tmp_path / "bag_0.mcap.zstd").write_bytes(b"")  # as a recorder leaves them that is killed: the last part is plain
+    with pytest.raises(RecordingError, match="part of this bag is packed. Unpack bag_0.mcap.zstd first"):
+        list(messages(tmp_path, "/gauge", {}))
+
+
+@needs_ros
+def test_messages_that_are_packed_one_by_one_are_not_decoded_as_other_numbers(tmp_path, made):
+    import zstandard
+
+    path = made.sqlite(tmp_path / "bag.db3")
+    base = sqlite3.connect(path)
+    base.create_function("packed", 1, zstandard.compress)
+    base.execute("UPDATE messages SET data = packed(data)")
+    base.commit()
+    base.close()
+    with pytest.raises(RecordingError, match=r"'/gauge': a message is packed by itself \(zstd\).*28 b5 2f fd"):
+        list(messages(path, "/gauge", {}))
 
 
 def test_without_the_extra_it_says_so_in_one_line(tmp_path, bag_mapping, two_joints, monkeypatch):

@@ -179,6 +179,13 @@ def test_arrays_of_an_npz_and_lists_of_a_parquet_are_understood(tmp_path, two_jo
     assert make({}).read([tmp_path / "log.parquet"], given, two_joints).num_samples == 60
 
 
+def test_a_table_with_spaces_between_columns_is_one(tmp_path, two_joints):
+    """As np.savetxt writes it."""
+    np.savetxt(tmp_path / "log.txt", np.stack([STEPS / 50, STEPS, STEPS], 1))
+    given = yaml.safe_load(suggested_mapping(tmp_path / "log.txt", two_joints))
+    assert (given["delimiter"], given["header"], given["time"]) == (" ", False, {"column": 0, "unit": "s"})
+
+
 @pytest.mark.skipif(importlib.util.find_spec("mcap_ros2") is None, reason="the extra hard-to-sim[ros] is not installed")
 def test_the_fullest_topic_of_a_bag_is_taken(tmp_path, two_joints):
     import bags
@@ -187,6 +194,10 @@ def test_the_fullest_topic_of_a_bag_is_taken(tmp_path, two_joints):
     assert (given["reader"], given["topic"]) == ("ros", "/joint_states")
     assert given["time"] == {"column": "log_time", "unit": "ns"}
     assert given["channels"]["joint_torque"]["columns"] == "effort[{joint}]"
+    from hts.recordings.ros_reader import make
+
+    recording = make({}).read([tmp_path / "a.mcap"], given, two_joints)  # the messages have the knee first
+    np.testing.assert_allclose(recording.values("joint_torque")[:, 0], np.arange(40) / 10, atol=1e-6)
 
 
 @pytest.mark.parametrize("content", [b"", bytes(range(256)) * 20, b"hello\n", b"PK\x03\x04xx", b"PAR1 and no more"])
