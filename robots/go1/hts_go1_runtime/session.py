@@ -331,11 +331,13 @@ class Session:
             given["began"] = time.perf_counter()
             given["sent"] = sent = self._steered(policy, asked, state)
             targets = policy.targets(state, sent)
-            if self._torque_share < 1 or reach.weaker:
-                targets = reach.weakened(targets, policy.kp, policy.kd, state, self._torque_share)
-            kept = reach.inside(targets)
-            self.limited_targets += int(np.count_nonzero(kept != targets))
-            given["command"] = command = Command(kept if np.isfinite(targets).all() else targets, policy.kp, policy.kd)
+            if np.isfinite(targets).all():  # else the loop stops the robot: a limit would make a number of infinity
+                if self._torque_share < 1 or reach.weaker:
+                    targets = reach.weakened(targets, policy.kp, policy.kd, state, self._torque_share)
+                kept = reach.inside(targets)
+                self.limited_targets += int(np.count_nonzero(kept != targets))
+                targets = kept
+            given["command"] = command = Command(targets, policy.kp, policy.kd)
             return command
 
         state = self.loop.tick(make)
