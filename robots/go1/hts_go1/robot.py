@@ -62,6 +62,7 @@ class Go1(VelocityRobot):
     spec = SPEC
     bundle_commands = (
         "python -m hts_go1_runtime check .",
+        "python -m hts_go1_runtime run . --link udp://127.0.0.1:9870 --first-run  # new policies: slowly, weakly",
         "python -m hts_go1_runtime run . --link udp://127.0.0.1:9870",
     )
 

@@ -19,17 +19,20 @@ Simulated robots (default twin and 16 realities, 22 s each at 0 to 1.3 m/s) came
 
 What only the robot gives, the current of its pack, is slower: of a Go2 that stood still it gave one value for 0.88 s at
 most, of the simulated ones for 0.96, and for 1.24 with the slowest and coarsest gauge that is drawn. A row in which it
-repeats itself for `REAL` s tells little, so it ends the visit sitting (`Repeats`).
+repeats itself for `REAL` s tells little, so it ends the visit sitting (`Repeats`). So does a channel that was measured
+at first and holds no numbers for as long (`Missing`): no reader takes such a row, and no limit is seen in it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.link import Command, J, State
+from hts_go1_runtime.log import holds
 from hts_go1_runtime.machine import JOINTS, Limits
 
 SEEN, REAL = Limits.frozen, 3.0  # s, where a bundle says nothing
@@ -124,6 +127,26 @@ class Repeats:
                 "process that reads it again, then run the same again; for a monitor that is as slow as that there is "
                 "--frozen-real-seconds."
             )
+
+
+class Missing:
+    """Looks at channels that the robot measures, a state a step."""
+
+    def __init__(self, channels: Iterable[str]) -> None:
+        self._channels, self._since = tuple(channels), dict[str, float]()
+
+    def see(self, state: State) -> None:
+        """Raises RuntimeFault for one of which there have been no numbers for too long."""
+        for name in self._channels:
+            since = self._since.setdefault(name, state.received)
+            if holds(state, name):
+                self._since[name] = state.received
+            elif state.received - since >= REAL - CLOSE:
+                raise RuntimeFault(
+                    f"{name} has no numbers any more, since time {since:.3f}: it is not being read, so no limit of it "
+                    "would stop the robot, and no row without it is of use. Start the robot's own process that reads "
+                    "it again, then run the same again; rows that have a log stay."
+                )
 
 
 def _changed(before: State, after: State) -> np.ndarray:

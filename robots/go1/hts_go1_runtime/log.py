@@ -52,11 +52,15 @@ def columns_of(channel: str) -> list[str]:
 def measured(states: Sequence[State]) -> list[str]:
     """Channels that the robot gives, judged by its first states: one that holds numbers in none of them is not
     measured. A single state would not do, since a sensor's first readings may be missing."""
+    return [name for name in CHANNELS if any(holds(state, name) for state in states)]
 
-    def seen(name: str) -> bool:
-        return any(np.isfinite(_MAY_BE_MISSING[name](state)).all() for state in states)
 
-    return [name for name in CHANNELS if name not in _MAY_BE_MISSING or seen(name)]
+def holds(state: State, channel: str) -> bool:
+    """Whether a state has numbers of a channel; 0 degC of all motors are none, see `meeting`."""
+    if channel not in _MAY_BE_MISSING:
+        return True
+    values = _MAY_BE_MISSING[channel](state)
+    return bool(np.isfinite(values).all()) and (channel != "motor_temperature" or bool(values.any()))
 
 
 _MAY_BE_MISSING: Mapping[str, Callable[[State], Any]] = {

@@ -37,15 +37,16 @@ def meet(loop: Loop) -> list[State]:
 
 def unguarded(measured: Sequence[str]) -> str:
     """Which stops there are none of, because the robot does not give what they look at; "" if there are all."""
-    missing = [stop for channel, stop in _NEEDED.items() if channel not in measured]
+    missing = [stop for channel, stop in NEEDED.items() if channel not in measured]
     return f"Not measured, so that nothing stops the robot for it: {', '.join(missing)}. " if missing else ""
 
 
-_NEEDED = {
+NEEDED = {
     "motor_temperature": "heat of the motors",
     "battery_voltage": "low voltage of the pack",
     "battery_current": "over-current of the pack",
 }
+"""Channel -> the stop that looks at it."""
 
 
 def check_channels(wanted: Mapping[str, Any], measured: Sequence[str], external: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ import signal
 import sys
 import termios
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
@@ -17,6 +18,7 @@ from typing import IO
 from hts_go1_runtime.errors import RuntimeFault
 
 GLANCE = 0.1  # s: how often a question looks at whatever else could end the waiting
+ENDED = 1.0  # s: an input (no terminal) that ends so soon, as /dev/null or `echo |` does, never had anybody at it
 Brake = Callable[[str, str], None]
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
 KEY_GONE = "the key Enter is gone, the input has ended: a file STOP in the bundle, Ctrl-C or SIGTERM stop the robot"
@@ -48,21 +50,22 @@ def signals(brake: Brake) -> Iterator[None]:
 
 
 def listen(brake: Brake, keys: IO[str] | None = None, gone: Callable[[str], None] = lambda line: None) -> None:
-    """A thread brakes the robot as soon as a line comes from stdin (or `keys`), or a terminal ends (Ctrl-D, or it is
-    gone). gone: told in a line where there is no key, or none any more."""
+    """A thread brakes the robot as soon as a line comes from stdin (or `keys`), or that ends: a terminal at any time
+    (Ctrl-D, or it is gone), another input once somebody could have typed there (an `ssh` without a terminal that
+    dropped). gone: told in a line where there is no key from the beginning."""
     stream = sys.stdin if keys is None else keys
     if stream is None:
         gone(KEY_GONE)
         return
-    terminal = stream.isatty()
+    terminal, began = stream.isatty(), time.monotonic()
 
     def work() -> None:
         try:
             key = "a key on the terminal" if stream.readline() else ""
         except OSError:  # a terminal that is gone
             key = ""
-        if key or terminal:
-            brake("operator", key or "the end of the input on the terminal")
+        if key or terminal or time.monotonic() - began > ENDED:
+            brake("operator", key or f"the end of the input{' on the terminal' if terminal else ''}")
         else:
             gone(KEY_GONE)
 

@@ -53,6 +53,7 @@ class Policy:
         self._check_ends()
         self.metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
         self.start()
+        self._check_runs()
 
     def start(self) -> None:
         """Begin with no past."""
@@ -73,6 +74,22 @@ class Policy:
         self._history[-1] = np.concatenate([values[name] for name in self._parts])
         self.last_action = self._session.run(["action"], {"observation": self._history.reshape(1, -1)})[0][0]
         return self.pose + self.scale * self.last_action
+
+    def _check_runs(self) -> None:
+        """One step with a history of zeros: what is wrong with a graph's numbers, or with this computer's onnxruntime,
+        shows before a robot stands."""
+        try:
+            action = self._session.run(["action"], {"observation": self._history.reshape(1, -1)})[0]
+        except Exception as error:  # see above
+            raise RuntimeFault(
+                f"{self.where}: onnxruntime {onnxruntime.__version__} cannot run it "
+                f"({' '.join(str(error).split())[:120]})."
+            ) from error
+        if action.shape != (1, 12) or not np.isfinite(action).all():
+            raise RuntimeFault(
+                f"{self.where}: its action for an observation of zeros is {' '.join(str(action).split())[:60]}, "
+                "expected 12 finite numbers. Do not run it: look for the policy that it was made from."
+            )
 
     def _check_ends(self) -> None:
         for what, found, names, size in (

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.policy import Policy
@@ -61,3 +63,14 @@ def row_of(row: Mapping[str, Any], policies: Mapping[str, Policy], where: str) -
         trim=bool(row["trim"]),
         commands=commands,
     )
+
+
+def steps_of(commands: Sequence[tuple[float, float, float, float]], rate_hz: float) -> np.ndarray:
+    """Commands of each control step, (T, 3); T = round(seconds * rate), rounded in total as the twin does."""
+    rows, elapsed, done = [], 0.0, 0
+    for seconds, *command in commands:
+        elapsed += seconds
+        steps = round(elapsed * rate_hz) - done
+        done += steps
+        rows.append(np.tile(np.array(command, float), (steps, 1)))
+    return np.concatenate(rows)

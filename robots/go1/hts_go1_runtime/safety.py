@@ -43,11 +43,11 @@ class Guard:
 
     def state(self, state: State) -> Fault | None:
         """What is wrong with a state, or None. A number that is not measured (NaN) of the pack, of the feet or of the
-        speed is not looked at; one of the joints or the trunk is a fault."""
+        speed is not looked at; one of the joints, the trunk or the clock (no state would ever be late) is a fault."""
         limits, gravity = self.limits, state.gravity  # upright, if the quaternion were all zeros
-        moving = (state.q, state.dq, state.tau, state.quaternion, state.gyro)
+        moving = (state.q, state.dq, state.tau, state.quaternion, state.gyro, state.stamp)
         if not all(np.isfinite(values).all() for values in moving):
-            return "not finite", "the state of the joints or the trunk holds what is no number"
+            return "not finite", "the state of the joints or the trunk, or its time stamp, holds what is no number"
         length = float(np.linalg.norm(state.quaternion))
         if abs(length - 1) > UNIT:
             shown = ", ".join(f"{part:.2f}" for part in state.quaternion)

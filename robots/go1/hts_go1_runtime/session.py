@@ -16,7 +16,7 @@ from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
 from hts_go1_runtime.first_run import FirstRun, walked_before
-from hts_go1_runtime.frozen import Repeats
+from hts_go1_runtime.frozen import Missing, Repeats
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
@@ -25,11 +25,11 @@ from hts_go1_runtime.link import DAMPING, Command, Link, State
 from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
 from hts_go1_runtime.machine import SIT, STAND
-from hts_go1_runtime.meeting import check_channels, check_draws, check_lies, meet
+from hts_go1_runtime.meeting import NEEDED, check_channels, check_draws, check_lies, meet
 from hts_go1_runtime.nearing import Nearing
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.question import question
-from hts_go1_runtime.rows import Row
+from hts_go1_runtime.rows import Row, steps_of
 from hts_go1_runtime.trained import over, ranges_of, turns
 from hts_go1_runtime.trimming import Trimming
 
@@ -68,6 +68,7 @@ class Session:
         self._keeper = Keeper(events)
         self._nearing = Nearing(loop.limits, loop.period)
         self._channels: list[str] = []
+        self._needed = Missing(())  # of what the robot measures, that by which it is stopped
         self._idle: dict[str, float] = {}
         self._torque_share = 1.0  # of what the joints may be told
         self._wanted_heading: float | None = None
@@ -146,6 +147,7 @@ class Session:
         """First words with the robot: what it measures, and whether that is enough."""
         self.events.say("waiting for the robot's first state", at_most_s=FIRST_STATE)
         self._channels = measured(meet(self.loop))
+        self._needed = Missing(name for name in self._channels if name in NEEDED)
         self._nearing.see(self.loop.state)
         if not self.options.first_run:
             check_channels(self.bundle.manifest["channels"], self._channels, self.options.external)
@@ -263,11 +265,12 @@ class Session:
         log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
         self._wanted_heading = None
         policy.start()
-        current = Repeats("battery_current", self._current_may_repeat())
+        current, recorded = Repeats("battery_current", self._current_may_repeat()), Missing(self._channels)
         try:
             for command in commands:
                 state = self._step(policy, command, log)
                 current.see(state.current, state.received)
+                recorded.see(state)
                 self._keeper.check(log)
         except Exception as ended:
             if fell(ended, row, log.rows):
@@ -331,11 +334,13 @@ class Session:
             given["began"] = time.perf_counter()
             given["sent"] = sent = self._steered(policy, asked, state)
             targets = policy.targets(state, sent)
-            if self._torque_share < 1 or reach.weaker:
-                targets = reach.weakened(targets, policy.kp, policy.kd, state, self._torque_share)
-            kept = reach.inside(targets)
-            self.limited_targets += int(np.count_nonzero(kept != targets))
-            given["command"] = command = Command(kept if np.isfinite(targets).all() else targets, policy.kp, policy.kd)
+            if np.isfinite(targets).all():  # else the loop stops the robot: a limit would make a number of infinity
+                if self._torque_share < 1 or reach.weaker:
+                    targets = reach.weakened(targets, policy.kp, policy.kd, state, self._torque_share)
+                kept = reach.inside(targets)
+                self.limited_targets += int(np.count_nonzero(kept != targets))
+                targets = kept
+            given["command"] = command = Command(targets, policy.kp, policy.kd)
             return command
 
         state = self.loop.tick(make)
@@ -344,6 +349,7 @@ class Session:
             noted = (state.stamp, 1e3 * (now - state.received), 1e3 * (now - self.loop.due), 1e3 * took)
             log.write(now, samples(state, given["sent"], given["command"]), (*noted, counts.lost, counts.late))
         self._nearing.see(state)
+        self._needed.see(state)
         return state
 
     def _steered(self, policy: Policy, asked: np.ndarray, state: State) -> np.ndarray:
@@ -384,14 +390,3 @@ class Session:
             facts["mass_kg"] = self.options.mass_kg
         frozen = self.options.frozen_real_seconds
         return mapping(self._channels, self._idle, self.bundle.rate_hz, facts, frozen)
-
-
-def steps_of(commands: Sequence[tuple[float, float, float, float]], rate_hz: float) -> np.ndarray:
-    """Commands of each control step, (T, 3); T = round(seconds * rate), rounded in total as the twin does."""
-    rows, elapsed, done = [], 0.0, 0
-    for seconds, *command in commands:
-        elapsed += seconds
-        steps = round(elapsed * rate_hz) - done
-        done += steps
-        rows.append(np.tile(np.array(command, float), (steps, 1)))
-    return np.concatenate(rows)

@@ -20,6 +20,8 @@ class StreamThatMayGo:
         if not self._gone:
             try:
                 return self._stream.write(text)
+            except UnicodeEncodeError:  # a terminal that knows no such sign
+                return self._stream.write(text.encode("ascii", "backslashreplace").decode())
             except OSError:
                 self._let_go()
         return len(text)

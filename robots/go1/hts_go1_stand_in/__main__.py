@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import signal
 import sys
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from typing import NoReturn
 
 from hts.errors import HtsError
 from hts_go1_runtime.cli import hurry
-from hts_go1_stand_in.body import STATE_SECONDS, Body
+from hts_go1_stand_in.body import PER_READING, STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
 from hts_go1_stand_in.serve import serve
 
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if states < 1 or abs(given.tick_ms / 1e3 - states * STATE_SECONDS) > 1e-9:
         parser.error(f"--tick-ms {given.tick_ms:g}: expected a multiple of {1e3 * STATE_SECONDS:g}.")
     try:
-        body = Body(given.reality, given.objective or ["power"], given.seed)
+        body = ready(given.reality, given.objective or ["power"], given.seed)
     except HtsError as error:
         parser.error(" ".join(str(error).split()))
     try:
@@ -53,6 +54,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         body.close()
     return 0
+
+
+def ready(reality: str | None, objectives: list[str], seed: int) -> Body:
+    """A robot whose first states take no longer than later ones: what a simulation loads when it is first used, a
+    second's work, would be a silence at which a runtime that has just begun stops it."""
+    with contextlib.closing(Body(reality, objectives, seed)) as another:
+        for number in range(2 * PER_READING):
+            another.state(number)
+            another.advance()
+    return Body(reality, objectives, seed)
 
 
 class _Parser(argparse.ArgumentParser):

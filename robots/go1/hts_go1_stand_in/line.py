@@ -70,14 +70,15 @@ class Line:
         return found
 
     def done(self, sequence: int, clock: float, patience: float) -> bool:
-        """Wait until the runtime is done with a tick; False if it is silent for `patience` s."""
+        """Wait until the runtime is done with a tick, or another one has come, which was told of none; False if it is
+        silent for `patience` s."""
         end = time.monotonic() + patience
         self._finished = -1
         while time.monotonic() < end:
             if not select.select([self._socket], [], [], 0.05)[0]:
                 continue
             self._receive(clock)
-            if self._finished == sequence:
+            if self._finished == sequence or self.greeting:
                 return True
         return False
 

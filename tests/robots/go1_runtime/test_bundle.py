@@ -7,8 +7,10 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -172,6 +174,27 @@ def test_a_graph_that_is_none_is_refused(change, bundle):
     (bundle / "policies" / "00-walk.onnx").write_bytes(b"\x08\x01 no graph")
     with pytest.raises(RuntimeFault, match="onnxruntime does not take it"):
         load_bundle(change(lambda manifest: None))
+
+
+def test_a_graph_that_gives_no_numbers_is_refused_before_the_robot_stands(change, bundle):
+    path = bundle / "policies" / "00-walk.onnx"
+    model = onnx.load(path)
+    bias = next(one for one in model.graph.initializer if list(one.dims) == [12])
+    bias.CopyFrom(onnx.numpy_helper.from_array(np.full(12, np.nan, np.float32), bias.name))
+    onnx.save(model, path)
+    change(lambda manifest: None)
+    with pytest.raises(RuntimeFault, match=r"00-walk.onnx: its action .* is \[\[nan .* expected 12 finite numbers"):
+        load_bundle(bundle)
+
+
+def test_a_computer_without_numpy_is_told_what_to_install(bundle):
+    """-S: nothing that was installed is found."""
+    command = [sys.executable, "-S", "-m", "hts_go1_runtime", "check", str(bundle)]
+    places = {"PYTHONPATH": str(Path(machine.__file__).parents[1])}
+    done = subprocess.run(command, env=places, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert line == "refused: No module named 'numpy'. It is needed beside this package: pip install numpy onnxruntime"
 
 
 def test_numbers_of_a_graph_that_lie_in_another_file_are_not_read(change, bundle, tmp_path, monkeypatch):

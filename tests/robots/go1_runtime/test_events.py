@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import subprocess
@@ -11,6 +12,7 @@ import threading
 import time
 
 from hts_go1_runtime.events import Events
+from hts_go1_runtime.terminal import StreamThatMayGo
 
 
 def test_events_of_a_full_disk_wait_in_order_and_are_said_at_once(tmp_path, monkeypatch, capsys):
@@ -45,6 +47,7 @@ CLOSED = """
 import sys, time
 from pathlib import Path
 from hts_go1_runtime.events import Events
+from hts_go1_runtime.terminal import StreamThatMayGo
 from hts_go1_runtime.terminal import that_may_go
 input()  # until nobody reads what is said any more
 with that_may_go():
@@ -88,3 +91,10 @@ def test_a_terminal_that_stands_still_keeps_nothing_from_the_disk(tmp_path, monk
         time.sleep(0.01)
     goes_on.set()
     events.close()
+
+
+def test_a_sign_that_the_terminal_does_not_know_silences_nothing():
+    shown = io.TextIOWrapper(io.BytesIO(), encoding="ascii", write_through=True)
+    stream = StreamThatMayGo(shown)
+    print("35.55 N·m", "and on", sep="\n", file=stream)
+    assert shown.buffer.getvalue() == b"35.55 N\\xb7m\nand on\n"

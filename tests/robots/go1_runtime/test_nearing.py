@@ -1,7 +1,8 @@
-"""A robot that grows hot, or whose pack runs low, sits down before a limit lets it fall."""
+"""A robot that grows hot, whose pack runs low or whose sensors end sits down before a limit lets it fall."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib.util
 import json
@@ -11,10 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.events import Events
 from hts_go1_runtime.fake import standing
+from hts_go1_runtime.frozen import Missing
+from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.nearing import Nearing
+from hts_go1_runtime.session import Options, Session
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
 scripted = importlib.util.module_from_spec(SPEC)
@@ -42,8 +48,9 @@ def warm(degrees):
     [
         (growing(temperature=warm(lambda since: 74.8 + 0.5 * since)), "RR_thigh_joint at 75 degC, and at 80"),
         (growing(voltage=lambda since: 19.1 - 0.05 * since), "V at the pack in the mean of about 1 s, and at 18.6"),
+        (growing(foot_force=lambda since: np.full(4, math.nan if since > 0 else 30.0)), "foot_force has no numbers"),
     ],
-    ids=["temperature", "voltage"],
+    ids=["temperature", "voltage", "feet that are lost"],
 )
 def test_it_sits_down_and_is_not_let_fall(change, visit, link, words, capsys):
     bundle = change(lambda manifest: manifest["rows"][1]["schedule"]["commands"][0].__setitem__("seconds", 6.0))
@@ -53,6 +60,37 @@ def test_it_sits_down_and_is_not_let_fall(change, visit, link, words, capsys):
     what = [one["what"] for one in events]
     assert "sat down" in what and "stopped" not in what
     assert (bundle / "logs" / "00.csv").exists() and not (bundle / "logs" / "01.csv").exists()
+
+
+def test_a_sensor_by_which_it_is_stopped_may_not_go_while_it_walks_unrecorded(bundle, tmp_path):
+    """As in a first run: no heat would stop it any more."""
+    link = scripted.ScriptedLink(
+        lambda state: dataclasses.replace(state, temperature=np.full(12, 40.0 if state.stamp < 1 else 0.0))
+    )
+    made, loop = load_bundle(bundle), Loop(link, PERIOD, Limits())
+    with contextlib.closing(Events(tmp_path / "events.jsonl")) as events:
+        session = Session(made, link, loop, Options(), events)
+        session._meet(made.rows)
+        loop.resume()
+        with pytest.raises(RuntimeFault, match=r"motor_temperature has no numbers any more, since time 0\.9\d\d"):
+            session._stroll(made.policies["policies/00-walk.onnx"], [(6.0, 0.3, 0.0, 0.0)])
+    assert link.now() == pytest.approx(4.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("channel", "there", "lost"),
+    [
+        ("motor_temperature", {"temperature": np.full(12, 40.0)}, {"temperature": np.zeros(12)}),
+        ("battery_current", {"current": 3.0}, {"current": math.nan}),
+        ("base_velocity", {"velocity": np.ones(3)}, {"velocity": np.array([1.0, math.nan, 0.0])}),
+    ],
+)
+def test_a_channel_may_be_away_for_less_than_three_seconds(channel, there, lost):
+    missing = Missing([channel])
+    for received, values in ((0.0, lost), (2.9, lost), (2.98, there), (5.9, lost)):
+        missing.see(state(received=received, **values))
+    with pytest.raises(RuntimeFault, match=f"{channel} has no numbers any more, since time 2.980"):
+        missing.see(state(received=5.98, **lost))
 
 
 def test_one_that_is_too_warm_or_too_empty_to_begin_does_not_move(visit, capsys):

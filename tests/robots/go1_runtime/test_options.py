@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import shlex
 
 import pytest
 
+from hts_go1.robot import Go1
 from hts_go1_runtime import cli
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.machine import Limits
@@ -71,3 +73,11 @@ def test_an_option_that_nobody_knows_is_one_line(bundle, capsys):
 def test_a_limit_that_stops_nobody_is_refused(limit, value):
     with pytest.raises(RuntimeFault, match=rf"limit '{limit}' is {value}, expected a finite number"):
         Limits(**{limit: value})
+
+
+def test_the_page_of_a_bundle_walks_new_policies_slowly_first():
+    typed = [shlex.split(command, comments=True) for command in Go1.bundle_commands]
+    given = [cli._parser().parse_args(words[3:]) for words in typed]
+    assert [words[:3] for words in typed] == [["python", "-m", "hts_go1_runtime"]] * 3
+    assert [one.command for one in given] == ["check", "run", "run"]
+    assert [one.first_run for one in given[1:]] == [True, False]

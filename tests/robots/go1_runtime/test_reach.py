@@ -15,7 +15,7 @@ import pytest
 from hts.config_gate import FirstRunConfig
 from hts_go1_runtime import machine
 from hts_go1_runtime.bundle import load_bundle
-from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.fake import standing
 from hts_go1_runtime.first_run import FirstRun
@@ -84,6 +84,19 @@ def test_the_smaller_torque_limit_counts_in_every_row(change, visit):
         )
         asked.append(np.abs(policy.kp * (target - q) - policy.kd * dq))
     assert np.max(asked) == pytest.approx(2.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("action", [np.inf, -np.inf, np.nan])
+def test_a_target_that_is_no_number_is_not_weakened_to_one(bundle, tmp_path, action):
+    loaded, link = load_bundle(bundle), scripted.ScriptedLink()
+    for policy in loaded.policies.values():
+        policy.targets = lambda state, command: np.full(12, action)
+    with contextlib.closing(Events(tmp_path / "events.jsonl")) as events:
+        options = Options(first_run=True, idle_seconds=0.2)
+        with pytest.raises(Stopped, match="not finite"):
+            Session(loaded, link, Loop(link, 0.02, Limits()), options, events).run()
+    stiff = [command for _, command in link.sent if command.kp.any()]
+    assert (stiff[-1].q == machine.STAND).all()
 
 
 def test_a_joint_that_is_faster_than_the_manifest_allows_is_stopped(change, visit, capsys):

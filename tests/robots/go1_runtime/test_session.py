@@ -32,7 +32,8 @@ from hts_go1_runtime.link import DAMPING, NOTHING, Command
 from hts_go1_runtime.log import CHANNELS, RowLog, samples
 from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import STAND, TARGET_HIGH, TARGET_LOW, Limits
-from hts_go1_runtime.session import Options, Session, steps_of
+from hts_go1_runtime.rows import steps_of
+from hts_go1_runtime.session import Options, Session
 from hts_go1_runtime.trimming import Trimming
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import queue
 import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from hts_go1_runtime.errors import Stopped
 from hts_go1_runtime.link import DAMPING, Command
 from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import STAND, Limits
-from hts_go1_runtime.operator_key import SIGNALS, signals
+from hts_go1_runtime.operator_key import ENDED, SIGNALS, listen, signals
 
 SCRIPTED = Path(__file__).with_name("scripted.py")
 SPEC = importlib.util.spec_from_file_location("scripted", SCRIPTED)
@@ -130,3 +132,15 @@ def test_a_key_that_nobody_can_press_is_said(monkeypatch, visit, capsys, nothing
         monkeypatch.setattr(sys, "stdin", None if nothing else ended)
         assert visit("--yes") == 0
     assert "the key Enter is gone, the input has ended: a file STOP in the bundle, Ctrl-C" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("seconds", "expected"), [(0.0, "gone"), (ENDED + 0.1, "operator: the end of the input")])
+def test_an_input_that_ends_while_the_robot_walks_stops_it(seconds, expected):
+    """As of `ssh HOST COMMAND` without a terminal: the key that was promised is gone, and who promised to watch too."""
+    said: queue.SimpleQueue[str] = queue.SimpleQueue()
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as keys:
+        listen(lambda reason, detail: said.put(f"{reason}: {detail}"), keys, lambda line: said.put("gone"))
+        time.sleep(seconds)
+        os.close(writing)
+        assert said.get(timeout=10) == expected

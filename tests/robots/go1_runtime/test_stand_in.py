@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -122,6 +123,42 @@ def test_each_runtime_greets_the_robot_before_its_commands_count():
         said.clear()
         link.close()
     line._socket.close()
+
+
+def test_a_runtime_that_comes_after_another_is_not_kept_waiting_for_its_answer():
+    line, done = Line(0, 0.0, 0.0, 0.0, 0), []
+    first = UdpLink(f"udp://127.0.0.1:{line.port}", lockstep=True)
+    line.commands(0.0, 1.0)
+    line.greeting = False
+    first.close()  # and never answers the tick
+    waiting = threading.Thread(target=lambda: done.append(line.done(0, 0.0, 60.0)))
+    waiting.start()
+    second = UdpLink(f"udp://127.0.0.1:{line.port}", lockstep=True)
+    waiting.join(10.0)
+    line._socket.close()
+    second.close()
+    assert done == [True]
+
+
+LOADED = """
+import sys
+from hts_go1_stand_in.__main__ import ready
+body = ready("dev-03", ["power"], 0)
+before = set(sys.modules)
+for number in range(20):
+    body.state(number)
+    body.advance()
+body.close()
+print(sorted(set(sys.modules) - before))
+"""
+
+
+def test_a_robot_that_is_ready_loads_nothing_more_for_its_states():
+    """In a process of its own, where nobody has loaded anything before."""
+    command = [sys.executable, "-W", "ignore", "-c", LOADED]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    assert said == "[]\n"
 
 
 def visit(bundle: Path, *options: str) -> None:

@@ -78,6 +78,13 @@ def test_a_bad_state_damps_the_robot_within_40_ms(fault):
     assert 0 <= link.sent[first][0] - FAILS_AT <= 0.04
 
 
+@pytest.mark.parametrize("stamp", [math.nan, math.inf])
+def test_a_time_stamp_that_is_no_number_is_a_fault(stamp):
+    """No state could be told to be late by it."""
+    link = ScriptedLink(lambda state: dataclasses.replace(state, stamp=stamp) if state.stamp >= FAILS_AT else state)
+    assert run(link).reason == "not finite"
+
+
 def test_silence_damps_the_robot_within_40_ms():
     link = ScriptedLink(lambda state: None if state.stamp >= FAILS_AT else state)
     stopped = run(link)
