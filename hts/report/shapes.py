@@ -21,6 +21,9 @@ class Comparison(Part):
     """A policy against the pretrained one at one speed, or set-point."""
 
     improvement: Number = Field(description="the objective's unit")
+    improvement_ci95: list[Number] | None = Field(
+        None, min_length=2, max_length=2, description="of it; null: it cannot be told"
+    )
 
 
 class Way(Part):
