@@ -67,6 +67,10 @@ class Summary(Part):
     """summary.json."""
 
     objectives: list[str] = Field(min_length=1, description="names")
+    robot: str = Field(description="its name")
+    preset: str = Field(description="its name")
+    engine: str = Field(description="what computed physics in training")
+    seed: int = Field(description="of everything random")
     iterations: list[Iteration] = Field(description="what became of each")
     final: Final | None = Field(description="null: there was none")
 

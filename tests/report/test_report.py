@@ -318,6 +318,7 @@ RESULT = {"unit": "1", "speeds": {"0.8": {"improvement": 0.1}}}
     ("said", "changes"),
     [
         ("objectives: expected at least 1", {"objectives": []}),
+        ("robot: expected text, found nothing", {"robot": None}),
         ("iterations.0.index: this key is needed", {"iterations": [{}]}),
         ("iterations.0.candidates.0.anchor: this key", {"iterations": [{"index": 0, "candidates": [{"id": "00-00"}]}]}),
         ("final.objectives.cost.speeds: this key", {"final": {"policy": "00-00", "objectives": {"cost": {}}}}),
@@ -329,6 +330,7 @@ RESULT = {"unit": "1", "speeds": {"0.8": {"improvement": 0.1}}}
 )
 def test_a_summary_that_no_page_can_be_made_of_is_refused_with_what_is_missing(tmp_path, said, changes):
     summary = {"objectives": ["cost"], "iterations": [], "final": None}
+    summary |= {"robot": "example", "preset": "quick", "engine": "mujoco", "seed": 0}
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     read_run(tmp_path)
     (tmp_path / "summary.json").write_text(json.dumps(summary | changes))
