@@ -17,13 +17,22 @@ class Part(BaseModel):
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
-class Comparison(Part):
-    """A policy against the pretrained one at one speed, or set-point."""
+class Estimate(Part):
+    """What was measured of an improvement."""
 
     improvement: Number = Field(description="the objective's unit")
     improvement_ci95: list[Number] | None = Field(
         None, min_length=2, max_length=2, description="of it; null: it cannot be told"
     )
+
+
+class Comparison(Estimate):
+    """A policy against the pretrained one at one speed, or set-point."""
+
+    segments: int | None = Field(None, description="that count")
+    falls: int | None = Field(None, description="of the policy")
+    mean_speed: Number = Field(None, description="m/s, or the task's unit")
+    every_second: Estimate | None = Field(None, description="the same over all seconds; null: it cannot be told")
 
 
 class Way(Part):
@@ -53,13 +62,24 @@ class Candidate(Part):
     anchor: str = Field(description="best, pretrained or a policy's id")
     weights: dict[str, Number] = Field(description="objective -> λ")
     kl_bound: Number = Field(description="c, nats; null: none")
+    kl: Number = Field(None, description="from its anchor, nats")
+    sim_score: Number = Field(None, description="by which it was judged")
+    falls: int | None = Field(None, description="in simulation")
     real: dict[str, dict[str, Comparison]] | None = Field(None, description="its trial; null: there was none")
+
+
+class Model(Part):
+    """The check of a measurement model."""
+
+    held_out_r2: Number = Field(None, description="1")
+    rank_correlation: Number = Field(None, description="1")
 
 
 class Iteration(Part):
     """One iteration."""
 
     index: int = Field(description="from 0")
+    measurement_models: dict[str, Model] = Field(default_factory=dict, description="by objective")
     candidates: list[Candidate] = Field(default_factory=list, description="all that were trained in it")
 
 
@@ -71,6 +91,9 @@ class Summary(Part):
     preset: str = Field(description="its name")
     engine: str = Field(description="what computed physics in training")
     seed: int = Field(description="of everything random")
+    wall_seconds: Number = Field(None, description="of all stages")
+    sim_steps: int | None = Field(None, description="control steps in simulation")
+    real_samples: int | None = Field(None, description="control steps of the robot's time")
     iterations: list[Iteration] = Field(description="what became of each")
     final: Final | None = Field(description="null: there was none")
 

@@ -319,6 +319,7 @@ RESULT = {"unit": "1", "speeds": {"0.8": {"improvement": 0.1}}}
     [
         ("objectives: expected at least 1", {"objectives": []}),
         ("robot: expected text, found nothing", {"robot": None}),
+        ("sim_steps: expected a whole number, found '1e6'", {"sim_steps": "1e6"}),
         ("iterations.0.index: this key is needed", {"iterations": [{}]}),
         ("iterations.0.candidates.0.anchor: this key", {"iterations": [{"index": 0, "candidates": [{"id": "00-00"}]}]}),
         ("final.objectives.cost.speeds: this key", {"final": {"policy": "00-00", "objectives": {"cost": {}}}}),
