@@ -172,6 +172,21 @@ def fact(low, high, speed=0.0) -> Fact:
     return Fact(f"x at {speed:g}", speed, low, high, "K", "E", lambda channels, idle: float(channels["x"].mean()))
 
 
+def test_a_robot_in_a_single_module_brings_no_realities_and_hides_none(install):
+    source = (
+        "from hts import hookimpl\n"
+        "HTS_API = 2\n"
+        "def make(settings):\n"
+        "    raise AssertionError\n"
+        "@hookimpl\n"
+        "def hts_robots(register):\n"
+        "    register('alone', make)\n"
+    )
+    before = known_names()
+    install("hts_alone", {"hts_alone": source}, {"alone": "hts_alone"})
+    assert known_names() == before != {}
+
+
 def test_statics_drop_a_draw_that_stands_far_outside_without_simulating_it(registry, tmp_path):
     verdict = check(
         registry.make_robot("go1"), TwinSettings(), {"x": Meter(10.0, fact(1.0, 2.0))}, tmp_path / "no policy.onnx"
